@@ -1,0 +1,256 @@
+"""bytes <-> frozen dataclass. Decoding checks everything: a message that gets through is finite, sized and typed.
+
+Our own messages map to wire/fleet.proto field by field, by name; three messages travel as foxglove.* schemas so that logs
+open in the usual viewers. A `Header` travels beside every message.
+"""
+
+import dataclasses
+import math
+import struct
+import types
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.descriptor import Descriptor
+from google.protobuf.message import DecodeError as ProtobufError
+from google.protobuf.message import Message as ProtobufMessage
+
+from wire import fleet_pb2
+from wire.messages import Event, Frame, Message, Preview
+
+MAX_FRAME_BYTES = 64 * 1024 * 1024
+MAX_MESSAGE_BYTES = (
+    4 * 1024 * 1024
+)  # an hour of trajectory at 20 Hz is below this; anything above is no message of ours
+LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
+
+M = TypeVar("M")
+
+
+class DecodeError(Exception):
+    """Bytes that are no valid message. Says which peer, topic and field."""
+
+    def __init__(self, peer: str, topic: str, field: str, reason: str) -> None:
+        super().__init__(f"from {peer}, topic {topic}, field {field}: {reason}")
+        self.peer, self.topic, self.field, self.reason = peer, topic, field, reason
+
+
+@dataclass(frozen=True)
+class Header:
+    """What travels beside every message.
+
+    `stamp_ns` is the instant the content is about, on the sender's clock (for logs, and for ages in lockstep);
+    `age_ns` is how long before publishing that was, by the sender's monotonic clock.
+    """
+
+    session: int  # drawn when the sender's process starts: a restart is a new session
+    sequence: int  # 1, 2, 3 ... per topic and session
+    stamp_ns: int
+    age_ns: int = 0
+
+    _LAYOUT = struct.Struct("<QIqq")
+
+    def encode(self) -> bytes:
+        """28 bytes, little-endian: session u64, sequence u32, stamp i64, age i64."""
+        return self._LAYOUT.pack(self.session, self.sequence, self.stamp_ns, self.age_ns)
+
+    @classmethod
+    def decode(cls, data: bytes, peer: str, topic: str) -> "Header":
+        """Raises DecodeError for a wrong size or a negative age."""
+        if len(data) != cls._LAYOUT.size:
+            raise DecodeError(peer, topic, "header", f"{len(data)} bytes, must be {cls._LAYOUT.size}")
+        header = cls(*cls._LAYOUT.unpack(data))
+        if header.age_ns < 0:
+            raise DecodeError(peer, topic, "header.age_ns", f"{header.age_ns} is negative")
+        return header
+
+
+# --- our own messages: dataclass fields and protobuf fields have the same names
+
+
+class _Invalid(Exception):
+    """A field's value is not acceptable; the caller adds peer and topic."""
+
+    def __init__(self, field: str, reason: str) -> None:
+        super().__init__(f"{field}: {reason}")
+        self.field, self.reason = field, reason
+
+
+@cache
+def _fields(cls: type) -> tuple[tuple[str, Callable[[Any, str], Any]], ...]:
+    """Per field of a message: its name, and the checked conversion from the protobuf value."""
+    hints = get_type_hints(cls)
+    return tuple((f.name, _reader(hints[f.name], f.metadata)) for f in dataclasses.fields(cls))
+
+
+def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
+    if "shape" in metadata:
+        return lambda value, name: _read_array(value, name, metadata["shape"])
+    if hint is float:
+        return _read_float
+    if isinstance(hint, type) and issubclass(hint, IntEnum):
+        return lambda value, name: _read_enum(value, name, hint)
+    if get_origin(hint) is tuple:
+        return lambda value, name: tuple(value)
+    nested = _optional_message(hint)
+    if nested is not None:
+        return lambda value, name: _from_protobuf(nested, value, f"{name}.")
+    return lambda value, name: value
+
+
+def _optional_message(hint: Any) -> type | None:
+    if get_origin(hint) in (Union, types.UnionType):
+        for candidate in get_args(hint):
+            if dataclasses.is_dataclass(candidate) and isinstance(candidate, type):
+                return candidate
+    return None
+
+
+def _read_float(value: float, name: str) -> float:
+    if not math.isfinite(value) or abs(value) > LARGEST:
+        raise _Invalid(name, f"{value} is not a finite number below {LARGEST:g}")
+    return value
+
+
+def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
+    try:
+        return enum(value)
+    except ValueError:
+        allowed = ", ".join(f"{member.value} {member.name}" for member in enum)
+        raise _Invalid(name, f"{value} is not allowed (allowed: {allowed})") from None
+
+
+def _read_array(value: Any, name: str, shape: tuple[int, ...]) -> Any:
+    array = np.array(value, dtype=np.float64)
+    if not np.all(np.abs(array) <= LARGEST):  # false for NaN too
+        raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
+    row = math.prod(n for n in shape if n != -1)
+    if (array.size % row if -1 in shape else array.size - row) != 0:
+        raise _Invalid(name, f"{array.size} values do not fill the shape {shape}")
+    return array.reshape(shape)
+
+
+def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
+    values = {}
+    for name, read in _fields(cls):
+        if message.DESCRIPTOR.fields_by_name[name].message_type is not None and not message.HasField(name):
+            values[name] = None
+            continue
+        values[name] = read(getattr(message, name), prefix + name)
+    return cls(**values)
+
+
+def _to_protobuf(message: Any, target: Any) -> Any:
+    for field in dataclasses.fields(message):
+        value = getattr(message, field.name)
+        if value is None:
+            continue
+        if dataclasses.is_dataclass(value):
+            _to_protobuf(value, getattr(target, field.name))
+        elif isinstance(value, np.ndarray):
+            getattr(target, field.name).extend(value.ravel().tolist())
+        elif isinstance(value, tuple):
+            getattr(target, field.name).extend(value)
+        else:
+            setattr(target, field.name, value)
+    return target
+
+
+# --- messages that travel as foxglove schemas
+
+
+def _stamp(target: Any, stamp_ns: int) -> None:
+    target.timestamp.seconds, target.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
+
+
+def _frame_to_protobuf(frame: Frame, stamp_ns: int) -> ProtobufMessage:
+    height, width = frame.pixels.shape
+    image = RawImage(frame_id="camera", width=width, height=height, step=width, encoding="bayer_rggb8")
+    image.data = frame.pixels.tobytes()
+    _stamp(image, stamp_ns)
+    return image  # type: ignore[no-any-return]
+
+
+def _frame_from_protobuf(image: Any) -> Frame:
+    if image.encoding != "bayer_rggb8":
+        raise _Invalid("encoding", f"{image.encoding!r} is not allowed (allowed: bayer_rggb8)")
+    if not (0 < image.width <= 16384 and 0 < image.height <= 16384 and image.step == image.width):
+        raise _Invalid("step", f"{image.width} x {image.height} with step {image.step} is no packed picture")
+    if len(image.data) != image.step * image.height:
+        raise _Invalid("data", f"{len(image.data)} bytes, must be {image.step * image.height}")
+    return Frame(np.frombuffer(image.data, np.uint8).reshape(image.height, image.width))
+
+
+def _preview_to_protobuf(preview: Preview, stamp_ns: int) -> ProtobufMessage:
+    image = CompressedImage(frame_id="camera", format="jpeg", data=preview.jpeg)
+    _stamp(image, stamp_ns)
+    return image  # type: ignore[no-any-return]
+
+
+def _preview_from_protobuf(image: Any) -> Preview:
+    if image.format != "jpeg":
+        raise _Invalid("format", f"{image.format!r} is not allowed (allowed: jpeg)")
+    return Preview(image.data)
+
+
+def _event_to_protobuf(event: Event, stamp_ns: int) -> ProtobufMessage:
+    log = Log(level=event.level, name=event.source, message=event.message)
+    _stamp(log, stamp_ns)
+    return log  # type: ignore[no-any-return]
+
+
+def _event_from_protobuf(log: Any) -> Event:
+    return Event(level=log.level, source=log.name, message=log.message)
+
+
+_FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], ProtobufMessage], Callable[[Any], Any]]] = {
+    Frame: (RawImage, _frame_to_protobuf, _frame_from_protobuf),
+    Preview: (CompressedImage, _preview_to_protobuf, _preview_from_protobuf),
+    Event: (Log, _event_to_protobuf, _event_from_protobuf),
+}
+
+
+# --- the two directions
+
+
+def protobuf_class(cls: type) -> Any:
+    """The protobuf class that carries messages of dataclass `cls`."""
+    return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else getattr(fleet_pb2, cls.__name__)
+
+
+def descriptor(cls: type) -> Descriptor:
+    """Protobuf descriptor of a message class, for the log's schemas."""
+    found: Descriptor = protobuf_class(cls).DESCRIPTOR
+    return found
+
+
+def encode(message: Message, stamp_ns: int = 0) -> bytes:
+    """The wire form of a message. `stamp_ns` goes into schemas that carry a time of their own."""
+    if type(message) in _FOXGLOVE:
+        return _FOXGLOVE[type(message)][1](message, stamp_ns).SerializeToString()
+    encoded: bytes = _to_protobuf(message, protobuf_class(type(message))()).SerializeToString()
+    return encoded
+
+
+def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:
+    """A checked message of class `cls` from its wire form. Raises DecodeError, and nothing else, for any bytes."""
+    limit = MAX_FRAME_BYTES if cls is Frame else MAX_MESSAGE_BYTES
+    if len(data) > limit:
+        raise DecodeError(peer, topic, "(size)", f"{len(data)} bytes, more than the allowed {limit}")
+    message = protobuf_class(cls)()
+    try:
+        message.ParseFromString(data)
+    except (ProtobufError, UnicodeDecodeError) as error:
+        raise DecodeError(peer, topic, "(all)", f"no valid {message.DESCRIPTOR.full_name}: {error}") from None
+    try:
+        found: M = _FOXGLOVE[cls][2](message) if cls in _FOXGLOVE else _from_protobuf(cls, message)
+        return found
+    except _Invalid as error:
+        raise DecodeError(peer, topic, error.field, error.reason) from None

@@ -1,0 +1,330 @@
+"""SHELL: the experiment file: what is flown, by whom, how, and what a good result is. One file that all processes share.
+
+A run starts only if every process holds the same experiment, so `Experiment.hash` covers every key, defaults and vehicle
+included. Lengths are metres, angles radians, times seconds; pool frame (see wire/frames.py) unless the key says otherwise.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from wire.frames import Array
+from wire.toml_file import ConfigError, Section, apply_setting, check, read_toml
+from wire.vehicle import NotNegative, Positive, Vehicle, load_vehicle
+
+EXPERIMENTS = Path(__file__).parents[1] / "groundstation" / "experiments"
+
+Vec2 = tuple[float, float]
+Vec3 = tuple[float, float, float]
+Vec4 = tuple[float, float, float, float]
+Weight3 = tuple[NotNegative, NotNegative, NotNegative]
+Weight4 = tuple[NotNegative, NotNegative, NotNegative, NotNegative]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+
+
+class Pool(Section):
+    """The basin. Its walls stand at +-length/2 and +-width/2 around the origin."""
+
+    size_m: tuple[Positive, Positive, Positive]
+
+
+class Circle(Section):
+    """A circle around the origin, flown clockwise seen from above (heading grows), starting at its largest x."""
+
+    kind: Literal["circle"]
+    diameter_m: Positive
+    lap_s: Positive
+    depth_m: NotNegative
+
+
+class Waypoints(Section):
+    """A natural cubic spline through waypoints (equations 12, 13), flown at constant speed."""
+
+    kind: Literal["waypoints"]
+    points_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]
+    speed_mps: Positive
+    start_index: Annotated[int, Field(ge=0)] = 0
+    depth_m: NotNegative = 0.0
+    dive_mps: float = 0.0
+
+
+class Formation(Section):
+    """Virtual structure (14-16): `translate` keeps the offsets constant in the pool frame, `rotate` turns them with
+    the path's tangent (ambiguity A10)."""
+
+    mode: Literal["translate", "rotate"] = "translate"
+    scale: Positive = 1.0
+
+
+class Robot(Section):
+    """One robot: its node in the formation, and where it starts.
+
+    `start_offset` is [x m, y m, z m, yaw rad] from the first reference; `start` is a pose in the pool frame instead.
+    """
+
+    id: Annotated[int, Field(ge=1, le=49)]
+    node_m: Vec3
+    start_offset: Vec4 = (0.0, 0.0, 0.0, 0.0)
+    start: Vec4 | None = None
+    neighbours: tuple[int, ...] = ()
+    urgent: bool = False
+    marker_id: int | None = None
+
+    @property
+    def marker(self) -> int:
+        """ArUco id on the robot's back: its own number unless the file says otherwise."""
+        return self.id if self.marker_id is None else self.marker_id
+
+
+class Safety(Section):
+    """Collision avoidance and freshness."""
+
+    radius_m: Positive = 0.30
+    margin_m: NotNegative = 0.05
+    bubble_mps: NotNegative = 0.1  # how fast the space around a silent neighbour grows
+    pose_hold_s: Positive = 0.2  # failures.md: hold, then neutral, counted from the last pose
+    pose_neutral_s: Positive = 0.45
+    station_hold_s: Positive = 1.0
+    station_neutral_s: Positive = 3.0
+    station_disarm_s: Positive = 10.0
+    plan_max_age_s: Positive = 0.5
+
+
+class Estimator(Section):
+    """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003)."""
+
+    enabled: bool = True
+    bandwidth_radps: Positive = 2.0
+    yaw_bandwidth_radps: Positive = 4.0
+    use_imu_yaw_rate: bool = True
+    sway: bool = True
+
+
+class Guidance(Section):
+    """Reference heading from the force the path asks for (equations.md, section 5): without it a robot that cannot
+    push sideways never corrects a lateral error at walking pace."""
+
+    enabled: bool = True
+    position_gain_per_s2: NotNegative = 0.04
+    velocity_gain_per_s: NotNegative = 0.4
+    max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2)] = 1.0
+
+
+class Mpc(Section):
+    """Model predictive control (35-40). The article's own setting: horizon 25, control_horizon 15, blocks all ones,
+    `linearise = "point"`, no lag."""
+
+    solver: Literal["osqp", "daqp"] = "osqp"
+    horizon: Annotated[int, Field(ge=2, le=200)] = 50
+    blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
+    linearise: Literal["trajectory", "point"] = "trajectory"
+    q: Weight4 = (1.0, 1.0, 1.0, 1.0)
+    q_formation: Weight4 = (0.15, 0.15, 0.15, 0.15)
+    r: Weight3 = (0.01, 0.01, 0.01)
+    slack: Positive = 1e4
+    model_lag: bool = True
+
+    @model_validator(mode="after")
+    def _blocks_fit(self) -> Self:
+        if sum(self.blocks) > self.horizon:
+            raise ValueError(f"blocks sum to {sum(self.blocks)} steps, more than horizon = {self.horizon}")
+        return self
+
+
+class Controller(Section):
+    """What runs on the robot, 1/period_s times a second."""
+
+    period_s: Annotated[float, Field(ge=0.01, le=0.5)] = 0.05
+    estimator: Estimator = Estimator()
+    guidance: Guidance = Guidance()
+    mpc: Mpc = Mpc()
+
+
+class Camera(Section):
+    """The overhead camera: OpenCV's pinhole model with distortion, in air above flat water. The image's x runs along
+    `rotation_rad` = 0 with the pool's x, its y with the pool's y. Pixel (0, 0) is the CENTRE of the first pixel."""
+
+    size_px: tuple[Annotated[int, Field(ge=64, le=8192)], Annotated[int, Field(ge=64, le=8192)]]
+    rate_hz: Annotated[float, Field(ge=1, le=240)]
+    exposure_s: Annotated[float, Field(gt=0, le=0.05)]
+    focal_px: tuple[Positive, Positive]
+    centre_px: Vec2
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    position_m: Vec3
+    rotation_rad: Vec3 = (0.0, 0.0, 0.0)
+    water_index: Annotated[float, Field(ge=1, le=2)] = 1.333
+
+    @model_validator(mode="after")
+    def _above_water(self) -> Self:
+        if self.position_m[2] >= 0:
+            raise ValueError(f"position_m z = {self.position_m[2]}: the camera must hang above the water (z < 0)")
+        return self
+
+
+class Localizer(Section):
+    """How the localizer tracks."""
+
+    markers: bool = True
+    template_px: Annotated[int, Field(ge=16, le=128)] = 48
+    min_peak: Fraction = 0.3
+    lost_after_s: Positive = 0.7
+    frozen_frames: Annotated[int, Field(ge=2)] = 5
+    preview_rate_hz: NotNegative = 5.0
+
+
+class Plant(Section):
+    """The simulated water and robots: what the controller does not know."""
+
+    sway: bool = True
+    mass_error: Annotated[float, Field(gt=-1)] = 0.0  # true = nominal * (1 + error)
+    drag_error: Annotated[float, Field(gt=-1)] = 0.0
+    current_mps: Vec3 = (0.0, 0.0, 0.0)
+    thruster_spread: Annotated[float, Field(ge=0, lt=1)] = 0.10
+    thruster_lag_s: NotNegative | None = None  # default: the vehicle file's
+    buoyancy_n: float = -0.2  # residual, positive sinks
+    disturbance_wrench: Weight3 = (0.0, 0.0, 0.0)  # amplitude of a sine [N, N, N m] (ambiguity A13)
+    disturbance_hz: NotNegative = 0.0
+    step_s: Annotated[float, Field(gt=0, le=0.02)] = 0.005
+
+
+class Picture(Section):
+    """What the simulated camera sees besides robots."""
+
+    noise: NotNegative = 2.0  # standard deviation at mid grey, in grey levels of 255
+    ripples_m: NotNegative = 0.0015  # height of the surface waves
+    caustics: Fraction = 0.25
+    glare: Fraction = 0.3
+    vignetting: Fraction = 0.15
+    shadows: bool = True
+
+
+class Sensors(Section):
+    """What the simulated thruster board measures: one standard deviation of noise, and biases drawn per robot."""
+
+    rate_hz: Annotated[float, Field(ge=5, le=400)] = 50.0
+    gyro_noise_radps: NotNegative = 0.003
+    gyro_bias_radps: NotNegative = 0.002
+    heading_noise_rad: NotNegative = 0.01
+    heading_bias_rad: NotNegative = 0.03
+    pressure_noise_m: NotNegative = 0.002
+    pressure_bias_m: NotNegative = 0.003
+    battery_v: Positive = 12.4
+
+
+class Sim(Section):
+    """Everything that only the simulator reads."""
+
+    latency_s: Annotated[float, Field(ge=0, le=0.5)] = (
+        0.03  # lockstep: from the middle of an exposure to the control step
+    )
+    plant: Plant = Plant()
+    picture: Picture = Picture()
+    sensors: Sensors = Sensors()
+
+
+class ArticleRow(Section):
+    """A row of the article's result table: tracking of robot "1", or formation of the pair "1-2"."""
+
+    subject: str
+    rms_m: tuple[float, ...] = ()
+    rms_yaw_rad: float | None = None
+    max_m: tuple[float, ...] = ()
+
+
+class Limit(Section):
+    """Largest values for a run that passes; checked against the plant's truth after the run."""
+
+    rms_m: Positive | None = None
+    rms_after_20s_m: Positive | None = None
+    max_after_20s_m: Positive | None = None
+    pose_rms_m: Positive | None = None
+
+
+class Experiment(Section):
+    """The whole file."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
+    title: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
+    duration_s: Annotated[float, Field(gt=0, le=36000)]
+    vehicle: Vehicle
+    pool: Pool
+    path: Annotated[Circle | Waypoints, Field(discriminator="kind")]
+    formation: Formation = Formation()
+    robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=49)]
+    safety: Safety = Safety()
+    controller: Controller = Controller()
+    camera: Camera
+    localizer: Localizer = Localizer()
+    sim: Sim = Sim()
+    limits: Limit = Limit()
+    article: tuple[ArticleRow, ...] = ()
+
+    @model_validator(mode="after")
+    def _robots_fit_together(self) -> Self:
+        ids = [robot.id for robot in self.robots]
+        for values, what in ((ids, "id"), ([robot.marker for robot in self.robots], "marker_id")):
+            doubled = sorted({v for v in values if values.count(v) > 1})
+            if doubled:
+                raise ValueError(f"robots: {what} {doubled[0]} is used twice; each robot needs its own")
+        for robot in self.robots:
+            for other in robot.neighbours:
+                if other not in ids or other == robot.id:
+                    allowed = ", ".join(str(i) for i in ids if i != robot.id)
+                    raise ValueError(
+                        f"robots: neighbours of robot {robot.id}: {other} is not allowed (allowed: {allowed})"
+                    )
+        return self
+
+    @property
+    def robot_ids(self) -> tuple[int, ...]:
+        """Ids of all robots, in the file's order."""
+        return tuple(robot.id for robot in self.robots)
+
+    def robot(self, robot_id: int) -> Robot:
+        """The robot of that id. Raises ConfigError naming the ids there are."""
+        for robot in self.robots:
+            if robot.id == robot_id:
+                return robot
+        allowed = ", ".join(str(i) for i in self.robot_ids)
+        raise ConfigError(f"robot {robot_id}: not in experiment {self.name!r} (allowed: {allowed})")
+
+    def nodes_m(self) -> Array:
+        """Formation nodes from the virtual centre, shape (robots, 3), scaled by L = l I (15)."""
+        return self.formation.scale * np.array([robot.node_m for robot in self.robots])
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 (hex) over every value of the experiment and its vehicle, defaults included."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def experiment_path(name_or_path: str) -> Path:
+    """Where an experiment lies: a shipped name (`pool`) or a path ending in .toml. Raises ConfigError."""
+    if name_or_path.endswith(".toml"):
+        return Path(name_or_path)
+    path = EXPERIMENTS / f"{name_or_path}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
+        raise ConfigError(
+            f"experiment {name_or_path!r}: no such experiment (allowed: {known}, or a path ending in .toml)"
+        )
+    return path
+
+
+def load_experiment(name_or_path: str, settings: Sequence[str] = ()) -> Experiment:
+    """Load and check an experiment, with `--set key=value` settings laid over it. Raises ConfigError."""
+    path = experiment_path(name_or_path)
+    table: dict[str, Any] = read_toml(path)
+    if isinstance(table.get("vehicle"), str):
+        table["vehicle"] = load_vehicle(table["vehicle"], path.parent).model_dump()
+    for setting in settings:
+        apply_setting(table, setting)
+    return check(Experiment, table, str(path))

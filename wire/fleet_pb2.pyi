@@ -1,0 +1,277 @@
+from google.protobuf.internal import containers as _containers
+from google.protobuf.internal import enum_type_wrapper as _enum_type_wrapper
+from google.protobuf import descriptor as _descriptor
+from google.protobuf import message as _message
+from collections.abc import Iterable as _Iterable, Mapping as _Mapping
+from typing import ClassVar as _ClassVar, Optional as _Optional, Union as _Union
+
+DESCRIPTOR: _descriptor.FileDescriptor
+
+class Track(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    TRACK_LOST: _ClassVar[Track]
+    TRACK_COAST: _ClassVar[Track]
+    TRACK_KCF: _ClassVar[Track]
+    TRACK_MARKER: _ClassVar[Track]
+
+class Mode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    MODE_DISARMED: _ClassVar[Mode]
+    MODE_ARMED: _ClassVar[Mode]
+    MODE_TRACKING: _ClassVar[Mode]
+    MODE_HOLDING: _ClassVar[Mode]
+    MODE_STOPPED: _ClassVar[Mode]
+    MODE_FAULT: _ClassVar[Mode]
+
+class Solve(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    SOLVE_NONE: _ClassVar[Solve]
+    SOLVE_SOLVED: _ClassVar[Solve]
+    SOLVE_SHIFTED: _ClassVar[Solve]
+    SOLVE_FAILED: _ClassVar[Solve]
+
+class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    ORDER_NONE: _ClassVar[Order]
+    ORDER_LOAD: _ClassVar[Order]
+    ORDER_ARM: _ClassVar[Order]
+    ORDER_START: _ClassVar[Order]
+    ORDER_HOLD: _ClassVar[Order]
+    ORDER_RESUME: _ClassVar[Order]
+    ORDER_STOP: _ClassVar[Order]
+    ORDER_DISARM: _ClassVar[Order]
+    ORDER_CLEAR_STOP: _ClassVar[Order]
+
+class CameraHealth(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    CAMERA_ABSENT: _ClassVar[CameraHealth]
+    CAMERA_OK: _ClassVar[CameraHealth]
+    CAMERA_FROZEN: _ClassVar[CameraHealth]
+    CAMERA_BLACK: _ClassVar[CameraHealth]
+    CAMERA_WRONG_SIZE: _ClassVar[CameraHealth]
+TRACK_LOST: Track
+TRACK_COAST: Track
+TRACK_KCF: Track
+TRACK_MARKER: Track
+MODE_DISARMED: Mode
+MODE_ARMED: Mode
+MODE_TRACKING: Mode
+MODE_HOLDING: Mode
+MODE_STOPPED: Mode
+MODE_FAULT: Mode
+SOLVE_NONE: Solve
+SOLVE_SOLVED: Solve
+SOLVE_SHIFTED: Solve
+SOLVE_FAILED: Solve
+ORDER_NONE: Order
+ORDER_LOAD: Order
+ORDER_ARM: Order
+ORDER_START: Order
+ORDER_HOLD: Order
+ORDER_RESUME: Order
+ORDER_STOP: Order
+ORDER_DISARM: Order
+ORDER_CLEAR_STOP: Order
+CAMERA_ABSENT: CameraHealth
+CAMERA_OK: CameraHealth
+CAMERA_FROZEN: CameraHealth
+CAMERA_BLACK: CameraHealth
+CAMERA_WRONG_SIZE: CameraHealth
+
+class Tick(_message.Message):
+    __slots__ = ("now_ns", "previous_ns", "frame_ns", "robots", "board_ms")
+    NOW_NS_FIELD_NUMBER: _ClassVar[int]
+    PREVIOUS_NS_FIELD_NUMBER: _ClassVar[int]
+    FRAME_NS_FIELD_NUMBER: _ClassVar[int]
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    BOARD_MS_FIELD_NUMBER: _ClassVar[int]
+    now_ns: int
+    previous_ns: int
+    frame_ns: int
+    robots: _containers.RepeatedScalarFieldContainer[int]
+    board_ms: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, now_ns: _Optional[int] = ..., previous_ns: _Optional[int] = ..., frame_ns: _Optional[int] = ..., robots: _Optional[_Iterable[int]] = ..., board_ms: _Optional[_Iterable[int]] = ...) -> None: ...
+
+class Truth(_message.Message):
+    __slots__ = ("robots", "eta", "nu", "wrench", "disturbance")
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    ETA_FIELD_NUMBER: _ClassVar[int]
+    NU_FIELD_NUMBER: _ClassVar[int]
+    WRENCH_FIELD_NUMBER: _ClassVar[int]
+    DISTURBANCE_FIELD_NUMBER: _ClassVar[int]
+    robots: _containers.RepeatedScalarFieldContainer[int]
+    eta: _containers.RepeatedScalarFieldContainer[float]
+    nu: _containers.RepeatedScalarFieldContainer[float]
+    wrench: _containers.RepeatedScalarFieldContainer[float]
+    disturbance: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, robots: _Optional[_Iterable[int]] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Pose(_message.Message):
+    __slots__ = ("x_m", "y_m", "yaw_rad", "covariance", "track", "identity_verified", "peak", "depth_m")
+    X_M_FIELD_NUMBER: _ClassVar[int]
+    Y_M_FIELD_NUMBER: _ClassVar[int]
+    YAW_RAD_FIELD_NUMBER: _ClassVar[int]
+    COVARIANCE_FIELD_NUMBER: _ClassVar[int]
+    TRACK_FIELD_NUMBER: _ClassVar[int]
+    IDENTITY_VERIFIED_FIELD_NUMBER: _ClassVar[int]
+    PEAK_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: _containers.RepeatedScalarFieldContainer[float]
+    track: Track
+    identity_verified: bool
+    peak: float
+    depth_m: float
+    def __init__(self, x_m: _Optional[float] = ..., y_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., track: _Optional[_Union[Track, str]] = ..., identity_verified: _Optional[bool] = ..., peak: _Optional[float] = ..., depth_m: _Optional[float] = ...) -> None: ...
+
+class LocalizerStatus(_message.Message):
+    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message")
+    CAMERA_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    DROPPED_FIELD_NUMBER: _ClassVar[int]
+    FRAME_MS_FIELD_NUMBER: _ClassVar[int]
+    FRAME_AGE_MS_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    camera: CameraHealth
+    frames: int
+    dropped: int
+    frame_ms: float
+    frame_age_ms: float
+    message: str
+    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ...) -> None: ...
+
+class Plan(_message.Message):
+    __slots__ = ("period_s", "eta", "eta_reference", "tracking_error_m", "urgent", "heard")
+    PERIOD_S_FIELD_NUMBER: _ClassVar[int]
+    ETA_FIELD_NUMBER: _ClassVar[int]
+    ETA_REFERENCE_FIELD_NUMBER: _ClassVar[int]
+    TRACKING_ERROR_M_FIELD_NUMBER: _ClassVar[int]
+    URGENT_FIELD_NUMBER: _ClassVar[int]
+    HEARD_FIELD_NUMBER: _ClassVar[int]
+    period_s: float
+    eta: _containers.RepeatedScalarFieldContainer[float]
+    eta_reference: _containers.RepeatedScalarFieldContainer[float]
+    tracking_error_m: float
+    urgent: bool
+    heard: int
+    def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[int] = ...) -> None: ...
+
+class RobotState(_message.Message):
+    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "solve_us", "missed_deadlines", "slack_m", "heard")
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    FAULT_FIELD_NUMBER: _ClassVar[int]
+    EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORY_S_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORY_ID_FIELD_NUMBER: _ClassVar[int]
+    ETA_FIELD_NUMBER: _ClassVar[int]
+    NU_FIELD_NUMBER: _ClassVar[int]
+    DISTURBANCE_FIELD_NUMBER: _ClassVar[int]
+    ETA_REFERENCE_FIELD_NUMBER: _ClassVar[int]
+    ETA_COMMAND_FIELD_NUMBER: _ClassVar[int]
+    WRENCH_FIELD_NUMBER: _ClassVar[int]
+    WRENCH_STEP_FIELD_NUMBER: _ClassVar[int]
+    WRENCH_DELIVERED_FIELD_NUMBER: _ClassVar[int]
+    PULSE_US_FIELD_NUMBER: _ClassVar[int]
+    ECHO_US_FIELD_NUMBER: _ClassVar[int]
+    TRACK_FIELD_NUMBER: _ClassVar[int]
+    POSE_AGE_MS_FIELD_NUMBER: _ClassVar[int]
+    EXPOSURE_TO_PWM_MS_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    BATTERY_V_FIELD_NUMBER: _ClassVar[int]
+    BOARD_ARMED_FIELD_NUMBER: _ClassVar[int]
+    BOARD_AGE_MS_FIELD_NUMBER: _ClassVar[int]
+    BOARD_LOSS_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_FIELD_NUMBER: _ClassVar[int]
+    ITERATIONS_FIELD_NUMBER: _ClassVar[int]
+    STEP_US_FIELD_NUMBER: _ClassVar[int]
+    SOLVE_US_FIELD_NUMBER: _ClassVar[int]
+    MISSED_DEADLINES_FIELD_NUMBER: _ClassVar[int]
+    SLACK_M_FIELD_NUMBER: _ClassVar[int]
+    HEARD_FIELD_NUMBER: _ClassVar[int]
+    mode: Mode
+    fault: str
+    experiment_hash: str
+    trajectory_s: float
+    trajectory_id: str
+    eta: _containers.RepeatedScalarFieldContainer[float]
+    nu: _containers.RepeatedScalarFieldContainer[float]
+    disturbance: _containers.RepeatedScalarFieldContainer[float]
+    eta_reference: _containers.RepeatedScalarFieldContainer[float]
+    eta_command: _containers.RepeatedScalarFieldContainer[float]
+    wrench: _containers.RepeatedScalarFieldContainer[float]
+    wrench_step: _containers.RepeatedScalarFieldContainer[float]
+    wrench_delivered: _containers.RepeatedScalarFieldContainer[float]
+    pulse_us: _containers.RepeatedScalarFieldContainer[int]
+    echo_us: _containers.RepeatedScalarFieldContainer[int]
+    track: Track
+    pose_age_ms: float
+    exposure_to_pwm_ms: float
+    depth_m: float
+    battery_v: float
+    board_armed: bool
+    board_age_ms: float
+    board_loss: float
+    solve: Solve
+    iterations: int
+    step_us: float
+    solve_us: float
+    missed_deadlines: int
+    slack_m: float
+    heard: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., solve_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ...) -> None: ...
+
+class StationHeartbeat(_message.Message):
+    __slots__ = ("experiment_hash", "emergency_stop", "mission")
+    EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
+    EMERGENCY_STOP_FIELD_NUMBER: _ClassVar[int]
+    MISSION_FIELD_NUMBER: _ClassVar[int]
+    experiment_hash: str
+    emergency_stop: bool
+    mission: str
+    def __init__(self, experiment_hash: _Optional[str] = ..., emergency_stop: _Optional[bool] = ..., mission: _Optional[str] = ...) -> None: ...
+
+class Trajectory(_message.Message):
+    __slots__ = ("id", "period_s", "eta", "velocity", "acceleration")
+    ID_FIELD_NUMBER: _ClassVar[int]
+    PERIOD_S_FIELD_NUMBER: _ClassVar[int]
+    ETA_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    ACCELERATION_FIELD_NUMBER: _ClassVar[int]
+    id: str
+    period_s: float
+    eta: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    acceleration: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, id: _Optional[str] = ..., period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., acceleration: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Command(_message.Message):
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory")
+    ORDER_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
+    EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORY_ID_FIELD_NUMBER: _ClassVar[int]
+    START_IN_S_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORY_FIELD_NUMBER: _ClassVar[int]
+    order: Order
+    robot: int
+    time_to_live_s: float
+    experiment_hash: str
+    trajectory_id: str
+    start_in_s: float
+    trajectory: Trajectory
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ...) -> None: ...
+
+class Reply(_message.Message):
+    __slots__ = ("robot", "accepted", "reason", "mode")
+    ROBOT_FIELD_NUMBER: _ClassVar[int]
+    ACCEPTED_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    robot: int
+    accepted: bool
+    reason: str
+    mode: Mode
+    def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ...) -> None: ...

@@ -1,0 +1,43 @@
+"""Frames and angles.
+
+Pool frame: origin on the water surface at the red mark, x along the pool, y across it, z down (depth, positive under
+water). Right-handed, so a heading is positive from x to y: clockwise for someone looking down at the water.
+Body frame: x ahead, y to starboard, z down; it shares z with the pool frame (roll and pitch are the plant's business).
+
+`eta = [x_m, y_m, z_m, yaw_rad]` is a pose in the pool frame, `nu = [surge, sway, heave, yaw rate]` a velocity in the body
+frame. Functions take and return float64 arrays and work on any leading shape.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+def wrap_angle(angle_rad: ArrayLike) -> Array:
+    """Angle(s) in rad, wrapped to [-pi, pi)."""
+    return np.asarray((np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def wrap(angle_rad: float) -> float:
+    """One angle in rad, wrapped to [-pi, pi)."""
+    return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def pose_error(eta: ArrayLike, eta_reference: ArrayLike) -> Array:
+    """`eta - eta_reference` for poses of shape (..., 4), yaw wrapped (ambiguity A7)."""
+    error = np.array(np.asarray(eta, dtype=np.float64) - np.asarray(eta_reference, dtype=np.float64))
+    error[..., 3] = wrap_angle(error[..., 3])
+    return error
+
+
+def body_to_pool(vector_body: ArrayLike, yaw_rad: ArrayLike) -> Array:
+    """Turn horizontal vectors (..., 2) from the body frame into the pool frame."""
+    v = np.asarray(vector_body, dtype=np.float64)
+    c, s = np.cos(yaw_rad), np.sin(yaw_rad)
+    return np.stack([c * v[..., 0] - s * v[..., 1], s * v[..., 0] + c * v[..., 1]], axis=-1)
+
+
+def pool_to_body(vector_pool: ArrayLike, yaw_rad: ArrayLike) -> Array:
+    """Turn horizontal vectors (..., 2) from the pool frame into the body frame."""
+    return body_to_pool(vector_pool, -np.asarray(yaw_rad, dtype=np.float64))

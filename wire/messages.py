@@ -1,0 +1,242 @@
+"""Every message of the fleet as a frozen dataclass. The wire form is wire/fleet.proto; wire/codec.py maps the two by name.
+
+`eta` is a pose [x_m, y_m, z_m, yaw_rad] in the pool frame, `nu` a velocity [surge, sway, heave m/s, yaw rad/s] in the body
+frame, a wrench [surge N, heave N, yaw N m]; see wire/frames.py. Array fields state their shape; -1 is any length.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.frames import Array
+
+
+def array(*shape: int) -> Any:
+    """An array field: float64, finite, of this shape. Empty by default."""
+    empty = tuple(0 if n == -1 else n for n in shape)
+    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape})
+
+
+class Track(IntEnum):
+    """How a pose came about, worst to best."""
+
+    LOST = 0
+    COAST = 1  # predicted only
+    KCF = 2
+    MARKER = 3
+
+
+class Mode(IntEnum):
+    """What a robot is doing (robot_agent/mode.py has the table of transitions)."""
+
+    DISARMED = 0
+    ARMED = 1  # thrusters at neutral, ready to start
+    TRACKING = 2
+    HOLDING = 3  # keeps its station
+    STOPPED = 4  # emergency stop, latched until cleared
+    FAULT = 5
+
+
+class Solve(IntEnum):
+    """What became of this step's optimisation."""
+
+    NONE = 0  # none was asked for
+    SOLVED = 1
+    SHIFTED = 2  # the previous plan, moved on by one step
+    FAILED = 3  # neutral
+
+
+class Order(IntEnum):
+    """Commands from the station to one robot."""
+
+    NONE = 0
+    LOAD = 1
+    ARM = 2
+    START = 3
+    HOLD = 4
+    RESUME = 5
+    STOP = 6
+    DISARM = 7
+    CLEAR_STOP = 8
+
+
+class CameraHealth(IntEnum):
+    """What the localizer thinks of its pictures."""
+
+    ABSENT = 0
+    OK = 1
+    FROZEN = 2
+    BLACK = 3
+    WRONG_SIZE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Tick:
+    """Lockstep: the simulator's clock. A process acts when the inputs named here have reached it."""
+
+    now_ns: int  # simulated time of this control step
+    previous_ns: int  # of the one before: stamp of the plans and states to use
+    frame_ns: int  # stamp of the newest camera frame that counts at this step
+    robots: tuple[int, ...] = ()  # who takes part
+    board_ms: tuple[int, ...] = ()  # per robot: board time of the last sensor burst that counts
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The simulated plant's true state; nobody who controls may read it."""
+
+    robots: tuple[int, ...] = ()
+    eta: Array = array(-1, 4)
+    nu: Array = array(-1, 4)
+    wrench: Array = array(-1, 3)  # delivered by the thrusters
+    disturbance: Array = array(-1, 4)  # acceleration that the nominal model does not explain, body frame
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Where the localizer saw a robot's centre at the header's stamp (middle of the exposure)."""
+
+    x_m: float
+    y_m: float
+    yaw_rad: float
+    covariance: Array = array(3, 3)  # of x, y, yaw: m^2, m rad, rad^2
+    track: Track = Track.LOST
+    identity_verified: bool = False  # a marker has been read since the robot was last near another
+    peak: float = 0.0  # of the correlation, 0 to 1
+    depth_m: float = 0.0  # depth of the centre that the refraction was computed with
+
+
+@dataclass(frozen=True, eq=False)
+class LocalizerStatus:
+    """The localizer's own health, once per frame."""
+
+    camera: CameraHealth = CameraHealth.ABSENT
+    frames: int = 0
+    dropped: int = 0
+    frame_ms: float = 0.0  # processing time of the last frame
+    frame_age_ms: float = 0.0  # exposure to publish
+    message: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Where a robot expects to be: node s at the header's stamp + s * period_s; node 0 is the estimate."""
+
+    period_s: float
+    eta: Array = array(-1, 4)
+    eta_reference: Array = array(-1, 4)
+    tracking_error_m: float = 0.0
+    urgent: bool = False
+    heard: int = 0  # how many neighbours it hears
+
+
+@dataclass(frozen=True, eq=False)
+class RobotState:
+    """One control step, as the robot saw it; the header's stamp is the step's instant."""
+
+    mode: Mode = Mode.DISARMED
+    fault: str = ""  # why it holds, stopped or failed; empty when all is well
+    experiment_hash: str = ""
+    trajectory_s: float = 0.0  # time along the trajectory; 0 until started
+    trajectory_id: str = ""
+    eta: Array = array(4)  # estimated
+    nu: Array = array(4)
+    disturbance: Array = array(4)  # estimated acceleration, body frame [m/s^2, rad/s^2]
+    eta_reference: Array = array(4)  # of the trajectory: yaw is the path's tangent
+    eta_command: Array = array(4)  # what the controller was given: yaw with crab angle and correction
+    wrench: Array = array(3)  # asked for
+    wrench_step: Array = array(3)  # its change in this step
+    wrench_delivered: Array = array(3)  # after allocation and limits, by the nominal thrust curve
+    pulse_us: tuple[int, ...] = ()  # 4 thrusters, 4 ankles
+    echo_us: tuple[int, ...] = ()  # what the board says it put out
+    track: Track = Track.LOST
+    pose_age_ms: float = 0.0
+    exposure_to_pwm_ms: float = 0.0
+    depth_m: float = 0.0  # measured
+    battery_v: float = 0.0
+    board_armed: bool = False
+    board_age_ms: float = 0.0
+    board_loss: float = 0.0  # fraction of the board's messages lost, last 5 s
+    solve: Solve = Solve.NONE
+    iterations: int = 0
+    step_us: float = 0.0  # the whole control step
+    solve_us: float = 0.0  # the solver alone
+    missed_deadlines: int = 0
+    slack_m: float = 0.0  # by how much the plan enters the space of another robot
+    heard: tuple[int, ...] = ()  # neighbours whose plans are fresh
+
+
+@dataclass(frozen=True, eq=False)
+class StationHeartbeat:
+    """The station is alive, and whether the red button is down. In lockstep it also says: my orders for this step are out."""
+
+    experiment_hash: str = ""
+    emergency_stop: bool = False
+    mission: str = ""  # the mission's state, for people
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """One robot's reference, sampled every period_s from its start. Yaw is the path's tangent, unwrapped."""
+
+    id: str
+    period_s: float
+    eta: Array = array(-1, 4)
+    velocity: Array = array(-1, 4)  # d eta / dt, pool frame
+    acceleration: Array = array(-1, 4)  # d2 eta / dt2, pool frame
+
+
+@dataclass(frozen=True, eq=False)
+class Command:
+    """An order to one robot. Applied at most once, and only while the header's session is the station's and the order is
+    younger than its time to live."""
+
+    order: Order
+    robot: int
+    time_to_live_s: float = 1.0
+    experiment_hash: str = ""
+    trajectory_id: str = ""
+    start_in_s: float = 0.0
+    trajectory: Trajectory | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Reply:
+    """A robot's answer to a command."""
+
+    robot: int
+    accepted: bool
+    reason: str = ""  # why not
+    mode: Mode = Mode.DISARMED
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A camera picture: (height, width) uint8 raw Bayer RGGB. On the wire a foxglove.RawImage `bayer_rggb8`."""
+
+    pixels: NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Preview:
+    """A JPEG for people. On the wire a foxglove.CompressedImage."""
+
+    jpeg: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Event:
+    """Something worth a line in the log. On the wire a foxglove.Log."""
+
+    level: int  # foxglove: 1 debug, 2 info, 3 warning, 4 error, 5 fatal
+    source: str
+    message: str
+
+
+Message = (
+    Tick | Truth | Pose | LocalizerStatus | Plan | RobotState | StationHeartbeat | Trajectory | Command | Reply
+    | Frame | Preview | Event
+)  # fmt: skip
