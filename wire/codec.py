@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -26,9 +26,7 @@ from wire import fleet_pb2
 from wire.messages import Event, Frame, Message, Preview
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
-MAX_MESSAGE_BYTES = (
-    4 * 1024 * 1024
-)  # an hour of trajectory at 20 Hz is below this; anything above is no message of ours
+MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # an hour of trajectory at 20 Hz is below this; anything above is no message of ours
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
@@ -84,7 +82,7 @@ class _Invalid(Exception):
 
 
 @cache
-def _fields(cls: type) -> tuple[tuple[str, Callable[[Any, str], Any]], ...]:
+def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any]], ...]:
     """Per field of a message: its name, and the checked conversion from the protobuf value."""
     hints = get_type_hints(cls)
     return tuple((f.name, _reader(hints[f.name], f.metadata)) for f in dataclasses.fields(cls))
@@ -138,7 +136,7 @@ def _read_array(value: Any, name: str, shape: tuple[int, ...]) -> Any:
 
 
 def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
-    values = {}
+    values: dict[str, Any] = {}
     for name, read in _fields(cls):
         if message.DESCRIPTOR.fields_by_name[name].message_type is not None and not message.HasField(name):
             values[name] = None
@@ -175,7 +173,7 @@ def _frame_to_protobuf(frame: Frame, stamp_ns: int) -> ProtobufMessage:
     image = RawImage(frame_id="camera", width=width, height=height, step=width, encoding="bayer_rggb8")
     image.data = frame.pixels.tobytes()
     _stamp(image, stamp_ns)
-    return image  # type: ignore[no-any-return]
+    return image
 
 
 def _frame_from_protobuf(image: Any) -> Frame:
@@ -191,7 +189,7 @@ def _frame_from_protobuf(image: Any) -> Frame:
 def _preview_to_protobuf(preview: Preview, stamp_ns: int) -> ProtobufMessage:
     image = CompressedImage(frame_id="camera", format="jpeg", data=preview.jpeg)
     _stamp(image, stamp_ns)
-    return image  # type: ignore[no-any-return]
+    return image
 
 
 def _preview_from_protobuf(image: Any) -> Preview:
@@ -201,9 +199,10 @@ def _preview_from_protobuf(image: Any) -> Preview:
 
 
 def _event_to_protobuf(event: Event, stamp_ns: int) -> ProtobufMessage:
-    log = Log(level=event.level, name=event.source, message=event.message)
+    log = Log(name=event.source, message=event.message)
+    log.level = cast(Log.Level.ValueType, event.level)
     _stamp(log, stamp_ns)
-    return log  # type: ignore[no-any-return]
+    return log
 
 
 def _event_from_protobuf(log: Any) -> Event:

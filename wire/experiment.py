@@ -220,9 +220,7 @@ class Sensors(Section):
 class Sim(Section):
     """Everything that only the simulator reads."""
 
-    latency_s: Annotated[float, Field(ge=0, le=0.5)] = (
-        0.03  # lockstep: from the middle of an exposure to the control step
-    )
+    latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03  # lockstep: from the middle of an exposure to the control step
     plant: Plant = Plant()
     picture: Picture = Picture()
     sensors: Sensors = Sensors()
@@ -277,9 +275,7 @@ class Experiment(Section):
             for other in robot.neighbours:
                 if other not in ids or other == robot.id:
                     allowed = ", ".join(str(i) for i in ids if i != robot.id)
-                    raise ValueError(
-                        f"robots: neighbours of robot {robot.id}: {other} is not allowed (allowed: {allowed})"
-                    )
+                    raise ValueError(f"robots: neighbours of robot {robot.id}: {other} is not allowed (allowed: {allowed})")
         return self
 
     @property
@@ -313,9 +309,7 @@ def experiment_path(name_or_path: str) -> Path:
     path = EXPERIMENTS / f"{name_or_path}.toml"
     if not path.is_file():
         known = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
-        raise ConfigError(
-            f"experiment {name_or_path!r}: no such experiment (allowed: {known}, or a path ending in .toml)"
-        )
+        raise ConfigError(f"experiment {name_or_path!r}: no such experiment (allowed: {known}, or a path ending in .toml)")
     return path
 
 
