@@ -137,7 +137,7 @@ def _read_array(value: Any, name: str, shape: tuple[int, ...]) -> Any:
 
 def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
     values: dict[str, Any] = {}
-    for name, read in _fields(cls):
+    for name, read in _fields(cast(Any, cls)):
         if message.DESCRIPTOR.fields_by_name[name].message_type is not None and not message.HasField(name):
             values[name] = None
             continue
