@@ -1,0 +1,164 @@
+"""The same contract for real Zenoh sessions through a real router, and for the in-memory twin."""
+
+import socket
+import time
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from wire import messages, topics
+from wire.bus import Bus
+from wire.codec import Header
+from wire.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
+
+MakeBus = Callable[[], Bus]
+
+
+def free_port() -> int:
+    with socket.socket() as s:
+        s.bind(("127.0.0.1", 0))
+        port: int = s.getsockname()[1]
+        return port
+
+
+@pytest.fixture(params=["zenoh", "memory"])
+def make_bus(request: pytest.FixtureRequest) -> Iterator[MakeBus]:
+    buses: list[Bus] = []
+    hub = MemoryHub()
+    address = f"tcp/127.0.0.1:{free_port()}"
+
+    def make() -> Bus:
+        first = not buses
+        zenoh = request.param == "zenoh"
+        buses.append(Bus(ZenohTransport(Endpoint(address, router=first)) if zenoh else MemoryTransport(hub)))
+        return buses[-1]
+
+    make()  # the router
+    yield make
+    for bus in reversed(buses):
+        bus.close()
+
+
+def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    deadline = time.monotonic() + timeout_s
+    while not ready() and time.monotonic() < deadline:
+        time.sleep(0.005)
+    return ready()
+
+
+def test_a_message_arrives_with_its_header(make_bus: MakeBus) -> None:
+    sender, receiver = make_bus(), make_bus()
+    inbox = receiver.inbox(topics.POSE, messages.Pose, robot=3)
+    other = receiver.inbox(topics.POSE, messages.Pose, robot=4)
+    pose = messages.Pose(1.0, -2.0, 0.5, np.eye(3), messages.Track.MARKER, True, 0.9, 0.3)
+    assert eventually(lambda: bool(sender.publish(topics.POSE, pose, 123, robot=3, age_ns=7)) and inbox.newest() is not None)
+    received = inbox.newest()
+    assert received is not None
+    assert (received.message.x_m, received.message.track) == (1.0, messages.Track.MARKER)
+    assert (received.header.stamp_ns, received.header.age_ns, received.header.session) == (123, 7, sender.session)
+    assert other.newest() is None
+
+
+def test_the_newest_wins_and_older_stamps_can_be_asked_for(make_bus: MakeBus) -> None:
+    sender, receiver = make_bus(), make_bus()
+    inbox = receiver.inbox(topics.HEARTBEAT, messages.StationHeartbeat)
+    receiver.announce("receiver")
+    sender.watch_presence()
+    assert eventually(lambda: "receiver" in sender.present)
+    for stamp in (10, 20, 30):
+        sender.publish(topics.HEARTBEAT, messages.StationHeartbeat(mission=str(stamp)), stamp)
+    assert receiver.wait(lambda: (h := inbox.newest_header()) is not None and h.stamp_ns == 30, 5.0)
+    newest, earlier = inbox.newest(), inbox.newest(up_to_ns=29)
+    assert newest is not None
+    assert newest.message.mission == "30"
+    assert earlier is not None
+    assert earlier.message.mission == "20"
+
+
+def test_repeated_and_reordered_messages_are_dropped_and_a_restart_is_not(make_bus: MakeBus) -> None:
+    bus = make_bus()
+    inbox = bus.inbox(topics.HEARTBEAT, messages.StationHeartbeat)
+    heartbeat = messages.StationHeartbeat(mission="x")
+    _, first, payload = bus.publish(topics.HEARTBEAT, heartbeat, 1)
+    assert eventually(lambda: inbox.newest_header() is not None)
+    key = "shoal/station/heartbeat"
+    put = bus._transport.publisher(key, topics.HEARTBEAT.qos)
+    put(payload, first.encode())  # repeated
+    put(payload, Header(first.session, 5, 5).encode())
+    put(payload, Header(first.session, 4, 4).encode())  # reordered
+    assert eventually(lambda: inbox.dropped == 2)
+    assert inbox.newest_header() == Header(first.session, 5, 5)
+    put(payload, Header(first.session + 1, 1, 6).encode())  # restarted
+    assert eventually(lambda: (h := inbox.newest_header()) is not None and h.stamp_ns == 6)
+
+
+def test_bad_messages_are_counted_and_the_last_good_one_stays(make_bus: MakeBus) -> None:
+    bus = make_bus()
+    inbox = bus.inbox(topics.HEARTBEAT, messages.StationHeartbeat)
+    bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(mission="good"), 1)
+    put = bus._transport.publisher("shoal/station/heartbeat", topics.HEARTBEAT.qos)
+    put(b"\xff\xff\xff", Header(bus.session, 9, 2).encode())
+    assert eventually(lambda: (h := inbox.newest_header()) is not None and h.sequence == 9)
+    received = inbox.newest()
+    assert received is not None
+    assert received.message.mission == "good"
+    assert inbox.bad == 1
+    assert "station/heartbeat" in inbox.last_error
+    put(b"", b"no header")
+    assert eventually(lambda: bus.rejected == 1)
+
+
+def test_an_order_is_answered_refused_or_reported_unanswered(make_bus: MakeBus) -> None:
+    station, robot = make_bus(), make_bus()
+    seen: list[tuple[Header, messages.Command]] = []
+
+    def handle(header: Header, command: messages.Command) -> messages.Reply:
+        seen.append((header, command))
+        return messages.Reply(command.robot, command.order is messages.Order.ARM, "only arming", messages.Mode.ARMED)
+
+    robot.serve(1, handle)
+    order = messages.Order
+    trajectory = messages.Trajectory("t", 0.05, np.ones((4000, 4)), np.ones((4000, 4)), np.ones((4000, 4)))
+    assert eventually(lambda: station.order(messages.Command(order.ARM, 1), 5, 1.0).accepted)
+    refused = station.order(messages.Command(order.LOAD, 1, trajectory=trajectory), 6, 1.0)
+    assert (refused.accepted, refused.reason) == (False, "only arming")
+    assert seen[-1][1].trajectory is not None
+    assert seen[-1][1].trajectory.eta.shape == (4000, 4)
+    assert seen[-1][0].sequence > seen[-2][0].sequence
+    assert "no answer" in station.order(messages.Command(order.ARM, 2), 7, 0.2).reason
+
+
+def test_presence_comes_and_goes(make_bus: MakeBus) -> None:
+    watcher, late = make_bus(), make_bus()
+    watcher.watch_presence()
+    guest = make_bus()
+    guest.announce("agent-1")
+    assert watcher.wait(lambda: "agent-1" in watcher.present, 5.0)
+    late.watch_presence()
+    assert late.wait(lambda: "agent-1" in late.present, 5.0)
+    guest.close()
+    assert watcher.wait(lambda: "agent-1" not in watcher.present, 5.0)
+
+
+def test_events_reach_a_late_subscriber_and_states_do_not(make_bus: MakeBus) -> None:
+    sender, late = make_bus(), make_bus()
+    events: list[str] = []
+    states: list[str] = []
+    for i in range(3):
+        sender.publish(topics.EVENT, messages.Event(2, "test", f"line {i}"), i)
+        sender.publish(topics.STATE, messages.RobotState(), i, robot=1)
+    late.subscribe(topics.EVENT, None, lambda t, key, h, payload: events.append(key))
+    late.subscribe(topics.STATE, None, lambda t, key, h, payload: states.append(key))
+    assert eventually(lambda: len(events) == 3)
+    assert states == []
+
+
+def test_a_picture_arrives_whole(make_bus: MakeBus) -> None:
+    camera, localizer = make_bus(), make_bus()
+    inbox = localizer.inbox(topics.FRAME, messages.Frame)
+    pixels = np.random.default_rng(1).integers(0, 256, (960, 1280), dtype=np.uint8)
+    assert eventually(lambda: bool(camera.publish(topics.FRAME, messages.Frame(pixels), 1)) and inbox.newest() is not None)
+    received = inbox.newest()
+    assert received is not None
+    assert np.array_equal(received.message.pixels, pixels)

@@ -1,0 +1,210 @@
+"""SHELL: the fleet's bus: typed publishing, latest-wins inboxes, orders with an answer, presence.
+
+    bus = Bus(ZenohTransport(Endpoint("tcp/192.168.1.10:7447")))
+    poses = bus.inbox(topics.POSE, robot=1)
+    bus.announce("agent-1")               # last: who sees us present may rely on our subscriptions
+    received = poses.newest()
+
+Network threads only store bytes and wake the loop; decoding happens in the loop that asks.
+"""
+
+import secrets
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from wire import topics
+from wire.codec import DecodeError, Header, decode, encode
+from wire.messages import Command, Message, Reply
+from wire.topics import Topic
+from wire.transport import Transport
+
+M = TypeVar("M")
+Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
+Handle = Callable[[Header, Command], Reply]
+
+KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
+
+
+@dataclass(frozen=True)
+class Received(Generic[M]):
+    """A message with what is known of its way here."""
+
+    message: M
+    header: Header
+    arrived_ns: int  # receiver's monotonic clock
+
+
+class Inbox(Generic[M]):
+    """The newest message of one topic. Never a queue: what is older than the newest is gone.
+
+    Repeated and reordered messages of a session are dropped; a restarted sender (a new session) is taken up at once.
+    """
+
+    def __init__(self, bus: "Bus", topic: Topic, kind: type[M], robot: int | None) -> None:
+        self.dropped = 0  # repeated, reordered
+        self.bad = 0  # not decodable
+        self.last_error = ""
+        self.name = topic.key(robot)
+        self._bus, self._topic, self._kind = bus, topic, kind
+        self._kept: deque[tuple[Header, bytes, int]] = deque(maxlen=KEPT)
+        self._decoded: dict[tuple[int, int], Received[M] | None] = {}
+        bus.subscribe(topic, robot, self._store)
+
+    def _store(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        with self._bus.arrival:
+            last = self._kept[-1][0] if self._kept else None
+            if last is not None and last.session == header.session and header.sequence <= last.sequence:
+                self.dropped += 1
+                return
+            self._kept.append((header, payload, time.monotonic_ns()))
+            self._bus.arrival.notify_all()
+
+    def newest_header(self) -> Header | None:
+        """Header of the newest message, decoded or not: cheap, for waiting."""
+        return self._kept[-1][0] if self._kept else None
+
+    def newest(self, up_to_ns: int | None = None) -> Received[M] | None:
+        """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none."""
+        with self._bus.arrival:
+            kept = list(self._kept)
+        self._decoded = {k: v for k, v in self._decoded.items() if any(k == (h.session, h.sequence) for h, _, _ in kept)}
+        for header, payload, arrived_ns in reversed(kept):
+            if up_to_ns is not None and header.stamp_ns > up_to_ns:
+                continue
+            identity = (header.session, header.sequence)
+            if identity not in self._decoded:
+                self._decoded[identity] = self._decode(header, payload, arrived_ns)
+            found = self._decoded[identity]
+            if found is not None:
+                return found
+        return None
+
+    def _decode(self, header: Header, payload: bytes, arrived_ns: int) -> Received[M] | None:
+        try:
+            message = decode(self._kind, payload, f"session {header.session:x}", self._topic.name)
+        except DecodeError as error:
+            self.bad += 1
+            self.last_error = str(error)
+            return None
+        return Received(message, header, arrived_ns)
+
+
+class Bus:
+    """One process's access to the fleet. Thread-safe. Close it in a `finally`."""
+
+    def __init__(self, transport: Transport, fleet: str = "shoal") -> None:
+        self.session = secrets.randbits(63) | 1
+        self.arrival = threading.Condition()  # notified whenever something arrives
+        self.rejected = 0  # messages without a readable header
+        self._transport, self._fleet = transport, fleet
+        self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
+        self._sequences: dict[str, int] = {}
+        self._present: set[str] = set()
+
+    def _key(self, name: str) -> str:
+        return f"{self._fleet}/{name}"
+
+    def publish(
+        self, topic: Topic, message: Message, stamp_ns: int, robot: int | None = None, age_ns: int = 0
+    ) -> tuple[str, Header, bytes]:
+        """Send a message about the instant `stamp_ns`, which was `age_ns` ago. Returns what went out, for a local log."""
+        key = self._key(topic.key(robot))
+        if key not in self._publishers:
+            self._publishers[key] = self._transport.publisher(key, topic.qos)
+        header, payload = self._next_header(key, stamp_ns, age_ns), encode(message, stamp_ns)
+        self._publishers[key](payload, header.encode())
+        return key, header, payload
+
+    def _next_header(self, key: str, stamp_ns: int, age_ns: int = 0) -> Header:
+        with self.arrival:
+            self._sequences[key] = self._sequences.get(key, 0) + 1
+            return Header(self.session, self._sequences[key], stamp_ns, age_ns)
+
+    def inbox(self, topic: Topic, kind: type[M], robot: int | None = None) -> Inbox[M]:
+        """The newest message of a topic, of one robot where the topic has robots. `kind` is the topic's type."""
+        if kind is not topic.type:
+            raise TypeError(f"topic {topic.name} carries {topic.type.__name__}, not {kind.__name__}")
+        return Inbox(self, topic, kind, robot)
+
+    def subscribe(self, topic: Topic, robot: int | None, raw: Raw) -> None:
+        """Every message of a topic as bytes (of all robots if none is named). Called from a network thread: be quick."""
+
+        def deliver(key: str, payload: bytes, header: bytes) -> None:
+            try:
+                decoded = Header.decode(header, "unknown peer", topic.name)
+            except DecodeError:
+                self.rejected += 1
+                return
+            raw(topic, key, decoded, payload)
+
+        self._transport.subscribe(self._key(topic.key(robot)), topic.qos, deliver)
+
+    def serve(self, robot: int, handle: Handle) -> None:
+        """Answer the orders to a robot. `handle` runs in a network thread. What cannot be read is refused, with the reason."""
+        name = topics.COMMAND_KEY.format(robot=robot)
+
+        def answer(payload: bytes, header: bytes) -> bytes:
+            try:
+                decoded = Header.decode(header, "unknown peer", name)
+                command = decode(Command, payload, f"session {decoded.session:x}", name)
+            except DecodeError as error:
+                self.rejected += 1
+                return encode(Reply(robot, False, str(error)))
+            reply = encode(handle(decoded, command))
+            with self.arrival:
+                self.arrival.notify_all()
+            return reply
+
+        self._transport.serve(self._key(name), answer)
+
+    def order(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
+        """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
+        key = self._key(topics.COMMAND_KEY.format(robot=command.robot))
+        header = self._next_header(key, stamp_ns)
+        answer = self._transport.ask(key, encode(command), header.encode(), timeout_s)
+        if answer is None:
+            return Reply(command.robot, False, f"no answer within {timeout_s:g} s")
+        try:
+            return decode(Reply, answer, f"robot {command.robot}", key)
+        except DecodeError as error:
+            return Reply(command.robot, False, str(error))
+
+    def announce(self, process: str) -> None:
+        """Make this process visible to the others. Do it last, when every subscription stands."""
+        self._transport.announce(self._key(topics.PRESENCE_KEY.format(process=process)))
+
+    def watch_presence(self) -> None:
+        """Start to follow who is there; see `present`."""
+
+        def presence(key: str, there: bool) -> None:
+            process = key.rsplit("/", 1)[-1]
+            with self.arrival:
+                (self._present.add if there else self._present.discard)(process)
+                self.arrival.notify_all()
+
+        self._transport.watch(self._key(topics.PRESENCE_KEY.format(process="*")), presence)
+
+    @property
+    def present(self) -> frozenset[str]:
+        """Names of the processes that are there (not necessarily well). Needs `watch_presence`."""
+        with self.arrival:
+            return frozenset(self._present)
+
+    def wait(self, ready: Callable[[], bool], timeout_s: float) -> bool:
+        """Sleep until `ready()` or the time is over; woken by every arrival. Returns the last `ready()`."""
+        with self.arrival:
+            return self.arrival.wait_for(ready, max(timeout_s, 0.0))
+
+    def close(self) -> None:
+        """Leave the fleet."""
+        self._transport.close()
+
+    def __enter__(self) -> "Bus":
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self.close()

@@ -1,0 +1,158 @@
+"""SHELL: what every process needs around its core: time, a clean stop, a log, and lockstep.
+
+Two ways to run, and one loop for both:
+
+    for now_ns in pace:             # wall clock: when an input arrives or the period is over; lockstep: when the simulator
+        outputs = core.step(...)    # says so and every input it names is here
+"""
+
+import logging
+import os
+import signal
+import time
+from collections.abc import Callable, Iterable
+from types import FrameType
+from typing import Any, Protocol
+
+from wire import topics
+from wire.bus import Bus, Inbox, Received
+from wire.messages import Event, Tick
+
+log = logging.getLogger("shoal")
+
+SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
+LOCKSTEP_PATIENCE_S = 10.0  # an input that never comes: go on without it rather than hang; the log says so
+
+_LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
+
+
+class Clock(Protocol):
+    """The process's time, and how old a received message's content is by it."""
+
+    def now_ns(self) -> int: ...
+    def age_s(self, received: Received[Any]) -> float: ...
+
+
+class WallClock:
+    """Unix time as it was at the start, carried on by the monotonic clock: a step of the system's clock changes nothing."""
+
+    def __init__(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() + self._offset_ns
+
+    def age_s(self, received: Received[Any]) -> float:
+        """Seconds since the content's instant: what the sender states, and the time since arrival here."""
+        return (received.header.age_ns + time.monotonic_ns() - received.arrived_ns) * 1e-9
+
+
+class LockstepClock:
+    """The simulator's time. All processes share it, so ages are exact differences of stamps."""
+
+    def __init__(self) -> None:
+        self.tick_ns = 0
+
+    def now_ns(self) -> int:
+        return self.tick_ns
+
+    def age_s(self, received: Received[Any]) -> float:
+        return (self.tick_ns - received.header.stamp_ns) * 1e-9
+
+
+class Stop:
+    """Set by SIGINT, SIGTERM or a call; every loop looks at it. A second signal ends the process at once."""
+
+    def __init__(self, install: bool = True) -> None:
+        self.requested = False
+        if install:
+            signal.signal(signal.SIGINT, self._on_signal)
+            signal.signal(signal.SIGTERM, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            os._exit(128 + number)
+        self.requested = True
+
+    def request(self) -> None:
+        """Ask for a clean stop."""
+        self.requested = True
+
+
+def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:
+    """Sleep until `ready()`, the time is over or a stop is asked for. Returns whether `ready()`."""
+    deadline = time.monotonic() + timeout_s
+    while not stop.requested:
+        left = deadline - time.monotonic()
+        if bus.wait(ready, min(left, SLICE_S)):
+            return True
+        if left <= SLICE_S:
+            return False
+    return False
+
+
+class Lockstep:
+    """One process's side of the simulator's clock."""
+
+    def __init__(self, bus: Bus, stop: Stop, clock: LockstepClock) -> None:
+        self._bus, self._stop, self._clock = bus, stop, clock
+        self._ticks = bus.inbox(topics.TICK, Tick)
+        self._last_ns = -1
+
+    def next(self) -> Tick | None:
+        """Wait for the next tick and set the clock to it. None when the process is to stop."""
+        while not self._stop.requested:
+            if wait(self._bus, self._stop, self._fresh, SLICE_S):
+                received = self._ticks.newest()
+                if received is None:
+                    continue
+                self._last_ns = self._clock.tick_ns = received.message.now_ns
+                return received.message
+        return None
+
+    def _fresh(self) -> bool:
+        header = self._ticks.newest_header()
+        return header is not None and header.stamp_ns > self._last_ns
+
+    def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> None:
+        """Wait until each inbox holds a message with at least the stamp given."""
+        wanted = list(inputs)
+
+        def here(inbox: Inbox[Any], stamp_ns: int) -> bool:
+            header = inbox.newest_header()
+            return header is not None and header.stamp_ns >= stamp_ns
+
+        if not wait(self._bus, self._stop, lambda: all(here(i, s) for i, s in wanted), LOCKSTEP_PATIENCE_S):
+            missing = ", ".join(i.name for i, s in wanted if not here(i, s))
+            if missing and not self._stop.requested:
+                log.error("lockstep: no %s for %.3f s; going on without", missing, self._clock.tick_ns * 1e-9)
+
+
+class _BusHandler(logging.Handler):
+    """Publishes the log's lines as events, so that the recorder has them."""
+
+    def __init__(self, bus: Bus, clock: Clock, source: str) -> None:
+        super().__init__(logging.INFO)
+        self._bus, self._clock, self._source = bus, clock, source
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = _LEVELS.get(record.levelno, 2)
+        event = Event(level, self._source, record.getMessage())
+        try:
+            self._bus.publish(topics.EVENT, event, self._clock.now_ns())
+        except Exception:  # whatever goes wrong here must not end the process: the line is on stderr anyway
+            self.handleError(record)
+
+
+def start_log(process: str, verbose: bool = False) -> None:
+    """Log to stderr, one line an event, with the process's name."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter(f"%(asctime)s {process} %(levelname)s %(message)s", "%H:%M:%S"))
+    log.handlers[:] = [handler]
+    log.setLevel(logging.DEBUG if verbose else logging.INFO)
+    log.propagate = False
+
+
+def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
+    """From here on the log's lines also go out as events."""
+    log.addHandler(_BusHandler(bus, clock, process))

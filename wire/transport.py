@@ -1,0 +1,249 @@
+"""SHELL: how bytes travel: real Zenoh sessions, and an in-memory twin for tests. wire/bus.py gives them meaning.
+
+Every choice was measured; the reason stands beside it. All settings are explicit, so a network without multicast and a
+Zenoh with other defaults behave the same.
+"""
+
+import json
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import zenoh
+import zenoh.ext
+
+from wire.topics import Qos
+
+Deliver = Callable[[str, bytes, bytes], None]  # key, payload, header
+Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the reply
+Presence = Callable[[str, bool], None]  # key, is it there
+
+EVENT_CACHE = 1000  # messages a publisher of events keeps for late or returning subscribers
+LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
+
+
+class Transport(Protocol):
+    """What the bus needs of a network. Callbacks come from other threads and must return at once."""
+
+    def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]: ...
+    def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None: ...
+    def serve(self, key: str, answer: Answer) -> None: ...
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None: ...
+    def announce(self, key: str) -> None: ...
+    def watch(self, key: str, presence: Presence) -> None: ...
+    def close(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """Where the fleet's Zenoh router is, and whether this process is it."""
+
+    address: str = "tcp/127.0.0.1:7447"
+    router: bool = False
+
+
+_QOS: dict[Qos, dict[str, Any]] = {
+    Qos.CONTROL: {"priority": zenoh.Priority.REAL_TIME, "express": True},
+    Qos.STATE: {"priority": zenoh.Priority.DATA_HIGH, "express": True},
+    Qos.IMAGE: {"priority": zenoh.Priority.DATA_LOW, "express": False},
+    Qos.EVENT: {"priority": zenoh.Priority.DATA, "express": False},
+}
+
+
+def _config(endpoint: Endpoint) -> zenoh.Config:
+    settings: dict[str, Any] = {
+        "mode": "router" if endpoint.router else "client",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/link/tx/lease": LEASE_MS,
+        "transport/shared_memory/enabled": False,  # not needed at these rates, and leaks files when killed
+        "timestamping/enabled": True,  # the advanced publisher's cache needs it
+    }
+    if endpoint.router:
+        settings["listen/endpoints"] = [endpoint.address]
+    else:
+        settings["connect/endpoints"] = [endpoint.address]
+        settings["connect/timeout_ms"] = -1  # a robot may be switched on before the station
+    config = zenoh.Config()
+    for key, value in settings.items():
+        config.insert_json5(key, json.dumps(value))
+    return config
+
+
+class ZenohTransport:
+    """Two sessions: one for control, and one for pictures, opened when first needed, so that they never share a queue."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self._control = zenoh.open(_config(endpoint))
+        self._images: zenoh.Session | None = None
+        self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
+
+    def _session(self, qos: Qos) -> zenoh.Session:
+        if qos is not Qos.IMAGE:
+            return self._control
+        if self._images is None:
+            self._images = zenoh.open(_config(Endpoint(self._endpoint.address)))
+        return self._images
+
+    def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]:
+        options = {"congestion_control": zenoh.CongestionControl.DROP, **_QOS[qos]}
+        session = self._session(qos)
+        publisher: Any
+        if qos is Qos.EVENT:
+            publisher = zenoh.ext.declare_advanced_publisher(
+                session,
+                key,
+                cache=zenoh.ext.CacheConfig(max_samples=EVENT_CACHE),
+                sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
+                publisher_detection=True,
+                **options,
+            )
+        else:
+            publisher = session.declare_publisher(key, **options)
+        self._kept.append(publisher)
+        return lambda payload, header: publisher.put(payload, attachment=header)
+
+    def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
+        def on_sample(sample: zenoh.Sample) -> None:
+            header = sample.attachment.to_bytes() if sample.attachment is not None else b""
+            deliver(str(sample.key_expr), sample.payload.to_bytes(), header)
+
+        session = self._session(qos)
+        if qos is Qos.EVENT:
+            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+                session,
+                key,
+                on_sample,
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+                recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
+                subscriber_detection=True,
+            )
+        else:
+            subscriber = session.declare_subscriber(key, on_sample)
+        self._kept.append(subscriber)
+
+    def serve(self, key: str, answer: Answer) -> None:
+        def on_query(query: zenoh.Query) -> None:
+            with query:
+                payload = query.payload.to_bytes() if query.payload is not None else b""
+                header = query.attachment.to_bytes() if query.attachment is not None else b""
+                query.reply(query.key_expr, answer(payload, header))
+
+        self._kept.append(self._control.declare_queryable(key, on_query))
+
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None:
+        replies = self._control.get(
+            key,
+            payload=payload,
+            attachment=header,
+            timeout=timeout_s,
+            priority=zenoh.Priority.REAL_TIME,
+            congestion_control=zenoh.CongestionControl.DROP,
+            express=True,
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return reply.ok.payload.to_bytes()
+        return None
+
+    def announce(self, key: str) -> None:
+        self._kept.append(self._control.liveliness().declare_token(key))
+
+    def watch(self, key: str, presence: Presence) -> None:
+        def on_sample(sample: zenoh.Sample) -> None:
+            presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
+
+        self._kept.append(self._control.liveliness().declare_subscriber(key, on_sample, history=True))
+
+    def close(self) -> None:
+        """Undeclare and close. Without this a process that dies of an exception never exits."""
+        self._kept.clear()
+        if self._images is not None:
+            self._images.close()
+        self._control.close()
+
+
+@dataclass
+class MemoryHub:
+    """The network of one test: everyone on it hears everyone, at once and in order."""
+
+    subscribers: list[tuple[str, Deliver, "MemoryTransport"]] = field(default_factory=list)
+    queryables: dict[str, tuple[Answer, "MemoryTransport"]] = field(default_factory=dict)
+    tokens: dict[str, "MemoryTransport"] = field(default_factory=dict)
+    watchers: list[tuple[str, Presence, "MemoryTransport"]] = field(default_factory=list)
+    cache: list[tuple[str, bytes, bytes]] = field(default_factory=list)
+    lock: threading.RLock = field(default_factory=threading.RLock)
+
+
+def _matches(pattern: str, key: str) -> bool:
+    """Zenoh's key expressions, as far as the fleet uses them: `*` is one part, a closing `**` any number."""
+    want, have = pattern.split("/"), key.split("/")
+    if want[-1] == "**":
+        want, have = want[:-1], have[: len(want) - 1]
+    return len(want) == len(have) and all(w in ("*", h) for w, h in zip(want, have, strict=True))
+
+
+class MemoryTransport:
+    """One process's place on a MemoryHub."""
+
+    def __init__(self, hub: MemoryHub) -> None:
+        self._hub = hub
+
+    def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]:
+        def put(payload: bytes, header: bytes) -> None:
+            with self._hub.lock:
+                if qos is Qos.EVENT:
+                    self._hub.cache = [*self._hub.cache, (key, payload, header)][-EVENT_CACHE:]
+                listeners = [deliver for pattern, deliver, _ in self._hub.subscribers if _matches(pattern, key)]
+            for deliver in listeners:
+                deliver(key, payload, header)
+
+        return put
+
+    def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
+        with self._hub.lock:
+            self._hub.subscribers.append((key, deliver, self))
+            missed = [entry for entry in self._hub.cache if _matches(key, entry[0])] if qos is Qos.EVENT else []
+        for entry in missed:
+            deliver(*entry)
+
+    def serve(self, key: str, answer: Answer) -> None:
+        with self._hub.lock:
+            self._hub.queryables[key] = (answer, self)
+
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None:
+        with self._hub.lock:
+            found = self._hub.queryables.get(key)
+        return found[0](payload, header) if found else None
+
+    def announce(self, key: str) -> None:
+        with self._hub.lock:
+            self._hub.tokens[key] = self
+        self._tell(key, True)
+
+    def watch(self, key: str, presence: Presence) -> None:
+        with self._hub.lock:
+            self._hub.watchers.append((key, presence, self))
+            there = [token for token in self._hub.tokens if _matches(key, token)]
+        for token in there:
+            presence(token, True)
+
+    def _tell(self, key: str, there: bool) -> None:
+        with self._hub.lock:
+            watchers = [presence for pattern, presence, _ in self._hub.watchers if _matches(pattern, key)]
+        for presence in watchers:
+            presence(key, there)
+
+    def close(self) -> None:
+        """Leave the hub: nothing of this process is delivered, answered or present any more."""
+        with self._hub.lock:
+            self._hub.subscribers = [s for s in self._hub.subscribers if s[2] is not self]
+            self._hub.watchers = [w for w in self._hub.watchers if w[2] is not self]
+            self._hub.queryables = {k: q for k, q in self._hub.queryables.items() if q[1] is not self}
+            gone = [key for key, owner in self._hub.tokens.items() if owner is self]
+            for key in gone:
+                del self._hub.tokens[key]
+        for key in gone:
+            self._tell(key, False)
