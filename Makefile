@@ -1,0 +1,65 @@
+# Everything runs in .venv, which any target makes when it is missing and renews when pyproject.toml or constraints.txt change.
+# There is one environment, with the development tools in it: users of `make run` download some 40 MB more and have one thing less to know.
+# A robot's board does not use this file: `pip install -c constraints.txt .` there installs the agent alone.
+
+PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(shell $(p) -c 'import sys; print("$(p)" if sys.version_info >= (3, 11) else "")' 2>/dev/null)) python3)
+BIN := .venv/bin
+INSTALLED := .venv/.installed
+
+# More threads only make these matrices slower, and results must not depend on their number.
+export OMP_NUM_THREADS = 1
+export OPENBLAS_NUM_THREADS = 1
+
+.DEFAULT_GOAL := help
+.PHONY: help run test test-slow bench lint format proto docs lock clean
+
+help: ## this list
+	@echo "Targets (each sets up .venv by itself):"
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  \1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{ printf "%-14s %s\n", $$1, $$2 }'
+
+run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
+	$(BIN)/sim-bridge sil pool $(ARGS)
+
+test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
+	$(BIN)/python -m pytest $(ARGS)
+
+test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
+	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)
+
+bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
+	$(BIN)/python -m benchmarks $(ARGS)
+
+lint: $(INSTALLED) ## ruff and mypy --strict
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(INSTALLED) ## let ruff lay out and repair what it can
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+proto: $(INSTALLED) ## generate wire/fleet_pb2.py from wire/fleet.proto
+	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/fleet.proto
+
+docs: $(INSTALLED) ## write the generated pages of docs/ again
+	$(BIN)/python docs/messages.py > docs/messages.md
+
+lock: ## resolve the newest versions pyproject.toml allows into constraints.txt
+	rm -rf .venv-lock
+	$(PYTHON) -m venv .venv-lock
+	.venv-lock/bin/python -m pip install --quiet -e '.[dev]'
+	.venv-lock/bin/python -m pip freeze --exclude-editable | LC_ALL=C sort -f > constraints.txt
+	rm -rf .venv-lock
+
+clean: ## remove the environments and caches; runs/ stays
+	rm -rf .venv .venv-lock .bench-venv .mypy_cache .pytest_cache .ruff_cache .hypothesis build shoal.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+	    echo "Python 3.11 or newer is needed; $(PYTHON) is $$($(PYTHON) --version 2>&1). Choose one: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@test -x $(BIN)/python || { echo "Making the environment .venv with $$($(PYTHON) --version) ..."; $(PYTHON) -m venv .venv; } || { \
+	    rm -rf .venv; echo "$(PYTHON) cannot make environments; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
+	@echo "Installing the pinned packages into .venv (a minute or two the first time) ..."
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@touch $@
