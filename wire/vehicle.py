@@ -1,4 +1,4 @@
-"""A vehicle: inertia, drag, limits, legs, thrust curve. Loaded from a TOML file that is checked key by key."""
+"""SHELL: a vehicle: inertia, drag, limits, legs, thrust curve. Loaded from a TOML file that is checked key by key."""
 
 from functools import cached_property
 from pathlib import Path

@@ -1,0 +1,14 @@
+"""One thread for the matrices, so that results do not depend on the machine; the same examples in every run."""
+
+import os
+
+from hypothesis import HealthCheck, settings
+
+for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
+    os.environ[f"{library}_NUM_THREADS"] = "1"
+
+# A test suite that judges by the clock fails on a busy machine; one that draws new examples each time fails on a stranger's.
+# HYPOTHESIS_PROFILE=explore looks for new examples, and keeps the bad ones in .hypothesis/.
+settings.register_profile("steady", derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("explore", deadline=None, max_examples=2000, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))

@@ -1,0 +1,163 @@
+"""The direction of imports and the purity of the core, read from the source itself (docs/architecture.md says why)."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+PROCESSES = {"groundstation", "robot_agent", "localizer", "sim_bridge"}
+GENERATED = {"wire/fleet_pb2.py"}
+
+# The numeric campaign steps agents and plant in one process; nothing else may see another package.
+ALLOWED = {"sim_bridge/numeric.py": {"robot_agent"}}
+
+# What only a file that says "SHELL:" may touch: the network, clocks, threads, processes, files, chance.
+SHELL_MODULES = {
+    "asyncio", "concurrent", "http", "io", "multiprocessing", "os", "queue", "random", "secrets", "select", "selectors",
+    "serial", "shutil", "signal", "socket", "subprocess", "tempfile", "threading", "time", "urllib", "uuid", "zenoh",
+}  # fmt: skip
+SHELL_METHODS = {
+    "exists", "glob", "imread", "imwrite", "is_dir", "is_file", "iterdir", "mkdir", "now", "read_bytes", "read_text", "rename",
+    "rglob", "rmdir", "savefig", "symlink_to", "unlink", "utcnow", "VideoCapture", "write_bytes", "write_text",
+}  # fmt: skip
+SHELL_FUNCTIONS = {"open", "input", "print"}
+
+
+def _sources() -> list[str]:
+    found = (path for package in sorted(PROCESSES | {"wire"}) for path in sorted((ROOT / package).rglob("*.py")))
+    return [str(path.relative_to(ROOT)) for path in found]
+
+
+def _tree(source: str) -> ast.Module:
+    return ast.parse((ROOT / source).read_text(encoding="utf-8"))
+
+
+def _imports(tree: ast.Module, package: str) -> Iterator[str]:
+    """Full names of all modules that a file imports, also inside functions and under TYPE_CHECKING."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module or "" if node.level == 0 else f"{package}.{node.module or ''}"
+
+
+def _impure(tree: ast.Module) -> Iterator[str]:
+    """What a file does that only a shell file may do."""
+    yield from (name for name in _imports(tree, "") if name.partition(".")[0] in SHELL_MODULES)
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        if isinstance(node.func, ast.Name) and node.func.id in SHELL_FUNCTIONS:
+            yield f"{node.func.id}() in line {node.lineno}"
+        if isinstance(node.func, ast.Attribute) and node.func.attr in SHELL_METHODS:
+            yield f".{node.func.attr}() in line {node.lineno}"
+
+
+def _unseeded(tree: ast.Module) -> Iterator[str]:
+    """Uses of numpy's global generator, and generators without a seed."""
+    for node in ast.walk(tree):
+        if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+            continue
+        owner, name = ast.unparse(node.func.value), node.func.attr
+        if owner in ("np.random", "numpy.random", "random") and (
+            (name[0].islower() and name != "default_rng") or not node.args
+        ):
+            yield f"{owner}.{name} in line {node.lineno}"
+
+
+def _is_shell(tree: ast.Module) -> bool:
+    return "SHELL:" in (ast.get_docstring(tree) or "")
+
+
+def test_the_rules_notice_offenders() -> None:
+    """The checks below are only worth something if they bite."""
+    offender = ast.parse("def f(p):\n    import time\n    from os.path import join\n    p.write_text('x')\n    open('y')\n")
+    assert len(list(_impure(offender))) == 4
+    assert list(_imports(ast.parse("from robot_agent.mpc import Mpc\nimport sim_bridge.world"), "wire")) == [
+        "robot_agent.mpc",
+        "sim_bridge.world",
+    ]
+    assert list(_imports(ast.parse("from . import mpc"), "robot_agent")) == ["robot_agent."]
+    unseeded = ast.parse("import numpy as np\nnp.random.normal(3)\nnp.random.default_rng()\nnp.random.default_rng(1)\n")
+    assert len(list(_unseeded(unseeded))) == 2
+
+
+@pytest.mark.parametrize("source", _sources())
+def test_packages_do_not_import_one_another(source: str) -> None:
+    package = source.partition("/")[0]
+    seen = {name.partition(".")[0] for name in _imports(_tree(source), package)}
+    allowed = {package} | ALLOWED.get(source, set())
+    forbidden = seen & (PROCESSES | {"tests", "benchmarks"}) - allowed
+    assert not forbidden, f"{source} imports {', '.join(sorted(forbidden))}; what processes share belongs in wire/"
+
+
+def test_the_exceptions_are_needed() -> None:
+    for source, packages in ALLOWED.items():
+        if (ROOT / source).exists():
+            seen = {name.partition(".")[0] for name in _imports(_tree(source), source.partition("/")[0])}
+            assert packages <= seen, f"{source} no longer imports {packages - seen}: take the exception away"
+
+
+@pytest.mark.parametrize("source", [source for source in _sources() if source not in GENERATED])
+def test_only_shell_files_touch_the_world(source: str) -> None:
+    tree = _tree(source)
+    if not _is_shell(tree):
+        found = sorted(set(_impure(tree)))
+        assert not found, f"{source}: {', '.join(found)}: pass it in as an argument, or move it to a file marked SHELL:"
+
+
+@pytest.mark.parametrize("source", [source for source in _sources() if source not in GENERATED])
+def test_files_marked_shell_are_shells(source: str) -> None:
+    tree = _tree(source)
+    if _is_shell(tree):
+        own = source.partition("/")[0]
+        touches = any(_impure(tree)) or any(_reaches_shell(name) for name in _imports(tree, own))
+        assert touches, f"{source} is marked SHELL: but touches nothing; without the mark it can be trusted to stay pure"
+
+
+def _reaches_shell(module: str) -> bool:
+    path = ROOT / (module.replace(".", "/") + ".py")
+    return path.is_file() and _is_shell(_tree(str(path.relative_to(ROOT))))
+
+
+@pytest.mark.parametrize("source", _sources())
+def test_chance_is_seeded(source: str) -> None:
+    found = list(_unseeded(_tree(source)))
+    assert not found, f"{source}: {', '.join(found)}: a run must be repeatable; take a seeded Generator as an argument"
+
+
+def _base_install() -> set[str]:
+    """The distributions that come with a plain `pip install shoal`, as a robot's board has it, by their canonical names."""
+    found: set[str] = set()
+    pending = [Requirement("shoal")]
+    while pending:
+        wanted = pending.pop()
+        for line in metadata.distribution(wanted.name).requires or []:
+            needed = Requirement(line)
+            applies = needed.marker is None or any(needed.marker.evaluate({"extra": e}) for e in wanted.extras or {""})
+            if applies and canonicalize_name(needed.name) not in found:
+                found.add(canonicalize_name(needed.name))
+                pending.append(needed)
+    return found
+
+
+def test_the_agent_runs_on_the_base_install() -> None:
+    """Import all of the agent in a fresh interpreter: nothing that only the other roles install may come along."""
+    base = _base_install() | {"shoal", "setuptools", "pip"}
+    assert "numpy" in base and "opencv-python-headless" not in base and "mcap" not in base
+    modules = [s.removesuffix(".py").replace("/", ".") for s in _sources() if s.startswith(("robot_agent/", "wire/"))]
+    script = f"import sys; {'; '.join(f'import {m}' for m in modules)}; print(*{{m.partition('.')[0] for m in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    owners = metadata.packages_distributions()
+    for module in sorted(set(done.stdout.split())):
+        distributions = {canonicalize_name(name) for name in owners.get(module, ())}
+        extra = f"importing the robot's software also imports {module}, which its board does not have"
+        assert not distributions or distributions & base, extra
