@@ -247,7 +247,7 @@ class Trajectory(_message.Message):
     def __init__(self, id: _Optional[str] = ..., period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., acceleration: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -255,6 +255,7 @@ class Command(_message.Message):
     TRAJECTORY_ID_FIELD_NUMBER: _ClassVar[int]
     START_IN_S_FIELD_NUMBER: _ClassVar[int]
     TRAJECTORY_FIELD_NUMBER: _ClassVar[int]
+    TRAJECTORY_S_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -262,7 +263,8 @@ class Command(_message.Message):
     trajectory_id: str
     start_in_s: float
     trajectory: Trajectory
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ...) -> None: ...
+    trajectory_s: float
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ...) -> None: ...
 
 class Reply(_message.Message):
     __slots__ = ("robot", "accepted", "reason", "mode")

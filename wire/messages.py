@@ -199,7 +199,8 @@ class Command:
     time_to_live_s: float = 1.0
     experiment_hash: str = ""
     trajectory_id: str = ""
-    start_in_s: float = 0.0
+    start_in_s: float = 0.0  # START, RESUME: when to go on, from now
+    trajectory_s: float = 0.0  # RESUME: where along the trajectory to go on
     trajectory: Trajectory | None = None
 
 

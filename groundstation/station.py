@@ -1,0 +1,164 @@
+"""SHELL: the ground station's process: one cycle a control period, orders in their own threads, everything recorded.
+
+The heartbeat goes out from the same cycle that runs the mission: no thread of its own could outlive it. In lockstep the
+orders of a cycle are answered before its heartbeat, so a robot that has the heartbeat has the orders.
+"""
+
+import importlib.metadata
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from groundstation import planner
+from groundstation.fleet import Fleet, view
+from groundstation.mission import OVER, Answer, Mission, Phase
+from groundstation.recorder import Recorder
+from wire import topics
+from wire.bus import Bus, Inbox
+from wire.codec import Header
+from wire.experiment import Experiment
+from wire.messages import Command, Pose, Reply, RobotState, StationHeartbeat, Tick
+from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+from wire.topics import Topic
+
+ORDER_TIMEOUT_S = 0.5
+WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
+
+
+@dataclass
+class Station:
+    """The station's cycle and what it holds."""
+
+    experiment: Experiment
+    bus: Bus
+    clock: Clock
+    recorder: Recorder
+    mission: Mission
+    states: dict[int, Inbox[RobotState]]
+    poses: dict[int, Inbox[Pose]]
+    pool: ThreadPoolExecutor
+    pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
+    told: str = ""
+
+    def cycle(self, now_ns: int, lockstep: bool) -> None:
+        """Read the fleet, run the mission, send its orders, beat."""
+        with self.bus.arrival:  # a person's wish comes from a network thread
+            commands = self.mission.step(self.fleet(), self._answers(), now_ns)
+        self.pending += [(c, self.pool.submit(self.bus.order, c, now_ns, ORDER_TIMEOUT_S)) for c in commands]
+        if lockstep:
+            for _, future in self.pending:
+                future.result()
+        stopped = self.mission.phase is Phase.STOPPED
+        beat = StationHeartbeat(self.experiment.hash, stopped, self.mission.phase.name)
+        self.bus.publish(topics.HEARTBEAT, beat, now_ns)
+        self._tell()
+
+    def fleet(self) -> Fleet:
+        """What is known of the robots now."""
+        return {r: view(self.states[r].newest(), self.poses[r].newest(), self.clock) for r in self.experiment.robot_ids}
+
+    def _answers(self) -> list[Answer]:
+        done = [(command, future) for command, future in self.pending if future.done()]
+        self.pending = [entry for entry in self.pending if not entry[1].done()]
+        return [Answer(command, future.result()) for command, future in done]
+
+    def wish(self, header: Header, command: Command) -> Reply:
+        """A person's order for the whole fleet."""
+        with self.bus.arrival:
+            reason = self.mission.wish(command.order, self.fleet(), self.clock.now_ns())
+        log.info("%s asked for: %s", command.order.name, reason or "under way")
+        return Reply(WHOLE_FLEET, not reason, reason)
+
+    def _tell(self) -> None:
+        line = f"{self.mission.phase.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
+        if line != self.told:
+            self.told = line
+            (log.warning if self.mission.phase in (Phase.FAILED, Phase.ABORTING, Phase.STOPPED) else log.info)(
+                "mission: %s", line
+            )
+
+
+def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
+    """Feed every recorded topic of the bus to the recorder, bytes unchanged."""
+
+    def raw(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        arrived_ns = header.stamp_ns if isinstance(clock, LockstepClock) else clock.now_ns()
+        recorder.put(topic, key, header, payload, arrived_ns)
+
+    for topic in topics.TOPICS:
+        if topic.recorded:
+            bus.subscribe(topic, None, raw)
+
+
+def run(
+    experiment: Experiment, experiment_toml: str, bus: Bus, run_dir: Path, *, automatic: bool, lockstep: bool, stop: Stop
+) -> bool:
+    """Run the station until its mission is over (automatic) or it is told to stop. Returns whether the mission succeeded."""
+    clock: Clock = LockstepClock() if lockstep else WallClock()
+    trajectories = planner.plan(experiment)
+    metadata = {
+        "scene": experiment.name,
+        "seed": str(experiment.seed),
+        "mode": "lockstep" if lockstep else "real-time",
+        "experiment_hash": experiment.hash,
+        "version": importlib.metadata.version("shoal"),
+        "zenoh": importlib.metadata.version("eclipse-zenoh"),
+    }
+    recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata)
+    try:
+        record_everything(bus, recorder, clock)
+        with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool:
+            mission = Mission(experiment, trajectories, automatic)
+            states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
+            poses = {r: bus.inbox(topics.POSE, Pose, r) for r in experiment.robot_ids}
+            station = Station(experiment, bus, clock, recorder, mission, states, poses, pool)
+            bus.serve(WHOLE_FLEET, station.wish)
+            log_to_bus(bus, clock, "groundstation")
+            for robot, trajectory in trajectories.items():
+                bus.publish(topics.TRAJECTORY, trajectory, clock.now_ns(), robot)
+            bus.watch_presence()
+            bus.announce("groundstation")
+            started_s = time.monotonic()
+            (_lockstep_loop if lockstep else _wall_loop)(station, stop)
+            if recorder.error:
+                log.error("recorder: %s", recorder.error)
+            log.info("mission %s after %.1f s", mission.phase.value, time.monotonic() - started_s)
+            return mission.phase is Phase.DONE and not mission.failed and not recorder.error
+    finally:
+        recorder.close()
+
+
+def _over(station: Station) -> bool:
+    return station.mission.phase in OVER
+
+
+def _wall_loop(station: Station, stop: Stop) -> None:
+    period_ns = round(station.experiment.controller.period_s * 1e9)
+    due_ns = time.monotonic_ns()
+    while not stop.requested:
+        station.cycle(station.clock.now_ns(), lockstep=False)
+        if _over(station) and station.mission.automatic:
+            return
+        due_ns = max(due_ns + period_ns, time.monotonic_ns())
+        wait(station.bus, stop, _never, (due_ns - time.monotonic_ns()) * 1e-9)
+
+
+def _lockstep_loop(station: Station, stop: Stop) -> None:
+    assert isinstance(station.clock, LockstepClock)
+    lockstep = Lockstep(station.bus, stop, station.clock)
+    while (tick := lockstep.next()) is not None:
+        lockstep.await_all(_inputs(station, tick))
+        station.cycle(tick.now_ns, lockstep=True)
+        if _over(station) and station.mission.automatic:
+            return
+
+
+def _inputs(station: Station, tick: Tick) -> list[tuple[Inbox[Any], int]]:
+    """What the station needs before it may act on a tick: every robot's state of the step before."""
+    return [(station.states[r], tick.previous_ns) for r in tick.robots]
+
+
+def _never() -> bool:
+    return False

@@ -1,0 +1,113 @@
+"""What a robot may do, and what makes it stop: two tables and the function that reads them.
+
+ORDERS says which orders are accepted in which mode. REACTIONS says what happens by itself, first match first; nothing ever
+leads by itself back to thrust. docs/modes.md draws both (`robot-agent modes`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from wire.experiment import Safety
+from wire.messages import Mode, Order
+from wire.vehicle import Battery
+
+BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
+
+POWERED = frozenset({Mode.TRACKING, Mode.HOLDING})  # modes that put out thrust
+LIVE = POWERED | {Mode.ARMED}
+ANY = frozenset(Mode)
+
+
+@dataclass(frozen=True)
+class Transition:
+    """An order is accepted in these modes and leads there; None keeps the mode."""
+
+    accepted_in: frozenset[Mode]
+    to: Mode | None
+
+
+ORDERS: dict[Order, Transition] = {
+    Order.LOAD: Transition(frozenset({Mode.DISARMED, Mode.ARMED, Mode.HOLDING}), None),
+    Order.ARM: Transition(frozenset({Mode.DISARMED}), Mode.ARMED),
+    Order.START: Transition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
+    Order.HOLD: Transition(frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), Mode.HOLDING),
+    Order.RESUME: Transition(frozenset({Mode.HOLDING}), Mode.TRACKING),
+    Order.DISARM: Transition(ANY - {Mode.STOPPED}, Mode.DISARMED),
+    Order.STOP: Transition(ANY, Mode.STOPPED),
+    Order.CLEAR_STOP: Transition(frozenset({Mode.STOPPED}), Mode.DISARMED),
+}
+
+
+@dataclass(frozen=True)
+class Health:
+    """What the reactions look at. An age is in seconds by the receiver's clock; infinity is "never heard"."""
+
+    pose_age_s: float
+    station_age_s: float
+    board_age_s: float
+    board_armed: bool
+    battery_v: float
+    emergency_stop: bool
+    solver_failed: bool
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """In one of these modes, if `when` holds, go there and give `reason`."""
+
+    reason: str
+    modes: frozenset[Mode]
+    when: Callable[[Health, Safety, Battery], bool]
+    to: Mode
+
+
+REACTIONS: tuple[Reaction, ...] = (
+    Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s, b: h.emergency_stop, Mode.STOPPED),
+    Reaction("thruster board silent", LIVE, lambda h, s, b: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
+    Reaction("battery empty", LIVE, lambda h, s, b: h.battery_v < b.neutral_v, Mode.FAULT),
+    Reaction("no pose", POWERED, lambda h, s, b: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
+    Reaction("no control solution", POWERED, lambda h, s, b: h.solver_failed, Mode.FAULT),
+    Reaction("station lost", LIVE | {Mode.FAULT}, lambda h, s, b: h.station_age_s > s.station_disarm_s, Mode.DISARMED),
+    Reaction("station silent", LIVE, lambda h, s, b: h.station_age_s > s.station_neutral_s, Mode.FAULT),
+    Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s, b: h.station_age_s > s.station_hold_s, Mode.HOLDING),
+    Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s, b: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
+)
+
+
+def react(mode: Mode, health: Health, safety: Safety, battery: Battery) -> tuple[Mode, str]:
+    """The mode after this step's reactions, and the reason if it changed (empty otherwise)."""
+    for reaction in REACTIONS:
+        if mode in reaction.modes and reaction.when(health, safety, battery):
+            return reaction.to, reaction.reason
+    return mode, ""
+
+
+def refusal(order: Order, mode: Mode) -> str:
+    """Why `order` cannot be followed in `mode`, naming the modes in which it can; empty if it can."""
+    if order not in ORDERS:
+        return f"{order.name} is no order (allowed: {', '.join(o.name for o in ORDERS)})"
+    if mode in ORDERS[order].accepted_in:
+        return ""
+    allowed = ", ".join(m.name for m in Mode if m in ORDERS[order].accepted_in)
+    return f"{order.name} is not accepted when {mode.name} (only when {allowed})"
+
+
+def table() -> str:
+    """Both tables as Markdown with a Mermaid diagram, for docs/modes.md."""
+    lines = ["```mermaid", "stateDiagram-v2", "    [*] --> DISARMED"]
+    for order, transition in ORDERS.items():
+        for mode in Mode:
+            if mode in transition.accepted_in and transition.to not in (None, mode) and order is not Order.STOP:
+                assert transition.to is not None
+                lines.append(f"    {mode.name} --> {transition.to.name}: {order.name}")
+    lines += ["```", "", "| Order | accepted when | leads to |", "| --- | --- | --- |"]
+    for order, transition in ORDERS.items():
+        accepted = "any mode" if transition.accepted_in == ANY else _names(transition.accepted_in)
+        lines.append(f"| {order.name} | {accepted} | {transition.to.name if transition.to is not None else 'same mode'} |")
+    lines += ["", "| By itself, first match first | when | leads to |", "| --- | --- | --- |"]
+    lines += [f"| {r.reason} | {_names(r.modes)} | {r.to.name} |" for r in REACTIONS]
+    return "\n".join(lines) + "\n"
+
+
+def _names(modes: frozenset[Mode]) -> str:
+    return ", ".join(m.name for m in Mode if m in modes)
