@@ -66,7 +66,7 @@ def _unseeded(tree: ast.Module) -> Iterator[str]:
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         owner, name = ast.unparse(node.func.value), node.func.attr
-        if owner in ("np.random", "numpy.random", "random") and (
+        if owner in ("np.random", "numpy.random") and (
             (name[0].islower() and name != "default_rng") or not node.args
         ):
             yield f"{owner}.{name} in line {node.lineno}"
