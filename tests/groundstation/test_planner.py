@@ -1,0 +1,148 @@
+"""Plans: the shipped pool scene is flyable, the article's scene A9 too, and what is not flyable is refused with a reason."""
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from groundstation.planner import PlanError, plan, start_poses, starts_json
+from wire.codec import decode, encode
+from wire.experiment import Experiment, load_experiment
+from wire.messages import Trajectory
+
+ARTICLE_POINTS = [[-4, 1.2], [-2, 0.6], [0, 0], [2, 1.5], [4, 3.8], [6, 5], [10, 3], [12, 2], [15, 2], [18, 1]]
+
+
+def pool(**changes: Any) -> Experiment:
+    """The shipped pool experiment with top-level tables replaced."""
+    table = load_experiment("pool").model_dump()
+    table.update(changes)
+    return Experiment.model_validate(table)
+
+
+def article(dive_mps: float = 0.05, mode: str = "translate") -> Experiment:
+    """The numeric scene: A9 and the triangle of section 4, in a basin deep enough for it."""
+    waypoints = {"kind": "waypoints", "points_m": ARTICLE_POINTS, "speed_mps": 0.3, "start_index": 2}
+    nodes = [(0.0, -2.0, -2 / 3), (0.0, 2.0, -2 / 3), (0.0, 0.0, 4 / 3)]
+    return pool(
+        duration_s=50.0,
+        pool={"size_m": [60.0, 60.0, 60.0]},
+        path={**waypoints, "depth_m": 2.0, "dive_mps": dive_mps},
+        formation={"mode": mode},
+        robots=[{"id": i, "node_m": node} for i, node in enumerate(nodes, start=1)],
+    )
+
+
+def test_pool_scene_covers_the_run_and_a_horizon_more() -> None:
+    experiment = pool()
+    trajectories = plan(experiment)
+    assert sorted(trajectories) == [1, 2]
+    for robot, side in ((1, 0.4), (2, -0.4)):
+        trajectory = trajectories[robot]
+        assert len(trajectory.eta) == 120 / 0.05 + 1 + experiment.controller.mpc.horizon
+        angle = 2.0 * np.pi * 0.05 / 100.0 * np.arange(len(trajectory.eta))
+        np.testing.assert_allclose(trajectory.eta[:, 0], side + 0.225 * np.cos(angle), atol=1e-12)
+        np.testing.assert_allclose(trajectory.eta[:, 1], 0.225 * np.sin(angle), atol=1e-12)
+        np.testing.assert_allclose(trajectory.eta[:, 3], angle + np.pi / 2, atol=1e-12)
+    assert trajectories[1].id != trajectories[2].id
+    assert trajectories[1].id == plan(experiment)[1].id
+
+
+def test_trajectories_survive_the_wire() -> None:
+    sent = plan(pool())[1]
+    received = decode(Trajectory, encode(sent), "test", "trajectory")
+    np.testing.assert_array_equal(received.eta, sent.eta)
+
+
+def test_article_scene_is_flyable_and_keeps_its_triangle() -> None:
+    trajectories = plan(article())
+    eta = {robot: trajectory.eta[:, :3] for robot, trajectory in trajectories.items()}
+    for (i, j), offset in {(1, 2): (0, -4, 0), (1, 3): (0, -2, -2), (2, 3): (0, 2, -2)}.items():
+        np.testing.assert_allclose(eta[i] - eta[j], np.tile(offset, (len(eta[i]), 1)), atol=1e-12)
+    np.testing.assert_allclose(eta[1][0], [0.0, -2.0, 2.0 - 2 / 3], atol=1e-12)
+    np.testing.assert_allclose(eta[1][-1, 2] - eta[1][0, 2], 0.05 * 0.05 * (len(eta[1]) - 1))
+
+
+def test_half_a_metre_of_depth_a_second_is_refused() -> None:
+    """The article prints z_d = 0.5 t (ambiguity A12); the robot heaves 0.26 m/s at most."""
+    with pytest.raises(PlanError, match=r"robot 1: heave 0\.500 m/s exceeds the limit 0\.26 by 0\.240 at t = 0\.00 s"):
+        plan(article(dive_mps=0.5))
+
+
+def test_turning_the_article_triangle_is_too_fast_for_the_outer_robots() -> None:
+    """A10: with `rotate` an outer node must fly around the bend faster than the centre does."""
+    with pytest.raises(PlanError, match=r"robot \d: speed .* exceeds the limit 0\.48"):
+        plan(article(mode="rotate"))
+
+
+def test_wall_names_robot_place_and_excess() -> None:
+    with pytest.raises(PlanError) as refused:
+        plan(pool(path={"kind": "circle", "diameter_m": 2.5, "lap_s": 100.0, "depth_m": 0.3}))
+    # robot 1 reaches x = 0.4 + 1.25; its hull must stay within 1.75
+    assert "robot 1: 0.050 m beyond the wall's clearance in x at t = 0.00 s, (1.65, 0.00, 0.30) m" in str(refused.value)
+    assert "robot 2: 0.150 m beyond the wall's clearance in y at t = 25.00 s" in str(refused.value)
+
+
+@pytest.mark.parametrize(("depth_m", "what"), [(0.9, "0.050 m beyond the floor"), (0.0, None)])
+def test_floor_counts_the_hull_and_surface_the_centre(depth_m: float, what: str | None) -> None:
+    experiment = pool(path={"kind": "circle", "diameter_m": 0.45, "lap_s": 100.0, "depth_m": depth_m})
+    if what is None:
+        plan(experiment)
+    else:
+        with pytest.raises(PlanError, match=what):
+            plan(experiment)
+
+
+def test_flying_out_of_the_water_is_refused() -> None:
+    robots = [{"id": 1, "node_m": [0.0, 0.0, -0.31]}]
+    with pytest.raises(PlanError, match=r"robot 1: 0\.010 m beyond the surface"):
+        plan(pool(robots=robots))
+
+
+def test_robots_too_close_are_named_with_their_distance() -> None:
+    robots = [{"id": 4, "node_m": [0.25, 0.0, 0.0]}, {"id": 7, "node_m": [-0.25, 0.0, 0.0]}]
+    with pytest.raises(PlanError, match=r"robots 4 and 7: 0\.500 m apart, 0\.100 less than 2 safety\.radius_m = 0\.6 at t"):
+        plan(pool(robots=robots))
+
+
+def test_exactly_two_radii_apart_is_allowed() -> None:
+    robots = [{"id": 4, "node_m": [0.3, 0.0, 0.0]}, {"id": 7, "node_m": [-0.3, 0.0, 0.0]}]
+    assert sorted(plan(pool(robots=robots))) == [4, 7]
+
+
+def test_yaw_rate_is_checked() -> None:
+    path = {"kind": "circle", "diameter_m": 0.1, "lap_s": 3.0, "depth_m": 0.3}
+    with pytest.raises(PlanError, match=r"robot 2: yaw rate 2\.094 rad/s exceeds the limit 1\.9"):
+        plan(pool(path=path))
+
+
+def test_path_shorter_than_the_run_is_refused() -> None:
+    path = {"kind": "waypoints", "points_m": [[-0.5, 0.0], [0.5, 0.0]], "speed_mps": 0.1, "depth_m": 0.3}
+    with pytest.raises(PlanError, match=r"duration_s = 120: the path ends after 10\.00 s"):
+        plan(pool(path=path))
+
+
+def test_trajectory_too_long_for_a_message_is_refused() -> None:
+    with pytest.raises(PlanError, match="a trajectory message holds"):
+        plan(pool(duration_s=36000.0))
+
+
+def test_starts_are_offsets_from_the_reference_or_given_poses() -> None:
+    experiment = load_experiment("pool")
+    starts = start_poses(experiment, plan(experiment))
+    np.testing.assert_allclose(starts[1], [0.625 + 0.09, 0.12, 0.3, np.pi / 2 + 0.3])
+    robots = [{**robot.model_dump(), "start": (1.0 - 2 * i, 0.0, 0.3, 0.1)} for i, robot in enumerate(experiment.robots)]
+    given = pool(robots=robots)
+    np.testing.assert_array_equal(start_poses(given, plan(given))[2], [-1.0, 0.0, 0.3, 0.1])
+    assert json.loads(starts_json(starts))["2"] == starts[2].tolist()
+
+
+def test_starts_in_a_wall_or_in_each_other_are_refused() -> None:
+    robots = [
+        {"id": 1, "node_m": [0.4, 0.0, 0.0], "start": [1.7, 0.0, 0.3, 0.0]},
+        {"id": 2, "node_m": [-0.4, 0.0, 0.0], "start": [1.5, 0.0, 0.3, 0.0]},
+    ]
+    experiment = pool(robots=robots)
+    with pytest.raises(PlanError, match=r"robot 1 starts at .* 0\.100 m beyond the wall(.|\n)*robots 1 and 2 start 0\.200 m"):
+        start_poses(experiment, plan(experiment))
