@@ -8,20 +8,28 @@ Body frame: x ahead, y to starboard, z down; it shares z with the pool frame (ro
 frame. Functions take and return float64 arrays and work on any leading shape.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+TURN = 2.0 * math.pi
+
 
 def wrap_angle(angle_rad: ArrayLike) -> Array:
-    """Angle(s) in rad, wrapped to [-pi, pi)."""
-    return np.asarray((np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
+    """Angle(s) in rad, wrapped to [-pi, pi). What lies there already comes back unchanged, to the last bit."""
+    rest = np.fmod(np.asarray(angle_rad, dtype=np.float64), TURN)  # exact; the turn added below is exact too
+    return np.asarray(np.where(rest >= np.pi, rest - TURN, np.where(rest < -np.pi, rest + TURN, rest)))
 
 
 def wrap(angle_rad: float) -> float:
-    """One angle in rad, wrapped to [-pi, pi)."""
-    return (angle_rad + np.pi) % (2.0 * np.pi) - np.pi
+    """One angle in rad, wrapped to [-pi, pi), bit for bit as `wrap_angle` does it; NaN for what is not finite."""
+    if not math.isfinite(angle_rad):
+        return math.nan
+    rest = math.fmod(angle_rad, TURN)
+    return rest - TURN if rest >= math.pi else rest + TURN if rest < -math.pi else rest
 
 
 def pose_error(eta: ArrayLike, eta_reference: ArrayLike) -> Array:
