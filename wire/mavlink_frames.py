@@ -1,0 +1,146 @@
+"""MAVLink 2 frames in a stream of bytes, sans-IO: finding, checking and numbering them. wire/mavlink.py has the messages.
+
+pymavlink packs and decodes single messages; finding them in the stream is done here. Its own stream parser takes any start
+byte for a frame and throws away what the frame would have covered: at 20 overrides per second a false start byte cost it
+half a second of commands. It also passes messages it does not know without looking at their checksum.
+"""
+
+from collections import deque
+from typing import Any
+
+from pymavlink.dialects.v20 import common as dialect
+
+MARKER = 0xFD
+HEADER_BYTES, CHECKSUM_BYTES = 10, 2
+EXTENSION_BYTES = 32  # a newer dialect at the other end may have appended this much to a message
+FRAME_TIMEOUT_NS = 50_000_000  # 280 bytes take 25 ms at 115200 baud: after this, an unfinished frame is a false start byte
+SILENCE_NS = 250_000_000  # after this, the sequence may start anywhere: the peer was restarted
+LOSS_WINDOW_NS = 5_000_000_000
+
+# An environment variable can switch pymavlink's checksums off. Not for thrusters.
+dialect.MAVLINK_IGNORE_CRC = 0
+
+
+class Sequence8:
+    """MAVLink's 8-bit sequence numbers of one peer: which frames are old or repeated, and how many were lost."""
+
+    def __init__(self) -> None:
+        self._last = -1
+        self._last_ns = 0
+        self._steps: deque[tuple[int, int]] = deque()
+        self._expected = 0
+
+    def accept(self, sequence: int, now_ns: int) -> bool:
+        """Whether a frame is newer than all before it. After a silence anything is."""
+        step = (sequence - self._last) % 256
+        if self._last < 0:
+            step = 1
+        elif (step == 0 or step >= 128) and now_ns - self._last_ns < SILENCE_NS:
+            return False
+        self._last, self._last_ns = sequence, now_ns
+        self._steps.append((now_ns, max(step, 1)))
+        self._expected += max(step, 1)
+        while now_ns - self._steps[0][0] > LOSS_WINDOW_NS:
+            self._expected -= self._steps.popleft()[1]
+        return True
+
+    @property
+    def loss(self) -> float:
+        """Fraction of the peer's frames that did not arrive, over the last 5 s."""
+        return 1.0 - len(self._steps) / self._expected if self._expected else 0.0
+
+
+class Receiver:
+    """Finds one peer's frames in a stream of bytes. After anything broken it looks again from the next byte, so that a
+    false start byte or a damaged length hides no intact frame behind it."""
+
+    def __init__(self, system: int, component: int) -> None:
+        self._peer = (system, component)
+        self._mavlink = dialect.MAVLink(None)
+        self._buffer = bytearray()
+        self._waiting_since_ns: int | None = None
+        self._sequence = Sequence8()
+        self.bad_frames = 0  # start bytes that led to no frame: checksum, impossible header, never completed
+        self.foreign_frames = 0  # intact, but from somebody else, or of a kind that the dialect does not have
+        self.stale_frames = 0  # old or repeated
+
+    @property
+    def loss(self) -> float:
+        """Fraction of the peer's frames that did not arrive, over the last 5 s."""
+        return self._sequence.loss
+
+    def receive(self, data: bytes, now_ns: int) -> list[Any]:
+        """The peer's messages, in order, that are complete with these bytes. Never raises, whatever the bytes are."""
+        self._buffer += data
+        messages: list[Any] = []
+        at = 0
+        while (at := self._buffer.find(MARKER, at)) >= 0:
+            size = self._frame_size(at)
+            if size > len(self._buffer) - at:
+                if not self._waited_too_long(now_ns):
+                    break
+                size = 0
+            message = self._decode(self._buffer[at : at + size]) if size else None
+            self._waiting_since_ns = None
+            if message is None:
+                at += 1
+                continue
+            at += size
+            if self._is_wanted(message, now_ns):
+                messages.append(message)
+        del self._buffer[: len(self._buffer) if at < 0 else at]
+        return messages
+
+    def _frame_size(self, at: int) -> int:
+        """Bytes of the frame that starts at `at`, by its header; 0 if there can be no frame."""
+        header = self._buffer[at : at + HEADER_BYTES]
+        if len(header) >= 3 and header[2] != 0:  # flags that a receiver must understand; we use none
+            self.bad_frames += 1
+            return 0
+        if len(header) < HEADER_BYTES:
+            return HEADER_BYTES + CHECKSUM_BYTES + 1
+        kind = dialect.mavlink_map.get(int.from_bytes(header[7:10], "little"))
+        if kind is None:
+            self.foreign_frames += 1
+            return 0
+        if not 1 <= header[1] <= kind.unpacker.size + EXTENSION_BYTES:
+            self.bad_frames += 1
+            return 0
+        return HEADER_BYTES + header[1] + CHECKSUM_BYTES
+
+    def _waited_too_long(self, now_ns: int) -> bool:
+        if self._waiting_since_ns is None:
+            self._waiting_since_ns = now_ns
+        if now_ns - self._waiting_since_ns <= FRAME_TIMEOUT_NS:
+            return False
+        self.bad_frames += 1
+        return True
+
+    def _decode(self, frame: bytearray) -> Any:
+        try:
+            return self._mavlink.decode(frame)
+        except dialect.MAVError:
+            self.bad_frames += 1
+            return None
+
+    def _is_wanted(self, message: Any, now_ns: int) -> bool:
+        if (message.get_srcSystem(), message.get_srcComponent()) != self._peer:
+            self.foreign_frames += 1
+            return False
+        if not self._sequence.accept(message.get_seq(), now_ns):
+            self.stale_frames += 1
+            return False
+        return True
+
+
+class Sender:
+    """Numbers and packs the frames of one end."""
+
+    def __init__(self, system: int, component: int) -> None:
+        self._mavlink = dialect.MAVLink(None, system, component)
+
+    def pack(self, message: Any) -> bytes:
+        """The frame of one message. Raises struct.error for a value that its field cannot hold."""
+        frame: bytes = message.pack(self._mavlink)
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        return frame
