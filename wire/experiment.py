@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
+import tomli_w
 from pydantic import Field, model_validator
 
 from wire.frames import Array
@@ -300,6 +301,11 @@ class Experiment(Section):
         """SHA-256 (hex) over every value of the experiment and its vehicle, defaults included."""
         text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
+
+
+def dump_experiment(experiment: Experiment) -> str:
+    """The whole experiment as TOML, vehicle and defaults included: loading it gives the same hash."""
+    return tomli_w.dumps(experiment.model_dump(mode="json", exclude_none=True))
 
 
 def experiment_path(name_or_path: str) -> Path:

@@ -9,6 +9,7 @@ Two ways to run, and one loop for both:
 import logging
 import os
 import signal
+import sys
 import time
 from collections.abc import Callable, Iterable
 from types import FrameType
@@ -17,6 +18,7 @@ from typing import Any, Protocol
 from wire import topics
 from wire.bus import Bus, Inbox, Received
 from wire.messages import Event, Tick
+from wire.toml_file import ConfigError
 
 log = logging.getLogger("shoal")
 
@@ -115,8 +117,9 @@ class Lockstep:
         return header is not None and header.stamp_ns > self._last_ns
 
     def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> None:
-        """Wait until each inbox holds a message with at least the stamp given."""
-        wanted = list(inputs)
+        """Wait until each inbox holds a message with at least the stamp given. A negative stamp asks for nothing: there was
+        no step before the first."""
+        wanted = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
 
         def here(inbox: Inbox[Any], stamp_ns: int) -> bool:
             header = inbox.newest_header()
@@ -156,3 +159,12 @@ def start_log(process: str, verbose: bool = False) -> None:
 def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
     """From here on the log's lines also go out as events."""
     log.addHandler(_BusHandler(bus, clock, process))
+
+
+def run_app(app: Callable[[], None]) -> None:
+    """Run a command line. A configuration that cannot be used is one message and exit code 2, never a traceback."""
+    try:
+        app()
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)

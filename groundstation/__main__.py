@@ -1,0 +1,127 @@
+"""SHELL: `groundstation`: plan, fly, record, report."""
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.experiment import dump_experiment, load_experiment
+from wire.messages import Command, Order
+from wire.options import (
+    DEFAULT_FLEET,
+    DEFAULT_STATION,
+    ExperimentName,
+    FleetName,
+    LockstepMode,
+    Settings,
+    StationAddress,
+    Verbose,
+)
+from wire.runtime import Stop, run_app, start_log
+
+cli = typer.Typer(
+    help="Ground station: plans trajectories, commands the fleet, records everything, writes the report.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+ORDER_TIMEOUT_S = 2.0
+FLEET_ORDERS = ("load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop")
+
+
+@cli.command()
+def run(
+    experiment: ExperimentName,
+    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
+    run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder for the run.")] = None,
+    auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
+    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the fleet's Zenoh router listens.")] = DEFAULT_STATION,
+    external_router: Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")] = False,
+    settings: Settings = None,
+    fleet: FleetName = DEFAULT_FLEET,
+    lockstep: LockstepMode = False,
+    verbose: Verbose = False,
+) -> None:
+    """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
+
+    Without --auto the station waits for orders from another terminal: `groundstation order start`.
+    Exit code 0 if the mission succeeded, 1 if not.
+    """
+    from groundstation import report as reporting
+    from groundstation import station
+    from wire.bus import Bus
+    from wire.transport import Endpoint, ZenohTransport
+
+    start_log("groundstation", verbose)
+    stop = Stop()
+    loaded = load_experiment(experiment, settings or ())
+    folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder.mkdir(parents=True, exist_ok=True)
+    text = dump_experiment(loaded)
+    (folder / "experiment.toml").write_text(text, encoding="utf-8")
+    with Bus(ZenohTransport(Endpoint(listen, router=not external_router)), fleet) as bus:
+        succeeded = station.run(loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop)
+    if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
+        reporting.write_report(folder)
+        typer.echo(f"report: {folder / 'report.html'}")
+    raise typer.Exit(0 if succeeded else 1)
+
+
+@cli.command()
+def order(
+    what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_ORDERS)}.")],
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+) -> None:
+    """Give the whole fleet an order through the running station. Exit code 1 and the reason if it refuses."""
+    from wire.bus import Bus
+    from wire.transport import Endpoint, ZenohTransport
+
+    if what not in FLEET_ORDERS:
+        raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_ORDERS)})")
+    with Bus(ZenohTransport(Endpoint(station)), fleet) as bus:
+        command = Command(Order[what.upper().replace("-", "_")], robot=0)
+        reply = bus.order(command, time.time_ns(), ORDER_TIMEOUT_S)
+    typer.echo(f"{what}: {'under way' if reply.accepted else 'refused: ' + reply.reason}")
+    raise typer.Exit(0 if reply.accepted else 1)
+
+
+@cli.command()
+def stop(station: StationAddress = DEFAULT_STATION, fleet: FleetName = DEFAULT_FLEET) -> None:
+    """Emergency stop: every robot to neutral, latched until `groundstation order clear-stop`."""
+    order("stop", station, fleet)
+
+
+@cli.command()
+def plan(experiment: ExperimentName, settings: Settings = None) -> None:
+    """Plan an experiment's trajectories without flying: prints them as JSON, or says why they cannot be flown."""
+    from groundstation import planner
+
+    loaded = load_experiment(experiment, settings or ())
+    trajectories = planner.plan(loaded)
+    starts = planner.start_poses(loaded, trajectories)
+    robots = {
+        robot: {"id": t.id, "start": starts[robot].tolist(), "period_s": t.period_s, "eta": t.eta.tolist()}
+        for robot, t in trajectories.items()
+    }
+    typer.echo(json.dumps({"experiment": loaded.name, "hash": loaded.hash, "robots": robots}))
+
+
+@cli.command()
+def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]) -> None:
+    """Write result.json and report.html of a run again, from its log."""
+    from groundstation import report as reporting
+
+    reporting.write_report(run_folder)
+    typer.echo(f"report: {run_folder / 'report.html'}")
+
+
+def app() -> None:
+    """Entry point."""
+    run_app(cli)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,22 @@
+"""Command line options that all four programs share, so that they read the same everywhere."""
+
+from typing import Annotated
+
+import typer
+
+ExperimentName = Annotated[
+    str, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, for example `pool`, or a path ending in .toml.")
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the experiment, e.g. --set duration_s=30. Repeatable."),
+]
+StationAddress = Annotated[
+    str, typer.Option("--station", metavar="ENDPOINT", help="Where the ground station's router listens (Zenoh endpoint).")
+]
+FleetName = Annotated[str, typer.Option("--fleet", help="Name of the fleet: fleets of different names ignore each other.")]
+LockstepMode = Annotated[bool, typer.Option("--lockstep", help="Run by the simulator's clock instead of the wall clock.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Log details too.")]
+
+DEFAULT_STATION = "tcp/127.0.0.1:7447"
+DEFAULT_FLEET = "shoal"
