@@ -54,6 +54,12 @@ class Waypoints(Section):
     depth_m: NotNegative = 0.0
     dive_mps: float = 0.0
 
+    @model_validator(mode="after")
+    def _starts_on_the_path(self) -> Self:
+        if self.start_index >= len(self.points_m):
+            raise ValueError(f"start_index = {self.start_index}: no such waypoint (allowed: 0 to {len(self.points_m) - 1})")
+        return self
+
 
 class Formation(Section):
     """Virtual structure (14-16): `translate` keeps the offsets constant in the pool frame, `rotate` turns them with
@@ -75,7 +81,7 @@ class Robot(Section):
     start: Vec4 | None = None
     neighbours: tuple[int, ...] = ()
     urgent: bool = False
-    marker_id: int | None = None
+    marker_id: Annotated[int, Field(ge=0, le=49)] | None = None  # DICT_4X4_50 has no more
 
     @property
     def marker(self) -> int:
@@ -95,6 +101,17 @@ class Safety(Section):
     station_neutral_s: Positive = 3.0
     station_disarm_s: Positive = 10.0
     plan_max_age_s: Positive = 0.5
+
+    @model_validator(mode="after")
+    def _worse_comes_later(self) -> Self:
+        for earlier, later in (
+            ("pose_hold_s", "pose_neutral_s"),
+            ("station_hold_s", "station_neutral_s"),
+            ("station_neutral_s", "station_disarm_s"),
+        ):
+            if not getattr(self, earlier) < getattr(self, later):
+                raise ValueError(f"{later} = {getattr(self, later)} must be more than {earlier} = {getattr(self, earlier)}")
+        return self
 
 
 class Estimator(Section):
@@ -190,7 +207,8 @@ class Plant(Section):
     thruster_lag_s: NotNegative | None = None  # default: the vehicle file's
     buoyancy_n: float = -0.2  # residual, positive sinks
     disturbance_wrench: Weight3 = (0.0, 0.0, 0.0)  # amplitude of a sine [N, N, N m] (ambiguity A13)
-    disturbance_hz: NotNegative = 0.0
+    disturbance_hz: NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=1)] = 0.0  # or one per robot
+    walls: bool = True  # walls, floor and water surface; false: water without end
     step_s: Annotated[float, Field(gt=0, le=0.02)] = 0.005
 
 
@@ -216,6 +234,15 @@ class Sensors(Section):
     pressure_noise_m: NotNegative = 0.002
     pressure_bias_m: NotNegative = 0.003
     battery_v: Positive = 12.4
+    battery_noise_v: NotNegative = 0.02
+    battery_sag_v: NotNegative = 0.5  # with all thrusters at full thrust
+
+
+class BoardRules(Section):
+    """How the thruster board protects the robot (docs/board.md). A firmware has the same values built in."""
+
+    neutral_after_s: Annotated[float, Field(gt=0, le=0.3)] = 0.25  # age of the last override; then neutral, disarmed
+    slew_us_per_s: Positive = 8000.0  # full reverse to full ahead in 0.1 s, a thruster's own time constant
 
 
 class Sim(Section):
@@ -225,6 +252,7 @@ class Sim(Section):
     plant: Plant = Plant()
     picture: Picture = Picture()
     sensors: Sensors = Sensors()
+    board: BoardRules = BoardRules()
 
 
 class ArticleRow(Section):
@@ -274,9 +302,12 @@ class Experiment(Section):
                 raise ValueError(f"robots: {what} {doubled[0]} is used twice; each robot needs its own")
         for robot in self.robots:
             for other in robot.neighbours:
-                if other not in ids or other == robot.id:
+                if other not in ids or other == robot.id or robot.neighbours.count(other) > 1:
                     allowed = ", ".join(str(i) for i in ids if i != robot.id)
-                    raise ValueError(f"robots: neighbours of robot {robot.id}: {other} is not allowed (allowed: {allowed})")
+                    raise ValueError(f"robots: neighbours of robot {robot.id}: {other} is not allowed (allowed: {allowed}, each once)")
+        hz = self.sim.plant.disturbance_hz
+        if isinstance(hz, tuple) and len(hz) != len(ids):
+            raise ValueError(f"sim.plant.disturbance_hz: {len(hz)} values for {len(ids)} robots (allowed: one, or one each)")
         return self
 
     @property
@@ -323,8 +354,14 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = ()) -> Experime
     """Load and check an experiment, with `--set key=value` settings laid over it. Raises ConfigError."""
     path = experiment_path(name_or_path)
     table: dict[str, Any] = read_toml(path)
-    if isinstance(table.get("vehicle"), str):
-        table["vehicle"] = load_vehicle(table["vehicle"], path.parent).model_dump()
+    _insert_vehicle(table, path)
     for setting in settings:
         apply_setting(table, setting)
+        _insert_vehicle(table, path)
     return check(Experiment, table, str(path))
+
+
+def _insert_vehicle(table: dict[str, Any], experiment: Path) -> None:
+    """Put the vehicle in the place of its name, so that settings reach into it and the hash covers it."""
+    if isinstance(table.get("vehicle"), str):
+        table["vehicle"] = load_vehicle(table["vehicle"], experiment.parent).model_dump(mode="json")
