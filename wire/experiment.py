@@ -303,8 +303,8 @@ class Experiment(Section):
         for robot in self.robots:
             for other in robot.neighbours:
                 if other not in ids or other == robot.id or robot.neighbours.count(other) > 1:
-                    allowed = ", ".join(str(i) for i in ids if i != robot.id)
-                    raise ValueError(f"robots: neighbours of robot {robot.id}: {other} is not allowed (allowed: {allowed}, each once)")
+                    allowed = ", ".join(str(i) for i in ids if i != robot.id) or "none"
+                    raise ValueError(f"robots: neighbours of robot {robot.id}: {other} is not allowed (once each: {allowed})")
         hz = self.sim.plant.disturbance_hz
         if isinstance(hz, tuple) and len(hz) != len(ids):
             raise ValueError(f"sim.plant.disturbance_hz: {len(hz)} values for {len(ids)} robots (allowed: one, or one each)")
@@ -364,4 +364,7 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = ()) -> Experime
 def _insert_vehicle(table: dict[str, Any], experiment: Path) -> None:
     """Put the vehicle in the place of its name, so that settings reach into it and the hash covers it."""
     if isinstance(table.get("vehicle"), str):
-        table["vehicle"] = load_vehicle(table["vehicle"], experiment.parent).model_dump(mode="json")
+        try:
+            table["vehicle"] = load_vehicle(table["vehicle"], experiment.parent).model_dump(mode="json")
+        except ConfigError as error:
+            raise ConfigError(f"{experiment}: {error}") from None

@@ -2,7 +2,7 @@
 
 import tomllib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -28,17 +28,25 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: no such file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # beside its own error the parser lets these out: huge numbers, deep nesting
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
 
 
 def check(model: type[S], table: dict[str, Any], source: str) -> S:
-    """Validate `table` (from `source`) as `model`. Raises ConfigError with one line per problem."""
+    """Validate `table` (from `source`) as `model`, types to the letter: `"3"` and `true` are no numbers. Raises ConfigError
+    with one line per problem."""
     try:
-        return model.model_validate(table)
+        return model.model_validate(_frozen(table), strict=True)
     except ValidationError as error:
         lines = [_explain(problem, model) for problem in error.errors()]
         raise ConfigError("\n".join(f"{source}: {line}" for line in lines)) from None
+
+
+def _frozen(value: Any) -> Any:
+    """TOML's lists as the tuples that frozen sections hold."""
+    if isinstance(value, dict):
+        return {key: _frozen(item) for key, item in value.items()}
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
 
 
 def apply_setting(table: dict[str, Any], setting: str) -> None:
@@ -48,7 +56,7 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
         raise ConfigError(f"--set {setting}: write it as key=value, for example --set duration_s=30")
     try:
         value = tomllib.loads(f"v = {text}")["v"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         value = text
     *parents, last = key.strip().split(".")
     node: Any = table
@@ -71,41 +79,72 @@ def _child(node: Any, name: str, setting: str, where: str) -> Any:
 
 
 def _list_index(node: list[Any], name: str, setting: str) -> int:
-    if name.isdigit() and int(name) < len(node):
+    if name.isdecimal() and int(name) < len(node):
         return int(name)
-    raise ConfigError(f"--set {setting}: {name!r} is no index of a list of {len(node)} (allowed: 0 to {len(node) - 1})")
+    allowed = f"0 to {len(node) - 1}" if node else "none, the list is empty"
+    raise ConfigError(f"--set {setting}: {name!r} is no index of a list of {len(node)} (allowed: {allowed})")
+
+
+_IN_WORDS = {
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "tuple_type": "must be a list",
+    "too_short": "must be a list of at least {min_length}",
+    "too_long": "must be a list of at most {max_length}",
+}
 
 
 def _explain(problem: Any, model: type[Section]) -> str:
     """One pydantic problem as `key = value: what is allowed`."""
-    key = ".".join(str(part) for part in problem["loc"]) or "(the whole file)"
+    key, holder = _locate(model, problem["loc"])
+    context = problem.get("ctx", {})
+    message = _IN_WORDS.get(problem["type"], "").format_map(context) or problem["msg"].removeprefix("Value error, ")
     if problem["type"] == "extra_forbidden":
-        return f"{key}: unknown key (allowed here: {', '.join(_siblings(model, problem['loc']))})"
+        return f"{key}: unknown key (allowed here: {', '.join(sorted(holder.model_fields))})"
     if problem["type"] == "missing":
         return f"{key}: missing, and it has no default"
-    message = problem["msg"].removeprefix("Value error, ")
+    if problem["type"] == "union_tag_not_found":
+        return f"{key}.{context['discriminator'].strip(chr(39))}: missing, and it has no default"
+    if problem["type"] == "union_tag_invalid":
+        kind = context["discriminator"].strip(chr(39))
+        return f"{key}.{kind} = {context['tag']!r}: must be one of {context['expected_tags']}"
     if problem["loc"] and not isinstance(problem["input"], dict):
-        return f"{key} = {problem['input']!r}: {message}"
+        return f"{key} = {_as_written(problem['input'])}: {message}"
     return f"{key}: {message}"
 
 
-def _siblings(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Names of the fields that stand beside the misspelt one at `loc`."""
-    current: type[BaseModel] = model
-    for part in loc[:-1]:
-        found = _submodel(current, part)
-        if found is None:
-            continue  # a list index, or the tag of a union
-        current = found
-    return sorted(field.alias or name for name, field in current.model_fields.items())
+def _as_written(value: Any) -> str:
+    """A value for people: lists as lists, and not a screenful."""
+    text = repr(list(value) if isinstance(value, tuple) else value)
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
-def _submodel(model: type[BaseModel], part: int | str) -> type[BaseModel] | None:
-    field = model.model_fields.get(str(part))
-    pending: list[Any] = [field.annotation] if field is not None else []
-    while pending:
-        candidate = pending.pop()
-        if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-            return candidate
-        pending.extend(getattr(candidate, "__args__", ()))
-    return None
+def _locate(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[str, type[BaseModel]]:
+    """The dotted key, as it stands in the file, of a pydantic location, and the section that holds it.
+
+    Below a union pydantic inserts the name of the variant that was tried, which the file does not have.
+    """
+    parts: list[str] = []
+    holder, sections = model, [model]
+    for part in loc:
+        if isinstance(part, int):
+            parts.append(str(part))
+        elif len(sections) > 1:
+            sections = [variant for variant in sections if _is_variant(variant, part)]
+        elif sections:
+            parts.append(part)
+            holder = sections[0]
+            field = holder.model_fields.get(part)
+            sections = _sections(field.annotation) if field is not None else []
+    return ".".join(parts) or "(the whole file)", holder
+
+
+def _sections(annotation: Any) -> list[type[BaseModel]]:
+    """The models that a field's type is made of: one, or the variants of a union."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [section for argument in get_args(annotation) for section in _sections(argument)]
+
+
+def _is_variant(section: type[BaseModel], tag: str) -> bool:
+    return any(tag in get_args(field.annotation) for field in section.model_fields.values())
