@@ -1,0 +1,246 @@
+"""SHELL: writes a run into an MCAP file from its own thread, so that a crash loses half a second and a full disk loses the
+log, never the run.
+
+    recorder = Recorder(run_dir / "run.mcap", experiment_toml, {"mode": "lockstep", "hash": experiment.hash})
+    bus.subscribe(topic, None, lambda topic, key, header, payload: recorder.put(topic, key, header, payload, time.time_ns()))
+    ...
+    recorder.close()                    # in a finally
+    recover(path)                       # later, if the process was killed
+
+The wire's bytes go in unchanged, with protobuf schemas, so the usual viewers open the file. `log_time` is the arrival on the
+wall clock, `publish_time` the header's stamp. A sender's restart opens a second channel on the same topic: its session is in
+the channel's metadata.
+"""
+
+import os
+import struct
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import IO, Any, cast
+
+import zstandard
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC, Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from wire.codec import Header, protobuf_class
+from wire.topics import Topic
+
+FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
+CHUNK_BYTES = 256 * 1024  # only previews reach it between flushes; several chunks a flush compress as well as one
+MAX_PENDING_BYTES = 64 * 1024 * 1024  # a disk that stalls this long (minutes of messages) must not eat the memory
+MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not make the reader ask for all memory
+JOIN_S = 10.0  # a disk that hangs must not keep the process from ending
+
+EXPERIMENT_NAME = "experiment.toml"
+RUN_METADATA = "run"
+END_METADATA = "recorder"
+
+
+class _Output:
+    """What mcap's Writer writes to: collects bytes, hands them to the file in one go, and knows how far the file is good."""
+
+    def __init__(self, path: Path) -> None:
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        self._pending = bytearray()
+        self.good_bytes = 0
+
+    def write(self, data: bytes) -> int:
+        self._pending += data
+        return len(data)
+
+    def tell(self) -> int:
+        return self.good_bytes + len(self._pending)
+
+    def flush(self) -> None:
+        rest = memoryview(bytes(self._pending))
+        while rest:
+            rest = rest[os.write(self._fd, rest) :]
+        self.good_bytes += len(self._pending)
+        self._pending.clear()
+
+    def sync(self) -> None:
+        os.fsync(self._fd)
+
+    def close(self, cut: bool = False) -> None:
+        """Close the file; with `cut`, without what a failed write left behind its last good byte."""
+        try:
+            if cut:
+                os.ftruncate(self._fd, self.good_bytes)
+        finally:
+            os.close(self._fd)
+
+
+class Recorder:
+    """Records messages into one file. `put` may be called from any thread and never waits for the disk."""
+
+    def __init__(self, path: Path, experiment_toml: str, metadata: Mapping[str, str]) -> None:
+        """Open the file and put what must survive any crash into it: the experiment and the metadata (mode, seed, hash,
+        versions). Raises OSError when that fails: without a log no run should begin."""
+        self._dropped = 0
+        self._error = ""
+        self._lock = threading.Lock()
+        self._pending: list[tuple[Topic, str, Header, bytes, int]] = []
+        self._pending_bytes = 0
+        self._closing = threading.Event()
+        self._schemas: dict[type, int] = {}
+        self._channels: dict[tuple[str, int], int] = {}
+        self._output = _Output(path)
+        self._writer: Any = Writer(cast(IO[bytes], self._output), chunk_size=CHUNK_BYTES)  # Any: mcap is typed in part
+        self._writer.start(library="shoal")
+        now_ns = time.time_ns()
+        self._writer.add_attachment(now_ns, now_ns, EXPERIMENT_NAME, "application/toml", experiment_toml.encode())
+        self._writer.add_metadata(RUN_METADATA, dict(metadata))
+        try:
+            self._flush()
+        except OSError:
+            self._output.close()
+            raise
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def error(self) -> str:
+        """Why nothing is recorded any more; empty while all is well."""
+        return self._error
+
+    @property
+    def dropped(self) -> int:
+        """Messages that did not get into the log."""
+        return self._dropped
+
+    def put(self, topic: Topic, key: str, header: Header, payload: bytes, log_time_ns: int) -> None:
+        """Record a message that arrived at `log_time_ns` (wall clock). Returns at once; counts what it must drop."""
+        with self._lock:
+            if self._error or self._closing.is_set() or self._pending_bytes + len(payload) > MAX_PENDING_BYTES:
+                self._dropped += 1
+                return
+            self._pending.append((topic, key, header, payload, log_time_ns))
+            self._pending_bytes += len(payload)
+
+    def close(self) -> None:
+        """Write what is pending and the file's index. Idempotent; does not raise for a failing disk, see `error`."""
+        self._closing.set()
+        self._thread.join(JOIN_S)
+        if self._thread.is_alive():
+            self._error = self._error or f"the disk did not take the log's end within {JOIN_S:g} s"
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.wait(FLUSH_PERIOD_S):
+                self._write_pending()
+                self._flush()
+            self._write_pending()
+            self._writer.add_metadata(END_METADATA, {"dropped": str(self._dropped), "closed_ns": str(time.time_ns())})
+            self._writer.finish()
+            self._output.flush()
+            self._output.sync()
+        except OSError as error:
+            self._fail(f"{error.strerror or error} (errno {error.errno})")
+        except Exception as error:
+            self._fail(f"{type(error).__name__}: {error}")
+            raise  # a bug: threading's hook prints where; the operator already sees that the log has stopped
+        else:
+            self._output_close()
+
+    def _write_pending(self) -> None:
+        with self._lock:
+            batch, self._pending = self._pending, []
+            self._pending_bytes = 0
+        for topic, key, header, payload, log_time_ns in batch:
+            channel = self._channel(topic, key, header.session)
+            # MCAP's times and sequence numbers are unsigned; a stranger's header must not stop the log
+            stamp_ns, sequence = max(header.stamp_ns, 0), header.sequence & 0xFFFFFFFF
+            self._writer.add_message(channel, max(log_time_ns, 0), payload, stamp_ns, sequence)
+
+    def _channel(self, topic: Topic, key: str, session: int) -> int:
+        if topic.type not in self._schemas:
+            cls = protobuf_class(topic.type)
+            files = build_file_descriptor_set(cls).SerializeToString()
+            self._schemas[topic.type] = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+        if (key, session) not in self._channels:
+            self._channels[key, session] = self._writer.register_channel(
+                key, "protobuf", self._schemas[topic.type], {"session": f"{session:x}", "publisher": topic.publisher}
+            )
+        return self._channels[key, session]
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        self._output.sync()
+
+    def _fail(self, reason: str) -> None:
+        with self._lock:
+            self._error = f"log stopped: {reason}"
+            self._dropped += len(self._pending)
+            self._pending, self._pending_bytes = [], 0
+        self._output_close(cut=True)
+
+    def _output_close(self, cut: bool = False) -> None:
+        try:
+            self._output.close(cut)
+        except OSError as error:
+            self._error = self._error or f"log stopped: {error.strerror} (errno {error.errno})"
+
+
+def is_complete(path: Path) -> bool:
+    """Whether the file was closed: a file that was cut does not end in MCAP's magic."""
+    with path.open("rb") as file:
+        file.seek(0, os.SEEK_END)
+        if file.tell() < 2 * len(MCAP0_MAGIC):
+            return False
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        return file.read() == MCAP0_MAGIC
+
+
+def valid_records(path: Path) -> Iterator[McapRecord]:
+    """All records up to the first that is cut or damaged, chunks taken apart, checksums verified."""
+    with path.open("rb") as file:
+        reader = StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
+        try:
+            yield from reader.records
+        except (McapError, ValueError, struct.error, zstandard.ZstdError):
+            return
+
+
+def recover(path: Path) -> bool:
+    """Make a cut file whole again: keep everything up to the cut, add the index. True if there was something to mend.
+
+    Raises OSError if the mended file cannot be written; the cut one then stays as it is.
+    """
+    if is_complete(path):
+        return False
+    mended = path.with_name(path.name + ".mending")
+    try:
+        with mended.open("wb") as file:
+            _copy(path, Writer(file, chunk_size=CHUNK_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+        mended.replace(path)
+    finally:
+        mended.unlink(missing_ok=True)
+    return True
+
+
+def _copy(path: Path, writer: Any) -> None:
+    schemas: dict[int, int] = {0: 0}
+    channels: dict[int, int] = {}
+    writer.start(library="shoal, recovered")
+    for record in valid_records(path):
+        if isinstance(record, Schema) and record.id not in schemas:
+            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
+        elif isinstance(record, Channel) and record.id not in channels:
+            channels[record.id] = writer.register_channel(
+                record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
+            )
+        elif isinstance(record, Message):
+            channel = channels[record.channel_id]
+            writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
+        elif isinstance(record, Attachment):
+            writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+        elif isinstance(record, Metadata):
+            writer.add_metadata(record.name, record.metadata)
+    writer.finish()
