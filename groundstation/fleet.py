@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from wire import topics
 from wire.bus import Received
 from wire.experiment import Experiment
 from wire.messages import Mode, Pose, RobotState, Track
+from wire.runtime import Clock, age_s
 
 READY_TO_START_M = 0.5  # a robot further than this from the start of its trajectory is in the wrong place
 
@@ -35,13 +35,13 @@ class RobotView:
 Fleet = Mapping[int, RobotView]
 
 
-def view(state: Received[RobotState] | None, pose: Received[Pose] | None, clock: Any) -> RobotView:
+def view(state: Received[RobotState] | None, pose: Received[Pose] | None, clock: Clock) -> RobotView:
     """A robot's view from its two inboxes' newest messages, aged by the process's clock."""
     return RobotView(
         state.message if state else None,
-        clock.age_s(state) if state else float("inf"),
+        age_s(clock, state) if state else float("inf"),
         pose.message if pose else None,
-        clock.age_s(pose) if pose else float("inf"),
+        age_s(clock, pose) if pose else float("inf"),
     )
 
 

@@ -12,6 +12,7 @@ from wire.messages import Mode, Order
 from wire.vehicle import Battery
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
+BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
 
 POWERED = frozenset({Mode.TRACKING, Mode.HOLDING})  # modes that put out thrust
 LIVE = POWERED | {Mode.ARMED}
@@ -45,7 +46,7 @@ class Health:
     pose_age_s: float
     station_age_s: float
     board_age_s: float
-    board_armed: bool
+    board_disarmed_s: float  # for how long the board has been disarmed though it should not be
     battery_v: float
     emergency_stop: bool
     solver_failed: bool
@@ -64,6 +65,7 @@ class Reaction:
 REACTIONS: tuple[Reaction, ...] = (
     Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s, b: h.emergency_stop, Mode.STOPPED),
     Reaction("thruster board silent", LIVE, lambda h, s, b: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
+    Reaction("thruster board disarmed", LIVE, lambda h, s, b: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
     Reaction("battery empty", LIVE, lambda h, s, b: h.battery_v < b.neutral_v, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s, b: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
     Reaction("no control solution", POWERED, lambda h, s, b: h.solver_failed, Mode.FAULT),

@@ -10,7 +10,7 @@ from wire.codec import Header
 from wire.messages import Command, Mode, Order, Reply
 
 FROM_THE_FUTURE_S = 0.5  # an order may look younger than the heartbeat it is judged by, by no more than this
-ALWAYS_SAFE = frozenset({Order.STOP, Order.DISARM})  # may come without a fresh station: they only take power away
+ALWAYS_SAFE = frozenset({Order.STOP, Order.DISARM})  # whatever experiment they name: they only take power away
 
 
 @dataclass(frozen=True)

@@ -163,7 +163,6 @@ class RobotState:
     solve: Solve = Solve.NONE
     iterations: int = 0
     step_us: float = 0.0  # the whole control step
-    solve_us: float = 0.0  # the solver alone
     missed_deadlines: int = 0
     slack_m: float = 0.0  # by how much the plan enters the space of another robot
     heard: tuple[int, ...] = ()  # neighbours whose plans are fresh

@@ -29,10 +29,10 @@ _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR:
 
 
 class Clock(Protocol):
-    """The process's time, and how old a received message's content is by it."""
+    """The process's time, and when on it a received message's content was true."""
 
     def now_ns(self) -> int: ...
-    def age_s(self, received: Received[Any]) -> float: ...
+    def instant_ns(self, received: Received[Any]) -> int: ...
 
 
 class WallClock:
@@ -44,13 +44,13 @@ class WallClock:
     def now_ns(self) -> int:
         return time.monotonic_ns() + self._offset_ns
 
-    def age_s(self, received: Received[Any]) -> float:
-        """Seconds since the content's instant: what the sender states, and the time since arrival here."""
-        return (received.header.age_ns + time.monotonic_ns() - received.arrived_ns) * 1e-9
+    def instant_ns(self, received: Received[Any]) -> int:
+        """Arrival here, less the age that the sender states. The sender's clock plays no part."""
+        return received.arrived_ns + self._offset_ns - received.header.age_ns
 
 
 class LockstepClock:
-    """The simulator's time. All processes share it, so ages are exact differences of stamps."""
+    """The simulator's time. All processes share it, so a stamp is an instant."""
 
     def __init__(self) -> None:
         self.tick_ns = 0
@@ -58,8 +58,13 @@ class LockstepClock:
     def now_ns(self) -> int:
         return self.tick_ns
 
-    def age_s(self, received: Received[Any]) -> float:
-        return (self.tick_ns - received.header.stamp_ns) * 1e-9
+    def instant_ns(self, received: Received[Any]) -> int:
+        return received.header.stamp_ns
+
+
+def age_s(clock: Clock, received: Received[Any]) -> float:
+    """Seconds since a message's content was true."""
+    return (clock.now_ns() - clock.instant_ns(received)) * 1e-9
 
 
 class Stop:

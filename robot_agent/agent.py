@@ -1,0 +1,281 @@
+"""READ FIRST. One robot: orders and inputs in, pulses, plan and state out. Pure: time and messages are arguments.
+
+The data's way through `Agent.step`:
+
+    pose, board, station -> health -> mode (mode.py) -> goal -> controller (controller.py) -> pulses, or neutral
+                                                                                           -> plan, state
+
+Nothing here knows whether it runs in a pool or in a simulator; robot_agent/shell.py has the sockets and the clock.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from robot_agent.controller import Controller, ControlOutput, Follow, Goal, Hold, Measurement, Neighbour, Sighting
+from robot_agent.mode import LIVE, ORDERS, Health, react, refusal
+from robot_agent.orders import OrderGate, StationView
+from wire.codec import Header
+from wire.experiment import Experiment
+from wire.mavlink import Telemetry
+from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
+
+ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A pose and the instant on our clock at which it was true."""
+
+    pose: Pose
+    instant_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class Heard:
+    """A neighbour's plan and the instant on our clock of its first node."""
+
+    plan: Plan
+    instant_ns: int
+
+
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """The newest of everything at one control step."""
+
+    pose: Seen | None = None
+    telemetry: Telemetry = field(default_factory=Telemetry)
+    station: StationView = field(default_factory=StationView)
+    emergency_stop: bool = False
+    plans: Mapping[int, Heard] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Outputs:
+    """What leaves the robot after one control step."""
+
+    pulse_us: tuple[int, ...]
+    arm: bool | None  # tell the board to arm or disarm; None: it is as it should be
+    plan: Plan | None  # None until the robot knows where it is
+    state: RobotState
+
+
+class Agent:
+    """The robot's mind between control steps: mode, trajectory, controller."""
+
+    def __init__(self, experiment: Experiment, robot: int) -> None:
+        self.mode = Mode.DISARMED
+        self._experiment, self._me = experiment, experiment.robot(robot)
+        self._controller = Controller(experiment.vehicle, experiment.controller, experiment.safety)
+        self._gate = OrderGate(robot, experiment.hash)
+        self._fault = ""
+        self._trajectory: Trajectory | None = None
+        self._time_zero_ns = 0  # when the trajectory's time was, or will be, 0
+        self._earliest_s = 0.0  # waits at this point of the trajectory until its time has come
+        self._reached_s = 0.0
+        self._hold: Hold | None = None
+        self._last: ControlOutput | None = None
+        self._inputs = Inputs()
+        self._armed_since_ns: int | None = None  # since when the board should be armed and is not
+        self._told_ns = -(10**18)
+
+    # --- orders
+
+    def order(self, header: Header, command: Command, station: StationView, now_ns: int) -> Reply:
+        """Deal with an order. Refused ones say why; a repeated one gets the answer it got before."""
+        repeated = self._gate.repeated(header)
+        if repeated is not None:
+            return repeated
+        reason = self._gate.refusal(header, command, station)
+        if reason:
+            return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
+        reason = refusal(command.order, self.mode) or self._objection(command, station, now_ns)
+        if not reason:
+            self._follow(command, now_ns)
+        return self._gate.take(header, not reason, reason, self.mode)
+
+    def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
+        if command.order is Order.LOAD:
+            return _bad_trajectory(command.trajectory)
+        if command.order is Order.ARM:
+            return self._unfit(station, now_ns)
+        if command.order in (Order.START, Order.RESUME) and self._trajectory is None:
+            return "no trajectory is loaded"
+        if command.order in (Order.START, Order.RESUME) and not self._located:
+            return "the robot does not know where it is"
+        return ""
+
+    def _unfit(self, station: StationView, now_ns: int) -> str:
+        """Why not to arm now."""
+        inputs, safety, battery = self._inputs, self._experiment.safety, self._experiment.vehicle.battery
+        health = self._health(inputs, now_ns)
+        if inputs.emergency_stop:
+            return "the emergency stop is down"
+        if station.age_s > safety.station_hold_s:
+            return "no station is heard"
+        if health.board_age_s > safety.pose_hold_s:
+            return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
+        if health.pose_age_s > safety.pose_hold_s:
+            return f"the last pose is {health.pose_age_s:.2f} s old"
+        pose = inputs.pose.pose if inputs.pose is not None else None
+        if pose is None or (self._experiment.localizer.markers and not pose.identity_verified):
+            return "its identity is not verified: no marker was read"
+        if health.battery_v < battery.no_arm_v:
+            return f"the battery has {health.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
+        return ""
+
+    def _follow(self, command: Command, now_ns: int) -> None:
+        """Carry out an order that is accepted."""
+        if command.order is Order.LOAD:
+            self._trajectory = command.trajectory
+            self._reached_s = 0.0
+        if command.order in (Order.START, Order.RESUME):
+            self._earliest_s = command.trajectory_s if command.order is Order.RESUME else 0.0
+            self._time_zero_ns = now_ns + round((command.start_in_s - self._earliest_s) * 1e9)
+        if command.order is Order.STOP:
+            self._fault = "emergency stop"
+        target = ORDERS[command.order].to
+        if target is not None:
+            self._enter(target, self._fault if target is Mode.STOPPED else "")
+
+    def _enter(self, mode: Mode, fault: str) -> None:
+        if mode is not Mode.HOLDING:
+            self._hold = None
+        self.mode, self._fault = mode, fault
+
+    # --- the control step
+
+    def step(self, inputs: Inputs, now_ns: int) -> Outputs:
+        """One control step."""
+        self._inputs = inputs
+        health = self._health(inputs, now_ns)
+        mode, reason = react(self.mode, health, self._experiment.safety, self._experiment.vehicle.battery)
+        if mode is not self.mode:
+            self._enter(mode, reason)
+        neighbours = self._neighbours(inputs, now_ns)
+        output = self._controller.step(_measurement(inputs), self._goal(now_ns), neighbours, now_ns)
+        self._last = output
+        heard = tuple(n.robot for n in neighbours if n.fresh)
+        plan = self._plan(output, len(heard)) if output.estimated else None
+        return Outputs(output.pulse_us, self._arming(inputs, now_ns), plan, self._state(output, health, inputs, heard))
+
+    @property
+    def _located(self) -> bool:
+        return self._last is not None and self._last.estimated
+
+    def _health(self, inputs: Inputs, now_ns: int) -> Health:
+        seen, telemetry = inputs.pose, inputs.telemetry
+        usable = seen is not None and seen.pose.track is not Track.LOST
+        disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
+        return Health(
+            pose_age_s=(now_ns - seen.instant_ns) * 1e-9 if seen is not None and usable else float("inf"),
+            station_age_s=inputs.station.age_s,
+            board_age_s=(now_ns - telemetry.arrival_ns) * 1e-9 if telemetry.board_ms >= 0 else float("inf"),
+            board_disarmed_s=disarmed_s,
+            battery_v=telemetry.battery_v if telemetry.battery_v > 0 else self._experiment.vehicle.battery.full_v,
+            emergency_stop=inputs.emergency_stop,
+            solver_failed=self._last is not None and self._last.solve is Solve.FAILED,
+        )
+
+    def _goal(self, now_ns: int) -> Goal | None:
+        """What the mode asks the controller for; None is neutral."""
+        if self.mode is Mode.TRACKING and self._trajectory is not None:
+            time_s = max((now_ns - self._time_zero_ns) * 1e-9, self._earliest_s)
+            self._reached_s = time_s
+            return Follow(self._trajectory, time_s)
+        if self.mode is Mode.HOLDING:
+            if self._hold is None and self._last is not None:
+                self._hold = Hold(self._last.eta)
+            return self._hold
+        return None
+
+    def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
+        limit_ns = self._experiment.safety.plan_max_age_s * 1e9
+        return tuple(
+            Neighbour(robot, heard.instant_ns, heard.plan, now_ns - heard.instant_ns <= limit_ns, robot in self._me.neighbours)
+            for robot, heard in sorted(inputs.plans.items())
+        )
+
+    def _arming(self, inputs: Inputs, now_ns: int) -> bool | None:
+        wanted = self.mode in LIVE
+        if inputs.telemetry.armed == wanted:
+            self._armed_since_ns = None
+            return None
+        if self._armed_since_ns is None or not wanted:
+            self._armed_since_ns = now_ns if wanted else None
+        if now_ns - self._told_ns < ARM_AGAIN_S * 1e9:
+            return None
+        self._told_ns = now_ns
+        return wanted
+
+    def _plan(self, output: ControlOutput, heard: int) -> Plan:
+        return Plan(
+            self._experiment.controller.period_s,
+            output.plan_eta,
+            output.plan_reference,
+            output.tracking_error_m,
+            self._me.urgent,
+            heard,
+        )
+
+    def _state(self, output: ControlOutput, health: Health, inputs: Inputs, heard: tuple[int, ...]) -> RobotState:
+        telemetry, seen = inputs.telemetry, inputs.pose
+        unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
+        return RobotState(
+            mode=self.mode,
+            fault=self._fault,
+            experiment_hash=self._experiment.hash,
+            trajectory_s=self._reached_s,
+            trajectory_id=self._trajectory.id if self._trajectory is not None else "",
+            eta=output.eta,
+            nu=output.nu,
+            disturbance=output.disturbance,
+            eta_reference=output.eta_reference,
+            eta_command=output.eta_command,
+            wrench=output.wrench,
+            wrench_step=output.wrench_step,
+            wrench_delivered=output.wrench_delivered,
+            pulse_us=output.pulse_us,
+            echo_us=telemetry.echo_us,
+            track=seen.pose.track if seen is not None else Track.LOST,
+            pose_age_ms=min(health.pose_age_s * 1e3, unheard),
+            depth_m=telemetry.depth_m,
+            battery_v=telemetry.battery_v,
+            board_armed=telemetry.armed,
+            board_age_ms=min(health.board_age_s * 1e3, unheard),
+            board_loss=telemetry.loss,
+            solve=output.solve,
+            iterations=output.iterations,
+            slack_m=output.slack_m,
+            heard=heard,
+        )
+
+
+def _measurement(inputs: Inputs) -> Measurement:
+    seen, telemetry = inputs.pose, inputs.telemetry
+    known = telemetry.board_ms >= 0
+    return Measurement(
+        pose=Sighting(seen.instant_ns, seen.pose.x_m, seen.pose.y_m, seen.pose.yaw_rad)
+        if seen is not None and seen.pose.track >= Track.KCF
+        else None,
+        depth_m=telemetry.depth_m if known else None,
+        yaw_rate_radps=telemetry.yaw_rate_radps if known else None,
+        board_ns=telemetry.arrival_ns if known else None,
+    )
+
+
+def _bad_trajectory(trajectory: Trajectory | None) -> str:
+    """Why a trajectory cannot be flown at all; empty if it can. (The planner has checked it against the vehicle's limits.)"""
+    if trajectory is None:
+        return "carries no trajectory"
+    if not trajectory.id:
+        return "trajectory.id is empty"
+    if not 0.001 <= trajectory.period_s <= 1.0:
+        return f"trajectory.period_s = {trajectory.period_s:g}: must be 0.001 to 1"
+    lengths = {len(trajectory.eta), len(trajectory.velocity), len(trajectory.acceleration)}
+    if len(lengths) != 1 or min(lengths) < 2:
+        return "trajectory: eta, velocity and acceleration must have the same number of samples, at least 2"
+    if float(np.abs(np.diff(trajectory.eta, axis=0)).max()) > 1.0:
+        return "trajectory.eta jumps by more than 1 m or 1 rad between samples"
+    return ""

@@ -1,0 +1,148 @@
+"""SHELL: one robot's process around its core: read, step, publish.
+
+By the wall clock a step comes as soon as a pose has arrived, one period after the last step give or take JITTER; without a
+pose it comes anyway. So the loop falls in step with the camera, and a pose never waits. In lockstep it comes when the
+simulator says so and every input it names is here.
+"""
+
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen
+from robot_agent.link import Link
+from robot_agent.orders import StationView
+from wire import topics
+from wire.bus import Bus, Received
+from wire.codec import Header
+from wire.experiment import Experiment
+from wire.mavlink import AgentLink
+from wire.messages import Command, Mode, Plan, Pose, Reply, StationHeartbeat, Tick
+from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+
+JITTER = 0.25  # of a period: a step may come this much early for a pose, or wait this much longer for one
+BUDGET = 0.5  # of a period: pulses that leave later than this after the step was due are a missed deadline
+LINK_HEARTBEAT_S = 1.0
+
+
+class Shell:
+    """Inboxes, link and clock of one robot."""
+
+    def __init__(self, experiment: Experiment, robot: int, bus: Bus, link: Link, lockstep: bool, stop: Stop) -> None:
+        self.agent = Agent(experiment, robot)
+        self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
+        self._lockstep = lockstep
+        self._clock: Clock = LockstepClock() if lockstep else WallClock()
+        self._mavlink = AgentLink(robot)
+        self._poses = bus.inbox(topics.POSE, Pose, robot)
+        self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids if r != robot}
+        self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
+        self._link_heartbeat_s = 0.0
+        self._missed = 0
+        self._told = (Mode.DISARMED, "")
+
+    def run(self) -> None:
+        """Fly until told to stop."""
+        log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
+        self._bus.serve(self._robot, self._order)
+        self._link.send(self._mavlink.heartbeat())  # so that a board behind UDP learns where we are
+        self._bus.announce(f"agent-{self._robot}")
+        log.info("ready, experiment %s", self._experiment.hash[:8])
+        for due_ns, up_to_ns in self._lockstep_pace() if self._lockstep else self._wall_pace():
+            started_ns = time.perf_counter_ns()
+            now_ns = self._clock.now_ns()
+            with self._turn:
+                outputs = self.agent.step(self._read(now_ns, up_to_ns), now_ns)
+            self._write(outputs, now_ns, due_ns, started_ns)
+
+    def _order(self, header: Header, command: Command) -> Reply:
+        with self._turn:
+            now_ns = self._clock.now_ns()
+            reply = self.agent.order(header, command, self._station(self._heartbeats.newest(), now_ns), now_ns)
+        log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
+        return reply
+
+    # --- inputs
+
+    def _read(self, now_ns: int, up_to_ns: int | None) -> Inputs:
+        self._mavlink.receive(self._link.read(), now_ns)
+        pose, heartbeat = self._poses.newest(), self._heartbeats.newest()
+        plans = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
+        return Inputs(
+            pose=Seen(pose.message, self._clock.instant_ns(pose)) if pose is not None else None,
+            telemetry=self._mavlink.telemetry,
+            station=self._station(heartbeat, now_ns),
+            emergency_stop=heartbeat is not None and heartbeat.message.emergency_stop,
+            plans={r: Heard(p.message, self._clock.instant_ns(p)) for r, p in plans.items() if p is not None},
+        )
+
+    def _station(self, heartbeat: Received[StationHeartbeat] | None, now_ns: int) -> StationView:
+        if heartbeat is None:
+            return StationView()
+        age_ns = now_ns - self._clock.instant_ns(heartbeat)
+        return StationView(heartbeat.header.session, heartbeat.header.stamp_ns + age_ns, age_ns * 1e-9)
+
+    # --- pace: when a step is due, and up to which stamp neighbours' plans count
+
+    def _wall_pace(self) -> Iterator[tuple[int, None]]:
+        period_s = self._experiment.controller.period_s
+        last_s = time.monotonic()
+        taken: Header | None = None
+        while not self._stop.requested:
+            wait(self._bus, self._stop, lambda: False, last_s + (1 - JITTER) * period_s - time.monotonic())
+            fresh = wait(
+                self._bus,
+                self._stop,
+                lambda seen=taken: self._poses.newest_header() is not seen,  # type: ignore[misc]
+                last_s + (1 + JITTER) * period_s - time.monotonic(),
+            )
+            now_s = time.monotonic()
+            due_s = now_s if fresh else min(now_s, last_s + (1 + JITTER) * period_s)
+            taken = self._poses.newest_header()
+            last_s = max(due_s, now_s - period_s)
+            yield self._clock.now_ns() - round((now_s - due_s) * 1e9), None
+
+    def _lockstep_pace(self) -> Iterator[tuple[int, int]]:
+        assert isinstance(self._clock, LockstepClock)
+        lockstep = Lockstep(self._bus, self._stop, self._clock)
+        while (tick := lockstep.next()) is not None:
+            others = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in tick.robots]
+            lockstep.await_all([(self._poses, tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
+            self._await_board(tick)
+            yield tick.now_ns, tick.previous_ns
+
+    def _await_board(self, tick: Tick) -> None:
+        """Wait for the board's burst that counts at this tick."""
+        wanted = dict(zip(tick.robots, tick.board_ms, strict=True)).get(self._robot, 0)
+        deadline = time.monotonic() + LOCKSTEP_PATIENCE_S
+        while not self._stop.requested and time.monotonic() < deadline:
+            self._mavlink.receive(self._link.read(), tick.now_ns)
+            if self._mavlink.telemetry.board_ms >= wanted:
+                return
+            self._link.wait(0.1)
+        log.error("lockstep: no burst %d ms from the board", wanted)
+
+    # --- outputs
+
+    def _write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
+        """Board first: everything else can wait."""
+        if outputs.arm is not None:
+            self._link.send(self._mavlink.arm(outputs.arm))
+        if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
+            self._link_heartbeat_s = now_ns * 1e-9
+            self._link.send(self._mavlink.heartbeat())
+        self._link.send(self._mavlink.pulses(outputs.pulse_us))
+        step_ns = time.perf_counter_ns() - started_ns
+        late_ns = step_ns + (0 if self._lockstep else now_ns - due_ns)
+        self._missed += late_ns > BUDGET * self._experiment.controller.period_s * 1e9
+        if outputs.plan is not None:
+            self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else step_ns)
+        latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else step_ns * 1e-6)
+        state = replace(outputs.state, step_us=step_ns * 1e-3, exposure_to_pwm_ms=latency_ms, missed_deadlines=self._missed)
+        self._bus.publish(topics.STATE, state, now_ns, self._robot)
+        if (state.mode, state.fault) != self._told:
+            self._told = (state.mode, state.fault)
+            say = log.warning if state.fault else log.info
+            say("%s%s", state.mode.name.lower(), f": {state.fault}" if state.fault else "")
