@@ -103,11 +103,11 @@ def _explain(problem: Any, model: type[Section]) -> str:
         return f"{key}: unknown key (allowed here: {', '.join(sorted(holder.model_fields))})"
     if problem["type"] == "missing":
         return f"{key}: missing, and it has no default"
-    if problem["type"] == "union_tag_not_found":
-        return f"{key}.{context['discriminator'].strip(chr(39))}: missing, and it has no default"
-    if problem["type"] == "union_tag_invalid":
-        kind = context["discriminator"].strip(chr(39))
-        return f"{key}.{kind} = {context['tag']!r}: must be one of {context['expected_tags']}"
+    if problem["type"] in ("union_tag_not_found", "union_tag_invalid"):
+        kind = context["discriminator"].strip("'")
+        if kind not in problem["input"]:
+            return f"{key}.{kind}: missing, and it has no default"
+        return f"{key}.{kind} = {_as_written(problem['input'][kind])}: must be one of {context['expected_tags']}"
     if problem["loc"] and not isinstance(problem["input"], dict):
         return f"{key} = {_as_written(problem['input'])}: {message}"
     return f"{key}: {message}"
