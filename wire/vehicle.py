@@ -72,6 +72,8 @@ class Thruster(Section):
             raise ValueError("curve must reach from reverse (negative newtons) to forward thrust")
         if self.force_n(np.array(float(self.neutral_us))) != 0.0:
             raise ValueError(f"neutral_us = {self.neutral_us} must lie in the curve's dead zone (0 N)")
+        if self.max_thrust_n > points[-1, 1]:
+            raise ValueError(f"max_thrust_n = {self.max_thrust_n} is more than the curve's {points[-1, 1]} N full ahead")
         return self
 
     @cached_property
