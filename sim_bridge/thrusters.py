@@ -1,0 +1,82 @@
+"""Thrusters and ankles of a whole fleet: pulses to forces on the hull, with everything that is between them.
+
+A pulse takes effect after its dead time. A thruster's force then follows the static curve, times the gain of this very
+thruster, as a first-order lag; an ankle turns to its angle at no more than its rate. Within a step the commands stand still,
+so both are known in closed form at every instant: nothing here is integrated numerically.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wire.experiment import Experiment
+from wire.frames import Array
+
+THRUSTERS = 4
+SPREAD_STREAM = 1  # keeps this use of the seed apart from the others
+
+
+@dataclass(frozen=True, eq=False)
+class Motors:
+    """State of the thrusters and ankles of n robots."""
+
+    force_n: Array  # (n, 4)
+    ankle_rad: Array  # (n, 4)
+    pulses_us: Array  # (k, n, 8): the last k commands, newest first
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """What thrusters and ankles do during one step, as functions of the time since its start."""
+
+    start: Motors
+    target_n: Array  # (n, 4)
+    target_rad: Array  # (n, 4)
+
+
+class Thrusters:
+    """The legs of every robot of an experiment."""
+
+    def __init__(self, experiment: Experiment, seed: int) -> None:
+        plant, vehicle = experiment.sim.plant, experiment.vehicle
+        self._curve, self._legs = vehicle.thruster, vehicle.legs
+        self._lag_s = vehicle.thruster.lag_s if plant.thruster_lag_s is None else plant.thruster_lag_s
+        self._thruster_delay = round(vehicle.thruster.dead_time_s / plant.step_s)
+        self._ankle_delay = round(vehicle.legs.ankle_dead_time_s / plant.step_s)
+        self._side_m = np.array(vehicle.legs.position_m)[:, 1]
+        self._robots = len(experiment.robots)
+        spread = plant.thruster_spread
+        random = np.random.default_rng([seed, SPREAD_STREAM])
+        self.gain = random.uniform(1.0 - spread, 1.0 + spread, (self._robots, THRUSTERS))
+
+    def start(self) -> Motors:
+        """At rest: neutral for as long as the dead times reach back, ankles level."""
+        level_us = float(np.mean(self._legs.ankle_us))
+        neutral = np.repeat([float(self._curve.neutral_us), level_us], THRUSTERS)
+        depth = max(self._thruster_delay, self._ankle_delay) + 1
+        still = np.zeros((self._robots, THRUSTERS))
+        return Motors(still, still, np.tile(neutral, (depth, self._robots, 1)))
+
+    def command(self, motors: Motors, pulses_us: Array) -> Move:
+        """Put pulses (n, 8) on the outputs for one step; what acts in it are the pulses of one dead time ago."""
+        if pulses_us.shape != (self._robots, 2 * THRUSTERS) or not np.isfinite(pulses_us).all():
+            raise ValueError(f"pulses_us: shape {pulses_us.shape}, must be ({self._robots}, {2 * THRUSTERS}) and finite")
+        history = np.concatenate([pulses_us[None], motors.pulses_us[:-1]])
+        target_n = self.gain * self._curve.force_n(history[self._thruster_delay, :, :THRUSTERS])
+        reach = self._legs.ankle_range_rad
+        target_rad = np.interp(history[self._ankle_delay, :, THRUSTERS:], self._legs.ankle_us, (-reach, reach))
+        return Move(Motors(motors.force_n, motors.ankle_rad, history), target_n, target_rad)
+
+    def at(self, move: Move, since_s: float) -> Motors:
+        """Forces and angles `since_s` after the start of a move."""
+        left = np.exp(-since_s / self._lag_s) if self._lag_s > 0 else 0.0
+        turn_rad = self._legs.ankle_rate_radps * since_s
+        ankle_rad = move.start.ankle_rad + np.clip(move.target_rad - move.start.ankle_rad, -turn_rad, turn_rad)
+        return Motors(move.target_n + left * (move.start.force_n - move.target_n), ankle_rad, move.start.pulses_us)
+
+    def wrench(self, motors: Motors) -> Array:
+        """[surge N, heave N, yaw N m] on each hull, shape (n, 3). An ankle at +90 degrees thrusts straight down; the yaw
+        moment of a force X at (x, y) is -y X."""
+        ahead = motors.force_n * np.cos(motors.ankle_rad)
+        down = motors.force_n * np.sin(motors.ankle_rad)
+        return np.stack([ahead.sum(axis=1), down.sum(axis=1), -ahead @ self._side_m], axis=1)
