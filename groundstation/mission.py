@@ -41,6 +41,7 @@ class Phase(Enum):
     CLEARING = "clearing the emergency stop"
 
 
+LIVE = frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING})
 OVER = frozenset({Phase.DONE, Phase.FAILED})
 
 
@@ -60,7 +61,7 @@ STAGES: dict[Phase, Stage] = {
     Phase.RESUMING: Stage(Order.RESUME, lambda mode, loaded: mode is Mode.TRACKING, Phase.RUNNING),
     Phase.ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED, Phase.DONE),
     Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode is not Mode.STOPPED, Phase.WAITING),
-    Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode not in (Mode.TRACKING, Mode.HOLDING), Phase.FAILED),
+    Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode not in LIVE, Phase.FAILED),
 }
 
 # What a person may ask for, in which phases, and where that leads.

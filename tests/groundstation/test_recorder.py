@@ -213,7 +213,8 @@ import random
 recorder = Recorder(Path(sys.argv[1]), "name = 'pool'", {})
 noise = random.Random(1)
 for k in range(1, 100_000):
-    recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k, 0), encode(Preview(noise.randbytes(1000)), 0), time.monotonic_ns())
+    payload = encode(Preview(noise.randbytes(1000)), 0)
+    recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k, 0), payload, time.monotonic_ns())
     sys.stdout.write(f"{k} {time.monotonic_ns()}\\n")
     sys.stdout.flush()
     time.sleep(0.01)

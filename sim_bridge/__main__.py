@@ -1,0 +1,104 @@
+"""SHELL: `sim-bridge`: the pool in software, and whole experiments in it."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.experiment import load_experiment
+from wire.options import (
+    DEFAULT_FLEET,
+    DEFAULT_STATION,
+    ExperimentName,
+    FleetName,
+    LockstepMode,
+    Settings,
+    StationAddress,
+    Verbose,
+)
+from wire.runtime import Stop, run_app, start_log
+
+cli = typer.Typer(
+    help="The pool in software: water, robots, thruster boards and an overhead camera, on the same wires as the real ones.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+
+@cli.command()
+def sil(
+    experiment: ExperimentName,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
+    ] = False,
+    seed: Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
+    settings: Settings = None,
+) -> None:
+    """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
+
+    Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
+
+    Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
+    """
+    from rich.console import Console
+
+    from sim_bridge import sil as software_in_the_loop
+
+    changes = list(settings or ())
+    changes += [f"seed={seed}"] if seed is not None else []
+    changes += [f"duration_s={duration}"] if duration is not None else []
+    loaded = load_experiment(experiment, changes)
+    folder = _new_folder(out, loaded.name)
+    console = Console()
+    mode = "lockstep" if lockstep else "real time"
+    console.print(
+        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
+    )
+    raise typer.Exit(software_in_the_loop.run(loaded, folder, lockstep=lockstep, stop=Stop(), console=console))
+
+
+def _new_folder(out: Path, name: str) -> Path:
+    """runs/<experiment>-<time>, with a number when two start in the same second."""
+    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
+        folder = out / f"{stem}{suffix}"
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:
+            continue
+    raise RuntimeError(f"cannot make a folder {out / stem}")
+
+
+@cli.command()
+def pool(
+    experiment: ExperimentName,
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    ports: Annotated[int, typer.Option(help="The board of robot N is at UDP port PORTS + N.")] = 14550,
+    settings: Settings = None,
+    lockstep: LockstepMode = False,
+    verbose: Verbose = False,
+) -> None:
+    """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water."""
+    from sim_bridge.pool import Pool
+    from wire.bus import Bus
+    from wire.transport import Endpoint, ZenohTransport
+
+    start_log("sim-bridge", verbose)
+    stop = Stop()
+    loaded = load_experiment(experiment, settings or ())
+    with Bus(ZenohTransport(Endpoint(station)), fleet) as bus:
+        Pool(loaded, bus, ports, stop, lockstep).run()
+
+
+def app() -> None:
+    """Entry point."""
+    run_app(cli)
+
+
+if __name__ == "__main__":
+    app()

@@ -1,0 +1,102 @@
+"""SHELL: what a person sees in the terminal while the software runs in the loop."""
+
+import math
+import time
+
+from rich.console import Group, RenderableType
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from wire import topics
+from wire.bus import Bus
+from wire.experiment import Experiment
+from wire.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat
+
+
+class Monitor:
+    """A view of the fleet through its own session: it only listens."""
+
+    def __init__(self, experiment: Experiment, bus: Bus) -> None:
+        self._experiment = experiment
+        self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
+        self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:6.1f} / {task.total:.0f} s"),
+            TextColumn("{task.fields[speed]}"),
+            TimeElapsedColumn(),
+        )
+        self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="")
+        self._started_s: float | None = None
+
+    @property
+    def mission(self) -> str:
+        """The mission's phase as last heard."""
+        heartbeat = self._heartbeat.newest()
+        return heartbeat.message.mission if heartbeat is not None else "starting"
+
+    @property
+    def flown_s(self) -> float:
+        """How far the slowest robot is along its trajectory."""
+        states = [inbox.newest() for inbox in self._states.values()]
+        return min((s.message.trajectory_s if s is not None else 0.0) for s in states)
+
+    @property
+    def speed(self) -> float:
+        """Flown seconds per second of wall clock, since the robots started; 0 before."""
+        flown_s = self.flown_s
+        if flown_s <= 0:
+            return 0.0
+        if self._started_s is None:
+            self._started_s = time.monotonic() - 1e-3
+        return flown_s / max(time.monotonic() - self._started_s, 1e-3)
+
+    def render(self) -> RenderableType:
+        """The table and the progress bar, now."""
+        self._progress.update(self._task, completed=self.flown_s, speed=f"{self.speed:4.1f} x real time")
+        table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
+        for robot, inbox in self._states.items():
+            received = inbox.newest()
+            if received is None:
+                table.add_row(str(robot), "not heard", *[""] * 6)
+                continue
+            table.add_row(str(robot), *_cells(received.message))
+        return Group(table, self._progress)
+
+    def line(self) -> str:
+        """The same in one line, for a log."""
+        robots = []
+        for robot, inbox in self._states.items():
+            received = inbox.newest()
+            if received is not None:
+                state = received.message
+                robots.append(f"{robot} {state.mode.name.lower()} {_error_mm(state):.0f} mm{_remark(state)}")
+        flown = f"{self.flown_s:6.1f} / {self._experiment.duration_s:.0f} s"
+        return f"{flown}  {self.mission.lower():10s} {self.speed:4.1f} x  " + ", ".join(robots)
+
+    def _title(self) -> str:
+        localizer = self._localizer.newest()
+        camera = f", camera {localizer.message.camera.name.lower()}" if localizer is not None else ""
+        return f"{self._experiment.title or self._experiment.name}: {self.mission.lower()}{camera}"
+
+
+def _error_mm(state: RobotState) -> float:
+    return math.hypot(*(state.eta - state.eta_reference)[:2]) * 1e3 if state.mode is Mode.TRACKING else 0.0
+
+
+def _remark(state: RobotState) -> str:
+    return f" ({state.fault})" if state.fault else ""
+
+
+def _cells(state: RobotState) -> tuple[str, ...]:
+    return (
+        state.mode.name.lower(),
+        f"{_error_mm(state):.0f} mm" if state.mode is Mode.TRACKING else "",
+        state.track.name.lower(),
+        f"{state.pose_age_ms:.0f} ms" if state.pose_age_ms < 1e5 else "never",
+        f"{state.step_us:.0f} us",
+        f"{state.battery_v:.1f} V",
+        state.fault,
+    )

@@ -1,0 +1,169 @@
+"""SHELL: software in the loop: every process of the experiment on this machine, watched, ended, reported.
+
+The processes are the ones that run in the pool, started as a person would start them; only the pool is simulated.
+"""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from sim_bridge.monitor import Monitor
+from sim_bridge.processes import Child, Children
+from wire.bus import Bus
+from wire.experiment import Experiment, dump_experiment
+from wire.runtime import Stop
+from wire.transport import Endpoint, ZenohTransport
+
+START_WITHIN_S = 30.0
+LOOK_EVERY_S = 0.2
+SAY_EVERY_S = 5.0  # where there is no terminal to draw in
+
+
+def run(experiment: Experiment, run_dir: Path, *, lockstep: bool, stop: Stop, console: Console) -> int:
+    """Run an experiment with all its processes. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    file = run_dir / "experiment.toml"
+    file.write_text(dump_experiment(experiment), encoding="utf-8")
+    children = Children(run_dir / "logs")
+    trouble: list[str] = []
+    try:
+        address, ports = f"tcp/127.0.0.1:{_free_port()}", _free_base_port(experiment.robot_ids)
+        station = _start_all(children, experiment, file, address, ports, lockstep, stop)
+        if station is not None:
+            with Bus(ZenohTransport(Endpoint(address))) as bus:
+                trouble = _watch(children, station, Monitor(experiment, bus), lockstep, stop, console)
+        mission_failed = station is None or station.exit_code != 0
+        if station is not None and station.exit_code not in (None, 0, 1):
+            trouble.append(station.explain())
+    finally:
+        children.stop()
+    if stop.requested:
+        console.print("interrupted: every process is stopped")
+        return 130
+    for line in trouble:
+        console.print(f"[red]{line}[/]")
+    passed = _report(run_dir, console) and not mission_failed and not trouble
+    console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
+    console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
+    return 0 if passed else 1
+
+
+def _start_all(
+    children: Children, experiment: Experiment, file: Path, address: str, ports: int, lockstep: bool, stop: Stop
+) -> Child | None:
+    """Station first: it is the router, and the others wait for it. None if it does not come up."""
+    common = [str(file), *(["--lockstep"] if lockstep else [])]
+    run_dir = str(file.parent)
+    station = children.start(
+        "groundstation", "groundstation", ["run", *common, "--auto", "--run-dir", run_dir, "--listen", address]
+    )
+    if not _listens(address, station, stop):
+        return None
+    client = [*common, "--station", address]
+    children.start("sim-bridge", "sim_bridge", ["pool", *client, "--ports", str(ports)])
+    children.start("localizer", "localizer", ["run", *client])
+    for robot in experiment.robot_ids:
+        link = f"udp:127.0.0.1:{ports + robot}"
+        children.start(f"agent-{robot}", "robot_agent", ["run", *client, "--robot", str(robot), "--link", link])
+    return station
+
+
+def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool, stop: Stop, console: Console) -> list[str]:
+    """Show the run until the station has ended it. Returns what went wrong with processes."""
+    trouble: dict[str, str] = {}
+    said_s = time.monotonic()
+    with Live(console=console, refresh_per_second=5, get_renderable=monitor.render, transient=True) as live:
+        live.auto_refresh = console.is_terminal
+        while station.exit_code is None and not stop.requested:
+            for child in children.ended():
+                if child.name not in trouble and child is not station:
+                    trouble[child.name] = child.explain()
+                    console.print(f"[red]{trouble[child.name]}[/]")
+            if trouble and lockstep:
+                break  # the others would wait for it for ever
+            if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
+                said_s = time.monotonic()
+                console.print(monitor.line(), soft_wrap=True)
+            time.sleep(LOOK_EVERY_S)
+    return list(trouble.values())
+
+
+def _report(run_dir: Path, console: Console) -> bool:
+    """Let the station's own command write the report, and print the table. Returns whether the result passed."""
+    writing = subprocess.run(
+        [sys.executable, "-m", "groundstation", "report", str(run_dir)], capture_output=True, text=True, check=False
+    )
+    if writing.returncode != 0:
+        console.print(f"[red]no report: {writing.stderr.strip() or writing.stdout.strip()}[/]")
+        return False
+    result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
+    console.print(_table(result))
+    return all(check["passed"] for check in result.get("checks", []))
+
+
+def _table(result: dict[str, Any]) -> Table:
+    """Tracking and formation errors, whole run and after 20 s, beside the article's."""
+    flown = f"{result['scene']}, seed {result['seed']}, {result['mode']}, {result['duration_s']:.0f} s"
+    title = f"{flown}: RMS errors in m, against the truth"
+    table = Table(
+        "", "whole run: x, y, z", "after 20 s: x, y, z", "largest after 20 s", "article", "never moving", title=title
+    )
+
+    def numbers(values: Any) -> str:
+        return "  ".join("  -  " if v is None else f"{v:.3f}" for v in values) if values else "-"
+
+    for name, row in [*result["robots"].items(), *result["pairs"].items()]:
+        table.add_row(
+            name,
+            numbers(row.get("rms_m")),
+            numbers(row.get("rms_after_20s_m")),
+            numbers(row.get("max_after_20s_m")),
+            numbers((row.get("article") or {}).get("rms_m")),
+            numbers((row.get("baseline") or {}).get("rms_m")),
+        )
+    return table
+
+
+def _listens(address: str, station: Child, stop: Stop) -> bool:
+    host, port = address.removeprefix("tcp/").rsplit(":", 1)
+    deadline = time.monotonic() + START_WITHIN_S
+    while time.monotonic() < deadline and station.exit_code is None and not stop.requested:
+        try:
+            socket.create_connection((host, int(port)), timeout=1.0).close()
+            return True
+        except OSError:
+            time.sleep(0.05)
+    return False
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _free_base_port(robots: tuple[int, ...]) -> int:
+    """A UDP port p such that p + id is free for every robot."""
+    for base in range(14550, 60000, 100):
+        probes = []
+        try:
+            for robot in robots:
+                probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                probes.append(probe)
+                probe.bind(("127.0.0.1", base + robot))
+            return base
+        except OSError:
+            continue
+        finally:
+            for probe in probes:
+                probe.close()
+    raise RuntimeError("no free UDP ports for the thruster boards")

@@ -1,0 +1,72 @@
+"""READ FIRST. The simulated pool as one pure object: robots in water, each with its thruster board.
+
+    bytes from the robots' computers -> boards (board.py) -> pulses -> thrusters -> dynamics -> next state
+                                                                       sensors -> boards -> bytes to the computers
+
+`step` moves everything by one plant step. sim_bridge/pool.py puts it on the wires; time here is only the plant's.
+"""
+
+import numpy as np
+
+from sim_bridge.board import Board
+from sim_bridge.dynamics import Plant
+from wire.experiment import Experiment
+from wire.frames import Array
+from wire.messages import Truth
+
+
+class World:
+    """The fleet in the water from the moment the robots are put in at `starts`, poses (n, 4) in the pool frame."""
+
+    def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
+        self._plant = Plant(experiment, seed)
+        self._state = self._plant.start(starts)
+        self._boards = [Board(experiment, robot, seed) for robot in experiment.robot_ids]
+        self._step_ns = round(experiment.sim.plant.step_s * 1e9)
+        self._frame_period_s = 1.0 / experiment.camera.rate_hz
+        self._frames = 1  # the first is at time 0
+        self.exposed = False  # whether the last step reached the middle of an exposure
+        self._acceleration = self._plant.acceleration(self._state)
+
+    @property
+    def now_ns(self) -> int:
+        """Plant time since the start."""
+        return self._state.steps * self._step_ns
+
+    @property
+    def eta(self) -> Array:
+        """Poses now, (n, 4)."""
+        return self._state.eta
+
+    @property
+    def nu(self) -> Array:
+        """Velocities now, (n, 4)."""
+        return self._state.nu
+
+    def truth(self) -> Truth:
+        """The state now, for the log and for nobody who controls."""
+        return self._plant.truth(self._state)
+
+    def receive(self, i: int, data: bytes) -> None:
+        """Bytes from the computer of the i-th robot reach its board."""
+        self._boards[i].receive(data, self.now_ns)
+
+    def overrides(self, i: int) -> int:
+        """How many sets of pulses the i-th board has taken or refused so far."""
+        return self._boards[i].overrides_received
+
+    def board_ms(self, i: int) -> int:
+        """Time of the i-th board's last burst."""
+        return self._boards[i].burst_ms
+
+    def step(self) -> list[tuple[int, bytes]]:
+        """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
+        pulses = np.array([board.pulses for board in self._boards], dtype=np.float64)
+        self._state = self._plant.step(self._state, pulses)
+        self._acceleration = self._plant.acceleration(self._state)
+        self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
+        self._frames += self.exposed
+        return [
+            (i, board.step(self.now_ns, self._state.eta[i], self._state.nu[i], self._acceleration[i]))
+            for i, board in enumerate(self._boards)
+        ]
