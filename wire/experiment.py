@@ -95,6 +95,7 @@ class Safety(Section):
     radius_m: Positive = 0.30
     margin_m: NotNegative = 0.05
     bubble_mps: NotNegative = 0.1  # how fast the space around a silent neighbour grows
+    bubble_max_m: NotNegative = 0.5  # and how far: a robot that is gone must not push the others against the walls
     pose_hold_s: Positive = 0.2  # failures.md: hold, then neutral, counted from the last pose
     pose_neutral_s: Positive = 0.45
     station_hold_s: Positive = 1.0
@@ -132,6 +133,9 @@ class Guidance(Section):
     position_gain_per_s2: NotNegative = 0.04
     velocity_gain_per_s: NotNegative = 0.4
     max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2)] = 1.0
+    turning_force_n: Positive = 0.02  # forces well below this are not worth a turn
+    filter_s: Positive = 1.0  # time constant of the force that feeds back: the heading must not follow noise
+    hold_radius_m: Positive = 0.06  # station keeping: nearer than this the heading stays as it is
 
 
 class Mpc(Section):
@@ -271,6 +275,8 @@ class Limit(Section):
     rms_after_20s_m: Positive | None = None
     max_after_20s_m: Positive | None = None
     pose_rms_m: Positive | None = None
+    wrench_step_rms: Fraction | None = None  # RMS of the inputs' change per step, as a fraction of its bound: chatter is wear
+    exposure_to_pwm_p99_ms: Positive | None = None
 
 
 class Experiment(Section):
