@@ -1,0 +1,77 @@
+"""The wire to the board: real sockets and a real pseudo-terminal."""
+
+import os
+import pty
+import socket
+import time
+from pathlib import Path
+
+import pytest
+
+from robot_agent.link import SerialLink, UdpLink, open_link
+from wire.toml_file import ConfigError
+
+
+def read_for(link: UdpLink | SerialLink, wanted: bytes, timeout_s: float = 5.0) -> bytes:
+    got = b""
+    deadline = time.monotonic() + timeout_s
+    while wanted not in got and time.monotonic() < deadline:
+        link.wait(0.05)
+        got += link.read()
+    return got
+
+
+def test_udp_carries_bytes_both_ways_and_survives_a_board_that_comes_late() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    link = open_link(f"udp:127.0.0.1:{port}")
+    assert isinstance(link, UdpLink)
+    try:
+        for _ in range(3):  # nobody listens: refused, and not an error
+            link.send(b"hello")
+            assert link.read() == b""
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+            board.bind(("127.0.0.1", port))
+            board.settimeout(5)
+            link.read()
+            link.send(b"pulses")
+            data, peer = board.recvfrom(100)
+            assert data == b"pulses"
+            board.sendto(b"one", peer)
+            board.sendto(b"two", peer)
+            assert read_for(link, b"two") == b"onetwo"
+    finally:
+        link.close()
+
+
+def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path: Path) -> None:
+    plug = tmp_path / "board"
+    controller, device = pty.openpty()
+    plug.symlink_to(os.ttyname(device))
+    link = open_link(f"serial:{plug}:57600")
+    assert isinstance(link, SerialLink)
+    try:
+        link.send(b"pulses")
+        assert os.read(controller, 100) == b"pulses"
+        os.write(controller, b"burst")
+        assert b"burst" in read_for(link, b"burst")
+        os.close(controller)
+        os.close(device)
+        plug.unlink()
+        for _ in range(3):  # unplugged: silence, and not an error
+            link.send(b"x")
+            assert link.read() == b""
+        controller, device = pty.openpty()
+        plug.symlink_to(os.ttyname(device))
+        link.read()
+        link.send(b"again")
+        assert os.read(controller, 100) == b"again"
+    finally:
+        link.close()
+
+
+def test_a_wrong_address_is_explained() -> None:
+    for address in ("udp:127.0.0.1", "udp:host:99999", "tcp:1.2.3.4:5", "", "serial:"):
+        with pytest.raises(ConfigError, match=r"allowed: udp:HOST:PORT or serial:DEVICE"):
+            open_link(address)
