@@ -15,15 +15,28 @@ The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None`
 neutral pulses and forgets its plan. All instants are on one clock, the robot's monotonic one (in lockstep the simulator's).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from robot_agent.eso import Measurement, Sighting
-from robot_agent.formation import Neighbour
-from robot_agent.reference import Follow, Goal, Hold
+import numpy as np
+
+from robot_agent.allocation import Allocator
+from robot_agent.eso import Estimate, Estimator, Measurement, Sighting
+from robot_agent.formation import Company, Formation, Neighbour, Rank
+from robot_agent.guidance import Guidance
+from robot_agent.model import Model
+from robot_agent.mpc import Mpc, MpcPlan
+from robot_agent.reference import Follow, Goal, Hold, Path, Sampler
+from wire.experiment import Controller as ControllerConfig
+from wire.experiment import Safety
 from wire.frames import Array
 from wire.messages import Solve
+from wire.vehicle import Vehicle
 
-__all__ = ["ControlOutput", "Follow", "Goal", "Hold", "Measurement", "Neighbour", "Sighting"]
+__all__ = ["ControlOutput", "Controller", "Follow", "Goal", "Hold", "Measurement", "Neighbour", "Sighting"]
+
+NS = 1_000_000_000
+TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,3 +60,137 @@ class ControlOutput:
     iterations: int
     slack_m: float  # by how much the plan enters the space of another robot
     pose_age_s: float  # of the pose the estimate rests on
+
+
+class Controller:
+    """One robot's controller with its memory and workspaces."""
+
+    def __init__(self, vehicle: Vehicle, config: ControllerConfig, safety: Safety, urgent: bool = False) -> None:
+        horizon, period_s = config.mpc.horizon, config.period_s
+        self._config, self._urgent = config, urgent
+        self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
+        self._weight = np.array(config.mpc.q)
+        self._estimator = Estimator(
+            Model(vehicle, config.estimator.sway, config.mpc.model_lag), config.estimator, vehicle.thruster.dead_time_s
+        )
+        nodes_s = vehicle.thruster.dead_time_s + period_s * np.arange(horizon + 1)
+        self._sampler = Sampler(nodes_s)
+        self._guidance = Guidance(vehicle, config.guidance, period_s)
+        self._formation = Formation(config.mpc, safety, period_s)
+        model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
+        self._mpc = Mpc(vehicle, model, config.mpc, period_s, self._formation.rows)
+        self._allocator = Allocator(vehicle)
+        self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), period_s * np.arange(horizon + 1))
+        self._wrench = np.zeros(3)
+        self._rank = Rank(urgent, 0.0, 0)
+        self._goal: Goal | None = None
+        self._turns = 0.0
+
+    def step(self, measurement: Measurement, goal: Goal | None, neighbours: Sequence[Neighbour], now_ns: int) -> ControlOutput:
+        """One control step at `now_ns`, whose pulses are taken to go out at once. See the module's docstring."""
+        estimate = self._estimator.update(measurement, now_ns)
+        if estimate is None or goal is None:
+            return self._neutral(estimate, now_ns)
+        self._take_up(goal)
+        path = self._sampler.path(goal)
+        company = self._formation.company(neighbours, self._rank, now_ns, now_ns + self._dead_ns)
+        weight, command = self._command(goal, path, company, estimate)
+        keep_clear = self._formation.half_spaces(company, self._mpc.predicted[:, :3])
+        plan = self._mpc.plan(estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear)
+        return self._put_out(plan, estimate, path, command, company, now_ns)
+
+    def _take_up(self, goal: Goal) -> None:
+        """A goal of another kind starts with a fresh heading memory."""
+        before, self._goal = self._goal, goal
+        if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
+            self._guidance.reset()
+
+    def _command(self, goal: Goal, path: Path, company: Company, estimate: Estimate) -> tuple[Array, Array]:
+        """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""
+        if isinstance(goal, Hold):
+            command = path.eta.copy()
+            command[:, 3] = self._guidance.hold(goal.eta, estimate.eta, len(command))
+            return self._weight, command
+        weight = self._weight + company.weight
+        pull = company.pull / np.maximum(weight, 1e-12)
+        command = path.eta.copy()
+        command[1:] += pull
+        command[0] += pull[0]
+        if self._config.guidance.enabled:
+            lead = Path(command, path.velocity, path.acceleration)
+            command[:, 3] = self._guidance.follow(lead, estimate.eta, estimate.nu, estimate.disturbance)
+        away = (estimate.eta[3] - command[0, 3]) / TURN - self._turns
+        if abs(away) > 0.55:  # beyond half a turn by a margin, so that a robot facing backwards does not change its mind
+            self._turns += round(away)
+        command[:, 3] += TURN * self._turns
+        return weight, command
+
+    def _put_out(
+        self, plan: MpcPlan, estimate: Estimate, path: Path, command: Array, company: Company, now_ns: int
+    ) -> ControlOutput:
+        failed = plan.solve is Solve.FAILED
+        pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
+        delivered = self._allocator.delivered(pulses)
+        self._estimator.applied((float(delivered[0]), float(delivered[1]), float(delivered[2])), now_ns)
+        wrench_step, self._wrench = plan.wrench - self._wrench, plan.wrench
+        error_m = float(np.linalg.norm(path.eta[0, :3] - estimate.eta[:3]))
+        self._rank = Rank(self._urgent, error_m, company.heard)
+        return ControlOutput(
+            pulse_us=pulses,
+            wrench=plan.wrench.copy(),
+            wrench_step=wrench_step,
+            wrench_delivered=delivered,
+            estimated=True,
+            eta=estimate.eta,
+            nu=estimate.nu,
+            disturbance=estimate.disturbance,
+            eta_reference=path.eta[0].copy(),
+            eta_command=command[0].copy(),
+            plan_eta=self._to_now @ np.vstack([estimate.eta, plan.eta]),
+            plan_reference=self._to_now @ command,
+            tracking_error_m=error_m,
+            solve=plan.solve,
+            iterations=plan.iterations,
+            slack_m=plan.slack_m,
+            pose_age_s=estimate.pose_age_s,
+        )
+
+    def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
+        """Thrusters off, plan forgotten. The plan that is told to others: it stays where it is."""
+        self._mpc.reset()
+        self._guidance.reset()
+        self._goal = None
+        wrench_step, self._wrench = -self._wrench, np.zeros(3)
+        self._estimator.applied((0.0, 0.0, 0.0), now_ns)
+        self._rank = Rank(self._urgent, 0.0, 0)
+        eta = np.zeros(4) if estimate is None else estimate.eta
+        stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))
+        return ControlOutput(
+            pulse_us=self._allocator.neutral_us,
+            wrench=np.zeros(3),
+            wrench_step=wrench_step,
+            wrench_delivered=np.zeros(3),
+            estimated=estimate is not None,
+            eta=eta,
+            nu=np.zeros(4) if estimate is None else estimate.nu,
+            disturbance=np.zeros(4) if estimate is None else estimate.disturbance,
+            eta_reference=eta,
+            eta_command=eta,
+            plan_eta=stay,
+            plan_reference=stay,
+            tracking_error_m=0.0,
+            solve=Solve.NONE,
+            iterations=0,
+            slack_m=0.0,
+            pose_age_s=float("inf") if estimate is None else estimate.pose_age_s,
+        )
+
+
+def _resampling(from_s: Array, to_s: Array) -> Array:
+    """Linear interpolation as a matrix (to, from): plans are computed from the instant of action and told from now."""
+    matrix = np.zeros((len(to_s), len(from_s)))
+    low = np.clip(np.searchsorted(from_s, to_s, side="right") - 1, 0, len(from_s) - 2)
+    share = (to_s - from_s[low]) / (from_s[low + 1] - from_s[low])
+    matrix[np.arange(len(to_s)), low] = 1.0 - share
+    matrix[np.arange(len(to_s)), low + 1] += share
+    return matrix

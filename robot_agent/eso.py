@@ -1,6 +1,29 @@
-"""Extended state observer (31): pose, velocity and lumped disturbance, computed where the delay is accounted for."""
+"""Extended state observer (31): pose, velocity and lumped disturbance, computed where the delay is accounted for.
 
+The observer lives at the exposure of the newest pose. From there it is predicted to now, and on to the instant at which a
+command given now begins to act, with the wrenches that act meanwhile: 50 ms unaccounted at 0.3 m/s is 15 mm, more than all
+vision noise. Gains are the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao 2006), which tend to
+b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones: poses come late and go missing.
+"""
+
+import math
+from collections import deque
 from dataclasses import dataclass
+
+import numpy as np
+
+from robot_agent.model import Model, State
+from wire.experiment import Estimator as EstimatorConfig
+from wire.frames import Array, wrap
+
+Wrench = tuple[float, float, float]
+
+NS = 1_000_000_000
+COAST_NS = NS  # prediction alone is no estimate any more: the agent has been neutral for half of it
+LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
+GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
+GATE_PATIENCE = 5  # poses that contradict the estimate in a row before they are believed
+SENSED_KEPT = 16  # board samples, one per step: reaches back 0.8 s
 
 
 @dataclass(frozen=True)
@@ -21,3 +44,165 @@ class Measurement:
     depth_m: float | None = None  # of the robot's centre, from the pressure sensor
     yaw_rate_radps: float | None = None  # gyroscope
     board_ns: int | None = None  # instant of depth and yaw rate; None: now
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What is known of the robot. `nu` and `disturbance` are in the body frame."""
+
+    eta: Array  # (4,) now; yaw continuous, not wrapped
+    nu: Array  # (4,) now
+    disturbance: Array  # (4,) acceleration that the nominal model does not explain
+    action: State  # when a command given now begins to act
+    pose_age_s: float
+
+
+class Estimator:
+    """One robot's observer. `update` once per control step, then `applied` with the wrench that was sent."""
+
+    def __init__(self, model: Model, config: EstimatorConfig, dead_time_s: float) -> None:
+        self._model, self._config = model, config
+        self._dead_ns = round(dead_time_s * NS)
+        self._inputs: deque[tuple[int, Wrench]] = deque()  # (instant from which it acts, wrench), oldest first
+        self._sensed: deque[tuple[int, float | None, float | None]] = deque(maxlen=SENSED_KEPT)
+        self._state: State | None = None  # at the exposure _at_ns
+        self._disturbance = [0.0, 0.0, 0.0, 0.0]
+        self._at_ns = 0
+        self._contradictions = 0
+
+    def applied(self, wrench: Wrench, now_ns: int) -> None:
+        """Take note of the wrench sent out now. It acts after the thrusters' dead time."""
+        self._inputs.append((now_ns + self._dead_ns, wrench))
+
+    def update(self, measurement: Measurement, now_ns: int) -> Estimate | None:
+        """Take in what is new; None before the first pose and after coasting for too long."""
+        self._note_board(measurement, now_ns)
+        pose = measurement.pose
+        if pose is not None and _finite(pose.x_m, pose.y_m, pose.yaw_rad) and pose.stamp_ns <= now_ns:
+            self._see(pose, now_ns)
+        if self._state is None or now_ns - self._at_ns > COAST_NS:
+            self._state = None
+            return None
+        self._forget_inputs()
+        now = self._propagate(self._state, self._at_ns, now_ns)
+        action = self._propagate(now, now_ns, now_ns + self._dead_ns)
+        return Estimate(
+            np.array(now[:4]), np.array(now[4:8]), np.array(self._disturbance), action, (now_ns - self._at_ns) / NS
+        )
+
+    def _note_board(self, measurement: Measurement, now_ns: int) -> None:
+        at_ns = now_ns if measurement.board_ns is None else measurement.board_ns
+        if at_ns > now_ns or (self._sensed and at_ns <= self._sensed[-1][0]):
+            return
+        depth, rate = measurement.depth_m, measurement.yaw_rate_radps
+        depth = depth if depth is not None and _finite(depth) else None
+        rate = rate if self._config.use_imu_yaw_rate and rate is not None and _finite(rate) else None
+        if depth is not None or rate is not None:
+            self._sensed.append((at_ns, depth, rate))
+
+    def _see(self, pose: Sighting, now_ns: int) -> None:
+        if self._state is None:
+            if now_ns - pose.stamp_ns <= COAST_NS:
+                self._begin(pose)
+            return
+        if pose.stamp_ns <= self._at_ns:
+            return  # seen before, or overtaken by a newer one
+        predicted = self._propagate(self._state, self._at_ns, pose.stamp_ns)
+        error = (pose.x_m - predicted[0], pose.y_m - predicted[1], wrap(pose.yaw_rad - predicted[3]))
+        if math.hypot(error[0], error[1]) > GATE_M or abs(error[2]) > GATE_RAD:
+            self._contradictions += 1
+            if self._contradictions >= GATE_PATIENCE:
+                self._begin(pose)
+            return
+        self._contradictions = 0
+        elapsed_s = (pose.stamp_ns - self._at_ns) / NS
+        self._state, self._at_ns = self._correct(predicted, error, pose.stamp_ns, elapsed_s), pose.stamp_ns
+
+    def _begin(self, pose: Sighting) -> None:
+        depth = self._at(1, pose.stamp_ns)
+        thrust = self._state[8:11] if self._state is not None else (0.0, 0.0, 0.0)
+        z = depth if depth is not None else self._state[2] if self._state is not None else 0.0
+        self._state = (pose.x_m, pose.y_m, z, pose.yaw_rad, 0.0, 0.0, 0.0, 0.0, *thrust)
+        self._disturbance = [0.0, 0.0, 0.0, 0.0]
+        self._at_ns, self._contradictions = pose.stamp_ns, 0
+
+    def _correct(self, state: State, error: tuple[float, float, float], at_ns: int, elapsed_s: float) -> State:
+        """(31) for pool axes x, y, z and yaw; velocities and disturbances are corrected in the body frame by J^T."""
+        x, y, z, yaw, u, v, w, r, *thrust = state
+        extra, config = self._disturbance, self._config
+        pose, velocity, unknown = gains(config.bandwidth_radps, elapsed_s)
+        if not config.enabled:
+            unknown = 0.0
+        c, s = math.cos(yaw), math.sin(yaw)
+        ahead, aside = c * error[0] + s * error[1], -s * error[0] + c * error[1]
+        x, y = x + pose * error[0], y + pose * error[1]
+        u, extra[0] = u + velocity * ahead, extra[0] + unknown * ahead
+        if config.sway:
+            v, extra[1] = v + velocity * aside, extra[1] + unknown * aside
+        depth = self._at(1, at_ns)
+        if depth is not None:
+            z, w, extra[2] = z + pose * (depth - z), w + velocity * (depth - z), extra[2] + unknown * (depth - z)
+        rate = self._at(2, at_ns)
+        if rate is None:
+            pose, velocity, unknown = gains(config.yaw_bandwidth_radps, elapsed_s)
+            r, slip = r + velocity * error[2], unknown * error[2]
+        else:
+            # The gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad.
+            pose, velocity, unknown = gains_with_rate(config.yaw_bandwidth_radps, elapsed_s)
+            r, slip = r + velocity * (rate - r), unknown * (rate - r)
+        extra[3] += slip if config.enabled else 0.0
+        return (x, y, z, yaw + pose * error[2], u, v, w, r, *thrust)
+
+    def _at(self, column: int, at_ns: int) -> float | None:
+        """Depth (1) or yaw rate (2) at an instant, interpolated between board samples, held at the ends."""
+        later: tuple[int, float] | None = None
+        for sample in reversed(self._sensed):
+            value = sample[column]
+            if value is None:
+                continue
+            if sample[0] <= at_ns:
+                if later is None:
+                    return value if at_ns - sample[0] <= COAST_NS else None
+                return value + (later[1] - value) * (at_ns - sample[0]) / (later[0] - sample[0])
+            later = (sample[0], value)
+        return later[1] if later is not None else None
+
+    def _forget_inputs(self) -> None:
+        while len(self._inputs) > 1 and self._inputs[1][0] <= self._at_ns:
+            self._inputs.popleft()
+
+    def _propagate(self, state: State, from_ns: int, to_ns: int) -> State:
+        """Predict with the inputs that act in between, no correction."""
+        wrench: Wrench = (0.0, 0.0, 0.0)
+        for acts_ns, following in self._inputs:
+            if acts_ns >= to_ns:
+                break
+            if acts_ns > from_ns:
+                state = self._steps(state, wrench, acts_ns - from_ns)
+                from_ns = acts_ns
+            wrench = following
+        return self._steps(state, wrench, to_ns - from_ns)
+
+    def _steps(self, state: State, wrench: Wrench, duration_ns: int) -> State:
+        count = -(-duration_ns // LONGEST_STEP_NS)
+        for _ in range(count):
+            state = self._model.advance(state, self._disturbance, wrench, duration_ns / count / NS)
+        return state
+
+
+def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """Innovation gains for pose, velocity, disturbance: all three observer poles at exp(-w dt)."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
+
+
+def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
+    """The same where velocity is measured too: pose by the pose's error; velocity and disturbance by the velocity's."""
+    beta = math.exp(-bandwidth_radps * step_s)
+    rest = 1.0 - beta
+    return rest, 1.0 - beta * beta, rest * rest / step_s
+
+
+def _finite(*values: float) -> bool:
+    return all(math.isfinite(value) for value in values)

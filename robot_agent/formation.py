@@ -1,8 +1,20 @@
 """The other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36)."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from wire.experiment import Mpc as MpcConfig
+from wire.experiment import Safety
+from wire.frames import Array, wrap_angle
 from wire.messages import Plan
+
+NS = 1e9
+NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the plane, without those it cannot run into first
+NODES = 5  # of the horizon that keep their distance from each
+SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal: the two robots see each other's figure a step late
 
 
 @dataclass(frozen=True, eq=False)
@@ -14,3 +26,127 @@ class Neighbour:
     plan: Plan
     fresh: bool
     formation: bool = True  # False: only stay clear of it
+
+
+@dataclass(frozen=True)
+class Rank:
+    """What the article ranks robots by (section 3.3): urgent task, small tracking error, hears others. Higher goes first."""
+
+    urgent: bool
+    tracking_error_m: float
+    heard: int
+
+    def above(self, other: "Rank") -> bool:
+        """True if the other must yield to this one."""
+        if self.urgent != other.urgent:
+            return self.urgent
+        if abs(self.tracking_error_m - other.tracking_error_m) > SAME_ERROR_M:
+            return self.tracking_error_m < other.tracking_error_m
+        return (self.heard > 0) > (other.heard > 0)
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpaces:
+    """normal[i] . position(node[i]) >= offset[i] - slack, the first `count` of `NEAREST * NODES` rows. Nodes from 1."""
+
+    count: int
+    node: Array  # (rows,) int
+    normal: Array  # (rows, 3)
+    offset: Array  # (rows,)
+
+
+@dataclass(frozen=True, eq=False)
+class Company:
+    """The neighbours as the controller needs them."""
+
+    pull: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref): added to Q eta_ref it is the weighted reference
+    weight: Array  # (4,) sum of Q_ij
+    positions: Array  # (others, horizon + 1, 3) predicted
+    distance_m: Array  # (others,) that must be kept
+    heard: int
+
+
+class Formation:
+    """Workspaces for one robot."""
+
+    def __init__(self, config: MpcConfig, safety: Safety, period_s: float) -> None:
+        self._weight = np.array(config.q_formation)
+        self._safety, self._horizon = safety, config.horizon
+        self._offsets_s = period_s * np.arange(config.horizon + 1)
+        self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
+        rows = NEAREST * len(self._nodes)
+        self.rows = rows
+
+    def company(self, neighbours: Sequence[Neighbour], own: Rank, now_ns: int, action_ns: int) -> Company:
+        """Neighbours' predictions on our horizon, whose node 0 is at `action_ns`."""
+        pull, weight = np.zeros((self._horizon + 1, 4)), np.zeros(4)
+        positions, distances, heard = [], [], 0
+        for neighbour in neighbours:
+            if not _sound(neighbour):
+                continue
+            eta, deviation = self._sample(neighbour, action_ns)
+            if neighbour.fresh:
+                heard += 1
+                if neighbour.formation:
+                    pull += self._weight * deviation
+                    weight += self._weight
+            distance = self._distance(neighbour, own, now_ns)
+            if distance is not None:
+                positions.append(eta[:, :3])
+                distances.append(distance)
+        stacked = np.array(positions) if positions else np.zeros((0, self._horizon + 1, 3))
+        return Company(pull, weight, stacked, np.array(distances), heard)
+
+    def _sample(self, neighbour: Neighbour, action_ns: int) -> tuple[Array, Array]:
+        """Its predicted pose and its deviation from its reference at our nodes; beyond its plan's end, the end."""
+        plan = neighbour.plan
+        last = len(plan.eta) - 1
+        place = np.clip(((action_ns - neighbour.stamp_ns) / NS + self._offsets_s) / plan.period_s, 0.0, last)
+        low = np.minimum(place.astype(np.intp), max(last - 1, 0))
+        share = (place - low)[:, None]
+        high = np.minimum(low + 1, last)
+        eta = plan.eta[low] * (1.0 - share) + plan.eta[high] * share
+        reference = plan.eta_reference[low] * (1.0 - share) + plan.eta_reference[high] * share
+        deviation = eta - reference
+        deviation[:, 3] = wrap_angle(deviation[:, 3])
+        return eta, deviation
+
+    def _distance(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
+        """How far to stay away, or None if that robot yields. Nobody yields to what cannot be heard."""
+        keep = 2.0 * self._safety.radius_m
+        if neighbour.fresh:
+            plan = neighbour.plan
+            return None if own.above(Rank(plan.urgent, plan.tracking_error_m, plan.heard)) else keep
+        silent_s = max(0.0, (now_ns - neighbour.stamp_ns) / NS)
+        return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
+
+    def half_spaces(self, company: Company, own: Array) -> HalfSpaces:
+        """Half-spaces across the lines between predicted positions, where `own` (horizon + 1, 3) comes close (A6)."""
+        rows = HalfSpaces(0, np.ones(self.rows, np.intp), np.zeros((self.rows, 3)), np.zeros(self.rows))
+        if len(company.positions) == 0:
+            return rows
+        apart = own[self._nodes] - company.positions[:, self._nodes]  # (others, nodes, 3)
+        distance = np.sqrt((apart * apart).sum(axis=2))
+        near = np.flatnonzero((distance < (company.distance_m + self._safety.margin_m)[:, None]).any(axis=1))
+        nearest = near[np.argsort(distance[near].min(axis=1), kind="stable")][:NEAREST]
+        if len(nearest) == 0:
+            return rows
+        count = len(nearest) * len(self._nodes)
+        away = apart[nearest] / np.maximum(distance[nearest], 1e-6)[:, :, None]
+        away[distance[nearest] < 1e-6] = (1.0, 0.0, 0.0)  # on top of one another: any direction out
+        rows.node[:count] = np.tile(self._nodes, len(nearest))
+        rows.normal[:count] = away.reshape(-1, 3)
+        there = (away * company.positions[nearest][:, self._nodes]).sum(axis=2)
+        rows.offset[:count] = (there + company.distance_m[nearest, None]).ravel()
+        return HalfSpaces(count, rows.node, rows.normal, rows.offset)
+
+
+def _sound(neighbour: Neighbour) -> bool:
+    """A plan that can be used: of a known length, and numbers throughout."""
+    plan = neighbour.plan
+    return (
+        len(plan.eta) > 0
+        and plan.eta.shape == plan.eta_reference.shape
+        and plan.period_s > 0.0
+        and math.isfinite(plan.tracking_error_m + plan.period_s + float(plan.eta.sum()) + float(plan.eta_reference.sum()))
+    )

@@ -1,6 +1,18 @@
-"""What the robot should do next: the goal's path over the horizon, and the heading that makes it possible."""
+"""What the robot should do next: the goal's path over the horizon, and the heading that makes it possible.
+
+The robot has no side force: its heading IS the direction in which it can push, as for a quadrotor. So the reference heading
+follows the force that the path asks for in the pool frame,
+
+    F = M (a_ref + kp e_position + kd e_velocity - Gamma) + drag(V_ref),
+
+which holds the crab angle of a slow turn, leans into a current and steers back to the path. A heading that points the
+other way will do as well: thrust reverses. (The article keeps the path's tangent, and never corrects a lateral error at
+walking pace: 0.33 m on its own circle.)
+"""
 
 from dataclasses import dataclass
+
+import numpy as np
 
 from wire.frames import Array
 from wire.messages import Trajectory
@@ -22,3 +34,43 @@ class Hold:
 
 
 Goal = Follow | Hold
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The goal at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
+
+    eta: Array  # (horizon + 2, 4)
+    velocity: Array  # (horizon + 2, 4)
+    acceleration: Array  # (horizon + 2, 4)
+
+
+class Sampler:
+    """Samples goals at now and at `offsets_s` (nodes) later."""
+
+    def __init__(self, offsets_s: Array) -> None:
+        self._offsets_s = np.concatenate([[0.0], offsets_s])
+        self._known: Trajectory | None = None
+        self._table = np.zeros((0, 12))
+
+    def path(self, goal: Goal) -> Path:
+        """The goal over the horizon."""
+        count = len(self._offsets_s)
+        if isinstance(goal, Hold):
+            return Path(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
+        rows = self._sample(goal.trajectory, goal.time_s + self._offsets_s)
+        return Path(rows[:, :4], rows[:, 4:8], rows[:, 8:])
+
+    def _sample(self, trajectory: Trajectory, time_s: Array) -> Array:
+        """Linear interpolation; before the start and after the end the first and last pose, at rest."""
+        if trajectory is not self._known:
+            self._table = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
+            self._known = trajectory
+        last = len(self._table) - 1
+        place = time_s / trajectory.period_s
+        inside = np.clip(place, 0.0, last)
+        low = np.minimum(inside.astype(np.intp), max(last - 1, 0))
+        share = (inside - low)[:, None]
+        rows = self._table[low] * (1.0 - share) + self._table[np.minimum(low + 1, last)] * share
+        rows[:, 4:] *= ((place >= 0.0) & (place <= last))[:, None]
+        return rows

@@ -1,0 +1,171 @@
+"""Model predictive control (33-40), condensed: a quadratic program over move-blocked changes of the wrench.
+
+Unknowns, channel by channel, planar ones first: surge blocks, yaw blocks, heave blocks as differences to the wrench that acts
+now, and one slack in metres. Cost (35) halved: ||eta - reference||^2_W over the nodes, ||change between blocks||^2_R, slack.
+Rows: bounds (39) on every block, bounds (40) on every change, half-spaces that keep other robots away (36).
+
+Each plan is the trajectory the next step linearises along (`linearise = "trajectory"`), so that one solve per control step
+suffices; `"point"` is the article's single working point.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_agent.formation import HalfSpaces
+from robot_agent.model import Model, State
+from robot_agent.prediction import Prediction
+from robot_agent.qp import NO_BOUND, make_solver
+from wire.experiment import Mpc as MpcConfig
+from wire.frames import Array
+from wire.messages import Solve
+from wire.vehicle import Vehicle
+
+CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave
+RIDGE = 1e-9  # relative: keeps the problem strictly convex when every weight of a channel is zero
+MAX_SHIFTED = 3  # control steps that the last good plan may bridge (failures.md)
+
+
+@dataclass(frozen=True, eq=False)
+class MpcPlan:
+    """What to do now, and what is expected of it."""
+
+    wrench: Array  # (3,)
+    eta: Array  # (horizon + 1, 4) predicted, node 0 is the start
+    solve: Solve
+    iterations: int
+    slack_m: float
+
+
+class Mpc:
+    """Workspaces and memory of one robot's controller."""
+
+    def __init__(self, vehicle: Vehicle, model: Model, config: MpcConfig, period_s: float, rows: int) -> None:
+        self._config, self._n, self._h = config, len(config.blocks), config.horizon
+        self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step)
+        self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
+        self._planned = np.zeros((MAX_SHIFTED + 1, 3))  # wrenches of the last good plan, step by step
+        self._shifted = MAX_SHIFTED
+        self._fresh = True
+        n = self._n
+        size, fixed = 3 * n + 1, 6 * n
+        self._p, self._q = np.zeros((size, size)), np.zeros(size)
+        self._a = np.zeros((fixed + rows, size))
+        self._lower, self._upper = np.full(fixed + rows, -NO_BOUND), np.full(fixed + rows, NO_BOUND)
+        self._stack = np.zeros((2 * n + 1, 3, self._h))
+        difference = np.eye(n) - np.eye(n, k=-1)
+        self._rates = np.zeros((size, size))
+        for i, channel in enumerate(CHANNELS):
+            block = slice(i * n, (i + 1) * n)
+            self._rates[block, block] = config.r[channel] * difference.T @ difference
+            self._a[block, block] = np.eye(n)
+            self._a[3 * n + i * n : 3 * n + (i + 1) * n, block] = difference
+            self._upper[3 * n + i * n : 3 * n + (i + 1) * n] = self._step_limit[channel]
+            self._lower[3 * n + i * n : 3 * n + (i + 1) * n] = -self._step_limit[channel]
+        self._rates[-1, -1] = config.slack
+        self._a[fixed:, -1] = 1.0
+        self._solver = self._build_solver(rows)
+
+    def _build_solver(self, rows: int):  # type: ignore[no-untyped-def]
+        n, size = self._n, 3 * self._n + 1
+        p_mask = np.zeros((size, size), dtype=bool)
+        p_mask[: 2 * n, : 2 * n] = True
+        p_mask[2 * n : 3 * n, 2 * n : 3 * n] = True
+        p_mask[-1, -1] = True
+        a_mask = self._a != 0.0
+        a_mask[6 * n :, :] = True
+        scale = np.append(np.repeat(self._step_limit[list(CHANNELS)], n), 0.01)
+        row_scale = np.concatenate([np.tile(1.0 / scale[:-1], 2), np.full(rows, 100.0)])
+        return make_solver(self._config.solver, p_mask, a_mask, scale, row_scale, 1e2)
+
+    def reset(self) -> None:
+        """Forget the last plan."""
+        self._fresh, self._shifted = True, MAX_SHIFTED
+
+    @property
+    def predicted(self) -> Array:
+        """(horizon + 1, 4) poses of the last plan, moved on by one step: where to look for robots in the way."""
+        return self._prediction.nominal[:4].T
+
+    def plan(
+        self, state: State, disturbance: Array, wrench: Array, reference: Array, weight: Array, keep_clear: HalfSpaces
+    ) -> MpcPlan:
+        """One solve. `reference` (horizon + 1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last."""
+        if self._fresh or self._config.linearise == "point":
+            self._prediction.restart(state)
+            self._fresh = False
+        self._prediction.linearise(state, wrench, disturbance)
+        self._objective(reference, weight)
+        self._constraints(wrench, keep_clear)
+        solution = self._solver.solve(self._p, self._q, self._a, self._lower, self._upper)
+        n = self._n
+        if not solution.solved:
+            return self._fall_back(wrench, solution.iterations)
+        x = solution.x
+        self._prediction.follow(x[: 2 * n], x[2 * n : 3 * n])
+        self._remember(wrench, x)
+        eta = self._prediction.nominal[:4].T.copy()
+        self._prediction.shift()
+        return MpcPlan(self._planned[0].copy(), eta, Solve.SOLVED, solution.iterations, max(0.0, float(x[-1])))
+
+    def _objective(self, reference: Array, weight: Array) -> None:
+        """P and q as one Gram matrix: unit responses, and the free response's error as one more column."""
+        n, prediction, stack = self._n, self._prediction, self._stack
+        root = np.sqrt(weight)
+        np.multiply(prediction.planar, root[[0, 1, 3], None], out=stack)
+        stack[-1] -= root[[0, 1, 3], None] * reference[1:, [0, 1, 3]].T
+        flat = stack.reshape(2 * n + 1, -1)
+        gram = flat @ flat.T
+        np.copyto(self._p, self._rates)
+        self._p[: 2 * n, : 2 * n] += gram[:-1, :-1]
+        self._q[: 2 * n] = gram[:-1, -1]
+        heave = prediction.heave
+        error = heave[-1] - reference[1:, 2]
+        self._p[2 * n : 3 * n, 2 * n : 3 * n] += weight[2] * (heave[:-1] @ heave[:-1].T)
+        self._q[2 * n : 3 * n] = weight[2] * (heave[:-1] @ error)
+        diagonal = np.einsum("ii->i", self._p)
+        diagonal += RIDGE * float(diagonal.max())
+
+    def _constraints(self, wrench: Array, keep_clear: HalfSpaces) -> None:
+        n = self._n
+        for i, channel in enumerate(CHANNELS):
+            rows = slice(i * n, (i + 1) * n)
+            self._upper[rows] = self._limit[channel] - wrench[channel]
+            self._lower[rows] = -self._limit[channel] - wrench[channel]
+        rows, count = slice(6 * n, None), keep_clear.count
+        self._a[rows, : 3 * n] = 0.0
+        self._lower[rows] = -NO_BOUND
+        if count == 0:
+            return
+        at, normal = keep_clear.node[:count] - 1, keep_clear.normal[:count]
+        planar, heave = self._prediction.planar[:, :2, at], self._prediction.heave[:, at]
+        move = np.einsum("iak,ka->ki", planar, normal[:, :2])
+        climb = (heave * normal[:, 2]).T
+        self._a[6 * n : 6 * n + count, : 2 * n] = move[:, :-1]
+        self._a[6 * n : 6 * n + count, 2 * n : 3 * n] = climb[:, :-1]
+        self._lower[6 * n : 6 * n + count] = keep_clear.offset[:count] - move[:, -1] - climb[:, -1]
+
+    def _remember(self, wrench: Array, x: Array) -> None:
+        """The first wrenches of the plan, exactly within the limits (the solver is right to 1e-4)."""
+        n, before, block = self._n, wrench, -1
+        starts = np.cumsum((0, *self._config.blocks))
+        for step in range(len(self._planned)):
+            block = min(int(np.searchsorted(starts, step, side="right")) - 1, n - 1)
+            asked = wrench + x[[block, 2 * n + block, n + block]]
+            before = self._within(asked, before)
+            self._planned[step] = before
+        self._shifted = 0
+
+    def _within(self, asked: Array, before: Array) -> Array:
+        stepped = np.clip(asked, before - self._step_limit, before + self._step_limit)
+        return np.clip(stepped, -self._limit, self._limit)
+
+    def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
+        """The last good plan, moved on by a step; nothing once it is used up."""
+        eta = self._prediction.nominal[:4].T.copy()
+        if self._shifted >= MAX_SHIFTED:
+            self.reset()
+            return MpcPlan(np.zeros(3), eta, Solve.FAILED, iterations, 0.0)
+        self._shifted += 1
+        self._prediction.shift()
+        return MpcPlan(self._within(self._planned[self._shifted], wrench), eta, Solve.SHIFTED, iterations, 0.0)

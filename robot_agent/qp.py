@@ -1,0 +1,150 @@
+"""Quadratic programs of one fixed size, solved over and over: min 1/2 x'Px + q'x with lower <= Ax <= upper.
+
+Both backends take dense arrays and own all bookkeeping. They are built once; a solve changes numbers, never structure, and
+starts from the last solution. Whatever comes in is checked first, because OSQP does not (all reproduced with 1.1): bounds
+that cross and vectors of a wrong size are printed and dropped, the old ones stay; a strided vector is misread; one NaN
+spoils every later solve; `update(Px=)` overwrites the caller's array; an infeasible problem returns a finite x of 2e9.
+"""
+
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import daqp
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+from wire.frames import Array
+
+Mask = NDArray[np.bool_]
+
+MAX_ITERATIONS = 100
+NO_BOUND = 1e30  # what both solvers take for infinity
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """`x` is meaningful only if `solved`."""
+
+    x: Array
+    solved: bool
+    iterations: int
+
+
+class Solver(Protocol):
+    """A backend."""
+
+    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
+        """Solve for p (n, n) symmetric, q (n,), a (m, n), bounds (m,); 1e30 and beyond is no bound."""
+
+
+def usable(p: Array, q: Array, a: Array, lower: Array, upper: Array) -> bool:
+    """True if every number is one and no bounds cross."""
+    total = float(p.sum()) + float(q.sum()) + float(a.sum()) + float(lower.sum()) + float(upper.sum())
+    return bool(np.isfinite(total) and (lower <= upper).all())
+
+
+class OsqpSolver:
+    """OSQP with a sparsity pattern frozen at the start: entries outside the masks must stay zero.
+
+    `scale` (n,) are typical sizes of the unknowns and `cost` of the objective: the solver sees numbers near one and does no
+    scaling of its own, which would cost more than the solve and change from step to step.
+    """
+
+    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, cost: float) -> None:
+        self._shape = a_mask.shape
+        n = self._shape[1]
+        upper = np.triu(p_mask) | np.eye(n, dtype=bool)
+        self._p_entries = _by_columns(upper)
+        self._a_entries = _by_columns(a_mask)
+        self._scale, self._row_scale, self._cost = scale.copy(), row_scale.copy(), cost
+        self._p_scale = (scale[:, None] * scale)[self._p_entries] * cost
+        self._a_scale = (row_scale[:, None] * scale)[self._a_entries]
+        self._q_scale = scale * cost
+        self._solver = osqp.OSQP()
+        rows = self._shape[0]
+        self._solver.setup(
+            sparse.csc_matrix(upper.astype(float)),
+            np.zeros(n),
+            sparse.csc_matrix(a_mask.astype(float)),
+            np.full(rows, -NO_BOUND),
+            np.full(rows, NO_BOUND),
+            verbose=False,
+            scaling=0,
+            rho=0.1,
+            adaptive_rho=1,  # by iterations; the timed variant would make a run depend on the machine
+            adaptive_rho_interval=25,
+            eps_abs=1e-4,
+            eps_rel=1e-4,
+            check_termination=5,
+            max_iter=MAX_ITERATIONS,
+            polishing=False,
+            warm_starting=True,
+            time_limit=1e10,
+        )
+        self._p_values, self._a_values = np.empty(len(self._p_scale)), np.empty(len(self._a_scale))
+
+    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
+        """See `Solver`."""
+        if not usable(p, q, a, lower, upper):
+            return Solution(np.zeros(len(q)), False, 0)
+        np.multiply(p[self._p_entries], self._p_scale, out=self._p_values)
+        np.multiply(a[self._a_entries], self._a_scale, out=self._a_values)
+        self._solver.update(
+            Px=self._p_values,
+            Ax=self._a_values,
+            q=q * self._q_scale,
+            l=np.maximum(lower * self._row_scale, -NO_BOUND),
+            u=np.minimum(upper * self._row_scale, NO_BOUND),
+        )
+        result = self._solver.solve(raise_error=False)
+        solved = result.info.status_val in (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
+        x = np.array(result.x)
+        if not (solved and np.isfinite(x).all()):
+            self._solver.warm_start(x=np.zeros(len(q)), y=np.zeros(len(lower)))
+            return Solution(np.zeros(len(q)), False, int(result.info.iter))
+        return Solution(x * self._scale, True, int(result.info.iter))
+
+
+class DaqpSolver:
+    """DAQP: dual active set, exact, with a short tail. For small problems."""
+
+    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, cost: float) -> None:
+        self._scale, self._row_scale, self._cost = scale.copy(), row_scale.copy(), cost
+        self._sense = np.zeros(a_mask.shape[0], dtype=np.int32)
+
+    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
+        """See `Solver`."""
+        if not usable(p, q, a, lower, upper):
+            return Solution(np.zeros(len(q)), False, 0)
+        scale, rows = self._scale, self._row_scale
+        x, _, status, info = daqp.solve(
+            np.ascontiguousarray(p * (scale[:, None] * scale) * self._cost),
+            q * scale * self._cost,
+            np.ascontiguousarray(a * (rows[:, None] * scale)),
+            np.minimum(upper * rows, NO_BOUND),
+            np.maximum(lower * rows, -NO_BOUND),
+            self._sense,
+        )
+        x = np.asarray(x) * scale
+        return Solution(x, bool(status > 0 and np.isfinite(x).all()), int(info["iterations"]))
+
+
+def make_solver(
+    name: Literal["osqp", "daqp"],
+    p_mask: Mask,
+    a_mask: Mask,
+    scale: Array,
+    row_scale: Array,
+    cost: float,
+) -> Solver:
+    """The backend of that name for problems with entries in these masks only, (n, n) and (m, n)."""
+    backend = OsqpSolver if name == "osqp" else DaqpSolver
+    return backend(p_mask, a_mask, scale, row_scale, cost)
+
+
+def _by_columns(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Indices (rows, columns) of the entries in compressed-sparse-column order."""
+    columns, rows = np.nonzero(mask.T)
+    return rows, columns
