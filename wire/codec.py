@@ -88,11 +88,17 @@ def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any]], ...]:
     return tuple((f.name, _reader(hints[f.name], f.metadata)) for f in dataclasses.fields(cls))
 
 
+@cache
+def _growing(cls: Any) -> tuple[str, ...]:
+    """Names of the arrays of any length."""
+    return tuple(f.name for f in dataclasses.fields(cls) if -1 in f.metadata.get("shape", ()))
+
+
 def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
     if "shape" in metadata:
         return lambda value, name: _read_array(value, name, metadata["shape"])
     if hint is float:
-        return _read_float
+        return _read_positive if metadata.get("positive") else _read_float
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return lambda value, name: _read_enum(value, name, hint)
     if get_origin(hint) is tuple:
@@ -114,6 +120,12 @@ def _optional_message(hint: Any) -> type | None:
 def _read_float(value: float, name: str) -> float:
     if not math.isfinite(value) or abs(value) > LARGEST:
         raise _Invalid(name, f"{value} is not a finite number below {LARGEST:g}")
+    return value
+
+
+def _read_positive(value: float, name: str) -> float:
+    if _read_float(value, name) <= 0.0:
+        raise _Invalid(name, f"{value} is not more than 0")
     return value
 
 
@@ -142,6 +154,10 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
             values[name] = None
             continue
         values[name] = read(getattr(message, name), prefix + name)
+    first, *others = _growing(cast(Any, cls)) or ("",)
+    for name in others:
+        if len(values[name]) != len(values[first]):
+            raise _Invalid(prefix + name, f"{len(values[name])} rows, but {first} has {len(values[first])}")
     return cls(**values)
 
 
@@ -178,7 +194,7 @@ def _frame_to_protobuf(frame: Frame, stamp_ns: int) -> ProtobufMessage:
 
 def _frame_from_protobuf(image: Any) -> Frame:
     if image.encoding != "bayer_rggb8":
-        raise _Invalid("encoding", f"{image.encoding!r} is not allowed (allowed: bayer_rggb8)")
+        raise _Invalid("encoding", f"{image.encoding[:20]!r} is not allowed (allowed: bayer_rggb8)")
     if not (0 < image.width <= 16384 and 0 < image.height <= 16384 and image.step == image.width):
         raise _Invalid("step", f"{image.width} x {image.height} with step {image.step} is no packed picture")
     if len(image.data) != image.step * image.height:
@@ -194,7 +210,7 @@ def _preview_to_protobuf(preview: Preview, stamp_ns: int) -> ProtobufMessage:
 
 def _preview_from_protobuf(image: Any) -> Preview:
     if image.format != "jpeg":
-        raise _Invalid("format", f"{image.format!r} is not allowed (allowed: jpeg)")
+        raise _Invalid("format", f"{image.format[:20]!r} is not allowed (allowed: jpeg)")
     return Preview(image.data)
 
 
@@ -206,6 +222,8 @@ def _event_to_protobuf(event: Event, stamp_ns: int) -> ProtobufMessage:
 
 
 def _event_from_protobuf(log: Any) -> Event:
+    if not 1 <= log.level <= 5:
+        raise _Invalid("level", f"{log.level} is not allowed (allowed: 1 to 5)")
     return Event(level=log.level, source=log.name, message=log.message)
 
 

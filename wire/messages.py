@@ -1,7 +1,8 @@
 """Every message of the fleet as a frozen dataclass. The wire form is wire/fleet.proto; wire/codec.py maps the two by name.
 
 `eta` is a pose [x_m, y_m, z_m, yaw_rad] in the pool frame, `nu` a velocity [surge, sway, heave m/s, yaw rad/s] in the body
-frame, a wrench [surge N, heave N, yaw N m]; see wire/frames.py. Array fields state their shape; -1 is any length.
+frame, a wrench [surge N, heave N, yaw N m]; see wire/frames.py. Array fields state their shape; -1 is any length, but one
+length for all of a message.
 """
 
 from dataclasses import dataclass, field
@@ -18,6 +19,9 @@ def array(*shape: int) -> Any:
     """An array field: float64, finite, of this shape. Empty by default."""
     empty = tuple(0 if n == -1 else n for n in shape)
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape})
+
+
+POSITIVE = {"positive": True}  # metadata of a float that others divide by
 
 
 class Track(IntEnum):
@@ -125,7 +129,7 @@ class LocalizerStatus:
 class Plan:
     """Where a robot expects to be: node s at the header's stamp + s * period_s; node 0 is the estimate."""
 
-    period_s: float
+    period_s: float = field(metadata=POSITIVE)
     eta: Array = array(-1, 4)
     eta_reference: Array = array(-1, 4)
     tracking_error_m: float = 0.0
@@ -182,7 +186,7 @@ class Trajectory:
     """One robot's reference, sampled every period_s from its start. Yaw is the path's tangent, unwrapped."""
 
     id: str
-    period_s: float
+    period_s: float = field(metadata=POSITIVE)
     eta: Array = array(-1, 4)
     velocity: Array = array(-1, 4)  # d eta / dt, pool frame
     acceleration: Array = array(-1, 4)  # d2 eta / dt2, pool frame

@@ -1,0 +1,322 @@
+"""Bytes to messages and back: nothing is lost, and nothing that is not a message gets through."""
+
+import contextlib
+import dataclasses
+import enum
+import math
+from typing import Any, get_type_hints
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.wire.strategies import CLASSES, OWN, example, nested, same, valid
+from wire import codec
+from wire.codec import DecodeError, Header, decode, encode
+from wire.messages import Command, Event, Frame, Order, Plan, Pose, Preview, RobotState, Trajectory
+
+each_class = pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
+
+
+def _decode(cls: Any, data: bytes) -> Any:
+    return decode(cls, data, "session 7", "some/topic")
+
+
+def _refused(cls: Any, data: bytes) -> DecodeError:
+    with pytest.raises(DecodeError) as caught:
+        _decode(cls, data)
+    error = caught.value
+    assert str(error) == f"from session 7, topic some/topic, field {error.field}: {error.reason}"
+    return error
+
+
+# --- round trips
+
+
+@given(st.data())
+@each_class
+def test_what_is_sent_arrives(cls: Any, data: st.DataObject) -> None:
+    message = data.draw(valid(cls))
+    assert same(_decode(cls, encode(message)), message)
+
+
+@each_class
+def test_every_field_is_carried(cls: Any) -> None:
+    """No field of the example is at its default, so a forgotten one would come back different."""
+    message = example(cls)
+    assert same(_decode(cls, encode(message)), message)
+
+
+@given(st.integers(0, 2**63 - 1))
+def test_schemas_with_a_time_of_their_own_carry_the_stamp(stamp_ns: int) -> None:
+    seconds, nanos = divmod(stamp_ns % (2**31 * 10**9), 10**9)
+    for cls in (Frame, Preview, Event):
+        parsed = codec.protobuf_class(cls).FromString(encode(example(cls), seconds * 10**9 + nanos))
+        assert (parsed.timestamp.seconds, parsed.timestamp.nanos) == (seconds, nanos)
+
+
+def test_defaults_survive() -> None:
+    assert same(_decode(RobotState, encode(RobotState())), RobotState())
+    assert same(_decode(Command, encode(Command(Order.ARM, 1))), Command(Order.ARM, 1))
+
+
+# --- every field, spoilt
+
+
+def _fields(wanted: str) -> list[Any]:
+    """(class, dotted field, path to it) of every float, array or enum field, also inside an optional message."""
+    found = []
+
+    def walk(top: Any, cls: Any, path: tuple[str, ...]) -> None:
+        hints = get_type_hints(cls)
+        for field in dataclasses.fields(cls):
+            hint, here = hints[field.name], (*path, field.name)
+            is_enum = isinstance(hint, type) and issubclass(hint, enum.Enum)
+            kind = "array" if "shape" in field.metadata else "float" if hint is float else "enum" if is_enum else ""
+            if kind == wanted:
+                found.append(pytest.param(top, here, id=f"{top.__name__}.{'.'.join(here)}"))
+            elif nested(hint) is not None:
+                walk(top, nested(hint), here)
+
+    for cls in OWN:
+        walk(cls, cls, ())
+    return found
+
+
+def _spoilt(message: Any, path: tuple[str, ...], spoil: Any) -> Any:
+    name, *rest = path
+    old = getattr(message, name)
+    return dataclasses.replace(message, **{name: _spoilt(old, tuple(rest), spoil) if rest else spoil(old)})
+
+
+BAD = (math.nan, math.inf, -math.inf, 1.01 * codec.LARGEST, -1e308)
+
+
+@pytest.mark.parametrize("cls,path", _fields("float"))
+def test_no_float_but_a_finite_one_gets_through(cls: Any, path: tuple[str, ...]) -> None:
+    for bad in BAD:
+        error = _refused(cls, encode(_spoilt(example(cls), path, lambda _, bad=bad: bad)))
+        assert error.field == ".".join(path)
+        assert str(bad) in error.reason
+
+
+@pytest.mark.parametrize("cls,path", _fields("array"))
+def test_no_array_with_a_bad_element_gets_through(cls: Any, path: tuple[str, ...]) -> None:
+    for bad in BAD:
+        for position in (0, -1):
+
+            def spoil(old: Any, bad: float = bad, position: int = position) -> Any:
+                new = old.copy()
+                new.flat[position] = bad
+                return new
+
+            assert _refused(cls, encode(_spoilt(example(cls), path, spoil))).field == ".".join(path)
+
+
+@pytest.mark.parametrize("cls,path", _fields("array"))
+def test_no_array_of_another_size_gets_through(cls: Any, path: tuple[str, ...]) -> None:
+    for size in (1, -1):
+        error = _refused(cls, encode(_spoilt(example(cls), path, lambda old, size=size: np.resize(old, old.size + size))))
+        assert error.field == ".".join(path)
+        assert "shape" in error.reason
+
+
+def test_arrays_of_one_message_have_one_length() -> None:
+    """A reference whose velocities end before its positions would be noticed only when a robot gets there."""
+    rows = np.ones((3, 4))
+    error = _refused(Trajectory, encode(Trajectory("t", 0.05, rows, rows[:2], rows)))
+    assert (error.field, error.reason) == ("velocity", "2 rows, but eta has 3")
+    error = _refused(Command, encode(dataclasses.replace(example(Command), trajectory=Trajectory("t", 0.05, rows, rows))))
+    assert error.field == "trajectory.acceleration"
+
+
+@pytest.mark.parametrize("period_s", [0.0, -0.05, -0.0])
+def test_a_period_is_positive(period_s: float) -> None:
+    assert _refused(Plan, encode(Plan(period_s))).field == "period_s"
+    trajectory = dataclasses.replace(example(Trajectory), period_s=period_s)
+    assert (
+        _refused(Command, encode(dataclasses.replace(example(Command), trajectory=trajectory))).field == "trajectory.period_s"
+    )
+
+
+@pytest.mark.parametrize("cls,path", _fields("enum"))
+def test_no_unknown_choice_gets_through(cls: Any, path: tuple[str, ...]) -> None:
+    for bad in (99, -1):
+        error = _refused(cls, encode(_spoilt(example(cls), path, lambda _, bad=bad: bad)))
+        assert error.field == ".".join(path)
+        assert str(bad) in error.reason and "allowed: 0 " in error.reason
+
+
+@pytest.mark.parametrize("cls", [Pose, Plan, RobotState, Trajectory], ids=lambda cls: cls.__name__)
+def test_an_empty_message_is_not_a_message_of_zeros(cls: Any) -> None:
+    """An empty payload is valid protobuf. Where a pose would become the origin, it must not pass."""
+    _refused(cls, b"")
+
+
+# --- pictures, previews, events
+
+
+def _picture(**changes: Any) -> bytes:
+    image = codec.protobuf_class(Frame).FromString(encode(Frame(np.zeros((4, 6), np.uint8))))
+    for name, value in changes.items():
+        setattr(image, name, value)
+    data: bytes = image.SerializeToString()
+    return data
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"encoding": "rgb8"}, "encoding"),
+        ({"encoding": "x" * 10_000}, "encoding"),
+        ({"width": 5}, "step"),
+        ({"step": 7}, "step"),
+        ({"width": 0, "step": 0}, "step"),
+        ({"width": 2**31, "step": 2**31, "height": 2**31}, "step"),
+        ({"height": 3}, "data"),
+        ({"data": b""}, "data"),
+    ],
+)
+def test_a_picture_must_be_what_it_says(changes: dict[str, Any], field: str) -> None:
+    error = _refused(Frame, _picture(**changes))
+    assert error.field == field
+    assert len(str(error)) < 200
+
+
+def test_a_picture_is_not_copied_and_not_writable() -> None:
+    frame = _decode(Frame, encode(Frame(np.arange(24, dtype=np.uint8).reshape(4, 6))))
+    assert not frame.pixels.flags.writeable
+    assert not frame.pixels.flags.owndata
+
+
+def test_a_preview_is_a_jpeg() -> None:
+    png = codec.protobuf_class(Preview)(format="png", data=b"x").SerializeToString()
+    assert _refused(Preview, png).field == "format"
+
+
+@pytest.mark.parametrize("level", [0, 6, -1])
+def test_an_event_has_a_level_that_viewers_know(level: int) -> None:
+    assert _refused(Event, codec.protobuf_class(Event)(level=level).SerializeToString()).field == "level"
+
+
+# --- anything at all
+
+
+@given(st.binary(max_size=300))
+@each_class
+def test_any_bytes_are_a_message_or_a_decode_error(cls: Any, data: bytes) -> None:
+    with contextlib.suppress(DecodeError):
+        assert isinstance(_decode(cls, data), cls)
+
+
+def _damaged(data: bytes, random: np.random.Generator) -> bytes:
+    """A valid payload with a few bytes changed, cut, doubled or inserted."""
+    damaged = bytearray(data)
+    for _ in range(random.integers(1, 4)):
+        at = int(random.integers(0, len(damaged) + 1))
+        length = int(random.integers(1, 9))
+        match random.integers(0, 4):
+            case 0:
+                damaged[at : at + 1] = random.bytes(1)
+            case 1:
+                del damaged[at : at + length]
+            case 2:
+                damaged[at:at] = damaged[at : at + length]
+            case _:
+                damaged[at:at] = random.bytes(length)
+    return bytes(damaged)
+
+
+def _floats(message: Any) -> list[float]:
+    values: list[float] = []
+    for field in dataclasses.fields(message):
+        value = getattr(message, field.name)
+        if isinstance(value, float):
+            values.append(value)
+        elif isinstance(value, np.ndarray) and value.dtype == np.float64:
+            values.extend(value.ravel().tolist())
+        elif dataclasses.is_dataclass(value):
+            values.extend(_floats(value))
+    return values
+
+
+def _bombard(cls: Any, count: int) -> tuple[int, int]:
+    """Damaged payloads: how many got through and how many were refused. What got through is finite."""
+    random = np.random.default_rng(1)
+    data, passed = encode(example(cls)), 0
+    for _ in range(count):
+        try:
+            message = _decode(cls, _damaged(data, random))
+        except DecodeError:
+            continue
+        passed += 1
+        assert all(abs(value) <= codec.LARGEST for value in _floats(message))
+    return passed, count - passed
+
+
+@each_class
+def test_damaged_messages_are_messages_or_decode_errors(cls: Any) -> None:
+    passed, refused = _bombard(cls, 500)
+    assert passed > 0 and refused > 0
+
+
+@pytest.mark.slow
+@each_class
+def test_a_million_damaged_messages(cls: Any) -> None:
+    passed, refused = _bombard(cls, 1_000_000 // len(CLASSES))
+    assert passed > 0 and refused > 0
+
+
+@each_class
+def test_a_message_of_another_type_is_a_message_or_a_decode_error(cls: Any) -> None:
+    for other in CLASSES:
+        with contextlib.suppress(DecodeError):
+            _decode(cls, encode(example(other)))
+
+
+@each_class
+def test_an_oversized_payload_is_refused_before_it_is_parsed(cls: Any) -> None:
+    limit = codec.MAX_FRAME_BYTES if cls is Frame else codec.MAX_MESSAGE_BYTES
+    assert _refused(cls, bytes(limit + 1)).field == "(size)"
+
+
+def test_deep_nesting_is_refused() -> None:
+    """Groups within groups: what overflows the stack of a naive parser."""
+    _refused(RobotState, b"\x0b" * 100_000)
+
+
+# --- the header
+
+headers = st.builds(
+    Header,
+    session=st.integers(0, 2**64 - 1),
+    sequence=st.integers(0, 2**32 - 1),
+    stamp_ns=st.integers(-(2**63), 2**63 - 1),
+    age_ns=st.integers(0, 2**63 - 1),
+)
+
+
+@given(headers)
+def test_a_header_comes_back(header: Header) -> None:
+    assert Header.decode(header.encode(), "p", "t") == header
+
+
+def test_the_headers_layout_is_fixed() -> None:
+    """Other programs read it too: 28 bytes, little-endian."""
+    expected = "080706050403020109000000feffffffffffffff0300000000000000"
+    assert Header(0x0102030405060708, 9, -2, 3).encode().hex() == expected
+
+
+@given(st.binary(max_size=40))
+def test_any_bytes_are_a_header_or_a_decode_error(data: bytes) -> None:
+    try:
+        assert Header.decode(data, "p", "t").age_ns >= 0
+        assert len(data) == 28
+    except DecodeError as error:
+        assert error.field.startswith("header")
+
+
+def test_an_age_from_the_future_is_refused() -> None:
+    with pytest.raises(DecodeError, match=r"from p, topic t, field header.age_ns: -1 is negative"):
+        Header.decode(Header(1, 1, 0, -1).encode(), "p", "t")
