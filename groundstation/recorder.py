@@ -2,16 +2,18 @@
 log, never the run.
 
     recorder = Recorder(run_dir / "run.mcap", experiment_toml, {"mode": "lockstep", "hash": experiment.hash})
-    bus.subscribe(topic, None, lambda topic, key, header, payload: recorder.put(topic, key, header, payload, time.time_ns()))
+    bus.subscribe(topic, None, lambda topic, key, header, payload: recorder.put(topic, key, header, payload, clock.now_ns()))
     ...
     recorder.close()                    # in a finally
     recover(path)                       # later, if the process was killed
 
-The wire's bytes go in unchanged, with protobuf schemas, so the usual viewers open the file. `log_time` is the arrival on the
-wall clock, `publish_time` the header's stamp. A sender's restart opens a second channel on the same topic: its session is in
-the channel's metadata.
+The wire's bytes go in unchanged, with protobuf schemas, so the usual viewers open the file. `log_time` is the arrival by the
+caller's clock (in lockstep the simulated one), `publish_time` the header's stamp. How fast the run went by the wall clock is
+told by pairs (stamp, monotonic time) in the closing metadata. A sender's restart opens a second channel on the same topic:
+its session is in the channel's metadata.
 """
 
+import json
 import os
 import struct
 import threading
@@ -28,7 +30,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from wire.codec import Header, protobuf_class
-from wire.topics import Topic
+from wire.topics import STATE, Topic
 
 FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
 CHUNK_BYTES = 256 * 1024  # only previews reach it between flushes; several chunks a flush compress as well as one
@@ -84,8 +86,9 @@ class Recorder:
         self._dropped = 0
         self._error = ""
         self._lock = threading.Lock()
-        self._pending: list[tuple[Topic, str, Header, bytes, int]] = []
+        self._pending: list[tuple[Topic, str, Header, bytes, int, int]] = []
         self._pending_bytes = 0
+        self._pace: list[tuple[int, int]] = []  # (stamp, monotonic time of arrival) of one state message per flush
         self._closing = threading.Event()
         self._schemas: dict[type, int] = {}
         self._channels: dict[tuple[str, int], int] = {}
@@ -114,12 +117,12 @@ class Recorder:
         return self._dropped
 
     def put(self, topic: Topic, key: str, header: Header, payload: bytes, log_time_ns: int) -> None:
-        """Record a message that arrived at `log_time_ns` (wall clock). Returns at once; counts what it must drop."""
+        """Record a message that arrived at `log_time_ns`. Returns at once; counts what it must drop."""
         with self._lock:
             if self._error or self._closing.is_set() or self._pending_bytes + len(payload) > MAX_PENDING_BYTES:
                 self._dropped += 1
                 return
-            self._pending.append((topic, key, header, payload, log_time_ns))
+            self._pending.append((topic, key, header, payload, log_time_ns, time.monotonic_ns()))
             self._pending_bytes += len(payload)
 
     def close(self) -> None:
@@ -135,7 +138,7 @@ class Recorder:
                 self._write_pending()
                 self._flush()
             self._write_pending()
-            self._writer.add_metadata(END_METADATA, {"dropped": str(self._dropped), "closed_ns": str(time.time_ns())})
+            self._writer.add_metadata(END_METADATA, {"dropped": str(self._dropped), "pace": json.dumps(self._pace)})
             self._writer.finish()
             self._output.flush()
             self._output.sync()
@@ -151,7 +154,9 @@ class Recorder:
         with self._lock:
             batch, self._pending = self._pending, []
             self._pending_bytes = 0
-        for topic, key, header, payload, log_time_ns in batch:
+        states = [(header.stamp_ns, arrived_ns) for topic, _, header, _, _, arrived_ns in batch if topic is STATE]
+        self._pace += states[-1:]
+        for topic, key, header, payload, log_time_ns, _ in batch:
             channel = self._channel(topic, key, header.session)
             # MCAP's times and sequence numbers are unsigned; a stranger's header must not stop the log
             stamp_ns, sequence = max(header.stamp_ns, 0), header.sequence & 0xFFFFFFFF

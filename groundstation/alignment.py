@@ -1,0 +1,248 @@
+"""From a log to aligned arrays: truth, reference and estimate of every robot on one clock. Pure.
+
+A robot's reference at an instant is where its own trajectory clock (RobotState.trajectory_s) says it should be. A clock that
+stands (holding, dead) leaves the reference standing, and the run counts as incomplete.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from groundstation.runlog import Entry, RunLog
+from groundstation.series import CHANNELS, Happening, RobotSeries, Series, States
+from wire import topics
+from wire.experiment import Circle, Experiment
+from wire.frames import Array, pose_error
+from wire.messages import Event, LocalizerStatus, Mode, Pose, RobotState, Track, Trajectory, Truth
+
+LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
+WARNING = 3  # level of an Event from which on something is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Poses at instants, yaw unwrapped: (k,) ns and (k, columns)."""
+
+    stamp_ns: Array
+    values: Array
+
+    def at(self, stamp_ns: Array) -> Array:
+        """Linear in between, NaN outside and across gaps, (n, columns)."""
+        columns = self.values.shape[1]
+        if len(self.stamp_ns) < 2 or len(stamp_ns) == 0:
+            return np.full((len(stamp_ns), columns), np.nan)
+        found = np.column_stack([np.interp(stamp_ns, self.stamp_ns, self.values[:, c]) for c in range(columns)])
+        after = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self.stamp_ns) - 1)
+        gap = self.stamp_ns[after] - self.stamp_ns[after - 1]
+        outside = (stamp_ns < self.stamp_ns[0]) | (stamp_ns > self.stamp_ns[-1])
+        found[outside | (gap > LONGEST_GAP_S * 1e9)] = np.nan
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """What one robot left in the log."""
+
+    states: list[Entry[RobotState]]
+    trajectory: Trajectory | None
+    truth: _Samples
+    disturbance: _Samples
+    poses: list[Entry[Pose]]
+    clock_ns: Array  # (m,) stamps, and
+    clock_s: Array  # (m,) where on its trajectory the robot was; empty if it never flew
+
+    @property
+    def flew(self) -> bool:
+        return len(self.clock_s) > 0
+
+    @property
+    def start_ns(self) -> int:
+        return round(float(self.clock_ns[0]) - float(self.clock_s[0]) * 1e9)
+
+
+def align(experiment: Experiment, log: RunLog) -> Series:
+    """Bring a log onto one clock. Works for any part of a run, also for one in which nothing ever moved."""
+    known = bool(log.of(topics.TRUTH, Truth))
+    recorded = {robot: _gather(log, robot, known) for robot in experiment.robot_ids}
+    flown = [r for r in recorded.values() if r.flew]
+    start_ns = max((r.start_ns for r in flown), default=_first_stamp_ns(log))
+    end_s = _end_s(recorded, flown, start_ns, experiment.duration_s)
+    rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if flown else 0
+    time_s = np.arange(rows, dtype=np.float64) * experiment.controller.period_s
+    located = any(len(r.truth.stamp_ns) > 1 for r in recorded.values())
+    return Series(
+        experiment=experiment,
+        start_ns=start_ns,
+        end_s=end_s,
+        started=bool(flown),
+        reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
+        time_s=time_s,
+        robots={robot: _robot_series(experiment, r, time_s, start_ns, known) for robot, r in recorded.items()},
+        errors_against=None if not flown or not located else "truth" if known else "localizer",
+        frame_ms=_frame_times(log, start_ns),
+        happenings=_happenings(log, recorded, start_ns),
+    )
+
+
+def _gather(log: RunLog, robot: int, known: bool) -> _Recorded:
+    states = log.of(topics.STATE, RobotState, robot)
+    poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
+    flying = [e for e in states if e.message.mode is Mode.TRACKING and e.message.trajectory_s > 0.0]
+    # from the first step under way on, whatever the mode: while the robot holds, its clock stands
+    first_ns = flying[0].stamp_ns if flying else float("inf")
+    since = [e for e in states if e.stamp_ns >= first_ns and e.message.trajectory_s > 0.0]
+    trajectories = log.of(topics.TRAJECTORY, Trajectory, robot)
+    named = flying[0].message.trajectory_id if flying else ""
+    chosen = [e.message for e in trajectories if e.message.id == named] or [e.message for e in trajectories]
+    truth, disturbance = _truth(log, robot) if known else (_located(states, poses), _samples([], []))
+    return _Recorded(
+        states=states,
+        trajectory=chosen[-1] if chosen else None,
+        truth=truth,
+        disturbance=disturbance,
+        poses=poses,
+        clock_ns=np.array([e.stamp_ns for e in since], dtype=np.float64),
+        clock_s=np.array([e.message.trajectory_s for e in since], dtype=np.float64),
+    )
+
+
+def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
+    """True pose and true disturbance of a robot."""
+    found = [
+        (e.stamp_ns, e.message, e.message.robots.index(robot))
+        for e in log.of(topics.TRUTH, Truth)
+        if robot in e.message.robots
+    ]
+    found = [(ns, m, row) for ns, m, row in found if len(m.eta) > row]
+    stamps = [ns for ns, _, _ in found]
+    explained = all(len(m.disturbance) > row for _, m, row in found)
+    disturbance = [m.disturbance[row] for _, m, row in found] if explained else []
+    return _samples(stamps, [m.eta[row] for _, m, row in found]), _samples(stamps if explained else [], disturbance)
+
+
+def _located(states: Sequence[Entry[RobotState]], poses: Sequence[Entry[Pose]]) -> _Samples:
+    """Instead of the truth: the localizer's poses, with the depth that the robot measured."""
+    stamps = np.array([e.stamp_ns for e in poses], dtype=np.float64)
+    depth = np.array([(e.stamp_ns, e.message.depth_m) for e in states], dtype=np.float64).reshape(-1, 2)
+    depth_m = np.interp(stamps, depth[:, 0], depth[:, 1]) if len(depth) else np.full(len(stamps), np.nan)
+    rows = [[e.message.x_m, e.message.y_m, z, e.message.yaw_rad] for e, z in zip(poses, depth_m, strict=True)]
+    return _samples(list(stamps), [np.array(row) for row in rows])
+
+
+def _samples(stamps: Sequence[float], rows: Sequence[Array]) -> _Samples:
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    values[:, 3] = np.unwrap(values[:, 3])
+    return _Samples(np.array(stamps, dtype=np.float64), values)
+
+
+def _first_stamp_ns(log: RunLog) -> int:
+    states = [e.stamp_ns for (name, _), found in log.entries.items() for e in found if name == topics.STATE.name]
+    anything = [e.stamp_ns for found in log.entries.values() for e in found]
+    return min(states or anything, default=0)
+
+
+def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
+    """When the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
+    ends = []
+    for r in flown:
+        there = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
+        moving = np.flatnonzero(np.diff(r.clock_s) > 0.0)
+        ends.append(r.clock_ns[there[0]] if len(there) else r.clock_ns[moving[-1] + 1] if len(moving) else r.clock_ns[0])
+    known_until = [r.truth.stamp_ns[-1] for r in recorded.values() if len(r.truth.stamp_ns)]
+    return max(0.0, (float(min([max(ends, default=start_ns), *known_until])) - start_ns) * 1e-9)
+
+
+def _robot_series(experiment: Experiment, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
+    stamps = start_ns + time_s * 1e9
+    states = _states(r.states, start_ns)
+    state_stamps = np.array([e.stamp_ns for e in r.states], dtype=np.float64)
+    pose = np.array([[e.message.x_m, e.message.y_m, e.message.yaw_rad] for e in r.poses], dtype=np.float64).reshape(-1, 3)
+    pose_stamps = np.array([e.stamp_ns for e in r.poses], dtype=np.float64)
+    true_pose = r.truth.at(pose_stamps)
+    seen = np.column_stack([pose[:, :2], true_pose[:, 2], pose[:, 2]])
+    error = pose_error(seen, true_pose)[:, [0, 1, 3]] if known else np.full_like(pose, np.nan)
+    return RobotSeries(
+        truth=r.truth.at(stamps),
+        reference=_reference(r, stamps),
+        still=_middle(experiment, r.trajectory),
+        states=states,
+        truth_at_states=r.truth.at(state_stamps),
+        disturbance_at_states=r.disturbance.at(state_stamps),
+        pose_time_s=(pose_stamps - start_ns) * 1e-9,
+        pose=pose,
+        pose_error=error,
+    )
+
+
+def _reference(r: _Recorded, stamps: Array) -> Array:
+    """Where the robot should be at each stamp, (n, 4)."""
+    if r.trajectory is None or len(r.trajectory.eta) < 2:
+        return np.full((len(stamps), 4), np.nan)
+    time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
+    curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
+    clock_s = np.interp(stamps, r.clock_ns, r.clock_s) if r.flew else np.zeros(len(stamps))
+    return np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
+
+
+def _middle(experiment: Experiment, trajectory: Trajectory | None) -> Array | None:
+    """The middle of a reference (4,): a circle's centre, else the mean over the run."""
+    if trajectory is None or len(trajectory.eta) == 0:
+        return None
+    if isinstance(experiment.path, Circle):
+        rate_radps = 2.0 * np.pi / experiment.path.lap_s
+        return np.asarray(trajectory.eta[0] + trajectory.acceleration[0] / rate_radps**2)  # a = -rate^2 (p - centre)
+    return np.asarray(trajectory.eta[: round(experiment.duration_s / trajectory.period_s) + 1].mean(axis=0))
+
+
+def _states(entries: Sequence[Entry[RobotState]], start_ns: int) -> States:
+    messages = [e.message for e in entries]
+
+    def column(values: Sequence[float]) -> Array:
+        return np.array(values, dtype=np.float64)
+
+    def rows(values: Sequence[Array], width: int) -> Array:
+        return np.array(values, dtype=np.float64).reshape(-1, width)
+
+    pulses = np.full((len(entries), CHANNELS), np.nan)
+    for k, message in enumerate(messages):
+        pulses[k, : len(message.pulse_us[:CHANNELS])] = message.pulse_us[:CHANNELS]
+    return States(
+        time_s=column([(e.stamp_ns - start_ns) * 1e-9 for e in entries]),
+        mode=column([m.mode for m in messages]),
+        trajectory_s=column([m.trajectory_s for m in messages]),
+        eta=rows([m.eta for m in messages], 4),
+        eta_reference=rows([m.eta_reference for m in messages], 4),
+        eta_command=rows([m.eta_command for m in messages], 4),
+        disturbance=rows([m.disturbance for m in messages], 4),
+        wrench=rows([m.wrench for m in messages], 3),
+        wrench_step=rows([m.wrench_step for m in messages], 3),
+        pulse_us=pulses,
+        exposure_to_pwm_ms=column([m.exposure_to_pwm_ms for m in messages]),
+        step_us=column([m.step_us for m in messages]),
+        iterations=column([m.iterations for m in messages]),
+        missed_deadlines=column([m.missed_deadlines for m in messages]),
+    )
+
+
+def _frame_times(log: RunLog, start_ns: int) -> Array:
+    found = [((e.stamp_ns - start_ns) * 1e-9, e.message.frame_ms) for e in log.of(topics.LOCALIZER, LocalizerStatus)]
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[Happening, ...]:
+    """Every change of a robot's mode or fault, and every event, in order."""
+    found = []
+    for robot, r in recorded.items():
+        before: tuple[Mode, str] | None = None
+        for e in r.states:
+            now = (e.message.mode, e.message.fault)
+            if now != before:
+                text = now[0].name.lower() + (f": {now[1]}" if now[1] else "")
+                found.append(Happening((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
+            before = now
+    for event in log.of(topics.EVENT, Event):
+        m = event.message
+        found.append(Happening((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
+    return tuple(sorted(found, key=lambda h: h.time_s))

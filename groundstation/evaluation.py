@@ -1,0 +1,278 @@
+"""From aligned arrays to the figures of a run. Pure."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from groundstation.results import Check, Errors, PairResult, Quantiles, Result, RobotResult, Spread, Three
+from groundstation.runlog import RunLog
+from groundstation.series import THRUSTERS, Mask, RobotSeries, Series
+from wire.experiment import ArticleRow, Experiment
+from wire.frames import Array, pose_error, wrap_angle
+
+SETTLED_S = 20.0  # ambiguity A14: errors are given for the whole run and from here on
+MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
+AXES = ("x", "y", "z")
+
+
+def evaluate(series: Series, log: RunLog) -> Result:
+    """The figures of a run. Works for any part of one; what is missing is None and said in `notes`."""
+    experiment, each = series.experiment, series.robots.values()
+    robots = {str(robot): _robot(series, robot) for robot in experiment.robot_ids}
+    pairs = {f"{a}-{b}": _pair(series, a, b) for a, b in combinations(experiment.robot_ids, 2)}
+    flying = [r.states.tracking & _within(r.states.time_s, series) for r in each]
+    step_us = np.concatenate([r.states.step_us[rows] for r, rows in zip(each, flying, strict=True)])
+    latency_ms = np.concatenate([r.states.exposure_to_pwm_ms[rows] for r, rows in zip(each, flying, strict=True)])
+    located = np.concatenate([r.pose_error[_within(r.pose_time_s, series)] for r in each])
+    steps, missed = sum(r.control_steps for r in robots.values()), sum(r.missed_deadlines for r in robots.values())
+    wear = [r.dtau_rms for r in robots.values() if r.dtau_rms is not None]
+    result = Result(
+        scene=experiment.name,
+        seed=experiment.seed,
+        mode=log.metadata.get("mode", "unknown"),
+        passed=False,
+        duration_s=series.end_s,
+        planned_duration_s=experiment.duration_s,
+        real_time_factor=_real_time_factor(series, log),
+        errors_against=series.errors_against,
+        robots=robots,
+        pairs=pairs,
+        min_separation_m=_least(p.min_separation_m for p in pairs.values()),
+        control_step_us=_quantiles(step_us[step_us > 0.0]),
+        pose_error_m=_spread(np.hypot(located[:, 0], located[:, 1])),
+        pose_error_rad=_spread(np.abs(located[:, 2])),
+        exposure_to_pwm_ms=_quantiles(latency_ms[latency_ms > 0.0]),
+        dtau_rms=_three(np.max(wear, axis=0)) if wear else None,
+        pulse_step_rms_us=max((r.pulse_step_rms_us or 0.0 for r in robots.values()), default=None) if wear else None,
+        missed_deadlines=missed,
+        missed_deadlines_fraction=missed / steps if steps else None,
+        log_complete=log.complete,
+        log_dropped=log.dropped,
+        experiment_hash=experiment.hash,
+        notes=tuple(_notes(series, log)),
+        checks=(),
+        faults=tuple(h for h in series.happenings if h.fault and (0.0 <= h.time_s <= series.end_s or not series.started)),
+    )
+    checks = tuple(_checks(result, series))
+    return dataclasses.replace(result, checks=checks, passed=all(check.passed for check in checks))
+
+
+# --- errors
+
+
+def _robot(series: Series, robot: int) -> RobotResult:
+    mine = series.robots[robot]
+    states = mine.states
+    window = _within(states.time_s, series)
+    tracking = window & states.tracking
+    yaw = wrap_angle(mine.truth_at_states[tracking, 3] - states.eta_command[tracking, 3])
+    settled = states.time_s[tracking] >= SETTLED_S
+    unexplained = states.disturbance[tracking] - mine.disturbance_at_states[tracking]
+    missed = np.diff(states.missed_deadlines[window])
+    pulses = np.diff(states.pulse_us[tracking][:, :THRUSTERS], axis=0)
+    return RobotResult(
+        **_fields(_errors(mine.error, series.time_s)),
+        rms_yaw_command_rad=_rms(yaw),
+        rms_yaw_command_after_20s_rad=_rms(yaw[settled]),
+        dtau_rms=_three(np.sqrt(np.mean(states.wrench_step[tracking] ** 2, axis=0))) if tracking.any() else None,
+        pulse_step_rms_us=_rms(pulses),
+        disturbance_error_rms=_column_rms(unexplained),
+        control_steps=int(window.sum()),
+        missed_deadlines=int(missed[missed > 0.0].sum()),  # falls only when a restarted process counts anew
+        baseline=_still(mine, mine.reference, series.time_s),
+        article=_article(series.experiment, str(robot)),
+    )
+
+
+def _pair(series: Series, a: int, b: int) -> PairResult:
+    one, other = series.robots[a], series.robots[b]
+    apart = series.separation_m(a, b)
+    baseline = None
+    if one.still is not None and other.still is not None:
+        still = np.tile(one.still - other.still, (len(series.time_s), 1))
+        baseline = _without_yaw(_errors(pose_error(still, one.reference - other.reference), series.time_s))
+    return PairResult(
+        **_fields(_errors(series.pair_error(a, b), series.time_s)),
+        min_separation_m=float(np.nanmin(apart)) if np.isfinite(apart).any() else None,
+        baseline=baseline,
+        article=_article(series.experiment, f"{a}-{b}"),
+    )
+
+
+def _still(robot: RobotSeries, reference: Array, time_s: Array) -> Errors | None:
+    if robot.still is None or len(time_s) == 0:
+        return None
+    return _without_yaw(_errors(pose_error(np.tile(robot.still, (len(time_s), 1)), reference), time_s))
+
+
+def _without_yaw(errors: Errors) -> Errors:
+    """A robot that does not move has no heading to speak of."""
+    return dataclasses.replace(errors, rms_yaw_rad=None, rms_yaw_after_20s_rad=None)
+
+
+def _errors(error: Array, time_s: Array) -> Errors:
+    """Statistics of an error (n, 4) at n instants; rows with NaN do not count."""
+    known = np.isfinite(error).all(axis=1)
+    whole, settled = error[known], error[known & (time_s >= SETTLED_S)]
+    return Errors(
+        rms_m=_axes(whole, _root_mean_square),
+        rms_yaw_rad=_rms(whole[:, 3]),
+        rms_after_20s_m=_axes(settled, _root_mean_square),
+        rms_yaw_after_20s_rad=_rms(settled[:, 3]),
+        max_m=_axes(whole, _largest),
+        max_after_20s_m=_axes(settled, _largest),
+    )
+
+
+# --- statistics; None for no values
+
+
+def _within(time_s: Array, series: Series) -> Mask:
+    return np.asarray((time_s >= 0.0) & (time_s <= series.end_s))
+
+
+def _root_mean_square(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _largest(values: Array) -> Array:
+    return np.asarray(np.max(np.abs(values), axis=0))
+
+
+def _axes(error: Array, measure: Callable[[Array], Array]) -> Three | None:
+    return _three(measure(error[:, :3])) if len(error) else None
+
+
+def _three(values: Array) -> Three:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _rms(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(_root_mean_square(known)) if known.size else None
+
+
+def _column_rms(values: Array) -> tuple[float, ...] | None:
+    known = values[np.isfinite(values).all(axis=1)]
+    return tuple(float(v) for v in _root_mean_square(known)) if len(known) else None
+
+
+def _quantiles(values: Array) -> Quantiles | None:
+    if values.size == 0:
+        return None
+    p50, p99 = np.percentile(values, [50.0, 99.0])
+    return Quantiles(float(p50), float(p99), float(values.max()), values.size)
+
+
+def _spread(values: Array) -> Spread | None:
+    known = values[np.isfinite(values)]
+    return Spread(float(_root_mean_square(known)), float(known.max())) if known.size else None
+
+
+def _fields(errors: Errors) -> dict[str, Any]:
+    return {field.name: getattr(errors, field.name) for field in dataclasses.fields(Errors)}
+
+
+def _article(experiment: Experiment, subject: str) -> ArticleRow | None:
+    return next((row for row in experiment.article if row.subject == subject), None)
+
+
+def _real_time_factor(series: Series, log: RunLog) -> float | None:
+    """Run time over wall-clock time, between the flushes of the log that lie in the run."""
+    first_ns, last_ns = series.start_ns, series.start_ns + series.end_s * 1e9
+    inside = [(stamp_ns, wall_ns) for stamp_ns, wall_ns in log.pace if first_ns <= stamp_ns <= last_ns]
+    if len(inside) < 2 or inside[-1][1] <= inside[0][1]:
+        return None
+    return (inside[-1][0] - inside[0][0]) / (inside[-1][1] - inside[0][1])
+
+
+# --- words and checks
+
+
+def _notes(series: Series, log: RunLog) -> Iterator[str]:
+    """What a reader must know before the figures."""
+    planned = series.experiment.duration_s
+    if not series.started:
+        yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
+    elif not _went_all_the_way(series):
+        yield f"The run is not complete: {series.reached_s:.1f} s of {planned:g} s were flown by the slowest robot."
+    if series.started and series.errors_against is None:
+        yield "Neither truth nor poses were recorded: there are no errors."
+    if series.errors_against == "localizer":
+        yield "No truth was recorded: errors are against the localizer's poses, and cannot show the localizer's own."
+    absent = [str(robot) for robot, r in series.robots.items() if not r.states.tracking.any()]
+    if series.started and absent:
+        yield f"Never under way: robot {', '.join(absent)}."
+    if not log.complete:
+        yield "The log was cut off; what could be read is evaluated."
+    if log.dropped:
+        yield f"The recorder could not take {log.dropped} messages."
+    if log.undecodable:
+        yield f"{log.undecodable} recorded messages could not be decoded."
+
+
+def _went_all_the_way(series: Series) -> bool:
+    """Whether the slowest robot got to the end, to within two control periods, and the evaluation with it."""
+    least = series.experiment.duration_s - 2.0 * series.experiment.controller.period_s
+    return series.started and min(series.reached_s, series.end_s) >= least
+
+
+def _checks(result: Result, series: Series) -> Iterator[Check]:
+    """Requirements of every run, and the experiment's limits."""
+    experiment, limits = series.experiment, series.experiment.limits
+    flown_s = min(series.reached_s, series.end_s)
+    yield Check("whole run flown, s", "slowest robot", flown_s, experiment.duration_s, _went_all_the_way(series))
+    yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
+    fraction = result.missed_deadlines_fraction
+    yield _at_most("missed deadlines, fraction", "all robots", fraction, MISSED_FRACTION)
+    closest, allowed = result.min_separation_m, 2.0 * experiment.safety.radius_m
+    if result.pairs:
+        closest_pair = next(pair for pair, found in result.pairs.items() if found.min_separation_m == closest)
+        passed = closest is not None and closest >= allowed
+        yield Check("separation, m, at least", closest_pair, closest, allowed, passed)
+    errors: dict[str, Errors] = {
+        **{f"robot {k}": r for k, r in result.robots.items()},
+        **result.pairs,
+    }
+    for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
+        limit = getattr(limits, name)
+        if limit is not None:
+            yield _at_most(name, *_worst_cell(errors, name), limit)
+    if limits.pose_rms_m is not None:
+        rms = result.pose_error_m.rms if result.pose_error_m else None
+        yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)
+    if limits.wrench_step_rms is not None:
+        share = _shares(result.dtau_rms, experiment.vehicle.limits.wrench_step)
+        where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
+        yield _at_most("rms of input steps, fraction of bound", where, max(share, default=None), limits.wrench_step_rms)
+    if limits.exposure_to_pwm_p99_ms is not None:
+        late = result.exposure_to_pwm_ms.p99 if result.exposure_to_pwm_ms else None
+        yield _at_most("exposure to PWM p99, ms", "all robots", late, limits.exposure_to_pwm_p99_ms)
+
+
+def _at_most(name: str, where: str, value: float | None, limit: float) -> Check:
+    """A figure that is missing has not been shown to be good."""
+    return Check(name, where, value, limit, value is not None and value <= limit)
+
+
+def _worst_cell(errors: dict[str, Errors], name: str) -> tuple[str, float | None]:
+    cells = {
+        f"{subject}, {axis}": value
+        for subject, found in errors.items()
+        for axis, value in zip(AXES, getattr(found, name) or (), strict=False)
+    }
+    if not cells or any(getattr(found, name) is None for found in errors.values()):
+        return "", None
+    worst = max(cells, key=lambda cell: cells[cell])
+    return worst, cells[worst]
+
+
+def _shares(values: Sequence[float] | None, bounds: Sequence[float]) -> list[float]:
+    return [value / bound for value, bound in zip(values or (), bounds, strict=False)]
+
+
+def _least(values: Iterable[float | None]) -> float | None:
+    return min((value for value in values if value is not None), default=None)

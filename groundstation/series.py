@@ -1,0 +1,97 @@
+"""A recorded run on one clock, as arrays: what the figures and the results are made from. Pure; alignment.py fills it.
+
+Time 0 is the common start: the first instant at which every robot that flew was under way on its trajectory. Errors are
+against the plant's truth, or in a real pool, which has none, against the localizer's poses.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.experiment import Experiment
+from wire.frames import Array, pose_error
+from wire.messages import Mode
+
+THRUSTERS, CHANNELS = 4, 8
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """A robot's own account, one row per recorded control step, m rows."""
+
+    time_s: Array
+    mode: Array  # Mode as a number
+    trajectory_s: Array
+    eta: Array  # (m, 4) estimated
+    eta_reference: Array  # (m, 4)
+    eta_command: Array  # (m, 4)
+    disturbance: Array  # (m, 4) estimated
+    wrench: Array  # (m, 3)
+    wrench_step: Array  # (m, 3)
+    pulse_us: Array  # (m, 8), NaN where none was sent
+    exposure_to_pwm_ms: Array
+    step_us: Array
+    iterations: Array
+    missed_deadlines: Array  # cumulative
+
+    @property
+    def tracking(self) -> Mask:
+        """The rows under way on the trajectory, (m,)."""
+        return np.asarray((self.mode == Mode.TRACKING) & (self.trajectory_s > 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSeries:
+    """One robot. Rows with index n are on Series.time_s; NaN is unknown."""
+
+    truth: Array  # (n, 4)
+    reference: Array  # (n, 4)
+    still: Array | None  # (4,) where a robot would sit that never moves: the middle of its reference
+    states: States
+    truth_at_states: Array  # (m, 4)
+    disturbance_at_states: Array  # (m, 4) true
+    pose_time_s: Array  # (k,)
+    pose: Array  # (k, 3) x, y, yaw as located
+    pose_error: Array  # (k, 3) against the truth, NaN where there is none
+
+    @property
+    def error(self) -> Array:
+        """Tracking error (n, 4), yaw to the path's tangent and wrapped."""
+        return pose_error(self.truth, self.reference)
+
+
+@dataclass(frozen=True)
+class Happening:
+    """Something that happened, for people; `fault` if it should not have."""
+
+    time_s: float
+    source: str
+    text: str
+    fault: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A run on one clock."""
+
+    experiment: Experiment
+    start_ns: int  # stamp of time 0
+    end_s: float  # of the evaluation
+    started: bool  # at least one robot flew
+    reached_s: float  # along the trajectory, by the slowest robot
+    time_s: Array  # (n,) one row per control period, 0 to end_s
+    robots: dict[int, RobotSeries]
+    errors_against: str | None  # "truth", "localizer", or None when there is nothing to compare with
+    frame_ms: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (f, 2) time in s, processing time of a frame in ms
+    happenings: tuple[Happening, ...] = ()
+
+    def pair_error(self, a: int, b: int) -> Array:
+        """Formation error (p_a - p_b) - (ref_a - ref_b), (n, 4), yaw wrapped."""
+        one, other = self.robots[a], self.robots[b]
+        return pose_error(one.truth - other.truth, one.reference - other.reference)
+
+    def separation_m(self, a: int, b: int) -> Array:
+        """Distance of the two centres, (n,)."""
+        return np.asarray(np.linalg.norm(self.robots[a].truth[:, :3] - self.robots[b].truth[:, :3], axis=1))
