@@ -1,0 +1,88 @@
+"""One robot in one frame: where it is expected, the piece of picture around it, and how good a measurement there is.
+
+The noise figures were measured against the plant's truth in the pool scene with waves, caustics and sensor noise on.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from localizer.calibration import Tangent
+from localizer.patch import BodyFrame, Region
+from wire.experiment import Experiment
+from wire.frames import Array
+
+
+@dataclass(frozen=True)
+class Noise:
+    """One standard deviation of a way of measuring: the centre in pixels per axis, the heading in rad."""
+
+    centre_px: float
+    yaw_rad: float
+
+
+MARKER_NOISE = Noise(centre_px=0.1, yaw_rad=0.004)
+KCF_NOISE = Noise(centre_px=0.6, yaw_rad=0.015)
+_DEPTH_SIGMA_M = 0.005  # a pressure sensor's noise and bias
+_DEPTH_ASSUMED_SIGMA_M = 0.05  # nobody reported one: the experiment's depth is taken
+_SHALLOWEST_M = -0.2  # a robot lying on the surface
+_WAVE_SLOPE_RAD = 0.02  # of ripples on the surface; each bends the line of sight by (1 - 1/n) of itself
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A measured pose [x, y, yaw] with its covariance (3, 3), and the correlation's peak (0 where none was looked for)."""
+
+    pose: Array
+    covariance: Array
+    peak: float = 0.0
+
+
+@dataclass(frozen=True)
+class Depth:
+    """How deep a robot's centre and the marker plate on its back are, and how sure that is."""
+
+    centre_m: float
+    plate_m: float
+    sigma_m: float
+
+
+def depths_of(experiment: Experiment, start_m: Sequence[float], reported_m: Mapping[int, float]) -> tuple[Depth, ...]:
+    """Every robot's depth, in the experiment's order: as reported (by id), or as at the start, (robots,)."""
+    height_m, deepest_m = experiment.vehicle.marker.height_m, experiment.pool.size_m[2]
+    depths = []
+    for robot_id, start in zip(experiment.robot_ids, start_m, strict=True):
+        depth = reported_m.get(robot_id, float("nan"))
+        known = _SHALLOWEST_M <= depth <= deepest_m
+        centre = depth if known else float(start)
+        depths.append(Depth(centre, centre - height_m, _DEPTH_SIGMA_M if known else _DEPTH_ASSUMED_SIGMA_M))
+    return tuple(depths)
+
+
+@dataclass(frozen=True)
+class Sight:
+    """A robot (by index) expected where `tangent` was taken."""
+
+    robot: int
+    depth: Depth
+    tangent: Tangent
+    region: Region
+
+    def distance_m(self, pose: Array) -> float:
+        """How far [x, y, ...] lies from where the robot was expected."""
+        return float(np.linalg.norm(pose[:2] - self.tangent.position_m))
+
+    def body(self, pose: Array) -> BodyFrame:
+        """Where the robot is drawn if it is at `pose` [x, y, yaw]."""
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        return BodyFrame(self.tangent.to_px(pose[:2]), self.tangent.pool_to_px @ np.array([[c, -s], [s, c]]))
+
+    def measurement(self, pose: Array, noise: Noise, peak: float = 0.0) -> Measurement:
+        """A pose found here, with the picture's noise, the moving water and the depth's error as covariance."""
+        wave_m = 0.25 * _WAVE_SLOPE_RAD * max(self.depth.plate_m, 0.0)
+        spread = self.tangent.jacobian * np.array([noise.centre_px, noise.centre_px, self.depth.sigma_m])
+        covariance = np.zeros((3, 3))
+        covariance[:2, :2] = spread @ spread.T + wave_m**2 * np.eye(2)
+        covariance[2, 2] = noise.yaw_rad**2
+        return Measurement(pose, covariance, peak)

@@ -1,0 +1,105 @@
+"""One robot's track: what is believed of it, and the rules by which sightings change that belief. Pure.
+
+States, worst to best: LOST, COAST (predicted only), KCF (its look was found), MARKER (its marker was read). Identity is
+verified by a marker, and doubted from the moment two robots nearly touch, or a marker contradicts the track, until the next
+one is read: a correlation cannot tell two identical robots apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from localizer.motion import GATE, Motion, begin, predict, rest, surprise, update
+from localizer.sight import Measurement
+from wire.frames import Array, wrap
+from wire.messages import Pose, Track
+
+_REGAIN_PEAK = 0.5  # a lost robot's look must fit better than a followed one's: nothing else says that it is there
+_PLACED_SIGMA = np.array([0.05, 0.05, 0.1])  # m, m, rad: how well people put a robot on its start
+
+
+@dataclass(frozen=True)
+class RobotTrack:
+    """The belief. `motion` is None until the robot was first seen. `measured` and `refuted` are about this frame only."""
+
+    motion: Motion | None = None
+    state: Track = Track.LOST
+    verified: bool = False
+    unseen_s: float = 0.0
+    measured: Measurement | None = None
+    refuted: bool = False
+    peak: float = 0.0
+
+    @classmethod
+    def placed(cls, pose: Array) -> "RobotTrack":
+        """Without markers: taken to be where the experiment says it starts, [x, y, yaw]; whoever put it there vouches."""
+        return cls(motion=begin(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True)
+
+    def advanced(self, step_s: float) -> "RobotTrack":
+        """Predicted to the next exposure. A lost robot stays where it was last believed."""
+        moving = self.motion is not None and self.state is not Track.LOST
+        motion = predict(self.motion, step_s) if self.motion is not None and moving else self.motion
+        return replace(self, motion=motion, unseen_s=self.unseen_s + step_s, measured=None, refuted=False)
+
+    def read(self, seen: Measurement) -> "RobotTrack":
+        """Its marker was read. Outside the gate of a verified track one of the two is wrong: doubt the identity and wait.
+        If the next marker says the same, the marker wins."""
+        if self.motion is None or not self.verified:
+            return replace(self._taken(seen, anew=True), state=Track.MARKER, verified=True)
+        if surprise(self.motion, seen.pose, seen.covariance) > GATE:
+            return self.contradicted()
+        return replace(self._taken(seen, anew=False), state=Track.MARKER)
+
+    def contradicted(self) -> "RobotTrack":
+        """A marker says that this robot is not where it is believed: in this frame nothing else counts."""
+        return replace(self, verified=False, refuted=True)
+
+    def found(self, seen: Measurement, least_peak: float) -> "RobotTrack":
+        """Its look was found again: a measurement, unless a marker spoke, if it fits well enough where the robot can be."""
+        looked = replace(self, peak=seen.peak)
+        if self.motion is None or self.measured is not None or self.refuted:
+            return looked
+        lost = self.state is Track.LOST
+        enough = max(least_peak, _REGAIN_PEAK) if lost else least_peak
+        if seen.peak <= enough or (not lost and surprise(self.motion, seen.pose, seen.covariance) > GATE):
+            return looked
+        return replace(looked._taken(seen, anew=lost), state=Track.KCF)
+
+    def doubted(self) -> "RobotTrack":
+        """Another robot nearly touches this one. A marker read in this very frame settles the doubt at once."""
+        return self if self.state is Track.MARKER else replace(self, verified=False)
+
+    def settled(self, lost_after_s: float) -> "RobotTrack":
+        """End of the frame: without a measurement it coasts, and after `lost_after_s` of that it is lost."""
+        if self.motion is None or self.measured is not None or self.state is Track.LOST:
+            return self
+        if self.unseen_s > lost_after_s:
+            return replace(self, motion=rest(self.motion), state=Track.LOST, verified=False)
+        return replace(self, state=Track.COAST)
+
+    def message(self, depth_m: float) -> Pose | None:
+        """What is published, None before the first sighting: the bare measurement with its own covariance, which adds no
+        lag and leaves the errors white for the agent's observer. Only gaps are filled by prediction."""
+        if self.motion is None:
+            return None
+        pose, covariance = self.motion.mean[:3], self.motion.covariance[:3, :3]
+        if self.measured is not None:
+            pose, covariance = self.measured.pose, self.measured.covariance
+        return Pose(
+            x_m=float(pose[0]), y_m=float(pose[1]), yaw_rad=wrap(float(pose[2])), covariance=np.array(covariance),
+            track=self.state, identity_verified=self.verified, peak=self.peak, depth_m=depth_m,
+        )  # fmt: skip
+
+    def _taken(self, seen: Measurement, anew: bool) -> "RobotTrack":
+        if anew or self.motion is None:
+            motion = begin(seen.pose, seen.covariance)
+        else:
+            motion = update(self.motion, seen.pose, seen.covariance)
+        return replace(self, motion=motion, unseen_s=0.0, measured=seen)
+
+
+def near_pairs(tracks: Sequence[RobotTrack], distance_m: float) -> list[tuple[int, int]]:
+    """Index pairs (i < j) of robots believed closer than `distance_m`; a lost robot is believed where it was last seen."""
+    known = [(i, track.motion.position_m) for i, track in enumerate(tracks) if track.motion is not None]
+    return [(i, j) for n, (i, a) in enumerate(known) for j, b in known[n + 1 :] if float(np.linalg.norm(a - b)) < distance_m]

@@ -1,0 +1,96 @@
+"""Test pictures with known truth: textured robots with markers on rippling-free, blotchy water, drawn point by point.
+
+Each pixel is traced into the pool with the same geometry that the tests of calibration.py check against Fermat's principle,
+so a fault of the tracking shows here and a fault of the mapping there.
+"""
+
+from collections.abc import Mapping
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from localizer.calibration import PoolView
+from wire.experiment import Experiment
+from wire.frames import Array, pool_to_body
+
+Pixels = NDArray[np.uint8]
+_OVERSAMPLE = 3
+_TEXTURE_PX = 256
+
+
+class Scene:
+    """Draws an experiment's robots where it is told to."""
+
+    def __init__(self, experiment: Experiment, seed: int = 1, noise: float = 2.0) -> None:
+        self._view = PoolView(experiment.camera)
+        self._size_px = experiment.camera.size_px
+        self._radius_m = experiment.vehicle.radius_m
+        self._marker = experiment.vehicle.marker
+        self._marker_ids = {robot.id: robot.marker for robot in experiment.robots}
+        self._random = np.random.default_rng(seed)
+        self._noise = noise
+        width, height = self._size_px
+        blotches = self._random.normal(size=(height // 16, width // 16, 3)).astype(np.float32)
+        self._water = np.array([150.0, 120.0, 60.0]) + 12.0 * cv2.resize(
+            blotches, self._size_px, interpolation=cv2.INTER_CUBIC
+        )
+        body = self._random.normal(size=(9, 9, 3)).astype(np.float32)  # one look for all: robots of a fleet are alike
+        smooth = cv2.resize(body, (_TEXTURE_PX, _TEXTURE_PX), interpolation=cv2.INTER_CUBIC)
+        self._skin = np.clip(np.array([60.0, 160.0, 200.0]) + 40.0 * smooth, 0, 255)
+
+    def frame(
+        self, poses: Mapping[int, Array], hidden: frozenset[int] = frozenset(), swapped: Mapping[int, int] | None = None
+    ) -> Pixels:
+        """The Bayer picture (height, width) with robots (by id) at eta = [x, y, z, yaw], markers of `hidden` ones painted
+        over, markers of `swapped` ones carrying another robot's."""
+        picture = self._water.copy()
+        for robot, eta in poses.items():
+            marker = None if robot in hidden else self._marker_ids[(swapped or {}).get(robot, robot)]
+            self._draw(picture, np.asarray(eta, dtype=np.float64), marker)
+        noisy = picture + self._random.normal(0.0, self._noise, picture.shape)
+        return bayer(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+
+    def _draw(self, picture: Array, eta: Array, marker: int | None) -> None:
+        plate_m = eta[2] - self._marker.height_m
+        centre = self._view.pixel(np.array([eta[0], eta[1], plate_m]))
+        reach = round(self._radius_m * 420)
+        left, top = (max(int(c) - reach, 0) for c in centre)
+        right, bottom = (min(int(c) + reach, s) for c, s in zip(centre, self._size_px, strict=True))
+        if right <= left or bottom <= top:
+            return
+        n = _OVERSAMPLE
+        u = left - 0.5 + (np.arange((right - left) * n) + 0.5) / n  # pixel k spans k - 0.5 to k + 0.5
+        v = top - 0.5 + (np.arange((bottom - top) * n) + 0.5) / n
+        pixels = np.stack(np.meshgrid(u, v), axis=-1)
+        body = pool_to_body(self._view.pool(pixels, plate_m) - eta[:2], eta[3])
+        colour, covered = self._robot_colour(body, marker)
+        fine = np.where(covered[..., None], colour, np.nan)
+        cells = fine.reshape(bottom - top, n, right - left, n, 3).swapaxes(1, 2).reshape(bottom - top, right - left, n * n, 3)
+        under = picture[top:bottom, left:right]
+        picture[top:bottom, left:right] = np.where(np.isnan(cells), under[:, :, None, :], cells).mean(axis=2)
+
+    def _robot_colour(self, body_m: Array, marker: int | None) -> tuple[Array, NDArray[np.bool_]]:
+        """Colour (..., 3) BGR and cover of points (..., 2) on the plate, metres ahead and to starboard."""
+        index = ((body_m / self._radius_m + 1.0) / 2.0 * _TEXTURE_PX).astype(int).clip(0, _TEXTURE_PX - 1)
+        colour = self._skin[index[..., 1], index[..., 0]]
+        if marker is not None:
+            dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+            cells = np.asarray(cv2.aruco.generateImageMarker(dictionary, marker, 6))
+            white = np.max(np.abs(body_m), axis=-1) < 0.65 * self._marker.side_m
+            row = np.floor((0.5 - body_m[..., 0] / self._marker.side_m) * 6).astype(int)  # upper edge ahead
+            column = np.floor((0.5 + body_m[..., 1] / self._marker.side_m) * 6).astype(int)
+            inside = (row >= 0) & (row < 6) & (column >= 0) & (column < 6)
+            shade = np.where(inside, 20.0 + 0.8 * cells[row.clip(0, 5), column.clip(0, 5)], 224.0)
+            colour = np.where(white[..., None], shade[..., None], colour)
+        return colour, np.linalg.norm(body_m, axis=-1) < self._radius_m
+
+
+def bayer(bgr: Pixels) -> Pixels:
+    """The RGGB mosaic (height, width) of a BGR picture: red first, by definition of the name."""
+    mosaic = np.empty(bgr.shape[:2], np.uint8)
+    mosaic[0::2, 0::2] = bgr[0::2, 0::2, 2]
+    mosaic[0::2, 1::2] = bgr[0::2, 1::2, 1]
+    mosaic[1::2, 0::2] = bgr[1::2, 0::2, 1]
+    mosaic[1::2, 1::2] = bgr[1::2, 1::2, 0]
+    return mosaic
