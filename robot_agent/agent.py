@@ -67,7 +67,7 @@ class Agent:
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
-        self._controller = Controller(experiment.vehicle, experiment.controller, experiment.safety)
+        self._controller = Controller(experiment.vehicle, experiment.controller, experiment.safety, self._me.urgent)
         self._gate = OrderGate(robot, experiment.hash)
         self._fault = ""
         self._trajectory: Trajectory | None = None

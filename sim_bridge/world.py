@@ -57,7 +57,7 @@ class World:
 
     def board_ms(self, i: int) -> int:
         """Time of the i-th board's last burst."""
-        return self._boards[i].burst_ms
+        return max(self._boards[i].burst_ms, 0)
 
     def step(self) -> list[tuple[int, bytes]]:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""

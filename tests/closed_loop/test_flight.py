@@ -1,0 +1,119 @@
+"""Agents, boards and water together, against the plant's truth."""
+
+import numpy as np
+import pytest
+
+from tests.closed_loop.dry_pool import DryPool
+from wire.experiment import load_experiment
+from wire.messages import Mode, Order
+
+NEUTRAL_US = 1500
+
+
+def neutral_after_s(pool: DryPool, robot: int, since_step: int) -> float:
+    """Time from a control step until the board's thruster outputs are neutral for good."""
+    moving = [k for k in range(since_step, len(pool.pulses)) if np.any(pool.pulses[k][robot, :4] != NEUTRAL_US)]
+    return (moving[-1] + 1 - since_step) * pool.period_ns * 1e-9 if moving else 0.0
+
+
+def flying(seconds: float = 3.0) -> DryPool:
+    pool = DryPool(load_experiment("pool", ["duration_s=60"]))
+    pool.take_off()
+    pool.run(seconds)
+    assert [r.agent.mode for r in pool.robots] == [Mode.TRACKING] * 2
+    return pool
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_pool_scene_is_flown_within_three_centimetres_and_smoothly(seed: int) -> None:
+    pool = DryPool(load_experiment("pool", ["duration_s=45"]), seed)
+    pool.take_off()
+    pool.run(45.0)
+    errors = pool.errors()
+    settled = errors[400:]
+    formation = errors[:, 0] - errors[:, 1]
+    for error in (*errors.transpose(1, 0, 2), formation):
+        assert np.all(np.sqrt(np.mean(error[:, :2] ** 2, axis=0)) < 0.07)  # the article's Table 6
+        assert np.all(np.sqrt(np.mean(error[400:, :3] ** 2, axis=0)) < 0.03)
+        assert np.all(np.abs(error[400:, :3]) < 0.08)
+    still = np.linalg.norm(pool.errors()[400:, :, :2] - settled[:, :, :2].mean(axis=(0, 1)), axis=2)
+    assert still.max() < 0.08
+    steps = np.array([[s.wrench_step for s in robot.states[-500:]] for robot in pool.robots])
+    bound = np.array(pool.experiment.vehicle.limits.wrench_step)
+    assert np.all(np.abs(steps) <= bound + 1e-9)
+
+
+def test_without_poses_a_robot_holds_within_200_ms_and_is_neutral_within_500() -> None:
+    for phase in range(3):
+        pool = flying(2.0 + phase * 0.35)
+        pool.camera_works = False
+        blind = len(pool.truth)
+        pool.run(0.25)
+        assert all(r.agent.mode is Mode.HOLDING for r in pool.robots)
+        pool.run(2.0)
+        assert all(r.agent.mode is Mode.FAULT for r in pool.robots)
+        assert max(neutral_after_s(pool, i, blind) for i in range(2)) <= 0.5
+        pool.camera_works = True
+        pool.run(1.0)
+        assert all(r.agent.mode is Mode.FAULT for r in pool.robots)  # poses alone bring nothing back
+
+
+def test_a_dead_agent_leaves_a_neutral_board_within_350_ms_and_the_other_robot_flies_on() -> None:
+    pool = flying()
+    pool.agents_work[0] = False
+    dead = len(pool.truth)
+    pool.run(5.0)
+    assert neutral_after_s(pool, 0, dead) <= 0.35
+    assert pool.robots[1].agent.mode is Mode.TRACKING
+    pool.agents_work[0] = True
+    pool.run(3.0)
+    assert pool.robots[0].agent.mode is Mode.FAULT  # its board has disarmed itself; that is not armed again unasked
+
+
+def test_a_lost_station_means_hold_then_neutral_then_disarmed_and_no_way_back_by_itself() -> None:
+    pool = flying()
+    pool.station_works = False
+    lost = len(pool.truth)
+    pool.run(1.2)
+    assert all(r.agent.mode is Mode.HOLDING for r in pool.robots)
+    pool.run(2.2)
+    assert all(r.agent.mode is Mode.FAULT for r in pool.robots)
+    pool.run(7.0)
+    assert all(r.agent.mode is Mode.DISARMED for r in pool.robots)
+    assert 1.0 < max(neutral_after_s(pool, i, lost) for i in range(2)) <= 3.2
+    pool.station_works = True
+    pool.run(1.0)
+    assert all(r.agent.mode is Mode.DISARMED for r in pool.robots)
+
+
+def test_a_robot_that_never_heard_a_station_cannot_arm() -> None:
+    pool = DryPool(load_experiment("pool"))
+    pool.station_works = False
+    pool.run(1.0)
+    assert not pool.order(Order.ARM, 0).accepted
+
+
+def test_a_formation_that_held_goes_on_where_it_was() -> None:
+    pool = flying(4.0)
+    reached = pool.robots[0].states[-1].trajectory_s
+    for robot in range(2):
+        assert pool.order(Order.HOLD, robot).accepted
+    pool.run(4.0)
+    assert pool.robots[0].states[-1].trajectory_s == pytest.approx(reached, abs=0.051)
+    held = np.array(pool.truth[-80:])[:, :, :2]
+    assert np.ptp(held, axis=0).max() < 0.10
+    for robot in range(2):
+        assert pool.order(Order.RESUME, robot, start_in_s=0.3, trajectory_s=reached).accepted
+    pool.run(2.3)
+    assert [r.agent.mode for r in pool.robots] == [Mode.TRACKING] * 2
+    times = [r.states[-1].trajectory_s for r in pool.robots]
+    assert times[0] == pytest.approx(times[1], abs=1e-9)
+    assert times[0] == pytest.approx(reached + 2.0, abs=0.051)
+
+
+def test_a_current_of_the_robots_own_speed_is_ridden_out() -> None:
+    pool = DryPool(load_experiment("pool", ["duration_s=45", "sim.plant.current_mps=[0.0, 0.014, 0.0]"]), 3)
+    pool.take_off()
+    pool.run(45.0)
+    for i in range(2):
+        assert np.all(np.sqrt(np.mean(pool.errors()[400:, i, :2] ** 2, axis=0)) < 0.04)
