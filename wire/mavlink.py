@@ -30,7 +30,7 @@ PROTOCOL_VERSION = 3  # what a HEARTBEAT says for MAVLink 2
 TEXT_LENGTH = 50  # of a STATUSTEXT
 TEXTS_KEPT = 16
 
-ACCEPTED, REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3  # MAV_RESULT
+ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT; rejected: for now
 
 
 def depth_to_hpa(depth_m: float) -> float:

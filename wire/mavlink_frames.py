@@ -14,8 +14,10 @@ MARKER = 0xFD
 HEADER_BYTES, CHECKSUM_BYTES = 10, 2
 EXTENSION_BYTES = 32  # a newer dialect at the other end may have appended this much to a message
 FRAME_TIMEOUT_NS = 50_000_000  # 280 bytes take 25 ms at 115200 baud: after this, an unfinished frame is a false start byte
-SILENCE_NS = 250_000_000  # after this, the sequence may start anywhere: the peer was restarted
 LOSS_WINDOW_NS = 5_000_000_000
+# After this any sequence number counts as new: the peer was restarted. Longer than a board stays armed on its last override
+# (0.3 s at most), or one frame repeated for ever could keep thrusters running.
+SILENCE_NS = 500_000_000
 
 # An environment variable can switch pymavlink's checksums off. Not for thrusters.
 dialect.MAVLINK_IGNORE_CRC = 0

@@ -164,7 +164,7 @@ def test_a_restarted_agent_is_heard_after_the_silence() -> None:
     board, old = BoardLink(1), AgentLink(1)
     for i in range(200):
         board.receive(old.pulses(PULSES), i * 50 * MS)
-    assert board.receive(AgentLink(1).pulses(OTHER), 200 * 50 * MS + 300 * MS) == [Override(OTHER)]
+    assert board.receive(AgentLink(1).pulses(OTHER), 200 * 50 * MS + 500 * MS) == [Override(OTHER)]
 
 
 def test_loss_is_measured_over_five_seconds() -> None:

@@ -1,0 +1,55 @@
+"""What the thruster board measures of the true motion: noise, and biases that belong to the robot and the seed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sim_bridge.water import GRAVITY_MPS2
+from wire.experiment import Sensors
+from wire.frames import Array, wrap
+
+SENSOR_STREAM = 2  # keeps this use of the seed apart from the others
+ACCELEROMETER_NOISE_MPS2 = 0.02  # an ordinary MEMS part at 50 Hz; the link rounds to 0.01
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One sample of all sensors but the battery's."""
+
+    heading_rad: float
+    yaw_rate_radps: float
+    acceleration_mps2: tuple[float, float, float]  # specific force, body frame: at rest 1 g upwards, (0, 0, -g)
+    depth_m: float
+
+
+class BoardSensors:
+    """The sensors of one robot. A bias lies anywhere within the +-value of the experiment file, and stays."""
+
+    def __init__(self, sensors: Sensors, robot_id: int, seed: int) -> None:
+        self._sensors = sensors
+        self._random = np.random.default_rng([seed, SENSOR_STREAM, robot_id])
+        heading, gyro, pressure = (float(value) for value in self._random.uniform(-1.0, 1.0, 3))
+        self.heading_bias_rad = heading * sensors.heading_bias_rad
+        self.gyro_bias_radps = gyro * sensors.gyro_bias_radps
+        self.depth_bias_m = pressure * sensors.pressure_bias_m
+
+    def read(self, eta: Array, nu: Array, acceleration: Array) -> Reading:
+        """Sample a motion: eta, nu and d nu / dt, each (4,)."""
+        sensors = self._sensors
+        noise = [float(value) for value in self._random.standard_normal(6)]
+        _, _, z, yaw = (float(value) for value in eta)
+        u, v, _, r = (float(value) for value in nu)
+        du, dv, dw, _ = (float(value) for value in acceleration)
+        force = (du - r * v, dv + r * u, dw - GRAVITY_MPS2)
+        fx, fy, fz = (f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True))
+        return Reading(
+            wrap(yaw + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
+            r + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
+            (fx, fy, fz),
+            z + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
+        )
+
+    def battery_v(self, supply_v: float, load: float) -> float:
+        """Voltage of a battery that has `supply_v` at rest, with this fraction of full thrust on all thrusters."""
+        noise_v = self._sensors.battery_noise_v * float(self._random.standard_normal())
+        return supply_v - self._sensors.battery_sag_v * load + noise_v
