@@ -49,7 +49,6 @@ def run(
     Without --auto the station waits for orders from another terminal: `groundstation order start`.
     Exit code 0 if the mission succeeded, 1 if not.
     """
-    from groundstation import report as reporting
     from groundstation import station
     from wire.bus import Bus
     from wire.transport import Endpoint, ZenohTransport
@@ -64,8 +63,7 @@ def run(
     with Bus(ZenohTransport(Endpoint(listen, router=not external_router)), fleet) as bus:
         succeeded = station.run(loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop)
     if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
-        reporting.write_report(folder)
-        typer.echo(f"report: {folder / 'report.html'}")
+        report(folder)
     raise typer.Exit(0 if succeeded else 1)
 
 

@@ -47,6 +47,11 @@ class Sockets:
                     break
                 world.receive(i, data)
 
+    @property
+    def all_heard(self) -> bool:
+        """Whether every board knows whom to answer."""
+        return None not in self._peers
+
     def send(self, i: int, data: bytes) -> None:
         """Send a board's bytes, if somebody has spoken to it."""
         peer = self._peers[i]
@@ -180,6 +185,9 @@ class Pool:
             if self._stop.requested:
                 return
             log.info("waiting for %s", ", ".join(sorted(everyone - self._bus.present)))
+        while not (self._sockets.all_heard or self._stop.requested):  # else the first bursts would go nowhere
+            self._sockets.wait(SLICE_S)
+            self._sockets.exchange(world)
         period_ns = round(self._experiment.controller.period_s * 1e9)
         tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9), -1
         self._shoot(world)
