@@ -20,7 +20,6 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
-from google.protobuf.message import Message as ProtobufMessage
 
 from wire import fleet_pb2
 from wire.messages import Event, Frame, Message, Preview
@@ -82,10 +81,13 @@ class _Invalid(Exception):
 
 
 @cache
-def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any]], ...]:
-    """Per field of a message: its name, and the checked conversion from the protobuf value."""
+def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], bool], ...]:
+    """Per field of a message: its name, the checked conversion from the protobuf value, and whether it may be absent."""
     hints = get_type_hints(cls)
-    return tuple((f.name, _reader(hints[f.name], f.metadata)) for f in dataclasses.fields(cls))
+    return tuple(
+        (f.name, _reader(hints[f.name], f.metadata), _optional_message(hints[f.name]) is not None)
+        for f in dataclasses.fields(cls)
+    )
 
 
 @cache
@@ -96,7 +98,7 @@ def _growing(cls: Any) -> tuple[str, ...]:
 
 def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
     if "shape" in metadata:
-        return lambda value, name: _read_array(value, name, metadata["shape"])
+        return _array_reader(metadata["shape"])
     if hint is float:
         return _read_positive if metadata.get("positive") else _read_float
     if isinstance(hint, type) and issubclass(hint, IntEnum):
@@ -137,23 +139,25 @@ def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
         raise _Invalid(name, f"{value} is not allowed (allowed: {allowed})") from None
 
 
-def _read_array(value: Any, name: str, shape: tuple[int, ...]) -> Any:
-    array = np.array(value, dtype=np.float64)
-    if not np.all(np.abs(array) <= LARGEST):  # false for NaN too
-        raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
-    row = math.prod(n for n in shape if n != -1)
-    if (array.size % row if -1 in shape else array.size - row) != 0:
-        raise _Invalid(name, f"{array.size} values do not fill the shape {shape}")
-    return array.reshape(shape)
+def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
+    row, any_length = math.prod(n for n in shape if n != -1), -1 in shape
+
+    def read(value: Any, name: str) -> Any:
+        array = np.array(value, dtype=np.float64)
+        if not np.abs(array).max(initial=0.0) <= LARGEST:  # true for NaN too
+            raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
+        if (array.size % row if any_length else array.size - row) != 0:
+            raise _Invalid(name, f"{array.size} values do not fill the shape {shape}")
+        return array.reshape(shape)
+
+    return read
 
 
 def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
     values: dict[str, Any] = {}
-    for name, read in _fields(cast(Any, cls)):
-        if message.DESCRIPTOR.fields_by_name[name].message_type is not None and not message.HasField(name):
-            values[name] = None
-            continue
-        values[name] = read(getattr(message, name), prefix + name)
+    for name, read, may_be_absent in _fields(cast(Any, cls)):
+        absent = may_be_absent and not message.HasField(name)
+        values[name] = None if absent else read(getattr(message, name), prefix + name)
     first, *others = _growing(cast(Any, cls)) or ("",)
     for name in others:
         if len(values[name]) != len(values[first]):
@@ -164,15 +168,13 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
 def _to_protobuf(message: Any, target: Any) -> Any:
     for field in dataclasses.fields(message):
         value = getattr(message, field.name)
-        if value is None:
-            continue
-        if dataclasses.is_dataclass(value):
-            _to_protobuf(value, getattr(target, field.name))
-        elif isinstance(value, np.ndarray):
+        if isinstance(value, np.ndarray):
             getattr(target, field.name).extend(value.ravel().tolist())
         elif isinstance(value, tuple):
             getattr(target, field.name).extend(value)
-        else:
+        elif dataclasses.is_dataclass(value):
+            _to_protobuf(value, getattr(target, field.name))
+        elif value is not None:
             setattr(target, field.name, value)
     return target
 
@@ -184,12 +186,20 @@ def _stamp(target: Any, stamp_ns: int) -> None:
     target.timestamp.seconds, target.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
 
 
-def _frame_to_protobuf(frame: Frame, stamp_ns: int) -> ProtobufMessage:
+def _encode_frame(frame: Frame, stamp_ns: int) -> bytes:
+    """Protobuf's own serializer copies the pixels three times (0.6 ms); appended as the last field they are copied once."""
     height, width = frame.pixels.shape
     image = RawImage(frame_id="camera", width=width, height=height, step=width, encoding="bayer_rggb8")
-    image.data = frame.pixels.tobytes()
     _stamp(image, stamp_ns)
-    return image
+    tag = _varint(RawImage.DATA_FIELD_NUMBER << 3 | 2)  # 2: length-delimited
+    pixels = np.ascontiguousarray(frame.pixels).data.cast("B")
+    return b"".join((image.SerializeToString(), tag, _varint(pixels.nbytes), pixels))
+
+
+def _varint(value: int) -> bytes:
+    """Protobuf's base-128 form of a number that is not negative."""
+    low, rest = value & 0x7F, value >> 7
+    return bytes((low | 0x80,)) + _varint(rest) if rest else bytes((low,))
 
 
 def _frame_from_protobuf(image: Any) -> Frame:
@@ -202,10 +212,10 @@ def _frame_from_protobuf(image: Any) -> Frame:
     return Frame(np.frombuffer(image.data, np.uint8).reshape(image.height, image.width))
 
 
-def _preview_to_protobuf(preview: Preview, stamp_ns: int) -> ProtobufMessage:
+def _encode_preview(preview: Preview, stamp_ns: int) -> bytes:
     image = CompressedImage(frame_id="camera", format="jpeg", data=preview.jpeg)
     _stamp(image, stamp_ns)
-    return image
+    return image.SerializeToString()
 
 
 def _preview_from_protobuf(image: Any) -> Preview:
@@ -214,11 +224,11 @@ def _preview_from_protobuf(image: Any) -> Preview:
     return Preview(image.data)
 
 
-def _event_to_protobuf(event: Event, stamp_ns: int) -> ProtobufMessage:
+def _encode_event(event: Event, stamp_ns: int) -> bytes:
     log = Log(name=event.source, message=event.message)
     log.level = cast(Log.Level.ValueType, event.level)
     _stamp(log, stamp_ns)
-    return log
+    return log.SerializeToString()
 
 
 def _event_from_protobuf(log: Any) -> Event:
@@ -227,10 +237,10 @@ def _event_from_protobuf(log: Any) -> Event:
     return Event(level=log.level, source=log.name, message=log.message)
 
 
-_FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], ProtobufMessage], Callable[[Any], Any]]] = {
-    Frame: (RawImage, _frame_to_protobuf, _frame_from_protobuf),
-    Preview: (CompressedImage, _preview_to_protobuf, _preview_from_protobuf),
-    Event: (Log, _event_to_protobuf, _event_from_protobuf),
+_FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]] = {
+    Frame: (RawImage, _encode_frame, _frame_from_protobuf),
+    Preview: (CompressedImage, _encode_preview, _preview_from_protobuf),
+    Event: (Log, _encode_event, _event_from_protobuf),
 }
 
 
@@ -251,7 +261,7 @@ def descriptor(cls: type) -> Descriptor:
 def encode(message: Message, stamp_ns: int = 0) -> bytes:
     """The wire form of a message. `stamp_ns` goes into schemas that carry a time of their own."""
     if type(message) in _FOXGLOVE:
-        return _FOXGLOVE[type(message)][1](message, stamp_ns).SerializeToString()
+        return _FOXGLOVE[type(message)][1](message, stamp_ns)
     encoded: bytes = _to_protobuf(message, protobuf_class(type(message))()).SerializeToString()
     return encoded
 

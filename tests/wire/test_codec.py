@@ -184,6 +184,18 @@ def test_a_picture_must_be_what_it_says(changes: dict[str, Any], field: str) -> 
     assert len(str(error)) < 200
 
 
+@given(st.integers(1, 3), st.sampled_from([1, 100, 127, 128, 16383, 16384]), st.booleans())
+def test_a_picture_is_what_any_protobuf_reader_expects(height: int, width: int, transposed: bool) -> None:
+    """The fast encoder against protobuf itself, at every length of the length; also for pixels that lie scattered."""
+    pixels = np.arange(height * width, dtype=np.uint64).astype(np.uint8).reshape(height, width)
+    pixels = np.asfortranarray(pixels) if transposed else pixels
+    image = codec.protobuf_class(Frame)(
+        frame_id="camera", width=width, height=height, step=width, encoding="bayer_rggb8", data=pixels.tobytes()
+    )
+    image.timestamp.seconds = 5
+    assert codec.protobuf_class(Frame).FromString(encode(Frame(pixels), 5 * 10**9)) == image
+
+
 def test_a_picture_is_not_copied_and_not_writable() -> None:
     frame = _decode(Frame, encode(Frame(np.arange(24, dtype=np.uint8).reshape(4, 6))))
     assert not frame.pixels.flags.writeable
