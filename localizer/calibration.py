@@ -104,22 +104,18 @@ class PoolView:
     def _seen_at(self, points: Array) -> Array:
         """Where the light from points (n, 3) leaves the water, (n, 3); points in air are seen where they are.
 
-        Newton on f(r) = sin(air) - n sin(water), r the horizontal distance from the camera's foot to the surface point;
-        f rises monotonically, so the root is unique.
+        Newton on g(r) = r + depth tan(water angle at r) - reach, r the horizontal distance from the camera's foot to the
+        surface point. The tangent, by Snell r / sqrt(n^2 (r^2 + h^2) - r^2), stays well-behaved down to depth 0, where
+        sines of the water angle would divide zero by zero.
         """
         offset = points[:, :2] - self._position_m[:2]
         reach = np.linalg.norm(offset, axis=1)
         depth = np.maximum(points[:, 2], 0.0)
-        height = -self._position_m[2]
-        n = self._water_index
+        height, n = -self._position_m[2], self._water_index
         r = reach * height / (height + depth / n)
         for _ in range(_NEWTON_STEPS):
-            air = np.hypot(r, height)
-            water = np.hypot(reach - r, depth)
-            water = np.where(depth > 0, water, 1.0)
-            f = r / air - n * (reach - r) / water
-            slope = height**2 / air**3 + n * depth**2 / water**3
-            r = np.clip(r - f / slope, 0.0, reach)
-        fraction = np.where((depth > 0) & (reach > 0), r / np.where(reach > 0, reach, 1.0), 1.0)
+            root = np.sqrt(n**2 * (r**2 + height**2) - r**2)
+            r = r - (r + depth * r / root - reach) / (1.0 + depth * (n * height) ** 2 / root**3)
+        fraction = np.divide(r, reach, out=np.ones_like(r), where=reach > 0)
         at_surface = np.column_stack([self._position_m[:2] + fraction[:, None] * offset, np.zeros(len(points))])
-        return np.where(depth[:, None] > 0, at_surface, points)
+        return np.where(points[:, 2:] > 0, at_surface, points)

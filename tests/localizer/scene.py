@@ -1,4 +1,4 @@
-"""Test pictures with known truth: textured robots with markers on rippling-free, blotchy water, drawn point by point.
+"""Test pictures with known truth: textured robots with markers under still water, drawn point by point.
 
 Each pixel is traced into the pool with the same geometry that the tests of calibration.py check against Fermat's principle,
 so a fault of the tracking shows here and a fault of the mapping there.
@@ -29,8 +29,8 @@ class Scene:
         self._marker = experiment.vehicle.marker
         self._marker_ids = {robot.id: robot.marker for robot in experiment.robots}
         self._random = np.random.default_rng(seed)
-        self._noise = noise
         width, height = self._size_px
+        self._noise = noise * self._random.normal(size=(height, width, 3)).astype(np.float32)  # shifted from frame to frame
         blotches = self._random.normal(size=(height // 16, width // 16, 3)).astype(np.float32)
         self._water = np.array([150.0, 120.0, 60.0]) + 12.0 * cv2.resize(
             blotches, self._size_px, interpolation=cv2.INTER_CUBIC
@@ -44,14 +44,14 @@ class Scene:
     ) -> Pixels:
         """The Bayer picture (height, width) with robots (by id) at eta = [x, y, z, yaw], markers of `hidden` ones painted
         over, markers of `swapped` ones carrying another robot's."""
-        picture = self._water.copy()
+        picture = self._water.astype(np.float32)
         for robot, eta in poses.items():
             marker = None if robot in hidden else self._marker_ids[(swapped or {}).get(robot, robot)]
             self._draw(picture, np.asarray(eta, dtype=np.float64), marker)
-        noisy = picture + self._random.normal(0.0, self._noise, picture.shape)
-        return bayer(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+        picture += np.roll(self._noise, self._random.integers(1, min(self._size_px), size=2), axis=(0, 1))
+        return bayer(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
 
-    def _draw(self, picture: Array, eta: Array, marker: int | None) -> None:
+    def _draw(self, picture: NDArray[np.float32], eta: Array, marker: int | None) -> None:
         plate_m = eta[2] - self._marker.height_m
         centre = self._view.pixel(np.array([eta[0], eta[1], plate_m]))
         reach = round(self._radius_m * 420)
