@@ -92,7 +92,8 @@ class Agent:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
         reason = refusal(command.order, self.mode) or self._objection(command, station, now_ns)
         if not reason:
-            self._follow(command, now_ns)
+            # Counted from when the order was given: robots that got it at different instants still start together.
+            self._follow(command, now_ns - (station.clock_ns - header.stamp_ns))
         return self._gate.take(header, not reason, reason, self.mode)
 
     def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
@@ -125,14 +126,14 @@ class Agent:
             return f"the battery has {health.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
         return ""
 
-    def _follow(self, command: Command, now_ns: int) -> None:
-        """Carry out an order that is accepted."""
+    def _follow(self, command: Command, given_ns: int) -> None:
+        """Carry out an order that is accepted, given at that instant on our clock."""
         if command.order is Order.LOAD:
             self._trajectory = command.trajectory
             self._reached_s = 0.0
         if command.order in (Order.START, Order.RESUME):
             self._earliest_s = command.trajectory_s if command.order is Order.RESUME else 0.0
-            self._time_zero_ns = now_ns + round((command.start_in_s - self._earliest_s) * 1e9)
+            self._time_zero_ns = given_ns + round((command.start_in_s - self._earliest_s) * 1e9)
         if command.order is Order.STOP:
             self._fault = "emergency stop"
         target = ORDERS[command.order].to
