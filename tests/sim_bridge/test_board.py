@@ -107,7 +107,9 @@ def test_does_not_arm_on_an_old_override() -> None:
     bench.drive(NEUTRAL, 0.1)
     bench.now_ns += 300 * MS
     bench.step(bench.agent.arm(True))
+    bench.step()
     assert not bench.board.armed
+    assert bench.seen.acknowledged == (400, mavlink.REJECTED)
 
 
 @pytest.mark.parametrize("thruster", range(4))
@@ -244,6 +246,10 @@ def test_refused_overrides_are_reported_and_still_counted() -> None:
     bench = Bench()
     bench.drive((1099, *NEUTRAL[1:]), 0.7)
     assert bench.board.overrides_received == bench.board.overrides_refused == 14
+    data = b"".join(bench.board.step(bench.now_ns + i * STEP, STILL, STILL, STILL) for i in range(100))
+    (status,) = (m for m in dialect.MAVLink(None).parse_buffer(data) or [] if m.get_type() == "SYS_STATUS")
+    assert status.errors_count1 == 14
+    assert status.onboard_control_sensors_health == status.onboard_control_sensors_present
 
 
 def test_an_ignored_ankle_stays_where_it_is() -> None:

@@ -30,6 +30,13 @@ def burst(board: BoardLink, board_ms: int = 5000) -> bytes:
     )
 
 
+def checked(content: bytes, crc_extra: int) -> bytes:
+    """A frame with this content (header without start byte, payload) and the checksum that belongs to it."""
+    checksum = dialect.x25crc(content)
+    checksum.accumulate(bytes([crc_extra]))
+    return b"\xfd" + content + struct.pack("<H", checksum.crc)
+
+
 def test_commands_reach_the_board() -> None:
     agent, board = AgentLink(7), BoardLink(7)
     data = agent.pulses(PULSES) + agent.arm(True) + agent.arm(False) + agent.heartbeat() + agent.timesync(123456789)
@@ -167,6 +174,16 @@ def test_a_restarted_agent_is_heard_after_the_silence() -> None:
     assert board.receive(AgentLink(1).pulses(OTHER), 200 * 50 * MS + 500 * MS) == [Override(OTHER)]
 
 
+@given(start=st.integers(0, 255), behind=st.integers(0, 128))
+def test_up_to_half_the_sequence_numbers_are_old(start: int, behind: int) -> None:
+    sequence = Sequence8()
+    for i in range(300):
+        assert sequence.accept((start + i) % 256, i * MS)
+    assert not sequence.accept((start + 299 - behind) % 256, 300 * MS)
+    assert sequence.accept((start + 300) % 256, 301 * MS)
+    assert sequence.loss == 0.0
+
+
 def test_loss_is_measured_over_five_seconds() -> None:
     sequence = Sequence8()
     for i in range(1000):  # 50 Hz, each fourth lost
@@ -203,6 +220,29 @@ def test_every_single_bit_flip_is_noticed_and_the_next_frame_is_not_lost() -> No
         board = BoardLink(1)
         events = [*board.receive(bytes(damaged) + following, 0), *board.receive(b"", FRAME_TIMEOUT_NS + 1)]
         assert events == [Override(OTHER)], f"bit {bit}"
+
+
+def test_a_length_that_its_message_cannot_have_costs_no_time() -> None:
+    agent, board = AgentLink(1), BoardLink(1)
+    damaged = bytearray(agent.pulses(PULSES))
+    damaged[1] |= 0x80
+    assert board.receive(bytes(damaged) + agent.pulses(OTHER), 0) == [Override(OTHER)]
+
+
+def test_a_newer_dialect_may_have_longer_messages() -> None:
+    message = dialect.MAVLink_rc_channels_override_message(1, 1, *PULSES, *[1500] * 10)
+    frame = Sender(1, mavlink.AGENT_COMPONENT).pack(message)
+    longer = checked(frame[1:6].replace(bytes([frame[1]]), bytes([frame[1] + 2]), 1) + frame[6:-2] + b"\7\7", 124)
+    assert BoardLink(1).receive(longer, 0) == [Override(PULSES)]
+
+
+@pytest.mark.parametrize("flags", [1, 2, 128])
+def test_frames_with_flags_that_must_be_understood_are_dropped(flags: int) -> None:
+    frame = bytearray(AgentLink(1).pulses(PULSES))
+    frame[2] = flags
+    board = BoardLink(1)
+    assert board.receive(checked(bytes(frame[1:-2]), 124) + bytes(13), 0) == []
+    assert board.bad_frames > 0
 
 
 def test_every_truncation_is_noticed_and_the_next_frame_is_not_lost() -> None:
@@ -293,9 +333,7 @@ def test_any_payload_with_a_good_checksum(kind: int, payload: bytes, sequence: i
     """A peer that talks correct MAVLink and nonsense: no crash, and only values that can be true."""
     for component, link in ((mavlink.AGENT_COMPONENT, BoardLink(1)), (mavlink.BOARD_COMPONENT, AgentLink(1))):
         header = struct.pack("<BBBBBB", len(payload), 0, 0, sequence, 1, component) + kind.to_bytes(3, "little")
-        checksum = dialect.x25crc(header + payload)
-        checksum.accumulate(bytes([dialect.mavlink_map[kind].crc_extra]))
-        link.receive(b"\xfd" + header + payload + struct.pack("<H", checksum.crc), 0)
+        link.receive(checked(header + payload, dialect.mavlink_map[kind].crc_extra), 0)
         if isinstance(link, AgentLink):
             assert math.isfinite(link.telemetry.heading_rad)
             assert math.isfinite(link.telemetry.yaw_rate_radps)
