@@ -1,0 +1,69 @@
+"""`python -m benchmarks [NAME ...] [--json FILE] [--list]`: measure, print a table, write the rows."""
+
+import importlib
+import json
+import os
+import platform
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.harness import Row
+
+# Each is a module beside this file with `run() -> Iterable[Row]`.
+BENCHMARKS = {
+    "codec": "a message to bytes, and bytes to a checked message",
+    "bus": "there and back between two processes through the router",
+}
+
+TABLE_WIDTH = 120
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    table = Table(title=machine)
+    for column in ("benchmark", "case", "subject", "p50", "p99", "max", "unit", "n"):
+        table.add_column(column, justify="right" if column in ("p50", "p99", "max", "n") else "left")
+    previous = ("", "")
+    for row in rows:
+        if previous not in (("", ""), (row.benchmark, row.case)):
+            table.add_section()
+        previous = (row.benchmark, row.case)
+        figures = (f"{value:.3g}" if value < 1000 else f"{value:,.0f}" for value in (row.p50, row.p99, row.max))
+        table.add_row(row.benchmark, row.case, row.subject, *figures, row.unit, str(row.n))
+    return table
+
+
+def main(
+    names: Annotated[list[str] | None, typer.Argument(help="which to run; all of them if none is named")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="write the rows here as well")] = None,
+    show_list: Annotated[bool, typer.Option("--list", help="say which there are, and stop")] = False,
+) -> None:
+    """Measure ours beside its peers, in the same run."""
+    if show_list:
+        for name, what in BENCHMARKS.items():
+            print(f"{name:12} {what}")
+        return
+    unknown = [name for name in names or () if name not in BENCHMARKS]
+    if unknown:
+        raise typer.BadParameter(f"{', '.join(unknown)}: no such benchmark (allowed: {', '.join(BENCHMARKS)})")
+    for library in ("OMP", "OPENBLAS"):  # as every process of the fleet runs; numpy is not yet imported
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    rows: list[Row] = []
+    for name in names or BENCHMARKS:
+        print(f"{name}: {BENCHMARKS[name]} ...", file=sys.stderr)
+        rows.extend(importlib.import_module(f"benchmarks.{name}").run())
+    console = Console()
+    console.width = max(console.width, TABLE_WIDTH)  # a pipe has no width; a table that wraps cannot be read
+    console.print(_table(rows))
+    if json_file is not None:
+        json_file.write_text(json.dumps([row.as_dict() for row in rows], indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    typer.run(main)

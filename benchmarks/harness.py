@@ -1,0 +1,112 @@
+"""What every benchmark needs: a row, a fair stopwatch, and a place for peers that must not touch our dependencies.
+
+Standard library only: peers import this file from environments that have nothing else of ours.
+"""
+
+import gc
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+PEERS = ROOT / "benchmarks" / "peers"
+ENVIRONMENTS = ROOT / ".bench-venv"
+
+
+@dataclass(frozen=True)
+class Row:
+    """One measured figure. `subject` is `ours`, a variant of ours, or a peer's name."""
+
+    benchmark: str
+    case: str
+    subject: str
+    unit: str
+    p50: float
+    p99: float
+    max: float
+    n: int
+
+    @classmethod
+    def of(cls, benchmark: str, case: str, subject: str, unit: str, samples: Iterable[float]) -> "Row":
+        """The row of some samples. Percentiles are samples that occurred (nearest rank), never interpolated."""
+        ranked = sorted(samples)
+        n = len(ranked)
+        if not n:
+            raise ValueError(f"{benchmark}, {case}, {subject}: no samples")
+
+        def percentile(p: int) -> float:
+            return ranked[max(-(-p * n // 100), 1) - 1]  # ceil(p n / 100), counted from 1
+
+        return cls(benchmark, case, subject, unit, percentile(50), percentile(99), ranked[-1], n)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def time_us(call: Callable[[], object], n: int, warm_up: int | None = None) -> list[float]:
+    """Microseconds that each of `n` calls took, after a tenth as many unmeasured ones.
+
+    The garbage collector is off meanwhile: its pauses belong to whoever made the garbage, not to whoever is measured next.
+    """
+    for _ in range(max(n // 10, 1) if warm_up is None else warm_up):
+        call()
+    samples = []
+    gc.collect()
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        for _ in range(n):
+            start = time.perf_counter_ns()
+            call()
+            samples.append((time.perf_counter_ns() - start) * 1e-3)
+    finally:
+        if was_enabled:
+            gc.enable()
+    return samples
+
+
+def peer_python(name: str, requirements: Sequence[str]) -> Path:
+    """Interpreter of the peer's own environment, made on first use and again when its requirements change."""
+    home = ENVIRONMENTS / name
+    python, stamp = home / "bin" / "python", home / "requirements.txt"
+    wanted = "".join(f"{line}\n" for line in requirements)
+    if not (stamp.is_file() and stamp.read_text() == wanted):
+        print(f"installing {', '.join(requirements)} into {home.relative_to(ROOT)} ...", file=sys.stderr)
+        subprocess.run([sys.executable, "-m", "venv", "--clear", str(home)], check=True)
+        install = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements]
+        subprocess.run(install, check=True, stdin=subprocess.DEVNULL)
+        stamp.write_text(wanted)
+    return python
+
+
+def run_peer(name: str, requirements: Sequence[str], task: object, timeout_s: float = 600.0) -> list[Row]:
+    """Run benchmarks/peers/NAME.py in its own environment and return the rows it prints.
+
+    The script reads `task` as JSON from its standard input and prints a JSON list of rows. A peer that cannot be installed
+    or fails is reported on stderr and left out: no network must not mean no benchmark.
+    """
+    try:
+        done = subprocess.run(
+            [str(peer_python(name, requirements)), str(PEERS / f"{name}.py")],
+            input=json.dumps(task),
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+            cwd=ROOT,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )
+    except (subprocess.SubprocessError, OSError) as error:
+        print(f"peer {name} not measured: {error}", file=sys.stderr)
+        return []
+    if done.returncode != 0:
+        print(f"peer {name} not measured: it ended with {done.returncode}: {done.stderr.strip()}", file=sys.stderr)
+        return []
+    return [Row(**row) for row in json.loads(done.stdout)]
