@@ -93,6 +93,7 @@ class Pool:
         self._renderer = Renderer(experiment, experiment.seed)
         self._frame_index = 0
         self._frame_ns = -1
+        self._neutral = dict.fromkeys(experiment.robot_ids, True)
 
     def run(self) -> None:
         """Simulate until told to stop. Robots are put into the water when their trajectories are known."""
@@ -131,6 +132,15 @@ class Pool:
             starts.append(received.message.eta[0] + np.array(robot.start_offset))
         return np.array(starts)
 
+    def _move(self, world: World) -> None:
+        """One step of the plant. What boards do with thrusters is worth a line in the log: it is what faults are judged by."""
+        for i, data in world.step():
+            self._sockets.send(i, data)
+            robot = self._experiment.robot_ids[i]
+            if world.neutral(i) is not self._neutral[robot]:
+                self._neutral[robot] = world.neutral(i)
+                log.info("board of robot %d: %s", robot, "neutral" if self._neutral[robot] else "thrusting")
+
     # --- by the wall clock
 
     def _run_wall(self, world: World) -> None:
@@ -141,8 +151,7 @@ class Pool:
         try:
             while not self._stop.requested:
                 self._sockets.exchange(world)
-                for i, data in world.step():
-                    self._sockets.send(i, data)
+                self._move(world)
                 if world.exposed:
                     self._expose(world, begin_ns, shots)
                 ahead_s = (begin_ns + world.now_ns - self._clock.now_ns()) * 1e-9
@@ -193,8 +202,7 @@ class Pool:
         self._shoot(world)
         while not self._stop.requested:
             while world.now_ns < tick_ns:
-                for i, data in world.step():
-                    self._sockets.send(i, data)
+                self._move(world)
                 clock.tick_ns = world.now_ns
                 if world.exposed:
                     self._shoot(world)

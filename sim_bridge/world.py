@@ -22,6 +22,7 @@ class World:
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
         self._boards = [Board(experiment, robot, seed) for robot in experiment.robot_ids]
+        self._neutral_us = experiment.vehicle.thruster.neutral_us
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
         self._frames = 1  # the first is at time 0
@@ -58,6 +59,10 @@ class World:
     def board_ms(self, i: int) -> int:
         """Time of the i-th board's last burst."""
         return max(self._boards[i].burst_ms, 0)
+
+    def neutral(self, i: int) -> bool:
+        """Whether the i-th board's thruster outputs are all at neutral."""
+        return all(pulse == self._neutral_us for pulse in self._boards[i].pulses[:4])
 
     def step(self) -> list[tuple[int, bytes]]:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""

@@ -60,6 +60,7 @@ class DryPool:
         self._delay = round(delay_s * 1e9)
         self._seen: deque[tuple[int, Array]] = deque(maxlen=8)
         self._station_ns = 0
+        self._blind_ns = 0  # nothing exposed after this is seen while the camera fails
         self._orders = 0
 
     def order(self, order: Order, robot: int, **more: object) -> Reply:
@@ -135,4 +136,5 @@ class DryPool:
         begin = next(k for k, s in enumerate(self.robots[0].states) if s.trajectory_s > 0)
         truth = np.array(self.truth)[begin:]
         reference = np.array([[s.eta_reference for s in robot.states[begin:]] for robot in self.robots])
-        return truth - reference.transpose(1, 0, 2)
+        error: Array = truth - reference.transpose(1, 0, 2)
+        return error

@@ -1,0 +1,175 @@
+"""Every process of the experiment for real: own processes, own Zenoh sessions, MAVLink over UDP, rendered frames."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import psutil
+import pytest
+from mcap.reader import make_reader
+
+from wire import codec, topics
+from wire.experiment import load_experiment
+from wire.messages import Mode, RobotState
+
+
+def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "sim_bridge", "sil", "pool", "--out", str(out), *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        env={**os.environ, "COLUMNS": "160"},
+    )
+
+
+def finish(run: "subprocess.Popen[str]", timeout_s: float = 90.0) -> tuple[int, str]:
+    output, _ = run.communicate(timeout=timeout_s)
+    return run.returncode, output
+
+
+def run_dir(out: Path) -> Path:
+    (folder,) = out.iterdir()
+    return folder
+
+
+def states(folder: Path, robot: int) -> list[tuple[int, RobotState]]:
+    with (folder / "run.mcap").open("rb") as file:
+        messages = make_reader(file).iter_messages(topics=[f"shoal/{topics.STATE.key(robot)}"])
+        return [(m.publish_time, codec.decode(RobotState, m.data, "log", "state")) for _, _, m in messages]
+
+
+def wait_for(log: Path, text: str, timeout_s: float = 40.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        if log.exists() and text in log.read_text():
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"{log.name} never said {text!r}: {log.read_text() if log.exists() else 'no such file'}")
+
+
+@pytest.fixture(scope="module")
+def lockstep_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, int, str]:
+    out = tmp_path_factory.mktemp("lockstep")
+    code, output = finish(start(out, "--lockstep", "--duration", "30", "--seed", "2"))
+    return run_dir(out), code, output
+
+
+def test_a_lockstep_run_passes_and_leaves_what_it_promises(lockstep_run: tuple[Path, int, str]) -> None:
+    folder, code, output = lockstep_run
+    assert code == 0, output
+    assert "passed" in output
+    assert {"run.mcap", "experiment.toml", "result.json", "report.html"} <= {p.name for p in folder.iterdir()}
+    assert load_experiment(str(folder / "experiment.toml")).seed == 2
+    assert str(folder / "report.html") in output
+
+
+def test_its_result_is_within_the_figures_to_reach(lockstep_run: tuple[Path, int, str]) -> None:
+    result: dict[str, Any] = json.loads((lockstep_run[0] / "result.json").read_text())
+    assert (result["scene"], result["seed"], result["mode"]) == ("pool", 2, "lockstep")
+    for row in [*result["robots"].values(), *result["pairs"].values()]:
+        assert max(row["rms_m"][:2]) < 0.07
+        assert max(row["rms_after_20s_m"][:2]) < 0.03
+        assert max(row["max_after_20s_m"][:2]) < 0.08
+    assert result["pose_error_m"]["rms"] < 0.005
+    assert result["min_separation_m"] > 0.6
+    assert result["real_time_factor"] > 0
+    assert result["faults"] == []
+
+
+def test_its_processes_are_gone(lockstep_run: tuple[Path, int, str]) -> None:
+    left = [p for p in psutil.process_iter(["cmdline"]) if str(lockstep_run[0]) in " ".join(p.info["cmdline"] or [])]
+    assert left == []
+
+
+def test_one_seed_gives_the_same_pulses_bit_for_bit_and_another_seed_does_not(tmp_path: Path) -> None:
+    def pulses(name: str, seed: int) -> list[list[tuple[int, tuple[int, ...]]]]:
+        code, output = finish(start(tmp_path / name, "--lockstep", "--duration", "4", "--seed", str(seed)))
+        assert "no report" not in output
+        assert code in (0, 1)  # four seconds are too few for the limits on accuracy
+        found = [states(run_dir(tmp_path / name), robot) for robot in (1, 2)]
+        assert all(any(s.mode is Mode.TRACKING for _, s in robot) for robot in found)
+        return [[(stamp, s.pulse_us) for stamp, s in robot] for robot in found]
+
+    first = pulses("a", 3)
+    assert pulses("b", 3) == first
+    assert pulses("c", 4) != first
+
+
+@pytest.mark.parametrize("victim", ["localizer", "agent-1", "groundstation"])
+def test_a_process_killed_in_flight_leaves_neutral_boards_and_is_named(victim: str, tmp_path: Path) -> None:
+    run = start(tmp_path, "--duration", "60")
+    try:
+        while not list(tmp_path.glob("pool-*")):
+            time.sleep(0.05)
+        logs = run_dir(tmp_path) / "logs"
+        for robot in (1, 2):
+            wait_for(logs / f"agent-{robot}.log", "tracking")
+        time.sleep(1.5)
+        (process,) = [p for p in psutil.Process(run.pid).children() if _name(p.cmdline()) == victim]
+        killed_at = datetime.now()
+        process.kill()
+        code, output = finish(run)
+    finally:
+        run.kill()
+    assert code == 1
+    assert f"{victim} killed by SIGKILL" in output
+    assert output.count("killed by") == output.count(f"{victim} killed by")  # the others survived
+    stopping = (1, 2) if victim != "agent-1" else (1,)
+    for robot in stopping:
+        assert _neutral_at(logs / "sim-bridge.log", robot, killed_at) <= 0.5
+
+
+def _name(cmdline: list[str]) -> str:
+    module = cmdline[cmdline.index("-m") + 1]
+    return f"agent-{cmdline[cmdline.index('--robot') + 1]}" if module == "robot_agent" else module
+
+
+def _neutral_at(log: Path, robot: int, since: datetime) -> float:
+    """Seconds from `since` to the moment from which the board stayed at neutral."""
+    lines = re.findall(rf"^(\S+) sim-bridge INFO board of robot {robot}: (\w+)$", log.read_text(), re.MULTILINE)
+    assert lines[-1][1] == "neutral", lines
+    at = datetime.combine(since.date(), datetime.strptime(lines[-1][0], "%H:%M:%S.%f").time())
+    return (at - since).total_seconds()
+
+
+def test_ctrl_c_stops_everything_cleanly(tmp_path: Path) -> None:
+    run = start(tmp_path, "--duration", "60")
+    while not list(tmp_path.glob("pool-*")):
+        time.sleep(0.05)
+    wait_for(run_dir(tmp_path) / "logs" / "agent-1.log", "ready")
+    children = psutil.Process(run.pid).children()
+    assert len(children) == 5
+    run.send_signal(signal.SIGINT)
+    code, output = finish(run, 30)
+    assert code == 130
+    assert "every process is stopped" in output
+    assert psutil.wait_procs(children, timeout=1)[1] == []
+    with (run_dir(tmp_path) / "run.mcap").open("rb") as file:
+        assert make_reader(file).get_summary() is not None  # the log was closed, not cut
+
+
+def test_no_process_outlives_a_launcher_that_is_killed(tmp_path: Path) -> None:
+    run = start(tmp_path, "--duration", "60")
+    while not list(tmp_path.glob("pool-*")):
+        time.sleep(0.05)
+    wait_for(run_dir(tmp_path) / "logs" / "agent-1.log", "ready")
+    children = psutil.Process(run.pid).children()
+    run.kill()
+    run.communicate()
+    assert psutil.wait_procs(children, timeout=5)[1] == []
+
+
+def test_a_setting_that_cannot_be_is_explained_at_once(tmp_path: Path) -> None:
+    code, output = finish(start(tmp_path, "--set", "controller.mpc.horizon=1"), 20)
+    assert code == 2
+    assert "controller.mpc.horizon = 1" in output
+    assert "greater than or equal to 2" in output
+    assert not list(tmp_path.iterdir())
