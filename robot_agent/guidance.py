@@ -32,12 +32,12 @@ class Guidance:
         """Reference headings (horizon + 2,) for a path with its rows for now and all nodes. `eta`, `nu`, Gamma: estimates."""
         c, s = math.cos(eta[3]), math.sin(eta[3])
         velocity = np.array([c * nu[0] - s * nu[1], s * nu[0] + c * nu[1]])
-        unknown = np.array([c * disturbance[0] - s * disturbance[1], s * disturbance[0] + c * disturbance[1]])
+        aside = disturbance[1] * np.array([-s, c])
         config = self._config
         asked = self._mass * (
             config.position_gain_per_s2 * (path.eta[0, :2] - eta[:2])
             + config.velocity_gain_per_s * (path.velocity[0, :2] - velocity)
-            - unknown
+            - aside
         )
         self._force = asked if self._force is None else self._force + self._blend * (asked - self._force)
         speed = np.hypot(path.velocity[:, 0], path.velocity[:, 1])[:, None]
