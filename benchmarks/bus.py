@@ -1,7 +1,7 @@
 """There and back between two processes, as the fleet does it: encode, send through the router, decode, and all that again.
 
 Beside ours: the same Zenoh sessions with bytes that nobody looks at (the difference is our encoding, checking and inboxes),
-and two that send bytes straight from one process to the other, with no router between: ZeroMQ and a bare TCP socket.
+and three that go straight from one process to the other, with no router between: ZeroMQ, DDS and a bare TCP socket.
 """
 
 import functools
@@ -26,7 +26,7 @@ ROUND_TRIPS = 2000
 FRAME_ROUND_TRIPS = 300
 PATIENCE_S = 2.0  # a lost message shows as this in the column "max"
 SOCKET_BUFFER = 4 * 1024 * 1024  # a whole picture; with the default the floor is no floor
-ZEROMQ = ("pyzmq==27.3.0",)
+PEERS = {"bus_zeromq": ("pyzmq==27.3.0",), "bus_dds": ("cyclonedds==11.0.1",)}
 
 CASES: dict[str, Topic] = {"RobotState": topics.STATE, "Plan": topics.PLAN, "Frame": topics.FRAME}
 
@@ -183,7 +183,7 @@ def run() -> Iterator[Row]:
     """Round trips of a robot's state, a plan and a camera picture."""
     messages = {case: message for case, message in examples().items() if case in CASES}
     task = [{"case": case, "bytes": len(codec.encode(m)), "n": _count(case)} for case, m in messages.items()]
-    peers = run_peer("bus_zeromq", ZEROMQ, task)
+    peers = [row for name, requirements in PEERS.items() for row in run_peer(name, requirements, task)]
     address = f"tcp/127.0.0.1:{_free_port()}"
     with ExitStack() as processes:
         processes.enter_context(_process("router", address))
