@@ -34,7 +34,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         seed=experiment.seed,
         mode=log.metadata.get("mode", "unknown"),
         passed=False,
-        duration_s=series.end_s,
+        duration_s=round(series.end_s, 6),
         planned_duration_s=experiment.duration_s,
         real_time_factor=_real_time_factor(series, log),
         errors_against=series.errors_against,

@@ -1,0 +1,172 @@
+"""SHELL: from a run's folder to result.json and one self-contained report.html."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from groundstation.alignment import align
+from groundstation.evaluation import evaluate
+from groundstation.figures import FIGURES
+from groundstation.plotting import to_svg
+from groundstation.recorder import recover
+from groundstation.results import Errors, Result
+from groundstation.runlog import RunLog, read_log
+from groundstation.series import Happening, Series
+from wire.experiment import ArticleRow, Experiment, load_experiment
+from wire.runtime import log
+
+MOST_HAPPENINGS = 400
+NOTHING = "–"
+ERRORS_AGAINST = {"truth": "the plant's truth", "localizer": "the localizer's poses"}
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure in the report; no SVG if the run has nothing to draw."""
+
+    name: str
+    title: str
+    caption: str
+    svg: Markup | None
+
+
+def write_report(run_dir: Path) -> Result:
+    """Evaluate a run's folder (run.mcap, experiment.toml) and write result.json and report.html into it.
+
+    A log that was cut off is mended first, if there is room. A run of any length gives a report. Raises ConfigError if the
+    experiment is neither in the folder nor in the log.
+    """
+    recorded = _read(run_dir / "run.mcap")
+    experiment = _experiment(run_dir, recorded)
+    series = align(experiment, recorded)
+    result = evaluate(series, recorded)
+    _replace(run_dir / "result.json", result.to_json())
+    _replace(run_dir / "report.html", render(series, recorded, result))
+    return result
+
+
+def render(series: Series, recorded: RunLog, result: Result) -> str:
+    """The report as HTML."""
+    environment = Environment(
+        loader=PackageLoader("groundstation"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters.update(metres=_metres, figure=_figure)
+    environment.globals.update(compared=_compared, article_cell=_article_cell)
+    shown = _most_telling(series.happenings)
+    return environment.get_template("report.html").render(
+        title=series.experiment.title or series.experiment.name,
+        result=result,
+        errors_against=ERRORS_AGAINST.get(result.errors_against or ""),
+        facts=_facts(recorded, result),
+        rows=_rows(result),
+        article_axes=_article_axes(series.experiment),
+        timings=[("control step [µs]", result.control_step_us), ("exposure to PWM [ms]", result.exposure_to_pwm_ms)],
+        figures=[_draw(series, index) for index in range(len(FIGURES))],
+        happenings=shown,
+        omitted=len(series.happenings) - len(shown),
+    )
+
+
+def _read(path: Path) -> RunLog:
+    if not path.exists():
+        return RunLog()
+    try:
+        mended = recover(path)
+    except OSError as error:
+        log.warning("%s was cut off and cannot be mended (%s); reading what is there", path, error.strerror)
+        mended = False
+    if mended:
+        log.warning("%s was cut off: mended up to the cut", path)
+    return read_log(path)
+
+
+def _experiment(run_dir: Path, recorded: RunLog) -> Experiment:
+    """The experiment as run; from the log if the folder has lost it."""
+    path = run_dir / "experiment.toml"
+    if not path.exists() and recorded.experiment_toml:
+        _replace(path, recorded.experiment_toml)
+    return load_experiment(str(path))
+
+
+def _replace(path: Path, text: str) -> None:
+    """All or nothing: a reader never sees half a file."""
+    new = path.with_name(path.name + ".new")
+    new.write_text(text, encoding="utf-8")
+    new.replace(path)
+
+
+def _draw(series: Series, index: int) -> Drawn:
+    kind = FIGURES[index]
+    figure = kind.draw(series)
+    # our own figure, with texts that matplotlib has escaped
+    return Drawn(kind.name, kind.title, kind.caption, Markup(to_svg(figure, kind.name)) if figure is not None else None)
+
+
+def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
+    factor = result.real_time_factor
+    known = {"scene", "seed", "mode", "experiment_hash", "hash"}
+    return [
+        ("seed", str(result.seed)),
+        ("mode", result.mode),
+        ("evaluated", f"{result.duration_s:.1f} s of {result.planned_duration_s:g} s"),
+        ("speed", f"{factor:.2f} × real time" if factor is not None else NOTHING),
+        ("late control steps", f"{result.missed_deadlines} of {sum(r.control_steps for r in result.robots.values())}"),
+        ("faults", str(len(result.faults))),
+        *((name, value) for name, value in sorted(recorded.metadata.items()) if name not in known),
+        ("experiment hash", result.experiment_hash),
+    ]
+
+
+def _rows(result: Result) -> list[tuple[str, Errors]]:
+    return [
+        *((f"robot {robot}", found) for robot, found in result.robots.items()),
+        *((f"pair {pair}", found) for pair, found in result.pairs.items()),
+    ]
+
+
+def _article_axes(experiment: Experiment) -> list[str]:
+    """Which columns the article's table has: x and y, sometimes z, sometimes yaw."""
+    width = max([2, *(len(row.rms_m) for row in experiment.article)])
+    yaw = any(row.rms_yaw_rad is not None for row in experiment.article)
+    return [*"xyz"[:width], *(["yaw"] if yaw else [])]
+
+
+def _article_cell(article: ArticleRow | None, axis: str) -> float | None:
+    if article is None:
+        return None
+    if axis == "yaw":
+        return article.rms_yaw_rad
+    index = "xyz".index(axis)
+    return article.rms_m[index] if index < len(article.rms_m) else None
+
+
+def _compared(values: Sequence[float] | None, axis: int, other: Sequence[float] | None) -> Markup:
+    """A table cell, marked where the article has a figure to compare with."""
+    value = values[axis] if values is not None and axis < len(values) else None
+    theirs = other[axis] if other is not None and axis < len(other) else None
+    classes, sign = ["first"] if axis == 0 else [], ""
+    if value is not None and theirs is not None:
+        better = value < theirs
+        classes.append("good" if better else "bad")
+        sign = "✓ " if better else "✗ "
+    return Markup('<td class="{}">{}{}</td>').format(" ".join(classes), sign, _metres(value))
+
+
+def _most_telling(happenings: Sequence[Happening]) -> Sequence[Happening]:
+    """All of them, or when there are too many the faults first."""
+    if len(happenings) <= MOST_HAPPENINGS:
+        return happenings
+    kept = sorted(range(len(happenings)), key=lambda i: (not happenings[i].fault, i))[:MOST_HAPPENINGS]
+    return [happenings[i] for i in sorted(kept)]
+
+
+def _metres(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.3f}"
+
+
+def _figure(value: Any) -> str:
+    return NOTHING if value is None else f"{value:.4g}"
