@@ -20,12 +20,12 @@ ALLOWED = {"sim_bridge/numeric.py": {"robot_agent"}}
 
 # What only a file that says "SHELL:" may touch: the network, clocks, threads, processes, files, chance.
 SHELL_MODULES = {
-    "asyncio", "concurrent", "http", "io", "multiprocessing", "os", "queue", "random", "secrets", "select", "selectors",
+    "asyncio", "concurrent", "http", "multiprocessing", "os", "queue", "random", "secrets", "select", "selectors",
     "serial", "shutil", "signal", "socket", "subprocess", "tempfile", "threading", "time", "urllib", "uuid", "zenoh",
 }  # fmt: skip
 SHELL_METHODS = {
     "exists", "glob", "imread", "imwrite", "is_dir", "is_file", "iterdir", "mkdir", "now", "read_bytes", "read_text", "rename",
-    "rglob", "rmdir", "savefig", "symlink_to", "unlink", "utcnow", "VideoCapture", "write_bytes", "write_text",
+    "rglob", "rmdir", "symlink_to", "unlink", "utcnow", "VideoCapture", "write_bytes", "write_text",
 }  # fmt: skip
 SHELL_FUNCTIONS = {"open", "input", "print"}
 
@@ -66,9 +66,7 @@ def _unseeded(tree: ast.Module) -> Iterator[str]:
         if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
             continue
         owner, name = ast.unparse(node.func.value), node.func.attr
-        if owner in ("np.random", "numpy.random") and (
-            (name[0].islower() and name != "default_rng") or not node.args
-        ):
+        if owner in ("np.random", "numpy.random") and ((name[0].islower() and name != "default_rng") or not node.args):
             yield f"{owner}.{name} in line {node.lineno}"
 
 
