@@ -117,9 +117,12 @@ class Recorder:
         return self._dropped
 
     def put(self, topic: Topic, key: str, header: Header, payload: bytes, log_time_ns: int) -> None:
-        """Record a message that arrived at `log_time_ns`. Returns at once; counts what it must drop."""
+        """Record a message that arrived at `log_time_ns`. Returns at once; counts what it must drop. After `close` the run
+        is over, and what still arrives is no part of it."""
         with self._lock:
-            if self._error or self._closing.is_set() or self._pending_bytes + len(payload) > MAX_PENDING_BYTES:
+            if self._closing.is_set():
+                return
+            if self._error or self._pending_bytes + len(payload) > MAX_PENDING_BYTES:
                 self._dropped += 1
                 return
             self._pending.append((topic, key, header, payload, log_time_ns, time.monotonic_ns()))

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -54,7 +53,7 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
     environment = Environment(
         loader=PackageLoader("groundstation"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters.update(metres=_metres, figure=_figure)
+    environment.filters.update(fixed=_fixed, figure=_figure)
     environment.globals.update(compared=_compared, article_cell=_article_cell)
     shown = _most_telling(series.happenings)
     return environment.get_template("report.html").render(
@@ -153,7 +152,7 @@ def _compared(values: Sequence[float] | None, axis: int, other: Sequence[float] 
         better = value < theirs
         classes.append("good" if better else "bad")
         sign = "✓ " if better else "✗ "
-    return Markup('<td class="{}">{}{}</td>').format(" ".join(classes), sign, _metres(value))
+    return Markup('<td class="{}">{}{}</td>').format(" ".join(classes), sign, _fixed(value))
 
 
 def _most_telling(happenings: Sequence[Happening]) -> Sequence[Happening]:
@@ -164,9 +163,13 @@ def _most_telling(happenings: Sequence[Happening]) -> Sequence[Happening]:
     return [happenings[i] for i in sorted(kept)]
 
 
-def _metres(value: float | None) -> str:
+def _fixed(value: float | None) -> str:
+    """Metres or radians, to the millimetre."""
     return NOTHING if value is None else f"{value:.3f}"
 
 
-def _figure(value: Any) -> str:
-    return NOTHING if value is None else f"{value:.4g}"
+def _figure(value: float | None) -> str:
+    """A figure of any size, to what can be read."""
+    if value is None:
+        return NOTHING
+    return f"{value:.4g}" if abs(value) >= 1.0 else f"{value:.3g}"

@@ -135,12 +135,13 @@ def test_what_does_not_fit_in_memory_is_dropped_and_counted(tmp_path: Path) -> N
     recorder.close()
 
 
-def test_put_after_close_is_counted_not_raised(tmp_path: Path) -> None:
+def test_what_arrives_after_the_end_is_no_part_of_the_run(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     recorder.close()
     recorder.close()
     recorder.put(topics.POSE, "shoal/robot/1/pose", Header(1, 1, 0), encode(pose(0)), 0)
-    assert recorder.dropped == 1
+    assert (recorder.dropped, recorder.error) == (0, "")
+    assert sequences(tmp_path / "run.mcap") == []
 
 
 def test_a_place_that_cannot_be_written_is_told_at_once(tmp_path: Path) -> None:
