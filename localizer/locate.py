@@ -122,7 +122,7 @@ class Locator:
         sights.update(self._sights(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
         for i, track in enumerate(self._tracks):
             if i in readings and i in sights:
-                self._tracks[i] = track.read(sights[i].measurement(readings[i].pose, MARKER_NOISE))
+                self._tracks[i] = track.read(sights[i].measurement(readings[i].pose, MARKER_NOISE), self.radius_m)
             elif track.motion is not None and self._taken_place(track.motion.position_m, i, readings):
                 self._tracks[i] = track.contradicted()
 

@@ -16,6 +16,7 @@ from wire.frames import Array, wrap
 from wire.messages import Pose, Track
 
 _REGAIN_PEAK = 0.5  # a lost robot's look must fit better than a followed one's: nothing else says that it is there
+_JUMP_SIGMAS = 3.0
 _PLACED_SIGMA = np.array([0.05, 0.05, 0.1])  # m, m, rad: how well people put a robot on its start
 
 
@@ -42,14 +43,17 @@ class RobotTrack:
         motion = predict(self.motion, step_s) if self.motion is not None and moving else self.motion
         return replace(self, motion=motion, unseen_s=self.unseen_s + step_s, measured=None, refuted=False)
 
-    def read(self, seen: Measurement) -> "RobotTrack":
-        """Its marker was read. Outside the gate of a verified track one of the two is wrong: doubt the identity and wait.
-        If the next marker says the same, the marker wins."""
+    def read(self, seen: Measurement, jump_m: float) -> "RobotTrack":
+        """Its marker was read. Farther than `jump_m` from where a verified track can be, one of the two is wrong: doubt the
+        identity and wait; if the next marker says the same, the marker wins. Nearer, the marker is right whatever the
+        prediction was (a push, a stamp off by a frame): only the speed is forgotten."""
         if self.motion is None or not self.verified:
             return replace(self._taken(seen, anew=True), state=Track.MARKER, verified=True)
-        if surprise(self.motion, seen.pose, seen.covariance) > GATE:
+        moved_m = float(np.linalg.norm(seen.pose[:2] - self.motion.position_m))
+        if moved_m > jump_m + _JUMP_SIGMAS * self.motion.position_sigma_m:
             return self.contradicted()
-        return replace(self._taken(seen, anew=False), state=Track.MARKER)
+        anew = surprise(self.motion, seen.pose, seen.covariance) > GATE
+        return replace(self._taken(seen, anew), state=Track.MARKER)
 
     def contradicted(self) -> "RobotTrack":
         """A marker says that this robot is not where it is believed: in this frame nothing else counts."""

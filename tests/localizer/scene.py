@@ -5,9 +5,11 @@ so a fault of the tracking shows here and a fault of the mapping there.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from localizer.calibration import PoolView
@@ -15,7 +17,7 @@ from wire.experiment import Experiment
 from wire.frames import Array, pool_to_body
 
 Pixels = NDArray[np.uint8]
-_OVERSAMPLE = 3
+_OVERSAMPLE = 3  # samples of a pixel each way
 _TEXTURE_PX = 256
 
 
@@ -30,11 +32,10 @@ class Scene:
         self._marker_ids = {robot.id: robot.marker for robot in experiment.robots}
         self._random = np.random.default_rng(seed)
         width, height = self._size_px
-        self._noise = noise * self._random.normal(size=(height, width, 3)).astype(np.float32)  # shifted from frame to frame
+        self._noise = noise * self._random.normal(size=(height, width)).astype(np.float32)  # shifted from frame to frame
         blotches = self._random.normal(size=(height // 16, width // 16, 3)).astype(np.float32)
-        self._water = np.array([150.0, 120.0, 60.0]) + 12.0 * cv2.resize(
-            blotches, self._size_px, interpolation=cv2.INTER_CUBIC
-        )
+        water = np.array([150.0, 120.0, 60.0]) + 12.0 * cv2.resize(blotches, self._size_px, interpolation=cv2.INTER_CUBIC)
+        self._water = bayer(water.astype(np.float32))
         body = self._random.normal(size=(9, 9, 3)).astype(np.float32)  # one look for all: robots of a fleet are alike
         smooth = cv2.resize(body, (_TEXTURE_PX, _TEXTURE_PX), interpolation=cv2.INTER_CUBIC)
         self._skin = np.clip(np.array([60.0, 160.0, 200.0]) + 40.0 * smooth, 0, 255)
@@ -44,31 +45,42 @@ class Scene:
     ) -> Pixels:
         """The Bayer picture (height, width) with robots (by id) at eta = [x, y, z, yaw], markers of `hidden` ones painted
         over, markers of `swapped` ones carrying another robot's."""
-        picture = self._water.astype(np.float32)
+        picture = self._water.copy()
         for robot, eta in poses.items():
             marker = None if robot in hidden else self._marker_ids[(swapped or {}).get(robot, robot)]
             self._draw(picture, np.asarray(eta, dtype=np.float64), marker)
         picture += np.roll(self._noise, self._random.integers(1, min(self._size_px), size=2), axis=(0, 1))
-        return bayer(np.clip(np.rint(picture), 0, 255).astype(np.uint8))
+        return np.asarray(np.clip(np.rint(picture), 0, 255), dtype=np.uint8)
 
     def _draw(self, picture: NDArray[np.float32], eta: Array, marker: int | None) -> None:
         plate_m = eta[2] - self._marker.height_m
         centre = self._view.pixel(np.array([eta[0], eta[1], plate_m]))
         reach = round(self._radius_m * 420)
-        left, top = (max(int(c) - reach, 0) for c in centre)
-        right, bottom = (min(int(c) + reach, s) for c, s in zip(centre, self._size_px, strict=True))
+        left, top = (max(int(c) - reach, 0) // 2 * 2 for c in centre)
+        right, bottom = (min(int(c) + reach, s) // 2 * 2 for c, s in zip(centre, self._size_px, strict=True))
         if right <= left or bottom <= top:
             return
         n = _OVERSAMPLE
         u = left - 0.5 + (np.arange((right - left) * n) + 0.5) / n  # pixel k spans k - 0.5 to k + 0.5
         v = top - 0.5 + (np.arange((bottom - top) * n) + 0.5) / n
-        pixels = np.stack(np.meshgrid(u, v), axis=-1)
-        body = pool_to_body(self._view.pool(pixels, plate_m) - eta[:2], eta[3])
+        body = pool_to_body(self._plate_points(u, v, plate_m) - eta[:2], eta[3])
         colour, covered = self._robot_colour(body, marker)
-        fine = np.where(covered[..., None], colour, np.nan)
-        cells = fine.reshape(bottom - top, n, right - left, n, 3).swapaxes(1, 2).reshape(bottom - top, right - left, n * n, 3)
+        shape = (bottom - top, n, right - left, n)
+        share = covered.reshape(shape).mean(axis=(1, 3))  # of each pixel; BGR of the covered part below
+        robot = (colour * covered[..., None]).reshape(*shape, 3).sum(axis=(1, 3)) / np.maximum(share * n * n, 1.0)[..., None]
         under = picture[top:bottom, left:right]
-        picture[top:bottom, left:right] = np.where(np.isnan(cells), under[:, :, None, :], cells).mean(axis=2)
+        under += (share * (bayer(robot) - under)).astype(np.float32)
+
+    def _plate_points(self, u: Array, v: Array, plate_m: float) -> Array:
+        """Pool points (len(v), len(u), 2) under a grid of pixels: cubics through a coarse grid, true to 1e-6 m."""
+        coarse = [np.linspace(axis[0], axis[-1], 7) for axis in (u, v)]
+        known = self._view.pool(np.stack(np.meshgrid(*coarse), axis=-1).reshape(-1, 2), plate_m)
+        unit = np.linspace(-1.0, 1.0, 7)
+        across, down = np.meshgrid(unit, unit)
+        base = polynomial.polyvander2d(across.ravel(), down.ravel(), [3, 3])
+        terms = np.linalg.lstsq(base, known)[0].reshape(4, 4, 2)
+        fine = (np.linspace(-1.0, 1.0, len(v)), np.linspace(-1.0, 1.0, len(u)))
+        return np.moveaxis(polynomial.polygrid2d(*fine, terms.swapaxes(0, 1)), 0, -1)
 
     def _robot_colour(self, body_m: Array, marker: int | None) -> tuple[Array, NDArray[np.bool_]]:
         """Colour (..., 3) BGR and cover of points (..., 2) on the plate, metres ahead and to starboard."""
@@ -86,9 +98,9 @@ class Scene:
         return colour, np.linalg.norm(body_m, axis=-1) < self._radius_m
 
 
-def bayer(bgr: Pixels) -> Pixels:
+def bayer(bgr: NDArray[Any]) -> NDArray[Any]:
     """The RGGB mosaic (height, width) of a BGR picture: red first, by definition of the name."""
-    mosaic = np.empty(bgr.shape[:2], np.uint8)
+    mosaic = np.empty(bgr.shape[:2], bgr.dtype)
     mosaic[0::2, 0::2] = bgr[0::2, 0::2, 2]
     mosaic[0::2, 1::2] = bgr[0::2, 1::2, 1]
     mosaic[1::2, 0::2] = bgr[1::2, 0::2, 1]

@@ -25,7 +25,9 @@ def _patch(texture: Real, right: float, down: float, size: int = SIZE) -> Real:
     """The texture's middle after it has moved right and down; interpolated by splines, unlike anything in the package."""
     grid = np.arange(size) - size // 2 + texture.shape[1] // 2
     rows, columns = np.meshgrid(grid - down, grid - right, indexing="ij")
-    return np.stack([ndimage.map_coordinates(c, [rows, columns], order=3, mode="wrap") for c in texture]).astype(np.float32)[None]
+    return np.stack([ndimage.map_coordinates(c, [rows, columns], order=3, mode="wrap") for c in texture]).astype(np.float32)[
+        None
+    ]
 
 
 def _window_pull(shift: float) -> float:
@@ -49,7 +51,10 @@ def test_equals_ridge_regression_written_out(windowed: bool) -> None:
     wrapped = [(min(r, size - r), min(c, size - c)) for r, c in shifts]
     wanted = np.array([np.exp(-0.5 * (r * r + c * c) / shape.target_width**2) for r, c in wrapped])
     dual = np.linalg.solve(gram + shape.regularisation * np.eye(len(shifts)), wanted)
-    expected = [sum(d * kernel(np.roll(looked, (-r, -c), axis=(1, 2)), s) for d, s in zip(dual, samples, strict=True)) for r, c in shifts]
+    expected = [
+        sum(d * kernel(np.roll(looked, (-r, -c), axis=(1, 2)), s) for d, s in zip(dual, samples, strict=True))
+        for r, c in shifts
+    ]
 
     correlation.learn(FIRST, texture[None], ANEW)
     _, peak = correlation.detect(FIRST, other[None])
@@ -99,7 +104,7 @@ def test_rings_measure_any_turn(turn: float, seed: int) -> None:
     def rings(by: float) -> Real:
         turned = angle - 2.0 * np.pi * by / 128
         parts = [waves[:, k, :1] * np.cos(k * turned) + waves[:, k, 1:] * np.sin(k * turned) for k in range(12)]
-        return (128.0 + 10.0 * np.sum(parts, axis=0)).astype(np.float32)[None, :, None, :]
+        return np.asarray(128.0 + 10.0 * np.sum(parts, axis=0), dtype=np.float32)[None, :, None, :]
 
     correlation = CorrelationFilter(1, FilterShape(1, 128, 30, 2.5, windowed=False))
     correlation.learn(FIRST, rings(0.0), ANEW)

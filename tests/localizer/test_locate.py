@@ -1,0 +1,256 @@
+"""The whole localizer, frame by frame, against robots drawn at known places."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from localizer.locate import Located, Locator
+from localizer.overlay import draw
+from tests.localizer.scene import Pixels, Scene
+from wire.experiment import Experiment, load_experiment
+from wire.frames import Array, wrap
+from wire.messages import CameraHealth, Pose, Track
+
+EXPERIMENT = load_experiment("pool")
+STEP_NS = 50_000_000
+DEPTH_M = 0.3
+DEPTHS_M = {1: DEPTH_M, 2: DEPTH_M}
+SIDE = Scene(EXPERIMENT, seed=3)  # drawn once: its textures are the slow part
+
+
+@dataclass(frozen=True)
+class Step:
+    """What was true in a frame, and what the localizer made of it."""
+
+    truth: Mapping[int, Array]
+    located: Located
+
+    def pose(self, robot: int) -> Pose:
+        return dict(self.located.poses)[robot]
+
+    def error(self, robot: int) -> Array:
+        """x, y, yaw."""
+        pose, eta = self.pose(robot), self.truth[robot]
+        return np.array([pose.x_m - eta[0], pose.y_m - eta[1], wrap(pose.yaw_rad - eta[3])])
+
+
+def _circling(t_s: float) -> dict[int, Array]:
+    """Two robots on circles, far faster than the pool scene asks: 0.2 m/s, turning at up to 0.9 rad/s with reversals."""
+    angle, yaw = 0.9 * t_s, 1.2 * np.sin(0.75 * t_s)
+    swing = 0.22 * np.array([np.cos(angle), np.sin(angle)])
+    return {
+        1: np.array([0.5 + swing[0], swing[1], DEPTH_M, yaw + 2.5]),
+        2: np.array([-0.4 + swing[1], 0.1 + swing[0], DEPTH_M, -yaw - 0.4]),
+    }
+
+
+def _fly(
+    locator: Locator,
+    frames: int,
+    truth: Callable[[float], Mapping[int, Array]] = _circling,
+    hidden: Callable[[int], frozenset[int]] = lambda k: frozenset(),
+    first: int = 0,
+    depths_m: Mapping[int, float] = DEPTHS_M,
+) -> Iterator[Step]:
+    for k in range(first, first + frames):
+        poses = truth(k * STEP_NS * 1e-9)
+        yield Step(poses, locator.step(SIDE.frame(poses, hidden(k)), k * STEP_NS, depths_m))
+
+
+def _rms(steps: list[Step], robots: tuple[int, ...] = (1, 2)) -> Array:
+    return np.asarray(np.sqrt(np.mean([step.error(robot) ** 2 for step in steps for robot in robots], axis=0)))
+
+
+def _without_markers() -> Experiment:
+    plain = EXPERIMENT.localizer.model_copy(update={"markers": False})
+    starts = [robot.model_copy(update={"start": tuple(_circling(0.0)[robot.id])}) for robot in EXPERIMENT.robots]
+    return EXPERIMENT.model_copy(update={"localizer": plain, "robots": tuple(starts)})
+
+
+def test_markers_are_found_from_the_first_frame_on() -> None:
+    steps = list(_fly(Locator(EXPERIMENT), 30))
+    for step in steps:
+        assert [robot for robot, _ in step.located.poses] == [1, 2]
+        assert all(pose.track is Track.MARKER and pose.identity_verified for _, pose in step.located.poses)
+        assert step.located.status.camera is CameraHealth.OK and step.located.status.message == ""
+    assert _rms(steps)[:2].max() < 0.6e-3 and _rms(steps)[2] < np.deg2rad(0.5)
+    assert min(step.pose(1).peak for step in steps[1:]) > 0.5
+
+
+def test_looks_alone_follow_fast_turning_robots() -> None:
+    """No marker in sight for 5 s: the correlation filters carry on, and carry the identity."""
+    everyone = frozenset({1, 2})
+    steps = list(_fly(Locator(_without_markers()), 100, hidden=lambda k: everyone))
+    assert all(step.pose(robot).track is Track.KCF for step in steps[1:] for robot in (1, 2))
+    assert all(step.pose(robot).identity_verified for step in steps for robot in (1, 2))
+    assert _rms(steps)[:2].max() < 3e-3 and _rms(steps)[2] < np.deg2rad(1.0)
+
+
+def test_covariance_is_honest() -> None:
+    """Errors lie within what is published: not by a wide margin in either direction."""
+    steps = list(_fly(Locator(EXPERIMENT), 40))
+    squared = [step.error(r) @ np.linalg.solve(step.pose(r).covariance, step.error(r)) for step in steps for r in (1, 2)]
+    assert 0.2 < np.mean(squared) / 3.0 < 1.5
+    assert np.max(squared) < 25.0
+
+
+def test_depth_error_is_covered_by_the_covariance() -> None:
+    """A robot reports 1 cm too deep: 2 sigma of its sensor. The error grows by 2.5 mm per metre off the axis, and so does
+    the published uncertainty, in that direction only."""
+    still = {1: np.array([1.2, 0.0, DEPTH_M, 0.3]), 2: np.array([-0.4, 0.0, DEPTH_M, 0.0])}
+    steps = list(_fly(Locator(EXPERIMENT), 5, lambda t: still, depths_m={1: DEPTH_M + 0.01, 2: DEPTH_M}))
+    error, covariance = steps[-1].error(1), steps[-1].pose(1).covariance
+    assert error[0] == pytest.approx(0.003, abs=1e-3)
+    assert abs(error[0]) < 3.0 * np.sqrt(covariance[0, 0])
+    assert covariance[0, 0] > 2.0 * covariance[1, 1]
+
+
+def test_unreported_depth_is_the_experiments_and_less_sure() -> None:
+    steps = list(_fly(Locator(EXPERIMENT), 3, depths_m={2: float("nan")}))
+    assert steps[-1].pose(1).depth_m == DEPTH_M and steps[-1].pose(2).depth_m == DEPTH_M
+    known = list(_fly(Locator(EXPERIMENT), 3))
+    assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(known[-1].pose(1).covariance)
+
+
+def test_lost_and_found_elsewhere() -> None:
+    """A robot is taken out of the water and put back a metre away. The other one does not notice."""
+
+    def truth(t_s: float) -> dict[int, Array]:
+        poses = _circling(t_s)
+        k = round(t_s / 0.05)
+        if 10 <= k < 35:
+            del poses[1]
+        if k >= 35:
+            poses[1] = poses[1] + np.array([0.3, -0.8, 0.0, 2.0])
+        return poses
+
+    steps = list(_fly(Locator(EXPERIMENT), 45, truth))
+    tracks = [step.pose(1).track for step in steps]
+    assert tracks[9] is Track.MARKER and tracks[10] is Track.COAST and tracks[34] is Track.LOST
+    assert tracks.index(Track.LOST) - 10 == pytest.approx(EXPERIMENT.localizer.lost_after_s / 0.05, abs=1)
+    assert not any(steps[k].pose(1).identity_verified for k in range(26, 35))
+    assert "lost: robot 1" in steps[30].located.status.message
+    assert tracks[40] is Track.MARKER and np.abs(steps[40].error(1)[:2]).max() < 2e-3
+    assert all(step.pose(2).track is Track.MARKER for step in steps)
+
+
+def test_a_robot_nobody_saw_has_no_pose() -> None:
+    only_second = {2: np.array([-0.4, 0.1, DEPTH_M, 0.5])}
+    steps = list(_fly(Locator(EXPERIMENT), 7, lambda t: only_second))
+    assert all([robot for robot, _ in step.located.poses] == [2] for step in steps)
+    assert "lost: robot 1" in steps[-1].located.status.message
+
+
+def test_out_of_the_picture_and_back() -> None:
+    def truth(t_s: float) -> dict[int, Array]:
+        return {1: np.array([1.2 + 0.9 * np.sin(1.5 * t_s), 0.9, DEPTH_M, 0.2]), 2: _circling(t_s)[2]}
+
+    steps = list(_fly(Locator(EXPERIMENT), 46, truth))
+    assert any(step.pose(1).track is not Track.MARKER for step in steps)
+    assert steps[-1].pose(1).track is Track.MARKER and np.abs(steps[-1].error(1)[:2]).max() < 2e-3
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_crossing_without_markers_is_never_silent(seed: int) -> None:
+    """Two identical robots brush past each other while their markers cannot be read. Whoever follows whom afterwards, both
+    identities are doubted from the moment they are near until a marker is read, and then they are right."""
+    random = np.random.default_rng(seed)
+    offset, speed = random.uniform(0.22, 0.30), random.uniform(0.25, 0.4)
+
+    def truth(t_s: float) -> dict[int, Array]:
+        along = speed * (t_s - 1.5)
+        return {
+            1: np.array([along, offset / 2, DEPTH_M, 0.0]),
+            2: np.array([-along, -offset / 2, DEPTH_M, 0.0]),
+        }
+
+    steps = list(_fly(Locator(EXPERIMENT), 64, truth, hidden=lambda k: frozenset({1, 2}) if 12 <= k < 56 else frozenset()))
+    touched = False
+    for k, step in enumerate(steps):
+        touched |= float(np.linalg.norm(step.truth[1][:2] - step.truth[2][:2])) < 2.2 * EXPERIMENT.vehicle.radius_m
+        for robot in (1, 2):
+            wrong = float(np.linalg.norm(step.error(robot)[:2])) > 0.15
+            assert not (wrong and step.pose(robot).identity_verified), f"frame {k}"
+            if touched and k < 56:
+                assert not step.pose(robot).identity_verified
+    for robot in (1, 2):
+        assert steps[-1].pose(robot).identity_verified and np.abs(steps[-1].error(robot)[:2]).max() < 2e-3
+
+
+def test_swapped_labels_are_noticed_at_once() -> None:
+    """Somebody swaps the robots between two frames: both are doubted in the next one, and right in the one after."""
+
+    def truth(t_s: float) -> dict[int, Array]:
+        places = [np.array([0.4, 0.0, DEPTH_M, 0.5]), np.array([-0.4, 0.0, DEPTH_M, -0.5])]
+        return dict(zip((1, 2), places if t_s < 0.49 else places[::-1], strict=True))
+
+    steps = list(_fly(Locator(EXPERIMENT), 14, truth))
+    for robot in (1, 2):
+        assert not steps[10].pose(robot).identity_verified
+        assert steps[12].pose(robot).identity_verified and np.abs(steps[12].error(robot)[:2]).max() < 2e-3
+
+
+def test_frozen_black_and_missized_pictures_give_no_poses() -> None:
+    locator = Locator(EXPERIMENT)
+    *_, last = _fly(locator, 5)
+    frame = SIDE.frame(last.truth)
+    tracks = []
+    for k in range(5, 12):
+        located = locator.step(frame, k * STEP_NS, DEPTHS_M)
+        tracks.append((located.status.camera, [pose.track for _, pose in located.poses]))
+    assert tracks[0] == (CameraHealth.OK, [Track.MARKER, Track.MARKER])
+    assert tracks[1:4] == [(CameraHealth.OK, [Track.COAST, Track.COAST])] * 3, "a repeated picture is no news"
+    assert tracks[4:] == [(CameraHealth.FROZEN, [])] * 3
+    for bad, health in ((np.zeros_like(frame), CameraHealth.BLACK), (frame[::2, ::2].copy(), CameraHealth.WRONG_SIZE)):
+        located = locator.step(bad, 12 * STEP_NS, DEPTHS_M)
+        assert located.status.camera is health and located.poses == ()
+        assert health.name.lower().split("_")[0] in located.status.message
+    *_, again = _fly(locator, 2, first=13)
+    assert again.pose(1).track is Track.MARKER and np.abs(again.error(1)[:2]).max() < 2e-3
+
+
+def test_stamps_may_jump_either_way() -> None:
+    locator = Locator(EXPERIMENT)
+    still = _circling(0.0)
+    for stamp_ns in (10**18, 10**18 + STEP_NS, 5, 10**15, 10**15 - 7 * STEP_NS):
+        located = locator.step(SIDE.frame(still), stamp_ns, DEPTHS_M)
+        for robot, pose in located.poses:
+            assert np.isfinite(pose.covariance).all()
+            assert abs(pose.x_m - still[robot][0]) < 2e-3 and pose.track is Track.MARKER
+
+
+def test_same_frames_same_bits() -> None:
+    frames = [SIDE.frame(_circling(0.05 * k), frozenset({1}) if k > 8 else frozenset()) for k in range(16)]
+
+    def run() -> list[bytes]:
+        locator = Locator(EXPERIMENT)
+        results = [locator.step(frame, k * STEP_NS, DEPTHS_M) for k, frame in enumerate(frames)]
+        return [
+            np.array([p.x_m, p.y_m, p.yaw_rad, p.peak, *p.covariance.ravel()]).tobytes() for r in results for _, p in r.poses
+        ]
+
+    assert run() == run()
+
+
+def test_the_frame_is_only_read() -> None:
+    frame: Pixels = SIDE.frame(_circling(0.0))
+    frame.setflags(write=False)  # as it comes out of a message
+    locator = Locator(EXPERIMENT)
+    assert len(locator.step(frame, 0, DEPTHS_M).poses) == 2
+
+
+def test_overlay_marks_robots_where_they_are() -> None:
+    locator = Locator(EXPERIMENT)
+    *_, step = _fly(locator, 2)
+    frame = SIDE.frame(step.truth)
+    bare, marked = draw(locator, frame, Located((), step.located.status)), draw(locator, frame, step.located)
+    assert marked.shape == (480, 640, 3) and marked.dtype == np.uint8
+    changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
+    for robot in (1, 2):
+        eta = step.truth[robot]
+        centre = (locator.view.pixel(np.array([eta[0], eta[1], eta[2] - locator.marker_height_m])) + 0.5) / 2 - 0.5
+        near = changed[np.linalg.norm(changed - centre, axis=1) < 80]
+        assert len(near) > 200 and np.linalg.norm(near - centre, axis=1).min() < 3
+    assert draw(locator, np.zeros((200, 300), np.uint8), Located((), step.located.status)).shape == (480, 640, 3)
