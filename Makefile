@@ -33,6 +33,7 @@ lint: $(INSTALLED) ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy docs
 
 format: $(INSTALLED) ## let ruff lay out and repair what it can
 	$(BIN)/ruff format .

@@ -1,0 +1,93 @@
+"""Write docs/messages.md from the contract itself: `make docs`. A test fails when the page is behind the code."""
+
+import ast
+import dataclasses
+import enum
+import inspect
+import math
+import sys
+import types
+from collections.abc import Iterator
+from typing import Any, get_args, get_origin, get_type_hints
+
+from wire import codec, messages, topics
+from wire.messages import Message
+from wire.topics import TOPICS, Qos, Topic
+
+HEAD = """# Messages and topics
+
+Written by `make docs` from `wire/topics.py` and `wire/messages.py`; edit those. Frames and units: `docs/frames-and-units.md`.
+
+Keys stand below the fleet's name (`--fleet`, default `shoal`). Beside every message travels a header of 28 bytes as its Zenoh
+attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`wire/codec.py`).
+"""
+
+
+def _comments(cls: type) -> dict[str, str]:
+    """What is written beside the fields or members of a class, on their lines."""
+    source = inspect.getsource(cls)
+    body = ast.parse(source).body[0]
+    assert isinstance(body, ast.ClassDef)
+    found = {}
+    for node in body.body:
+        target = node.target if isinstance(node, ast.AnnAssign) else node.targets[0] if isinstance(node, ast.Assign) else None
+        if isinstance(target, ast.Name):
+            _, _, comment = source.splitlines()[node.lineno - 1].partition("#")
+            found[target.id] = comment.strip()
+    return found
+
+
+def _type(hint: Any, metadata: Any) -> str:
+    if "shape" in metadata:
+        return "float64 " + " × ".join("n" if n == -1 else str(n) for n in metadata["shape"])
+    if get_origin(hint) is tuple:
+        return f"list of {get_args(hint)[0].__name__}"
+    if get_origin(hint) is types.UnionType:
+        return " or ".join("nothing" if part is types.NoneType else part.__name__ for part in get_args(hint))
+    return str(getattr(hint, "__name__", None) or "uint8 height × width")
+
+
+def _topic_row(topic: Topic) -> str:
+    rate = f"{topic.rate_hz:g} Hz" if topic.rate_hz else "when it happens"
+    age = f"{topic.max_age_s:g} s" if math.isfinite(topic.max_age_s) else "never stale"
+    recorded = "yes" if topic.recorded else "no"
+    name = topic.type.__name__
+    cells = (f"`{topic.name}`", f"[{name}](#{name.lower()})", topic.publisher, rate, age, topic.qos.name, recorded)
+    return f"| {' | '.join(cells)} |"
+
+
+def _message(cls: Any) -> Iterator[str]:
+    yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n\nSchema: `{codec.descriptor(cls).full_name}`.\n"
+    yield "| Field | Type | |\n|---|---|---|"
+    hints, comments = get_type_hints(cls), _comments(cls)
+    for field in dataclasses.fields(cls):
+        yield f"| `{field.name}` | {_type(hints[field.name], field.metadata)} | {comments[field.name]} |"
+
+
+def _choices(cls: type[enum.IntEnum]) -> Iterator[str]:
+    yield f"\n### {cls.__name__}\n\n{inspect.getdoc(cls)}\n\n| Value | Name | |\n|---|---|---|"
+    comments = _comments(cls)
+    for member in cls:
+        yield f"| {member.value} | {member.name} | {comments[member.name]} |"
+
+
+def _enums() -> list[type[enum.IntEnum]]:
+    found = (v for v in vars(messages).values() if isinstance(v, type) and issubclass(v, enum.IntEnum))
+    return [cls for cls in found if cls is not enum.IntEnum]
+
+
+def page() -> str:
+    """The whole page."""
+    lines = [HEAD, "## Topics\n"]
+    lines += ["| Key | Message | From | Rate | Stale after | Sent as | Recorded |", "|---|---|---|---|---|---|---|"]
+    lines += [_topic_row(topic) for topic in TOPICS]
+    lines += [f"\n`{topics.COMMAND_KEY}` is a query: a [Command](#command) in, a [Reply](#reply) out."]
+    lines += [f"`{topics.PRESENCE_KEY}` is a liveliness token: there, not necessarily well.", "\n### How a topic is sent\n"]
+    lines += [f"* **{qos.name}**: {qos.value}." for qos in Qos]
+    lines += ["\n## Messages", *(line for cls in get_args(Message) for line in _message(cls))]
+    lines += ["\n## Choices", *(line for cls in _enums() for line in _choices(cls))]
+    return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    sys.stdout.write(page())
