@@ -41,6 +41,7 @@ class Station:
     pool: ThreadPoolExecutor
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     told: str = ""
+    recorder_told: bool = False
 
     def cycle(self, now_ns: int, lockstep: bool) -> None:
         """Read the fleet, run the mission, send its orders, beat."""
@@ -72,6 +73,9 @@ class Station:
         return Reply(WHOLE_FLEET, not reason, reason)
 
     def _tell(self) -> None:
+        if self.recorder.error and not self.recorder_told:
+            self.recorder_told = True
+            log.error("recorder: %s", self.recorder.error)
         line = f"{self.mission.phase.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
         if line != self.told:
             self.told = line
@@ -122,8 +126,6 @@ def run(
             bus.announce("groundstation")
             started_s = time.monotonic()
             (_lockstep_loop if lockstep else _wall_loop)(station, stop)
-            if recorder.error:
-                log.error("recorder: %s", recorder.error)
             log.info("mission %s after %.1f s", mission.phase.value, time.monotonic() - started_s)
             return mission.phase is Phase.DONE and not mission.failed and not recorder.error
     finally:

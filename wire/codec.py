@@ -25,7 +25,7 @@ from wire import fleet_pb2
 from wire.messages import Event, Frame, Message, Preview
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
-MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # an hour of trajectory at 20 Hz is below this; anything above is no message of ours
+MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
