@@ -43,13 +43,12 @@ def run(experiment: Experiment, run_dir: Path, *, lockstep: bool, stop: Stop, co
         mission_failed = station is None or station.exit_code != 0
         if station is not None and station.exit_code not in (None, 0, 1):
             trouble.append(station.explain())
+            console.print(f"[red]{trouble[-1]}[/]", soft_wrap=True)
     finally:
         children.stop()
     if stop.requested:
         console.print("interrupted: every process is stopped")
         return 130
-    for line in trouble:
-        console.print(f"[red]{line}[/]")
     passed = _report(run_dir, console) and not mission_failed and not trouble
     console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
@@ -86,7 +85,7 @@ def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool,
             for child in children.ended():
                 if child.name not in trouble and child is not station:
                     trouble[child.name] = child.explain()
-                    console.print(f"[red]{trouble[child.name]}[/]")
+                    console.print(f"[red]{trouble[child.name]}[/]", soft_wrap=True)
             if trouble and lockstep:
                 break  # the others would wait for it for ever
             if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
