@@ -75,7 +75,7 @@ class Controller:
         )
         nodes_s = vehicle.thruster.dead_time_s + period_s * np.arange(horizon + 1)
         self._sampler = Sampler(nodes_s)
-        self._guidance = Guidance(vehicle, config.guidance, period_s)
+        self._guidance = Guidance(vehicle, config.guidance, period_s, config.estimator.sway)
         self._formation = Formation(config.mpc, safety, period_s)
         model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
         self._mpc = Mpc(vehicle, model, config.mpc, period_s, self._formation.rows)

@@ -1,4 +1,18 @@
-"""Heading from the force that the path asks for; see robot_agent/reference.py for why."""
+"""Reference heading: the direction in which thrust does what the path asks for.
+
+The robot has no side force: its heading IS the direction in which it can push, as for a quadrotor. With the sway-aware model
+the heading is the one at which nothing is left to push sideways (body y axis j, tangent t, normal n, crab angle b):
+
+    F = M (a_ref + kp e_position + kd e_velocity - Gamma_v j)       F . j = d_v(V) V sin b
+    =>  tan b = F_n / (F_t + d_v(V) V)
+
+so it holds the crab angle of a turn, leans into a current and steers back to the path. Only the side force Gamma_v counts: a
+surge disturbance is the surge thrust's business (with it, a robot with a strong thruster oscillated by 0.4 rad). A heading
+that points the other way does as well: thrust reverses.
+
+The article keeps the path's tangent, and never corrects a lateral error at walking pace: 0.33 m on its own circle. Its model
+without sway goes where it points, so there the heading is that of the velocity V + (kp / kd) e_position.
+"""
 
 import math
 
@@ -9,60 +23,79 @@ from wire.experiment import Guidance as GuidanceConfig
 from wire.frames import Array, wrap
 from wire.vehicle import Vehicle
 
+Vector = tuple[float, float]
+
 
 class Guidance:
-    """One robot's reference heading, with its memory: filtered force, direction of thrust, what is left of a jump."""
+    """One robot's reference heading, with its memory: filtered request, direction of thrust, what is left of a jump."""
 
-    def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float) -> None:
-        self._config = config
-        self._mass, self._linear, self._quadratic = vehicle.mass.surge_kg, vehicle.drag.linear[0], vehicle.drag.quadratic[0]
-        self._blend = 1.0 - math.exp(-period_s / config.filter_s)
-        self._settle = math.exp(-period_s / config.filter_s)
+    def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float, sway: bool) -> None:
+        self._config, self._sway = config, sway
+        self._mass = vehicle.mass.surge_kg
+        self._linear, self._quadratic = vehicle.drag.linear[1], vehicle.drag.quadratic[1]
+        self._keep = math.exp(-period_s / config.filter_s)
+        self._worth = config.turning_force_n if sway else config.turning_force_n / vehicle.drag.linear[0]
         self.reset()
 
     def reset(self) -> None:
-        """Start anew: the next force counts in full."""
-        self._force: Array | None = None
-        self._direction = 1.0
+        """Start anew: the next request counts in full."""
+        self._asked: Vector | None = None
+        self._direction = 1.0  # of thrust: 1 ahead, -1 astern
         self._jump = 0.0
         self._hold_yaw: float | None = None
         self._turning = False
 
     def follow(self, path: Path, eta: Array, nu: Array, disturbance: Array) -> Array:
-        """Reference headings (horizon + 2,) for a path with its rows for now and all nodes. `eta`, `nu`, Gamma: estimates."""
-        c, s = math.cos(eta[3]), math.sin(eta[3])
-        velocity = np.array([c * nu[0] - s * nu[1], s * nu[0] + c * nu[1]])
-        aside = disturbance[1] * np.array([-s, c])
-        config = self._config
-        asked = self._mass * (
-            config.position_gain_per_s2 * (path.eta[0, :2] - eta[:2])
-            + config.velocity_gain_per_s * (path.velocity[0, :2] - velocity)
-            - aside
-        )
-        self._force = asked if self._force is None else self._force + self._blend * (asked - self._force)
-        speed = np.hypot(path.velocity[:, 0], path.velocity[:, 1])[:, None]
-        force = (
-            self._force
-            + self._mass * path.acceleration[:, :2]
-            + (self._linear + self._quadratic * speed) * path.velocity[:, :2]
-        )
+        """Reference headings (rows,) for a path's rows: now, then all nodes. `eta`, `nu`, Gamma are estimates (4,)."""
+        feedback = self._filter(self._force(path, eta, nu, disturbance) if self._sway else self._velocity(path, eta))
         tangent = path.eta[:, 3]
-        along = np.cos(tangent) * force[:, 0] + np.sin(tangent) * force[:, 1]
-        across = -np.sin(tangent) * force[:, 0] + np.cos(tangent) * force[:, 1]
-        if self._direction * along[0] < -config.turning_force_n:
-            before = self._correction(along[0], across[0])
+        c, s = np.cos(tangent), np.sin(tangent)
+        speed = c * path.velocity[:, 0] + s * path.velocity[:, 1]
+        if self._sway:
+            force = self._mass * path.acceleration[:, :2] + feedback
+            along = c * force[:, 0] + s * force[:, 1] + (self._linear + self._quadratic * np.abs(speed)) * speed
+            across = c * force[:, 1] - s * force[:, 0]
+        else:
+            along = c * feedback[0] + s * feedback[1] + speed
+            across = c * feedback[1] - s * feedback[0]
+        if self._direction * float(along[0]) < -self._worth:
+            before = self._angle(along[0], across[0])
             self._direction = -self._direction
-            self._jump += float(before - self._correction(along[0], across[0]))
-        self._jump *= self._settle
-        return tangent + self._correction(along, across) + self._jump
+            self._jump += float(before - self._angle(along[0], across[0]))
+        self._jump *= self._keep
+        return np.asarray(tangent + self._angle(along, across) + self._jump)
 
-    def _correction(self, along: Array, across: Array) -> Array:
-        ahead = np.maximum(self._direction * along, self._config.turning_force_n)
+    def _force(self, path: Path, eta: Array, nu: Array, disturbance: Array) -> Vector:
+        """Feedback part of F in the pool frame, newtons."""
+        c, s = math.cos(eta[3]), math.sin(eta[3])
+        slip_x = float(path.velocity[0, 0]) - (c * nu[0] - s * nu[1])
+        slip_y = float(path.velocity[0, 1]) - (s * nu[0] + c * nu[1])
+        stiff, damp, side = self._config.position_gain_per_s2, self._config.velocity_gain_per_s, float(disturbance[1])
+        error_x, error_y = path.eta[0, 0] - eta[0], path.eta[0, 1] - eta[1]
+        return (
+            self._mass * float(stiff * error_x + damp * slip_x + side * s),
+            self._mass * float(stiff * error_y + damp * slip_y - side * c),
+        )
+
+    def _velocity(self, path: Path, eta: Array) -> Vector:
+        """Correction of the velocity in the pool frame, m/s."""
+        rate = self._config.position_gain_per_s2 / max(self._config.velocity_gain_per_s, 1e-6)
+        return rate * float(path.eta[0, 0] - eta[0]), rate * float(path.eta[0, 1] - eta[1])
+
+    def _filter(self, asked: Vector) -> Vector:
+        if self._asked is None:
+            self._asked = asked
+        keep, before = self._keep, self._asked
+        self._asked = (keep * before[0] + (1.0 - keep) * asked[0], keep * before[1] + (1.0 - keep) * asked[1])
+        return self._asked
+
+    def _angle(self, along: Array, across: Array) -> Array:
+        ahead = np.maximum(self._direction * along, self._worth)
         limit = self._config.max_correction_rad
-        return np.clip(np.arctan(self._direction * across / ahead), -limit, limit)
+        return np.minimum(np.maximum(np.arctan(self._direction * across / ahead), -limit), limit)
 
-    def hold(self, point: Array, eta: Array, count: int) -> Array:
-        """Reference headings (count,) for keeping station at `point`: as it is while near, else along the line to the point,
+    def hold(self, point: Array, eta: Array, rows: int) -> Array:
+        """Reference headings (rows,) for keeping station at `point`: as it is while near, else along the line to the point,
         forwards or backwards, whichever is nearer."""
         if self._hold_yaw is None:
             self._hold_yaw = float(eta[3])
@@ -71,7 +104,6 @@ class Guidance:
         radius = self._config.hold_radius_m
         self._turning = distance > (0.5 * radius if self._turning else radius)
         if self._turning:
-            line = math.atan2(dy, dx)
-            turn = wrap(2.0 * (line - self._hold_yaw)) / 2.0  # to the line, either way round
-            self._hold_yaw += self._blend * turn
-        return np.full(count, self._hold_yaw)
+            turn = 0.5 * wrap(2.0 * (math.atan2(dy, dx) - self._hold_yaw))  # to the line, whichever end is nearer
+            self._hold_yaw += (1.0 - self._keep) * turn
+        return np.full(rows, self._hold_yaw)

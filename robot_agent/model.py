@@ -3,10 +3,12 @@
 Equations (3-11) with the sway that the article leaves out (it is what pushes a slow robot off a circle):
 
     u' = (X - d(u) u) / m_u + (m_v / m_u) v r + Gamma_u        eta' = J(yaw) [u, v, w, r]
-    v' = (    - d(v) v) / m_v - (m_u / m_v) u r + Gamma_v      d(v) = linear + quadratic |v|
+    v' = (    - d(v) v) / m_v - (m_u / m_v) u r + Gamma_v      d = linear + quadratic speed
     w' = (Z - d(w) w) / m_w + Gamma_w                          lag X' = X_commanded - X, Z and N alike
     r' = (N - d(r) r) / m_r + Gamma_r
 
+The speed in d is |w|, |r|, and for surge and sway that of both: water presses against a sphere along its path. (Each axis with
+its own speed, as in the article, makes a sliding robot's side drag three times too small at 0.3 m/s: 4 cm in a bend.)
 The Munk moment (m_u - m_v) u v is left out: it is zero for a sphere, and Gamma_r carries it otherwise.
 
 Velocities advance by v+ = v + dt phi(a dt) v', phi(s) = (1 - exp(-s)) / s, a = the slope of drag / m (exponential Euler:
@@ -44,36 +46,27 @@ class Model:
         x, y, z, yaw, u, v, w, r, fx, fz, fn = state
         left, mean = self.lag(dt_s)
         cx, cz, cn = wrench
-        m_u, m_v, m_w, m_r = self.mass
-        u1 = u + self._held(0, u, dt_s) * (
-            (cx + (fx - cx) * mean - self._drag(0, u)) / m_u + self.coriolis * v * r + disturbance[0]
-        )
+        linear, quadratic, mass, ratio = self.linear, self.quadratic, self.mass, self.coriolis
+        speed = math.hypot(u, v)
+        push = cx + (fx - cx) * mean - (linear[0] + quadratic[0] * speed) * u
+        u1 = u + self.held(0, speed, u, dt_s) * (push / mass[0] + ratio * v * r + disturbance[0])
         v1 = 0.0
         if self.sway:
-            v1 = v + self._held(1, v, dt_s) * (-self._drag(1, v) / m_v - u * r / self.coriolis + disturbance[1])
-        w1 = w + self._held(2, w, dt_s) * ((cz + (fz - cz) * mean - self._drag(2, w)) / m_w + disturbance[2])
-        r1 = r + self._held(3, r, dt_s) * ((cn + (fn - cn) * mean - self._drag(3, r)) / m_r + disturbance[3])
+            push = -(linear[1] + quadratic[1] * speed) * v
+            v1 = v + self.held(1, speed, v, dt_s) * (push / mass[1] - u * r / ratio + disturbance[1])
+        push = cz + (fz - cz) * mean - (linear[2] + quadratic[2] * abs(w)) * w
+        w1 = w + self.held(2, abs(w), w, dt_s) * (push / mass[2] + disturbance[2])
+        push = cn + (fn - cn) * mean - (linear[3] + quadratic[3] * abs(r)) * r
+        r1 = r + self.held(3, abs(r), r, dt_s) * (push / mass[3] + disturbance[3])
         half = 0.5 * dt_s
         yaw1 = yaw + half * (r + r1)
         c, s, c1, s1 = math.cos(yaw), math.sin(yaw), math.cos(yaw1), math.sin(yaw1)
-        return (
-            x + half * (c * u - s * v + c1 * u1 - s1 * v1),
-            y + half * (s * u + c * v + s1 * u1 + c1 * v1),
-            z + half * (w + w1),
-            yaw1,
-            u1,
-            v1,
-            w1,
-            r1,
-            cx + (fx - cx) * left,
-            cz + (fz - cz) * left,
-            cn + (fn - cn) * left,
-        )
+        x1, y1 = x + half * (c * u - s * v + c1 * u1 - s1 * v1), y + half * (s * u + c * v + s1 * u1 + c1 * v1)
+        thrust = (cx + (fx - cx) * left, cz + (fz - cz) * left, cn + (fn - cn) * left)
+        return (x1, y1, z + half * (w + w1), yaw1, u1, v1, w1, r1, *thrust)
 
-    def _drag(self, axis: int, velocity: float) -> float:
-        return (self.linear[axis] + self.quadratic[axis] * abs(velocity)) * velocity
-
-    def _held(self, axis: int, velocity: float, dt_s: float) -> float:
+    def held(self, axis: int, speed: float, velocity: float, dt_s: float) -> float:
         """dt phi(a dt): how long a constant acceleration counts while drag eats it."""
-        slope = (self.linear[axis] + 2.0 * self.quadratic[axis] * abs(velocity)) / self.mass[axis]
+        bend = speed + velocity * velocity / speed if speed > 0.0 else 0.0
+        slope = (self.linear[axis] + self.quadratic[axis] * bend) / self.mass[axis]
         return -math.expm1(-slope * dt_s) / slope

@@ -11,6 +11,8 @@ from scipy.linalg.lapack import dtbtrs
 from robot_agent.model import Model, State
 from wire.frames import Array
 
+TINY = 1e-12  # m/s: keeps 0/0 out
+
 
 class Prediction:
     """Workspaces for `horizon` nodes `period_s` apart with the inputs held over `blocks` (the last block to the end).
@@ -29,6 +31,7 @@ class Prediction:
         self._rate = np.zeros((n + 1, h))  # yaw rate by yaw blocks, free
         self._speed = np.zeros((2 * n + 1, h, 2))  # surge and sway, interleaved, by surge blocks, yaw blocks, free
         self._climb = np.zeros((n + 1, h))
+        self._speeds = np.zeros((4, h))  # that drag depends on, at nodes 0..horizon-1
         self._band_rate, self._band_climb = np.zeros((2, h), order="F"), np.zeros((2, h), order="F")
         self._band_speed = np.zeros((4, 2 * h), order="F")
         mass = np.array(model.mass)[:, None]
@@ -61,9 +64,13 @@ class Prediction:
         nominal = self.nominal
         nominal[3] += state[3] - nominal[3, 0]  # the plan's turn, from the heading there is
         nominal[:, 0] = state[:8]
-        velocity = nominal[4:, :-1]
-        bent = self._quadratic * np.abs(velocity)
-        slope = (self._linear + 2.0 * bent) / self._mass
+        velocity, speed = nominal[4:, :-1], self._speeds
+        np.abs(nominal[4:, :-1], out=speed)
+        np.hypot(nominal[4, :-1], nominal[5, :-1], out=speed[0])
+        speed[1] = speed[0]
+        bent = self._quadratic * speed
+        share = velocity * velocity / np.maximum(speed, TINY)  # of an axis in its speed
+        slope = (self._linear + bent + self._quadratic * share) / self._mass
         keep = np.exp(-slope * self._dt)
         gain = (1.0 - keep) / slope
         push = gain * (bent * velocity / self._mass + disturbance[:, None])  # of quadratic drag's offset and Gamma
@@ -97,7 +104,11 @@ class Prediction:
         free = speed[-1]
         free[:, 0] += push[0] + gain[0] * thrust - hold_u * v * r
         free[:, 1] += (push[1] if self._model.sway else 0.0) - hold_v * u * r
-        cross_u, cross_v, keep_v = hold_u * r, hold_v * r, keep[1] if self._model.sway else np.zeros_like(u)
+        along = u * v / np.maximum(self._speeds[0], TINY)  # how each axis's speed adds to the other's drag
+        cross_u = hold_u * r - gain[0] * self._quadratic[0] * along
+        cross_v, keep_v = np.zeros_like(u), np.zeros_like(u)
+        if self._model.sway:
+            cross_v, keep_v = hold_v * r - gain[1] * self._quadratic[1] * along, keep[1]
         # node 0 is given: what it hands to node 1 joins the free response (r there is the state's own)
         free[0, 0] += keep[0, 0] * state[4] + cross_u[0] * state[5] + hold_u[0] * v[0] * state[7]
         free[0, 1] += keep_v[0] * state[5] + cross_v[0] * state[4] + hold_v[0] * u[0] * state[7]

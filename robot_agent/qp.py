@@ -7,7 +7,7 @@ spoils every later solve; `update(Px=)` overwrites the caller's array; an infeas
 """
 
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import daqp
 import numpy as np
@@ -20,6 +20,7 @@ from wire.frames import Array
 Mask = NDArray[np.bool_]
 
 MAX_ITERATIONS = 100
+CLOSE = 0.01  # of what was asked for: a hundred times the tolerance
 NO_BOUND = 1e30  # what both solvers take for infinity
 
 
@@ -48,20 +49,19 @@ def usable(p: Array, q: Array, a: Array, lower: Array, upper: Array) -> bool:
 class OsqpSolver:
     """OSQP with a sparsity pattern frozen at the start: entries outside the masks must stay zero.
 
-    `scale` (n,) are typical sizes of the unknowns and `cost` of the objective: the solver sees numbers near one and does no
-    scaling of its own, which would cost more than the solve and change from step to step.
+    `scale` (n,) and `row_scale` (m,) bring unknowns and rows near one; the solver does no scaling of its own, which would
+    cost more than the solve and change from step to step.
     """
 
-    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, cost: float) -> None:
+    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array) -> None:
         self._shape = a_mask.shape
         n = self._shape[1]
         upper = np.triu(p_mask) | np.eye(n, dtype=bool)
         self._p_entries = _by_columns(upper)
         self._a_entries = _by_columns(a_mask)
-        self._scale, self._row_scale, self._cost = scale.copy(), row_scale.copy(), cost
-        self._p_scale = (scale[:, None] * scale)[self._p_entries] * cost
+        self._scale, self._row_scale = scale.copy(), row_scale.copy()
+        self._p_scale = (scale[:, None] * scale)[self._p_entries]
         self._a_scale = (row_scale[:, None] * scale)[self._a_entries]
-        self._q_scale = scale * cost
         self._solver = osqp.OSQP()
         rows = self._shape[0]
         self._solver.setup(
@@ -94,24 +94,31 @@ class OsqpSolver:
         self._solver.update(
             Px=self._p_values,
             Ax=self._a_values,
-            q=q * self._q_scale,
+            q=q * self._scale,
             l=np.maximum(lower * self._row_scale, -NO_BOUND),
             u=np.minimum(upper * self._row_scale, NO_BOUND),
         )
         result = self._solver.solve(raise_error=False)
-        solved = result.info.status_val in (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE)
         x = np.array(result.x)
-        if not (solved and np.isfinite(x).all()):
+        if not (self._close(result.info, q) and np.isfinite(x).all()):
             self._solver.warm_start(x=np.zeros(len(q)), y=np.zeros(len(lower)))
             return Solution(np.zeros(len(q)), False, int(result.info.iter))
         return Solution(x * self._scale, True, int(result.info.iter))
+
+    def _close(self, info: Any, q: Array) -> bool:
+        """Solved; or out of iterations so close to it that the plan is better than the last one (residuals are scaled)."""
+        status = info.status_val
+        if status in (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE):
+            return True
+        enough = CLOSE * max(1.0, float(np.abs(q * self._scale).max()))
+        return bool(status == osqp.SolverStatus.OSQP_MAX_ITER_REACHED and info.prim_res < CLOSE and info.dual_res < enough)
 
 
 class DaqpSolver:
     """DAQP: dual active set, exact, with a short tail. For small problems."""
 
-    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, cost: float) -> None:
-        self._scale, self._row_scale, self._cost = scale.copy(), row_scale.copy(), cost
+    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array) -> None:
+        self._scale, self._row_scale = scale.copy(), row_scale.copy()
         self._sense = np.zeros(a_mask.shape[0], dtype=np.int32)
 
     def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
@@ -120,8 +127,8 @@ class DaqpSolver:
             return Solution(np.zeros(len(q)), False, 0)
         scale, rows = self._scale, self._row_scale
         x, _, status, info = daqp.solve(
-            np.ascontiguousarray(p * (scale[:, None] * scale) * self._cost),
-            q * scale * self._cost,
+            np.ascontiguousarray(p * (scale[:, None] * scale)),
+            q * scale,
             np.ascontiguousarray(a * (rows[:, None] * scale)),
             np.minimum(upper * rows, NO_BOUND),
             np.maximum(lower * rows, -NO_BOUND),
@@ -137,11 +144,10 @@ def make_solver(
     a_mask: Mask,
     scale: Array,
     row_scale: Array,
-    cost: float,
 ) -> Solver:
     """The backend of that name for problems with entries in these masks only, (n, n) and (m, n)."""
     backend = OsqpSolver if name == "osqp" else DaqpSolver
-    return backend(p_mask, a_mask, scale, row_scale, cost)
+    return backend(p_mask, a_mask, scale, row_scale)
 
 
 def _by_columns(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -1,14 +1,4 @@
-"""What the robot should do next: the goal's path over the horizon, and the heading that makes it possible.
-
-The robot has no side force: its heading IS the direction in which it can push, as for a quadrotor. So the reference heading
-follows the force that the path asks for in the pool frame,
-
-    F = M (a_ref + kp e_position + kd e_velocity - Gamma) + drag(V_ref),
-
-which holds the crab angle of a slow turn, leans into a current and steers back to the path. A heading that points the
-other way will do as well: thrust reverses. (The article keeps the path's tangent, and never corrects a lateral error at
-walking pace: 0.33 m on its own circle.)
-"""
+"""What the robot should do next: goals, sampled over the horizon."""
 
 from dataclasses import dataclass
 
