@@ -1,0 +1,89 @@
+"""The simulated overhead camera: plant in the middle of an exposure -> raw Bayer picture. Pure and repeatable.
+
+Reads in the order light travels: backdrop (floor, walls, water), shadows, robots from the farthest to the nearest, noise.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bridge.backdrop import Backdrop
+from sim_bridge.image_noise import ImageNoise
+from sim_bridge.optics import optical_path_m, project
+from sim_bridge.sprites import Pose, Sight, Sprite, parts, shade, shadow_box
+from sim_bridge.textures import Bytes
+from sim_bridge.view import View, Window
+from wire.experiment import Experiment
+from wire.frames import Array
+
+CAMERA_STREAM = 3  # keeps this use of the seed apart from the others
+MARGIN_PX = 4.0  # around a robot's picture: ripples and soft edges
+PROBE_M = 0.02  # distance over which the local scale is measured
+
+
+class Renderer:
+    """Draws what the camera of an experiment sees. Backgrounds are drawn at the start (seconds), frames in milliseconds."""
+
+    def __init__(self, experiment: Experiment, seed: int) -> None:
+        self._camera, self._picture = experiment.camera, experiment.sim.picture
+        self._robots = experiment.robot_ids
+        self._view = View(experiment.camera)
+        self._backdrop = Backdrop(experiment, self._view, np.random.default_rng([seed, CAMERA_STREAM, 0]))
+        random = np.random.default_rng([seed, CAMERA_STREAM, 1])
+        self._sprites = [Sprite(robot, experiment, random) for robot in experiment.robots]
+        random = np.random.default_rng([seed, CAMERA_STREAM, 2])
+        self._noise = ImageNoise(experiment.camera.size_px, self._picture.noise, random)
+
+    def render(self, eta: Array, nu: Array, time_s: float, frame_index: int) -> NDArray[np.uint8]:
+        """Raw RGGB picture (height, width): COLOR_BayerRGGB2BGR gives right colours.
+
+        eta (n, 4) and nu (n, 4) are the robots, in the experiment's order, in the middle of the exposure at `time_s`.
+        Robots outside the picture are not in it; numbers that are not finite are a bug of the plant: ValueError.
+        """
+        for i, robot in enumerate(self._robots):
+            if not (np.all(np.isfinite(eta[i])) and np.all(np.isfinite(nu[i]))):
+                raise ValueError(f"robot {robot}: eta = {eta[i]}, nu = {nu[i]} must be finite")
+        raw = self._backdrop.at(time_s)
+        if self._picture.shadows:
+            for sprite, pose in zip(self._sprites, eta, strict=True):
+                self._draw_shadow(raw, sprite, pose)
+        for i in np.argsort(-optical_path_m(self._camera, eta[:, :3]), kind="stable"):  # the farthest first
+            self._draw_robot(raw, self._sprites[i], eta[i], nu[i], time_s)
+        return self._noise.add(raw, frame_index)
+
+    def _draw_shadow(self, raw: Bytes, sprite: Sprite, eta: Array) -> None:
+        window = self._view.window(shadow_box(eta, self._backdrop.depth_m, sprite.radius_m), MARGIN_PX)
+        if window is not None:
+            shade(raw, self._backdrop.hit.z, self._view, window, eta, sprite.radius_m)
+
+    def _draw_robot(self, raw: Bytes, sprite: Sprite, eta: Array, nu: Array, time_s: float) -> None:
+        probe = eta[:3] + np.array([[0.0, 0.0, 0.0], [PROBE_M, 0.0, 0.0], [0.0, PROBE_M, 0.0]])
+        seen = project(self._camera, probe)
+        px_per_m = float(np.mean(np.linalg.norm(seen[1:] - seen[0], axis=1))) / PROBE_M
+        if not np.isfinite(px_per_m):
+            return  # above the lens
+        instants = parts(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
+        window = self._view.window(np.concatenate([sprite.box(instants[0]), sprite.box(instants[-1])]), MARGIN_PX)
+        if window is None:
+            return
+        slopes = self._backdrop.slopes(window, time_s)
+        sight = self._sight(window, slopes, eta[2], time_s)
+        layers = [sprite.layer(sight, _pose(instant, px_per_m)) for instant in instants]
+        colour, cover = (np.asarray(sum(planes) / np.float32(len(planes))) for planes in zip(*layers, strict=True))
+        colour *= self._backdrop.vignette[window.pixels]
+        colour += cover * self._view.spread(self._backdrop.glare(window, slopes), window)
+        spot = raw[window.pixels]
+        spot[:] = np.clip(np.rint(spot * (1.0 - cover) + colour), 0, 255).astype(np.uint8)
+
+    def _sight(self, window: Window, slopes: NDArray[np.float32], depth_m: float, time_s: float) -> Sight:
+        view, bending = self._view, np.float32(self._backdrop.ripples.bending)
+        light = view.spread(self._backdrop.light(window, depth_m, time_s), window)
+        rays = (view.surface_x, view.surface_y, view.air_x, view.air_y, view.water_x, view.water_y)
+        surface_x, surface_y, air_x, air_y, water_x, water_y = (plane[window.pixels] for plane in rays)
+        water_x = water_x + bending * view.spread(slopes[0], window)
+        water_y = water_y + bending * view.spread(slopes[1], window)
+        return Sight(surface_x, surface_y, air_x, air_y, water_x, water_y, light)
+
+
+def _pose(eta: Array, px_per_m: float) -> Pose:
+    x_m, y_m, z_m, yaw_rad = (float(value) for value in eta)
+    return Pose(x_m, y_m, z_m, yaw_rad, px_per_m)

@@ -1,0 +1,187 @@
+"""A robot in the picture: a shaded sphere with a marker plate on top, traced pixel by pixel through lens and water.
+
+Each pixel's line of sight is met with the sphere in closed form, so edges and texture lie where exact optics puts them.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sim_bridge.scenery import water_colour
+from sim_bridge.textures import SHELL_PX, Bytes, Float, plate, plate_texels_per_m, shell
+from sim_bridge.view import View, Window, mosaic
+from wire.experiment import Experiment, Robot
+from wire.frames import Array
+
+LAMP = np.array([-0.30, -0.22, 0.93])  # where most light comes from: pool x, y and up; the shadow falls the other way
+AMBIENT, DIFFUSE = 0.50, 0.56
+GLOSS, GLOSS_POWER = 26.0, 24  # grey levels of a wet shell's highlight, and how small it is
+SHADOW = 0.42  # how dark the middle of a shadow is
+PENUMBRA = 0.30  # its soft edge per metre between robot and floor: the lamps are long tubes
+BLUR_STEP_PX = 0.6  # an exposure is split until nothing moves further than this between its parts
+MAX_PARTS = 8
+LENS_SOFTNESS_PX = 0.5
+
+
+@dataclass(frozen=True)
+class Sight:
+    """Lines of sight of a window: the surface's crossing and slopes, ripples included, and what light does there."""
+
+    surface_x: Float
+    surface_y: Float
+    air_x: Float
+    air_y: Float
+    water_x: Float
+    water_y: Float
+    light: Float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A robot at one instant of the exposure, and the pixels per metre around it."""
+
+    x_m: float
+    y_m: float
+    z_m: float
+    yaw_rad: float
+    px_per_m: float
+
+
+class Sprite:
+    """Draws one robot. `layer` is pure: it only reads what was drawn at the start."""
+
+    def __init__(self, robot: Robot, experiment: Experiment, random: np.random.Generator) -> None:
+        vehicle, camera = experiment.vehicle, experiment.camera
+        px_per_m = max(camera.focal_px) / -camera.position_m[2]
+        self.radius_m, self.height_m = vehicle.radius_m, vehicle.marker.height_m
+        self._texels_per_m = plate_texels_per_m(vehicle)
+        texels_per_px = SHELL_PX / 4.0 / vehicle.radius_m / px_per_m
+        marked = experiment.localizer.markers
+        self._shell = shell(robot, marked, LENS_SOFTNESS_PX * texels_per_px, random)
+        self._plate = plate(robot.marker, LENS_SOFTNESS_PX * self._texels_per_m / px_per_m) if marked else None
+        half_plate_m = 0.0 if self._plate is None else self._plate.shape[0] / 2.0 / self._texels_per_m
+        self._reach_m = max(self.radius_m, np.sqrt(2.0) * half_plate_m)
+
+    def box(self, eta: Array) -> Array:
+        """Corners (8, 3) of a box in the pool frame that holds the robot at eta."""
+        corner = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)], dtype=np.float64)
+        top, bottom = max(self.height_m, self.radius_m), self.radius_m
+        corner = corner * [self._reach_m, self._reach_m, top + bottom] - [0.0, 0.0, top]
+        return np.asarray(eta[:3] + corner)
+
+    def layer(self, sight: Sight, pose: Pose) -> tuple[Float, Float]:
+        """Raw mosaic of the robot weighted with its coverage, and the coverage (0 to 1), in the window's shape."""
+        colour, cover = self._sphere(sight, pose)
+        if self._plate is None:
+            return colour, cover
+        plate_colour, plate_cover = self._marker(sight, pose, self._plate)
+        rest = 1.0 - plate_cover
+        return colour * rest + plate_colour, cover * rest + plate_cover
+
+    def _sphere(self, sight: Sight, pose: Pose) -> tuple[Float, Float]:
+        normal_x, normal_y, up, cover = _hit(sight, sight.water_x, sight.water_y, pose, self.radius_m)
+        if pose.z_m < self.radius_m:  # it breaks the surface: what is above is seen straight
+            dry = _hit(sight, sight.air_x, sight.air_y, pose, self.radius_m)
+            above = (up if pose.z_m > 0 else dry[2]) * self.radius_m > pose.z_m
+            normal_x, normal_y, up, cover = (
+                np.where(above, d, w) for d, w in zip(dry, (normal_x, normal_y, up, cover), strict=True)
+            )
+        flat = np.float32(SHELL_PX / 2.0) / np.sqrt(2.0 * (1.0 + np.maximum(up, np.float32(-0.999))))
+        cos, sin = np.float32(np.cos(pose.yaw_rad)), np.float32(np.sin(pose.yaw_rad))
+        column = (cos * normal_x + sin * normal_y) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
+        row = (cos * normal_y - sin * normal_x) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
+        skin = mosaic(np.asarray(cv2.remap(self._shell, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)))
+        lamp_x, lamp_y, lamp_up = LAMP.astype(np.float32)
+        lamp = np.maximum(normal_x * lamp_x + normal_y * lamp_y + up * lamp_up, np.float32(0.0))
+        colour = skin * ((AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp) * sight.light) + GLOSS * _power(lamp, GLOSS_POWER)
+        return _through_water(colour, 2.0 * max(pose.z_m - 0.7 * self.radius_m, 0.0)) * cover, cover
+
+    def _marker(self, sight: Sight, pose: Pose, texture: Bytes) -> tuple[Float, Float]:
+        depth = pose.z_m - self.height_m
+        slope_x, slope_y = (sight.water_x, sight.water_y) if depth > 0 else (sight.air_x, sight.air_y)
+        x = sight.surface_x + np.float32(depth) * slope_x - np.float32(pose.x_m)
+        y = sight.surface_y + np.float32(depth) * slope_y - np.float32(pose.y_m)
+        scale, middle = self._texels_per_m, np.float32(texture.shape[0] / 2.0 - 0.5)
+        cos, sin = np.float32(scale * np.cos(pose.yaw_rad)), np.float32(scale * np.sin(pose.yaw_rad))
+        column, row = cos * y - sin * x + middle, middle - (cos * x + sin * y)
+        found = cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        cover = found[..., 1] * np.float32(1.0 / 255.0)
+        return _through_water(found[..., 0] * sight.light, 2.0 * max(depth, 0.0)) * cover, cover
+
+
+def parts(eta: Array, nu: Array, exposure_s: float, reach_m: float, px_per_m: float) -> list[Array]:
+    """Poses (4,) whose mean picture stands for the exposure around eta: evenly spaced, symmetric in time."""
+    surge, sway, heave, yaw_rate = nu
+    moved_px = (np.hypot(surge, sway) + abs(yaw_rate) * reach_m) * exposure_s * px_per_m
+    count = int(min(max(np.ceil(moved_px / BLUR_STEP_PX), 1), MAX_PARTS))
+    cos, sin = np.cos(eta[3]), np.sin(eta[3])
+    velocity = np.array([cos * surge - sin * sway, sin * surge + cos * sway, heave, yaw_rate])
+    return [eta + velocity * exposure_s * ((k + 0.5) / count - 0.5) for k in range(count)]
+
+
+def shade(raw: Bytes, floor_z: Float, view: View, window: Window, eta: Array, radius_m: float) -> None:
+    """Darken the floor (and walls) of a window below a robot, in place. `floor_z` is how deep each pixel's scene lies."""
+    z = floor_z[window.pixels]
+    below = z - np.float32(eta[2])
+    x = view.surface_x[window.pixels] + z * view.water_x[window.pixels] - np.float32(eta[0])
+    y = view.surface_y[window.pixels] + z * view.water_y[window.pixels] - np.float32(eta[1])
+    x += below * np.float32(LAMP[0] / LAMP[2])
+    y += below * np.float32(LAMP[1] / LAMP[2])
+    softness = np.float32(PENUMBRA) * np.maximum(below, np.float32(0.02))
+    inside = np.clip((np.float32(radius_m) - np.sqrt(x * x + y * y)) / softness * np.float32(0.5) + np.float32(0.5), 0.0, 1.0)
+    inside *= inside * (3.0 - 2.0 * inside) * (below > 0)
+    spot = raw[window.pixels]
+    spot[:] = np.rint(spot * (1.0 - np.float32(SHADOW) * inside)).astype(np.uint8)
+
+
+def shadow_box(eta: Array, floor_m: float, radius_m: float) -> Array:
+    """Corners (4, 3) of a square on the floor that holds a robot's shadow."""
+    below = max(floor_m - eta[2], 0.02)
+    centre = eta[:2] - below * LAMP[:2] / LAMP[2]
+    reach = radius_m + PENUMBRA * below
+    return np.array([[centre[0] + i * reach, centre[1] + j * reach, floor_m] for i in (-1, 1) for j in (-1, 1)])
+
+
+def _hit(sight: Sight, slope_x: Float, slope_y: Float, pose: Pose, radius_m: float) -> tuple[Float, Float, Float, Float]:
+    """Where lines of sight meet the sphere: unit normal (x, y, up) and coverage of the pixel. Lines that just miss get the
+    normal of the limb, so that a half-covered pixel at the edge has a colour."""
+    x = sight.surface_x + np.float32(pose.z_m) * slope_x - np.float32(pose.x_m)
+    y = sight.surface_y + np.float32(pose.z_m) * slope_y - np.float32(pose.y_m)
+    # |(x, y, 0) + w (slope, 1)| = radius, with w the depth below the centre: a w^2 + 2 b w + |x, y|^2 - radius^2 = 0
+    a = slope_x * slope_x + slope_y * slope_y + np.float32(1.0)
+    b = x * slope_x + y * slope_y
+    miss2 = x * x + y * y - b * b / a  # squared distance of the line from the centre
+    radius = np.float32(radius_m)
+    cover = np.clip((radius - np.sqrt(np.maximum(miss2, 0.0))) * np.float32(pose.px_per_m) + np.float32(0.5), 0.0, 1.0)
+    w = -(b + np.sqrt(np.maximum(radius * radius - miss2, 0.0) * a)) / a
+    normal_x, normal_y, up = (x + w * slope_x) / radius, (y + w * slope_y) / radius, -w / radius
+    return _float(normal_x), _float(normal_y), _float(up), _float(cover)
+
+
+def _float(values: ArrayLike) -> Float:
+    """float32, without a copy when it is so already."""
+    return np.asarray(values, dtype=np.float32)
+
+
+def _through_water(raw: Float, path_m: float) -> Float:
+    """A mosaic seen through water: each colour's share gets through, and the water adds its own."""
+    (blue, green, red), (veil_blue, veil_green, veil_red) = water_colour(path_m)
+    for i, j, share, veil in (
+        (0, 0, red, veil_red), (0, 1, green, veil_green), (1, 0, green, veil_green), (1, 1, blue, veil_blue),
+    ):  # fmt: skip
+        raw[i::2, j::2] *= share
+        raw[i::2, j::2] += veil
+    return raw
+
+
+def _power(base: Float, exponent: int) -> Float:
+    """base ** exponent by squaring: numpy's power of floats is ten times slower."""
+    result, square = None, base
+    while exponent:
+        if exponent & 1:
+            result = square if result is None else result * square
+        square, exponent = square * square, exponent >> 1
+    assert result is not None
+    return result
