@@ -60,7 +60,8 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     text = dump_experiment(loaded)
     (folder / "experiment.toml").write_text(text, encoding="utf-8")
-    with Bus(ZenohTransport(Endpoint(listen, router=not external_router)), fleet) as bus:
+    endpoint = Endpoint(listen, router=not external_router, lossless=lockstep)
+    with Bus(ZenohTransport(endpoint), fleet) as bus:
         succeeded = station.run(loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop)
     if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
         report(folder)

@@ -44,7 +44,7 @@ def run(
     start_log("localizer", verbose)
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
-    with Bus(ZenohTransport(Endpoint(station)), fleet) as bus:
+    with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
         Shell(loaded, bus, stop, lockstep).run()
 
 

@@ -52,7 +52,7 @@ def run(
     loaded.robot(robot)
     wires = open_link(link)
     try:
-        with Bus(ZenohTransport(Endpoint(station)), fleet) as bus:
+        with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
             Shell(loaded, robot, bus, wires, lockstep, stop).run()
     finally:
         wires.close()

@@ -91,7 +91,7 @@ def pool(
     start_log("sim-bridge", verbose)
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
-    with Bus(ZenohTransport(Endpoint(station)), fleet) as bus:
+    with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
         Pool(loaded, bus, ports, stop, lockstep).run()
 
 

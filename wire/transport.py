@@ -7,7 +7,7 @@ Zenoh with other defaults behave the same.
 import json
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import zenoh
@@ -41,6 +41,7 @@ class Endpoint:
 
     address: str = "tcp/127.0.0.1:7447"
     router: bool = False
+    lossless: bool = False  # wait for a congested peer instead of dropping: only where no robot waits meanwhile (lockstep)
 
 
 _QOS: dict[Qos, dict[str, Any]] = {
@@ -84,11 +85,12 @@ class ZenohTransport:
         if qos is not Qos.IMAGE:
             return self._control
         if self._images is None:
-            self._images = zenoh.open(_config(Endpoint(self._endpoint.address)))
+            self._images = zenoh.open(_config(replace(self._endpoint, router=False)))
         return self._images
 
     def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]:
-        options = {"congestion_control": zenoh.CongestionControl.DROP, **_QOS[qos]}
+        congestion = zenoh.CongestionControl.BLOCK if self._endpoint.lossless else zenoh.CongestionControl.DROP
+        options = {"congestion_control": congestion, **_QOS[qos]}
         session = self._session(qos)
         publisher: Any
         if qos is Qos.EVENT:
