@@ -135,8 +135,9 @@ class Shell:
             self._link.send(self._mavlink.heartbeat())
         self._link.send(self._mavlink.pulses(outputs.pulse_us))
         step_ns = time.perf_counter_ns() - started_ns
-        late_ns = step_ns + (0 if self._lockstep else now_ns - due_ns)
-        self._missed += late_ns > BUDGET * self._experiment.controller.period_s * 1e9
+        if not self._lockstep:  # where time waits for the step, nothing is late
+            late_ns = step_ns + now_ns - due_ns
+            self._missed += late_ns > BUDGET * self._experiment.controller.period_s * 1e9
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else step_ns)
         latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else step_ns * 1e-6)
