@@ -7,19 +7,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer.kcf import CorrelationFilter, FilterShape, Real
-from localizer.patch import Pixels, Sampler
+from localizer.patch import Pixels, Sampler, Shell
 from localizer.sight import Sight
 from wire.frames import Array, body_to_pool, wrap
 
-_SPAN = 1.4  # side of the patch over the robot's diameter: the cosine window leaves about half of it in view
-_RING_REACH = 0.85  # of the robot's radius: its rim moves against the plate when seen from the side
+_SPAN = 0.9  # side of the patch over the robot's diameter: wider ones see the rim, and errors grow tenfold (0.3 to 2.5 mm)
+_RING_REACH = 0.85  # of the robot's radius: the rim beyond is hidden on one side when seen obliquely
 _TARGET_WIDTH = 2.5  # samples, both filters
+# Kernel widths: narrow ones (Henriques' 0.5) drop to nothing as soon as a cable lies over the marker, though the peak is
+# still in the right place. With these a robot half covered keeps 0.6 and 0.3, and bare water gives 0.2 and 0.1.
+_PLACE_KERNEL = 1.0
+_TURN_KERNEL = 2.0
+_LEAST_TURN_PEAK = 0.2  # below it the heading is a guess, whatever the place filter says
 _FAR_SHIFT = 1.5  # samples; the window pulls a peak back by 4.5 % of the shift, so a larger one is looked at again
 
 
 @dataclass(frozen=True)
 class Match:
-    """Where a robot's look was found again: pose [x, y, yaw], and the lower of both filters' peaks, clipped to 0..1."""
+    """Where a robot's look was found again: pose [x, y, yaw], and the peak of the place filter clipped to 0..1; 0 if the
+    heading was not recognised."""
 
     pose: Array
     peak: float
@@ -28,14 +34,16 @@ class Match:
 class Appearance:
     """Looks of all robots, learnt and found in one batch. Poses are [x, y, yaw] in the pool frame."""
 
-    def __init__(self, count: int, radius_m: float, template_px: int) -> None:
-        self._sampler = Sampler(template_px, 2.0 * radius_m * _SPAN / template_px, _RING_REACH * radius_m)
+    def __init__(self, count: int, shell: Shell, template_px: int) -> None:
+        pitch_m = 2.0 * shell.radius_m * _SPAN / template_px
+        self._sampler = Sampler(template_px, pitch_m, _RING_REACH * shell.radius_m, shell)
         channels = self._sampler.channels
-        self._place = CorrelationFilter(count, FilterShape(template_px, template_px, channels, _TARGET_WIDTH, windowed=True))
-        rings = FilterShape(1, self._sampler.angles, self._sampler.ring_channels, _TARGET_WIDTH, windowed=False)
+        patches = FilterShape(template_px, template_px, channels, _TARGET_WIDTH, _PLACE_KERNEL, windowed=True)
+        self._place = CorrelationFilter(count, patches)
+        rings = FilterShape(1, self._sampler.angles, self._sampler.ring_channels, _TARGET_WIDTH, _TURN_KERNEL, windowed=False)
         self._turn = CorrelationFilter(count, rings)
         self._learnt = np.zeros(count, dtype=np.bool_)
-        self.reach_m = _SPAN * radius_m  # what a filter sees of a robot's surroundings
+        self.reach_m = _SPAN * shell.radius_m  # what a filter sees of a robot's surroundings
 
     def knows(self, robot: int) -> bool:
         """The robot's look has been learnt."""
@@ -54,8 +62,8 @@ class Appearance:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(sights, halves, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        lower = np.clip(np.minimum(peaks, turn_peaks), 0.0, 1.0)
-        return [Match(np.array([x, y, wrap(yaw)]), float(peak)) for (x, y, yaw), peak in zip(found, lower, strict=True)]
+        sure = np.where(turn_peaks > _LEAST_TURN_PEAK, np.clip(peaks, 0.0, 1.0), 0.0)
+        return [Match(np.array([x, y, wrap(yaw)]), float(peak)) for (x, y, yaw), peak in zip(found, sure, strict=True)]
 
     def learn(self, sights: Sequence[Sight], poses: Sequence[Array], rate: float) -> None:
         """Blend in how robots look at these poses; one whose look is not known yet is learnt from this sight alone."""

@@ -38,6 +38,11 @@ class Tangent:
         return np.asarray(self.pixel + self.pool_to_px @ (position_m - self.position_m))
 
     @property
+    def down_px(self) -> Array:
+        """d(u, v) / d depth of a point that sinks straight down, (2,): towards the camera's foot."""
+        return np.asarray(-self.pool_to_px @ self.jacobian[:, 2])
+
+    @property
     def px_per_m(self) -> float:
         """Scale of the picture here, the larger of both directions."""
         return float(np.linalg.norm(self.pool_to_px, axis=0).max())

@@ -28,9 +28,9 @@ class FilterShape:
     columns: int
     channels: int
     target_width: float  # standard deviation of the Gaussian target [samples]
+    kernel_width: float  # sigma of the Gaussian kernel (equation 16), for features of unit contrast
     windowed: bool  # cosine window: needed where the patch's opposite edges do not belong together
-    kernel_width: float = 0.5  # sigma of the Gaussian kernel (equation 16), Henriques' value for raw pixels
-    regularisation: float = 1e-3  # lambda of equation 5
+    regularisation: float = 1e-2  # lambda of equation 5
 
 
 class CorrelationFilter:
@@ -65,9 +65,9 @@ class CorrelationFilter:
 
     def _spectrum(self, patches: Real) -> Complex:
         """Features: each patch to zero mean per channel and unit contrast over all (the light changes), windowed."""
-        centred = patches - patches.mean(axis=(-2, -1), keepdims=True)
-        contrast = np.sqrt(np.mean(centred**2, axis=(-3, -2, -1), keepdims=True))
-        return np.asarray(scipy.fft.rfft2(centred / np.maximum(contrast, np.float32(_FLAT)) * self._window))
+        features = patches - patches.mean(axis=(-2, -1), keepdims=True)
+        contrast = np.sqrt(np.mean(features**2, axis=(-3, -2, -1), keepdims=True))
+        return np.asarray(scipy.fft.rfft2(features / np.maximum(contrast, np.float32(_FLAT)) * self._window))
 
     def _kernel(self, model: Complex, spectrum: Complex) -> Complex:
         """Spectrum of the Gaussian kernel of all circular shifts (equation 31), (n, rows, bins)."""

@@ -20,7 +20,7 @@ from localizer.appearance import Appearance
 from localizer.calibration import PoolView
 from localizer.health import CameraWatch
 from localizer.marker import MarkerPose, MarkerReader
-from localizer.patch import Pixels, cut, whole
+from localizer.patch import Pixels, Shell, cut, whole
 from localizer.sight import KCF_NOISE, MARKER_NOISE, Depth, Sight, depths_of
 from localizer.start import start_poses
 from localizer.tracks import RobotTrack, near_pairs
@@ -30,11 +30,12 @@ from wire.messages import CameraHealth, LocalizerStatus, Pose, Track
 
 _SCAN_EVERY = 5  # frames, while a robot is lost: a whole picture costs as much as many regions
 _LEARN_EVERY = 4  # frames, robots taking turns: light changes slowly
-_LEARNING_RATE = 0.08  # per lesson: follows the light in 2-3 s, outlives an arm over the robot
+_LEARNING_RATE = 0.03  # per lesson: follows the light in 7 s, outlives an arm over the robot
 _SURE_PEAK = 0.6  # without markers, only a look this certain is learnt from
 _REGION_SIGMAS = 3.0
 _WIDEST_SIGMA_M = 0.1  # a region never grows beyond this: a scan is cheaper and surer
 _TOUCHING = 2.5  # radii between centres: closer than this a correlation may have changed robots
+_QUIET = 4.0 / 3.0  # side of the plate over the marker's: a white cell around its six
 _LONGEST_STEP_S = 1.0  # a gap in the stamps longer than this counts as one of this length
 
 
@@ -61,7 +62,9 @@ class Locator:
         self._watch = CameraWatch(experiment.camera.size_px, settings.frozen_frames)
         markers = {robot.marker: index for index, robot in enumerate(experiment.robots)}
         self._reader = MarkerReader(self.view, vehicle.marker.side_m, markers)
-        self._looks = Appearance(len(self._ids), vehicle.radius_m, settings.template_px)
+        plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
+        shell = Shell(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
+        self._looks = Appearance(len(self._ids), shell, settings.template_px)
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.placed(s[[0, 1, 3]]) for s in self._start]
         self._stamp_ns: int | None = None
         self._frames = 0

@@ -23,11 +23,11 @@ class Noise:
 
 
 MARKER_NOISE = Noise(centre_px=0.1, yaw_rad=0.004)
-KCF_NOISE = Noise(centre_px=0.6, yaw_rad=0.015)
+KCF_NOISE = Noise(centre_px=0.35, yaw_rad=0.006)
 _DEPTH_SIGMA_M = 0.005  # a pressure sensor's noise and bias
 _DEPTH_ASSUMED_SIGMA_M = 0.05  # nobody reported one: the experiment's depth is taken
 _SHALLOWEST_M = -0.2  # a robot lying on the surface
-_WAVE_SLOPE_RAD = 0.02  # of ripples on the surface; each bends the line of sight by (1 - 1/n) of itself
+_WAVE_SLOPE_RAD = 0.01  # of ripples on the surface; each bends the line of sight by (1 - 1/n) of itself
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def depths_of(experiment: Experiment, start_m: Sequence[float], reported_m: Mapp
 
 @dataclass(frozen=True)
 class Sight:
-    """A robot (by index) expected where `tangent` was taken."""
+    """A robot (by index) expected where `tangent` was taken, at the depth of its plate."""
 
     robot: int
     depth: Depth
@@ -76,7 +76,8 @@ class Sight:
     def body(self, pose: Array) -> BodyFrame:
         """Where the robot is drawn if it is at `pose` [x, y, yaw]."""
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        return BodyFrame(self.tangent.to_px(pose[:2]), self.tangent.pool_to_px @ np.array([[c, -s], [s, c]]))
+        at = self.tangent
+        return BodyFrame(at.to_px(pose[:2]), at.pool_to_px @ np.array([[c, -s], [s, c]]), at.down_px)
 
     def measurement(self, pose: Array, noise: Noise, peak: float = 0.0) -> Measurement:
         """A pose found here, with the picture's noise, the moving water and the depth's error as covariance."""

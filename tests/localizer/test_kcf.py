@@ -37,7 +37,7 @@ def _window_pull(shift: float) -> float:
 @pytest.mark.parametrize("windowed", [False, True])
 def test_equals_ridge_regression_written_out(windowed: bool) -> None:
     """Equations 17 and 22 are shortcuts for a dense kernel regression over all circular shifts: here it is, dense."""
-    size, shape = 8, FilterShape(8, 8, 2, 1.0, windowed)
+    size, shape = 8, FilterShape(8, 8, 2, 1.0, 0.7, windowed)
     texture, other = _texture(3, 2, 8), _texture(4, 2, 8)
     correlation = CorrelationFilter(1, shape)
     learnt, looked = _features(texture, windowed), _features(other, windowed)
@@ -72,7 +72,7 @@ def _features(patch: Real, windowed: bool) -> NDArray[np.float64]:
 @given(right=st.integers(-8, 8), down=st.integers(-8, 8), seed=st.integers(0, 50))
 def test_finds_what_exhaustive_search_finds(right: int, down: int, seed: int) -> None:
     texture = _texture(seed)
-    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, windowed=True))
+    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, 1.0, windowed=True))
     correlation.learn(FIRST, _patch(texture, 0, 0), ANEW)
     moved = _patch(texture, right, down)
     middle = _patch(texture, 0, 0)[0, :, 16:32, 16:32]
@@ -87,7 +87,7 @@ def test_finds_what_exhaustive_search_finds(right: int, down: int, seed: int) ->
 @given(right=st.floats(-3, 3), down=st.floats(-3, 3), seed=st.integers(0, 50))
 def test_sub_sample_shifts(right: float, down: float, seed: int) -> None:
     texture = _texture(seed)
-    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, windowed=True))
+    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, 1.0, windowed=True))
     correlation.learn(FIRST, _patch(texture, 0, 0), ANEW)
     shift, peak = correlation.detect(FIRST, _patch(texture, right, down))
     assert shift[0, 0] == pytest.approx(right, abs=_window_pull(max(abs(right), abs(down))))
@@ -106,7 +106,7 @@ def test_rings_measure_any_turn(turn: float, seed: int) -> None:
         parts = [waves[:, k, :1] * np.cos(k * turned) + waves[:, k, 1:] * np.sin(k * turned) for k in range(12)]
         return np.asarray(128.0 + 10.0 * np.sum(parts, axis=0), dtype=np.float32)[None, :, None, :]
 
-    correlation = CorrelationFilter(1, FilterShape(1, 128, 30, 2.5, windowed=False))
+    correlation = CorrelationFilter(1, FilterShape(1, 128, 30, 2.5, 2.0, windowed=False))
     correlation.learn(FIRST, rings(0.0), ANEW)
     shift, peak = correlation.detect(FIRST, rings(turn))
     assert (shift[0, 0] - turn + 64.0) % 128.0 - 64.0 == pytest.approx(0.0, abs=0.05)
@@ -116,7 +116,7 @@ def test_rings_measure_any_turn(turn: float, seed: int) -> None:
 
 def test_another_pattern_scores_low_and_light_does_not_matter() -> None:
     texture = _texture(1)
-    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, windowed=True))
+    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, 1.0, windowed=True))
     patch = _patch(texture, 0, 0)
     correlation.learn(FIRST, patch, ANEW)
     assert correlation.detect(FIRST, _patch(_texture(2), 0, 0))[1][0] < 0.2
@@ -126,7 +126,7 @@ def test_another_pattern_scores_low_and_light_does_not_matter() -> None:
 
 
 def test_robots_of_a_batch_do_not_mix() -> None:
-    shape = FilterShape(SIZE, SIZE, 3, 2.5, windowed=True)
+    shape = FilterShape(SIZE, SIZE, 3, 2.5, 1.0, windowed=True)
     textures = [_texture(seed) for seed in (1, 2, 3)]
     batch = CorrelationFilter(3, shape)
     order = np.array([2, 0, 1])
@@ -141,7 +141,7 @@ def test_robots_of_a_batch_do_not_mix() -> None:
 
 
 def test_learning_follows_a_change_at_its_rate() -> None:
-    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, windowed=True))
+    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, 1.0, windowed=True))
     old, new = _patch(_texture(1), 0, 0), _patch(_texture(2), 0, 0)
     correlation.learn(FIRST, old, ANEW)
     peaks = []

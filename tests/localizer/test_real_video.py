@@ -35,7 +35,7 @@ def test_follows_a_real_animal() -> None:
     """Started once, never helped again: median error of 1,000 frames <= 3 px, and it is never lost."""
     reference = np.loadtxt(DATA / "mouse_video_idtracked.txt", skiprows=1, usecols=(0, 1)) - 1.0  # 1-based there
     video = cv2.VideoCapture(str(DATA / "mouse_video.mp4"))
-    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, windowed=True))
+    correlation = CorrelationFilter(1, FilterShape(SIZE, SIZE, 3, 2.5, 1.0, windowed=True))
     place, speed, errors = reference[0].copy(), np.zeros(2), []
     for k in range(FRAMES):
         picture = np.asarray(video.read()[1], dtype=np.uint8)
