@@ -109,7 +109,7 @@ class Controller:
         """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""
         if isinstance(goal, Hold):
             command = path.eta.copy()
-            command[:, 3] = self._guidance.hold(goal.eta, estimate.eta, len(command))
+            command[:, 3] = self._guidance.hold(path, estimate.eta, estimate.nu, estimate.disturbance)
             return self._weight, command
         weight = self._weight + company.weight
         pull = company.pull / np.maximum(weight, 1e-12)

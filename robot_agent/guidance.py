@@ -25,6 +25,8 @@ from wire.vehicle import Vehicle
 
 Vector = tuple[float, float]
 
+HOLD_RADPS = 0.3  # station keeping turns no faster: at 1.2 rad/s a robot kept spinning on the side force of its own spin
+
 
 class Guidance:
     """One robot's reference heading, with its memory: filtered request, direction of thrust, what is left of a jump."""
@@ -34,6 +36,7 @@ class Guidance:
         self._mass = vehicle.mass.surge_kg
         self._linear, self._quadratic = vehicle.drag.linear[1], vehicle.drag.quadratic[1]
         self._keep = math.exp(-period_s / config.filter_s)
+        self._period_s = period_s
         self._worth = config.turning_force_n if sway else config.turning_force_n / vehicle.drag.linear[0]
         self.reset()
 
@@ -43,12 +46,34 @@ class Guidance:
         self._direction = 1.0  # of thrust: 1 ahead, -1 astern
         self._jump = 0.0
         self._hold_yaw: float | None = None
-        self._turning = False
 
     def follow(self, path: Path, eta: Array, nu: Array, disturbance: Array) -> Array:
         """Reference headings (rows,) for a path's rows: now, then all nodes. `eta`, `nu`, Gamma are estimates (4,)."""
-        feedback = self._filter(self._force(path, eta, nu, disturbance) if self._sway else self._velocity(path, eta))
-        tangent = path.eta[:, 3]
+        request = self._force(path, eta, nu, float(disturbance[1])) if self._sway else self._velocity(path, eta)
+        return self._headings(path, path.eta[:, 3], self._filter(request))
+
+    def hold(self, path: Path, eta: Array, nu: Array, disturbance: Array) -> Array:
+        """Reference headings (rows,) for keeping station: the line of the force that is needed, ahead or astern, whichever is
+        nearer; as it is while the robot is near and nothing pushes it. Here all of Gamma counts: a robot in a current ends up
+        in line with it. (Turning to the point instead makes it circle the point: it drifts on for 4 s after each turn.)"""
+        if self._hold_yaw is None:
+            self._hold_yaw = float(eta[3])
+        radius = self._config.hold_radius_m
+        distance = math.hypot(float(path.eta[0, 0] - eta[0]), float(path.eta[0, 1] - eta[1]))
+        care = min(max(2.0 * distance / radius - 1.0, 0.0), 1.0)  # none within half the radius, all from the radius on
+        push_x, push_y = self._force(path, eta, nu, 0.0)
+        c, s = math.cos(eta[3]), math.sin(eta[3])
+        side, ahead = float(disturbance[1]), float(disturbance[0])
+        force_x, force_y = self._filter(
+            (care * push_x - self._mass * (c * ahead - s * side), care * push_y - self._mass * (s * ahead + c * side))
+        )
+        size = force_x * force_x + force_y * force_y
+        turn = 0.5 * wrap(2.0 * (math.atan2(force_y, force_x) - self._hold_yaw))
+        rate = turn / self._config.filter_s * size / (size + self._config.turning_force_n**2)
+        self._hold_yaw += self._period_s * min(max(rate, -HOLD_RADPS), HOLD_RADPS)
+        return np.full(len(path.eta), self._hold_yaw)
+
+    def _headings(self, path: Path, tangent: Array, feedback: Vector) -> Array:
         c, s = np.cos(tangent), np.sin(tangent)
         speed = c * path.velocity[:, 0] + s * path.velocity[:, 1]
         if self._sway:
@@ -65,12 +90,12 @@ class Guidance:
         self._jump *= self._keep
         return np.asarray(tangent + self._angle(along, across) + self._jump)
 
-    def _force(self, path: Path, eta: Array, nu: Array, disturbance: Array) -> Vector:
-        """Feedback part of F in the pool frame, newtons."""
+    def _force(self, path: Path, eta: Array, nu: Array, side: float) -> Vector:
+        """Feedback part of F in the pool frame, newtons; `side` is Gamma_v."""
         c, s = math.cos(eta[3]), math.sin(eta[3])
         slip_x = float(path.velocity[0, 0]) - (c * nu[0] - s * nu[1])
         slip_y = float(path.velocity[0, 1]) - (s * nu[0] + c * nu[1])
-        stiff, damp, side = self._config.position_gain_per_s2, self._config.velocity_gain_per_s, float(disturbance[1])
+        stiff, damp = self._config.position_gain_per_s2, self._config.velocity_gain_per_s
         error_x, error_y = path.eta[0, 0] - eta[0], path.eta[0, 1] - eta[1]
         return (
             self._mass * float(stiff * error_x + damp * slip_x + side * s),
@@ -93,17 +118,3 @@ class Guidance:
         ahead = np.maximum(self._direction * along, self._worth)
         limit = self._config.max_correction_rad
         return np.minimum(np.maximum(np.arctan(self._direction * across / ahead), -limit), limit)
-
-    def hold(self, point: Array, eta: Array, rows: int) -> Array:
-        """Reference headings (rows,) for keeping station at `point`: as it is while near, else along the line to the point,
-        forwards or backwards, whichever is nearer."""
-        if self._hold_yaw is None:
-            self._hold_yaw = float(eta[3])
-        dx, dy = float(point[0] - eta[0]), float(point[1] - eta[1])
-        distance = math.hypot(dx, dy)
-        radius = self._config.hold_radius_m
-        self._turning = distance > (0.5 * radius if self._turning else radius)
-        if self._turning:
-            turn = 0.5 * wrap(2.0 * (math.atan2(dy, dx) - self._hold_yaw))  # to the line, whichever end is nearer
-            self._hold_yaw += (1.0 - self._keep) * turn
-        return np.full(rows, self._hold_yaw)
