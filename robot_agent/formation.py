@@ -1,10 +1,15 @@
-"""The other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36)."""
+"""The other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36).
+
+Distances are horizontal: robots pass beside one another, never above, where the camera would lose the lower one and the
+upper one would break the surface (a controller left free to use depth did both). Only a robot 2R deeper is out of the way.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wire.experiment import Mpc as MpcConfig
 from wire.experiment import Safety
@@ -14,6 +19,7 @@ from wire.messages import Plan
 NS = 1e9
 NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the plane, without those it cannot run into first
 NODES = 5  # of the horizon that keep their distance from each
+TOUCHING_M = 1e-6
 SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal: the two robots see each other's figure a step late
 
 
@@ -47,12 +53,14 @@ class Rank:
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces:
-    """normal[i] . position(node[i]) >= offset[i] - slack, the first `count` of `NEAREST * NODES` rows. Nodes from 1."""
+    """normal[i] . [x, y] of node[i] >= offset[i] - slack. Nodes count from 1."""
 
-    count: int
-    node: Array  # (rows,) int
-    normal: Array  # (rows, 3)
+    node: NDArray[np.intp]  # (rows,)
+    normal: Array  # (rows, 2)
     offset: Array  # (rows,)
+
+
+NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +82,7 @@ class Formation:
         self._safety, self._horizon = safety, config.horizon
         self._offsets_s = period_s * np.arange(config.horizon + 1)
         self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
-        rows = NEAREST * len(self._nodes)
-        self.rows = rows
+        self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
 
     def company(self, neighbours: Sequence[Neighbour], own: Rank, now_ns: int, action_ns: int) -> Company:
         """Neighbours' predictions on our horizon, whose node 0 is at `action_ns`."""
@@ -122,23 +129,20 @@ class Formation:
 
     def half_spaces(self, company: Company, own: Array) -> HalfSpaces:
         """Half-spaces across the lines between predicted positions, where `own` (horizon + 1, 3) comes close (A6)."""
-        rows = HalfSpaces(0, np.ones(self.rows, np.intp), np.zeros((self.rows, 3)), np.zeros(self.rows))
         if len(company.positions) == 0:
-            return rows
-        apart = own[self._nodes] - company.positions[:, self._nodes]  # (others, nodes, 3)
-        distance = np.sqrt((apart * apart).sum(axis=2))
-        near = np.flatnonzero((distance < (company.distance_m + self._safety.margin_m)[:, None]).any(axis=1))
-        nearest = near[np.argsort(distance[near].min(axis=1), kind="stable")][:NEAREST]
-        if len(nearest) == 0:
-            return rows
-        count = len(nearest) * len(self._nodes)
-        away = apart[nearest] / np.maximum(distance[nearest], 1e-6)[:, :, None]
-        away[distance[nearest] < 1e-6] = (1.0, 0.0, 0.0)  # on top of one another: any direction out
-        rows.node[:count] = np.tile(self._nodes, len(nearest))
-        rows.normal[:count] = away.reshape(-1, 3)
-        there = (away * company.positions[nearest][:, self._nodes]).sum(axis=2)
-        rows.offset[:count] = (there + company.distance_m[nearest, None]).ravel()
-        return HalfSpaces(count, rows.node, rows.normal, rows.offset)
+            return NOWHERE
+        there = company.positions[:, self._nodes]  # (others, nodes, 3)
+        apart = own[self._nodes] - there
+        distance = np.hypot(apart[:, :, 0], apart[:, :, 1])
+        beside = np.abs(apart[:, :, 2]) < company.distance_m[:, None]
+        near = np.flatnonzero((beside & (distance < (company.distance_m + self._safety.margin_m)[:, None])).any(axis=1))
+        if len(near) == 0:
+            return NOWHERE
+        near = near[np.argsort(distance[near].min(axis=1), kind="stable")][:NEAREST]
+        away = apart[near, :, :2] / np.maximum(distance[near], TOUCHING_M)[:, :, None]
+        away[distance[near] < TOUCHING_M] = (1.0, 0.0)  # on top of one another: any direction leads out
+        offset = (away * there[near, :, :2]).sum(axis=2) + company.distance_m[near, None]
+        return HalfSpaces(np.tile(self._nodes, len(near)), away.reshape(-1, 2), offset.ravel())
 
 
 def _sound(neighbour: Neighbour) -> bool:

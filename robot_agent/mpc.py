@@ -74,7 +74,7 @@ class Mpc:
         p_mask[2 * n : 3 * n, 2 * n : 3 * n] = True
         p_mask[-1, -1] = True
         a_mask = self._a != 0.0
-        a_mask[6 * n :, :] = True
+        a_mask[6 * n :, : 2 * n] = True
         rest = (0.0,) * 11
         self._prediction.restart(rest)
         self._prediction.linearise(rest, np.zeros(3), np.zeros(4))
@@ -137,18 +137,15 @@ class Mpc:
             rows = slice(i * n, (i + 1) * n)
             self._upper[rows] = self._limit[channel] - wrench[channel]
             self._lower[rows] = -self._limit[channel] - wrench[channel]
-        rows, count = slice(6 * n, None), keep_clear.count
-        self._a[rows, : 3 * n] = 0.0
-        self._lower[rows] = -NO_BOUND
+        self._a[6 * n :, : 2 * n] = 0.0
+        self._lower[6 * n :] = -NO_BOUND
+        count = len(keep_clear.node)
         if count == 0:
             return
-        at, normal = keep_clear.node[:count] - 1, keep_clear.normal[:count]
-        planar, heave = self._prediction.planar[:, :2, at], self._prediction.heave[:, at]
-        move = np.einsum("iak,ka->ki", planar, normal[:, :2])
-        climb = (heave * normal[:, 2]).T
-        self._a[6 * n : 6 * n + count, : 2 * n] = move[:, :-1]
-        self._a[6 * n : 6 * n + count, 2 * n : 3 * n] = climb[:, :-1]
-        self._lower[6 * n : 6 * n + count] = keep_clear.offset[:count] - move[:, -1] - climb[:, -1]
+        responses = self._prediction.planar[:, :2, keep_clear.node - 1]
+        along = responses[:, 0] * keep_clear.normal[:, 0] + responses[:, 1] * keep_clear.normal[:, 1]
+        self._a[6 * n : 6 * n + count, : 2 * n] = along[:-1].T
+        self._lower[6 * n : 6 * n + count] = keep_clear.offset - along[-1]
 
     def _remember(self, wrench: Array, x: Array) -> None:
         """The first wrenches of the plan, exactly within the limits (the solver is right to 1e-4)."""
