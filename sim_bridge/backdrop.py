@@ -37,7 +37,7 @@ class Backdrop:
         place = time_s / LOOP_S * PHASES
         first = int(np.floor(place))
         share = place - first
-        before, after = self._phases[first % PHASES], self._phases[(first + 1) % PHASES]
+        before, after = (self._phases[phase % len(self._phases)] for phase in (first, first + 1))
         return np.asarray(cv2.addWeighted(before, 1.0 - share, after, share, 0.0), dtype=np.uint8)
 
     def slopes(self, window: Window, time_s: float) -> Float:
@@ -52,7 +52,7 @@ class Backdrop:
 
     def light(self, window: Window, depth_m: float, time_s: float) -> Float:
         """Caustic light at a depth, relative to its mean, at the window's blocks. It gathers on the way down."""
-        pattern = self._patterns[round(time_s / LOOP_S * PHASES) % PHASES]
+        pattern = self._patterns[round(time_s / LOOP_S * PHASES) % len(self._patterns)]
         x = self._view.block_surface_x[window.blocks] + np.float32(depth_m) * self._view.block_water_x[window.blocks]
         y = self._view.block_surface_y[window.blocks] + np.float32(depth_m) * self._view.block_water_y[window.blocks]
         place = self._caustics.grid_coordinates(x, y)
@@ -67,7 +67,8 @@ class Backdrop:
         place = [(np.ascontiguousarray(p[0::2, 0::2])) for p in self._caustics.grid_coordinates(*self._plan())]
         reach = np.float32(self._picture.caustics) * np.clip(self.hit.z[0::2, 0::2] / np.float32(self.depth_m), 0.0, 1.0)
         planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
-        for phase in range(PHASES):
+        moving = self._picture.ripples_m > 0.0 or self._picture.caustics > 0.0
+        for phase in range(PHASES if moving else 1):
             time_s = phase * LOOP_S / PHASES
             pattern = np.clip(self._caustics.pattern(time_s) * CAUSTIC_UNIT, 0, 255).astype(np.uint8)
             self._patterns.append(pattern)

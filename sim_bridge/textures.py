@@ -90,7 +90,7 @@ def shell(robot: Robot, marked: bool, softness_px: float, random: np.random.Gene
     paint(_ball(x, y, up, -np.pi / 2, 0.62) - 0.12, RED)
     paint(_ball(x, y, up, np.pi / 2, 0.62) - 0.12, GREEN)
     if not marked:
-        paint(np.maximum(np.abs(y) - 0.045, np.abs(x - 0.22) - 0.30), DARK)  # a stripe from the crown ahead
+        paint(np.maximum(np.abs(y) - 0.06, np.abs(x - 0.22) - 0.30), DARK)  # a stripe from the crown ahead
     image *= 1.0 + grain(SHELL_PX, SHELL_PX, ((2.0, 0.02), (12.0, 0.03), (60.0, 0.05)), random)[..., None]
     if marked:  # under the plate's edge light is scarce
         reach = np.maximum(np.abs(x), np.abs(y))
