@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer.kcf import CorrelationFilter, FilterShape, Real
-from localizer.patch import Pixels, Sampler, Shell
+from localizer.patch import Hull, Pixels, Sampler
 from localizer.sight import Sight
 from wire.frames import Array, body_to_pool, wrap
 
@@ -34,16 +34,16 @@ class Match:
 class Appearance:
     """Looks of all robots, learnt and found in one batch. Poses are [x, y, yaw] in the pool frame."""
 
-    def __init__(self, count: int, shell: Shell, template_px: int) -> None:
-        pitch_m = 2.0 * shell.radius_m * _SPAN / template_px
-        self._sampler = Sampler(template_px, pitch_m, _RING_REACH * shell.radius_m, shell)
+    def __init__(self, count: int, hull: Hull, template_px: int) -> None:
+        pitch_m = 2.0 * hull.radius_m * _SPAN / template_px
+        self._sampler = Sampler(template_px, pitch_m, _RING_REACH * hull.radius_m, hull)
         channels = self._sampler.channels
         patches = FilterShape(template_px, template_px, channels, _TARGET_WIDTH, _PLACE_KERNEL, windowed=True)
         self._place = CorrelationFilter(count, patches)
         rings = FilterShape(1, self._sampler.angles, self._sampler.ring_channels, _TARGET_WIDTH, _TURN_KERNEL, windowed=False)
         self._turn = CorrelationFilter(count, rings)
         self._learnt = np.zeros(count, dtype=np.bool_)
-        self.reach_m = _SPAN * shell.radius_m  # what a filter sees of a robot's surroundings
+        self.reach_m = _SPAN * hull.radius_m  # what a filter sees of a robot's surroundings
 
     def knows(self, robot: int) -> bool:
         """The robot's look has been learnt."""

@@ -20,7 +20,7 @@ from localizer.appearance import Appearance
 from localizer.calibration import PoolView
 from localizer.health import CameraWatch
 from localizer.marker import MarkerPose, MarkerReader
-from localizer.patch import Pixels, Shell, cut, whole
+from localizer.patch import Hull, Pixels, cut, whole
 from localizer.sight import KCF_NOISE, MARKER_NOISE, Depth, Sight, depths_of
 from localizer.start import start_poses
 from localizer.tracks import RobotTrack, near_pairs
@@ -63,8 +63,8 @@ class Locator:
         markers = {robot.marker: index for index, robot in enumerate(experiment.robots)}
         self._reader = MarkerReader(self.view, vehicle.marker.side_m, markers)
         plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
-        shell = Shell(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
-        self._looks = Appearance(len(self._ids), shell, settings.template_px)
+        hull = Hull(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
+        self._looks = Appearance(len(self._ids), hull, settings.template_px)
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.placed(s[[0, 1, 3]]) for s in self._start]
         self._stamp_ns: int | None = None
         self._frames = 0
