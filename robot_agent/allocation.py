@@ -9,14 +9,27 @@ sign, so an ankle never turns over when surge reverses. What does not fit gives 
 """
 
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from wire.frames import Array
 from wire.vehicle import Vehicle
 
+Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
+
 STEEPEST_TAN = math.tan(math.radians(60.0))  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
+SAME_M = 1e-6
+
+
+class Leg(NamedTuple):
+    """Where a leg is: 1 ahead, -1 behind; on the port side or not; its distance to starboard."""
+
+    fore: float
+    port: bool
+    y_m: float
 
 
 class Allocator:
@@ -24,13 +37,11 @@ class Allocator:
 
     def __init__(self, vehicle: Vehicle) -> None:
         legs, curve = vehicle.legs, vehicle.thruster.curve
-        x, y = np.array(legs.position_m).T
-        if len(set(np.abs(x).round(6))) != 1 or len(set(np.abs(y).round(6))) != 1 or len(set(zip(x, y, strict=True))) != 4:
+        x, y = ([abs(position[axis]) for position in legs.position_m] for axis in (0, 1))
+        if max(x) - min(x) > SAME_M or max(y) - min(y) > SAME_M or len(set(legs.position_m)) != 4:
             raise ValueError(f"legs.position_m = {legs.position_m}: must be the corners of a rectangle around the centre")
-        self._vehicle = vehicle
-        self._arm_m = abs(float(y[0]))
-        self._front = x > 0
-        self._y = y
+        self._legs = tuple(Leg(1.0 if along > 0.0 else -1.0, across < 0.0, across) for along, across in legs.position_m)
+        self._arm_m, self._idle_n, self._thruster = y[0], legs.idle_thrust_n, vehicle.thruster
         self._ahead_n = min(vehicle.thruster.max_thrust_n, curve[-1][1])
         self._astern_n = min(vehicle.thruster.max_thrust_n, -curve[0][1])
         low, high = legs.ankle_us
@@ -41,35 +52,37 @@ class Allocator:
     def pulses(self, wrench: Array) -> tuple[int, ...]:
         """Pulse widths in us for a wrench (3,), as much of it as the thrusters can give."""
         force, ankle = self.forces(wrench)
-        thrust_us = np.rint(self._vehicle.thruster.pulse_us(force))
-        ankle_us = np.rint(self._ankle_level_us + self._ankle_us_per_rad * ankle)
-        return (*map(int, thrust_us), *map(int, ankle_us))
+        thrust_us = self._thruster.pulse_us(np.array(force)).tolist()
+        ankle_us = (self._ankle_level_us + self._ankle_us_per_rad * angle for angle in ankle)
+        return (*map(round, thrust_us), *map(round, ankle_us))
 
-    def delivered(self, pulse_us: tuple[int, ...]) -> Array:
-        """The wrench (3,) of eight pulse widths by the nominal thrust curve: what the estimator is told."""
-        pulse = np.array(pulse_us, dtype=np.float64)
-        force = self._vehicle.thruster.force_n(pulse[:4])
-        ankle = (pulse[4:] - self._ankle_level_us) / self._ankle_us_per_rad
+    def delivered(self, pulse_us: tuple[int, ...]) -> Wrench:
+        """The wrench of eight pulse widths by the nominal thrust curve: what the estimator is told."""
+        force = self._thruster.force_n(np.array(pulse_us[:4], dtype=np.float64)).tolist()
+        ankle = [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]]
         return self.wrench(force, ankle)
 
-    def wrench(self, force_n: Array, ankle_rad: Array) -> Array:
-        """Forward equations: thruster forces (4,) and ankle angles (4,) -> wrench (3,)."""
-        level = force_n * np.cos(ankle_rad)
-        return np.array([level.sum(), (force_n * np.sin(ankle_rad)).sum(), -(self._y * level).sum()])
+    def wrench(self, force_n: Sequence[float], ankle_rad: Sequence[float]) -> Wrench:
+        """Forward equations: four thruster forces and ankle angles -> wrench."""
+        surge = heave = yaw = 0.0
+        for leg, force, angle in zip(self._legs, force_n, ankle_rad, strict=True):
+            level = force * math.cos(angle)
+            surge, heave, yaw = surge + level, heave + force * math.sin(angle), yaw - leg.y_m * level
+        return surge, heave, yaw
 
-    def forces(self, wrench: Array) -> tuple[Array, Array]:
-        """Thruster forces (4,) in N and ankle angles (4,) in rad for a wrench (3,)."""
-        surge, heave, yaw = (float(value) for value in wrench)
+    def forces(self, wrench: Sequence[float] | Array) -> tuple[list[float], list[float]]:
+        """Four thruster forces in N and ankle angles in rad for a wrench."""
+        surge, heave, yaw = map(float, wrench)
         port, starboard = self._sides(surge, yaw)
         bias_port, bias_starboard = self._biases(port, starboard, abs(heave))
-        level = np.where(self._y < 0, port, starboard) + np.where(self._y < 0, bias_port, bias_starboard) * np.where(
-            self._front, 1.0, -1.0
-        )
-        side = np.clip(level / CROSSING_N, -1.0, 1.0)
-        lever = float(level @ side)
+        level = [
+            (port if leg.port else starboard) + (bias_port if leg.port else bias_starboard) * leg.fore for leg in self._legs
+        ]
+        side = [min(max(force / CROSSING_N, -1.0), 1.0) for force in level]
+        lever = sum(force * share for force, share in zip(level, side, strict=True))
         tangent = self._within_thrust(level, heave / lever) if lever > 0.0 else 0.0
-        slope = tangent * side
-        return level * np.sqrt(1.0 + slope * slope), np.arctan(slope)
+        force = [h * math.sqrt(1.0 + (tangent * share) ** 2) for h, share in zip(level, side, strict=True)]
+        return force, [math.atan(tangent * share) for share in side]
 
     def _sides(self, surge: float, yaw: float) -> tuple[float, float]:
         """Horizontal force per leg, port and starboard: surge first, yaw as far as it fits."""
@@ -83,7 +96,7 @@ class Allocator:
 
         A side with force h and bias b gives 2 max(|h|, b) of lever in all, less CROSSING_N / 2 at most for passing level.
         """
-        idle = self._vehicle.legs.idle_thrust_n
+        idle = self._idle_n
         need = 0.5 * (heave / STEEPEST_TAN + CROSSING_N) if heave > 0.0 else 0.0
         low, high = sorted((abs(port), abs(starboard)))
         lift = max(0.0, need - high) if need < 2.0 * high else 0.5 * need
@@ -93,12 +106,10 @@ class Allocator:
     def _bias(self, side: float, bias: float) -> float:
         return max(0.0, min(bias, self._ahead_n - side, self._astern_n + side, self._ahead_n + side, self._astern_n - side))
 
-    def _within_thrust(self, level: Array, tangent: float) -> float:
+    def _within_thrust(self, level: list[float], tangent: float) -> float:
         """Heave gives way: the steepest common tangent at which no thruster is asked for more than it has."""
-        limit = np.where(level >= 0.0, self._ahead_n, self._astern_n)
-        size = np.maximum(np.abs(level), 1e-9)
-        steepest = math.sqrt(max(float(np.min(limit / size)) ** 2 - 1.0, 0.0))
-        steepest = min(steepest, STEEPEST_TAN)
+        spare = min((self._ahead_n if h >= 0.0 else self._astern_n) / max(abs(h), 1e-9) for h in level)
+        steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), STEEPEST_TAN)
         return min(max(tangent, -steepest), steepest)
 
 

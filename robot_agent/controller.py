@@ -73,14 +73,15 @@ class Controller:
         self._estimator = Estimator(
             Model(vehicle, config.estimator.sway, config.mpc.model_lag), config.estimator, vehicle.thruster.dead_time_s
         )
-        nodes_s = vehicle.thruster.dead_time_s + period_s * np.arange(horizon + 1)
+        steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
+        nodes_s = vehicle.thruster.dead_time_s + steps_s
         self._sampler = Sampler(nodes_s)
         self._guidance = Guidance(vehicle, config.guidance, period_s, config.estimator.sway)
         self._formation = Formation(config.mpc, safety, period_s)
         model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
         self._mpc = Mpc(vehicle, model, config.mpc, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
-        self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), period_s * np.arange(horizon + 1))
+        self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
         self._wrench = np.zeros(3)
         self._rank = Rank(urgent, 0.0, 0)
         self._goal: Goal | None = None
@@ -131,7 +132,7 @@ class Controller:
         failed = plan.solve is Solve.FAILED
         pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
         delivered = self._allocator.delivered(pulses)
-        self._estimator.applied((float(delivered[0]), float(delivered[1]), float(delivered[2])), now_ns)
+        self._estimator.applied(delivered, now_ns)
         wrench_step, self._wrench = plan.wrench - self._wrench, plan.wrench
         error_m = float(np.linalg.norm(path.eta[0, :3] - estimate.eta[:3]))
         self._rank = Rank(self._urgent, error_m, company.heard)
@@ -139,7 +140,7 @@ class Controller:
             pulse_us=pulses,
             wrench=plan.wrench.copy(),
             wrench_step=wrench_step,
-            wrench_delivered=delivered,
+            wrench_delivered=np.array(delivered),
             estimated=True,
             eta=estimate.eta,
             nu=estimate.nu,

@@ -16,7 +16,7 @@ from robot_agent.model import Model, State
 from wire.experiment import Estimator as EstimatorConfig
 from wire.frames import Array, wrap
 
-Wrench = tuple[float, float, float]
+Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 
 NS = 1_000_000_000
 COAST_NS = NS  # prediction alone is no estimate any more: the agent has been neutral for half of it

@@ -22,7 +22,7 @@ from wire.messages import Solve
 from wire.vehicle import Vehicle
 
 CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave
-RIDGE = 1e-9  # relative: keeps the problem strictly convex when every weight of a channel is zero
+RIDGE = 1e-9  # per N^2: keeps the problem strictly convex when every weight of a channel is zero
 MAX_SHIFTED = 3  # control steps that the last good plan may bridge (failures.md)
 
 
@@ -48,21 +48,23 @@ class Mpc:
         self._shifted = MAX_SHIFTED
         self._fresh = True
         n = self._n
+        ends = np.cumsum(config.blocks)
+        first = np.minimum(np.searchsorted(ends, np.arange(MAX_SHIFTED + 1), side="right"), n - 1)
+        self._unknowns = first[:, None] + n * np.array([0, 2, 1])  # (steps, 3) where each step's wrench is among the unknowns
         size, fixed = 3 * n + 1, 6 * n
         self._p, self._q = np.zeros((size, size)), np.zeros(size)
         self._a = np.zeros((fixed + rows, size))
         self._lower, self._upper = np.full(fixed + rows, -NO_BOUND), np.full(fixed + rows, NO_BOUND)
-        self._stack = np.zeros((2 * n + 1, 3, self._h))
         difference = np.eye(n) - np.eye(n, k=-1)
-        self._rates = np.zeros((size, size))
+        self._rates = np.zeros((3 * n, 3 * n))
         for i, channel in enumerate(CHANNELS):
             block = slice(i * n, (i + 1) * n)
-            self._rates[block, block] = config.r[channel] * difference.T @ difference
+            self._rates[block, block] = config.r[channel] * difference.T @ difference + RIDGE * np.eye(n)
             self._a[block, block] = np.eye(n)
             self._a[3 * n + i * n : 3 * n + (i + 1) * n, block] = difference
             self._upper[3 * n + i * n : 3 * n + (i + 1) * n] = self._step_limit[channel]
             self._lower[3 * n + i * n : 3 * n + (i + 1) * n] = -self._step_limit[channel]
-        self._rates[-1, -1] = config.slack
+        self._p[-1, -1] = config.slack
         self._a[fixed:, -1] = 1.0
         self._solver = self._make_solver(rows)
 
@@ -114,22 +116,21 @@ class Mpc:
         return MpcPlan(self._planned[0].copy(), eta, Solve.SOLVED, solution.iterations, max(0.0, float(x[-1])))
 
     def _objective(self, reference: Array, weight: Array) -> None:
-        """P and q as one Gram matrix: unit responses, and the free response's error as one more column."""
-        n, prediction, stack = self._n, self._prediction, self._stack
+        """P and q as Gram matrices: unit responses, and the free response's error as one more row."""
+        n, prediction, p = self._n, self._prediction, self._p
         root = np.sqrt(weight)
-        np.multiply(prediction.planar, root[[0, 1, 3], None], out=stack)
-        stack[-1] -= root[[0, 1, 3], None] * reference[1:, [0, 1, 3]].T
-        flat = stack.reshape(2 * n + 1, -1)
-        gram = flat @ flat.T
-        np.copyto(self._p, self._rates)
-        self._p[: 2 * n, : 2 * n] += gram[:-1, :-1]
-        self._q[: 2 * n] = gram[:-1, -1]
-        heave = prediction.heave
-        error = heave[-1] - reference[1:, 2]
-        self._p[2 * n : 3 * n, 2 * n : 3 * n] += weight[2] * (heave[:-1] @ heave[:-1].T)
-        self._q[2 * n : 3 * n] = weight[2] * (heave[:-1] @ error)
-        diagonal = np.einsum("ii->i", self._p)
-        diagonal += RIDGE * float(diagonal.max())
+        position = prediction.position.view(np.float64) * np.tile(root[:2], self._h)
+        position[-1] -= (reference[1:, :2] * root[:2]).ravel()
+        yaw = prediction.yaw * root[3]
+        yaw[-1] -= reference[1:, 3] * root[3]
+        heave = prediction.heave * root[2]
+        heave[-1] -= reference[1:, 2] * root[2]
+        planar, depth = position @ position.T, heave @ heave.T
+        planar[n:, n:] += yaw @ yaw.T
+        p[: 3 * n, : 3 * n] = self._rates
+        p[: 2 * n, : 2 * n] += planar[:-1, :-1]
+        p[2 * n : 3 * n, 2 * n : 3 * n] += depth[:-1, :-1]
+        self._q[: 2 * n], self._q[2 * n : 3 * n] = planar[:-1, -1], depth[:-1, -1]
 
     def _constraints(self, wrench: Array, keep_clear: HalfSpaces) -> None:
         n = self._n
@@ -142,25 +143,21 @@ class Mpc:
         count = len(keep_clear.node)
         if count == 0:
             return
-        responses = self._prediction.planar[:, :2, keep_clear.node - 1]
-        along = responses[:, 0] * keep_clear.normal[:, 0] + responses[:, 1] * keep_clear.normal[:, 1]
+        responses = self._prediction.position[:, keep_clear.node - 1]
+        along = responses.real * keep_clear.normal[:, 0] + responses.imag * keep_clear.normal[:, 1]
         self._a[6 * n : 6 * n + count, : 2 * n] = along[:-1].T
         self._lower[6 * n : 6 * n + count] = keep_clear.offset - along[-1]
 
     def _remember(self, wrench: Array, x: Array) -> None:
         """The first wrenches of the plan, exactly within the limits (the solver is right to 1e-4)."""
-        n, before, block = self._n, wrench, -1
-        starts = np.cumsum((0, *self._config.blocks))
-        for step in range(len(self._planned)):
-            block = min(int(np.searchsorted(starts, step, side="right")) - 1, n - 1)
-            asked = wrench + x[[block, 2 * n + block, n + block]]
-            before = self._within(asked, before)
-            self._planned[step] = before
+        before = wrench
+        for step, unknowns in enumerate(self._unknowns):
+            before = self._planned[step] = self._within(wrench + x[unknowns], before)
         self._shifted = 0
 
     def _within(self, asked: Array, before: Array) -> Array:
-        stepped = np.clip(asked, before - self._step_limit, before + self._step_limit)
-        return np.clip(stepped, -self._limit, self._limit)
+        stepped = np.minimum(np.maximum(asked, before - self._step_limit), before + self._step_limit)
+        return np.asarray(np.minimum(np.maximum(stepped, -self._limit), self._limit))
 
     def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
         """The last good plan, moved on by a step; nothing once it is used up."""

@@ -61,6 +61,6 @@ class Sampler:
         inside = np.clip(place, 0.0, last)
         low = np.minimum(inside.astype(np.intp), max(last - 1, 0))
         share = (inside - low)[:, None]
-        rows = self._table[low] * (1.0 - share) + self._table[np.minimum(low + 1, last)] * share
+        rows: Array = self._table[low] * (1.0 - share) + self._table[np.minimum(low + 1, last)] * share
         rows[:, 4:] *= ((place >= 0.0) & (place <= last))[:, None]
         return rows
