@@ -24,6 +24,7 @@ from wire.transport import Endpoint, ZenohTransport
 
 START_WITHIN_S = 30.0
 LOOK_EVERY_S = 0.2
+SAFE_WITHIN_S = 1.0
 SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 
 
@@ -92,6 +93,8 @@ def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool,
                 said_s = time.monotonic()
                 console.print(monitor.line(), soft_wrap=True)
             time.sleep(LOOK_EVERY_S)
+        if station.exit_code not in (None, 0, 1):
+            time.sleep(SAFE_WITHIN_S)  # the others still fly: let them bring themselves to rest, and say so in their logs
     return list(trouble.values())
 
 
