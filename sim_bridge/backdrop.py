@@ -24,13 +24,16 @@ class Backdrop:
         self._picture, self._view = experiment.sim.picture, view
         self.ripples = Ripples(self._picture, experiment.camera, random)
         self._caustics = Caustics(experiment.pool, random)
-        self.hit = trace(view, experiment.pool)
+        self._hit = trace(view, experiment.pool)
+        blocks = cv2.resize(self._hit.z, None, fx=1.0 / BLOCK, fy=1.0 / BLOCK, interpolation=cv2.INTER_AREA)
+        blocks = cv2.resize(blocks, view.block_surface_x.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        self.block_z: Float = np.asarray(blocks, dtype=np.float32)  # depth of floor, wall or deck
         self.depth_m = experiment.pool.size_m[2]
         self.basis = self.ripples.basis(view.block_surface_x, view.block_surface_y).reshape(-1, *view.block_surface_x.shape)
         self.vignette = _vignette(view, self._picture.vignetting)
         self._patterns: list[Bytes] = []
         self._phases: list[Bytes] = []
-        self._draw_phases(still_scene(experiment, view, self.hit, random))
+        self._draw_phases(still_scene(experiment, view, self._hit, random))
 
     def at(self, time_s: float) -> Bytes:
         """A fresh raw mosaic (height, width) of the scene at a time."""
@@ -65,7 +68,7 @@ class Backdrop:
         pull_x, pull_y = self._pull()
         column, row = np.meshgrid(np.arange(view.width, dtype=np.float32), np.arange(view.height, dtype=np.float32))
         place = [(np.ascontiguousarray(p[0::2, 0::2])) for p in self._caustics.grid_coordinates(*self._plan())]
-        reach = np.float32(self._picture.caustics) * np.clip(self.hit.z[0::2, 0::2] / np.float32(self.depth_m), 0.0, 1.0)
+        reach = np.float32(self._picture.caustics) * np.clip(self._hit.z[0::2, 0::2] / np.float32(self.depth_m), 0.0, 1.0)
         planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
         moving = self._picture.ripples_m > 0.0 or self._picture.caustics > 0.0
         for phase in range(PHASES if moving else 1):
@@ -85,17 +88,15 @@ class Backdrop:
 
     def _plan(self) -> tuple[Float, Float]:
         """Where the light that each pixel sees falls on the plan; walls are laid open outwards."""
-        down = np.float32(self.depth_m) - self.hit.z
-        x = self.hit.x + np.where(self.hit.on_x_wall, np.copysign(down, self.hit.x), np.float32(0.0))
-        y = self.hit.y + np.where(self.hit.on_y_wall, np.copysign(down, self.hit.y), np.float32(0.0))
+        down = np.float32(self.depth_m) - self._hit.z
+        x = self._hit.x + np.where(self._hit.on_x_wall, np.copysign(down, self._hit.x), np.float32(0.0))
+        y = self._hit.y + np.where(self._hit.on_y_wall, np.copysign(down, self._hit.y), np.float32(0.0))
         return x, y
 
     def _pull(self) -> tuple[tuple[Float, Float], tuple[Float, Float]]:
         """Pixels by which a unit slope (x, y) of the surface shifts what a block sees: the Jacobian from metres at the
         depth where the line of sight ends to pixels, times that depth, times the bending."""
-        view = self._view
-        z = cv2.resize(self.hit.z, None, fx=1.0 / BLOCK, fy=1.0 / BLOCK, interpolation=cv2.INTER_AREA)
-        z = cv2.resize(z, view.block_surface_x.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        view, z = self._view, self.block_z
         (s_xr, s_xc), (s_yr, s_yc) = (np.gradient(p, BLOCK) for p in (view.block_surface_x, view.block_surface_y))
         (d_xr, d_xc), (d_yr, d_yc) = (np.gradient(p, BLOCK) for p in (view.block_water_x, view.block_water_y))
         x_c, x_r, y_c, y_r = s_xc + z * d_xc, s_xr + z * d_xr, s_yc + z * d_yc, s_yr + z * d_yr

@@ -53,7 +53,7 @@ class Renderer:
     def _draw_shadow(self, raw: Bytes, sprite: Sprite, eta: Array) -> None:
         window = self._view.window(shadow_box(eta, self._backdrop.depth_m, sprite.radius_m), MARGIN_PX)
         if window is not None:
-            shade(raw, self._backdrop.hit.z, self._view, window, eta, sprite.radius_m)
+            shade(raw, self._backdrop.block_z, self._view, window, eta, sprite.radius_m)
 
     def _draw_robot(self, raw: Bytes, sprite: Sprite, eta: Array, nu: Array, time_s: float) -> None:
         probe = eta[:3] + np.array([[0.0, 0.0, 0.0], [PROBE_M, 0.0, 0.0], [0.0, PROBE_M, 0.0]])

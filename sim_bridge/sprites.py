@@ -20,7 +20,7 @@ AMBIENT, DIFFUSE = 0.50, 0.56
 GLOSS, GLOSS_POWER = 26.0, 24  # grey levels of a wet shell's highlight, and how small it is
 SHADOW = 0.42  # how dark the middle of a shadow is
 PENUMBRA = 0.30  # its soft edge per metre between robot and floor: the lamps are long tubes
-BLUR_STEP_PX = 0.6  # an exposure is split until nothing moves further than this between its parts
+BLUR_STEP_PX = 1.0  # an exposure is split until nothing moves further than this between its parts: the lens hides the rest
 MAX_PARTS = 8
 LENS_SOFTNESS_PX = 0.5
 
@@ -121,19 +121,23 @@ def parts(eta: Array, nu: Array, exposure_s: float, reach_m: float, px_per_m: fl
     return [eta + velocity * exposure_s * ((k + 0.5) / count - 0.5) for k in range(count)]
 
 
-def shade(raw: Bytes, floor_z: Float, view: View, window: Window, eta: Array, radius_m: float) -> None:
-    """Darken the floor (and walls) of a window below a robot, in place. `floor_z` is how deep each pixel's scene lies."""
-    z = floor_z[window.pixels]
+def shade(raw: Bytes, block_z: Float, view: View, window: Window, eta: Array, radius_m: float) -> None:
+    """Darken the floor (and walls) of a window below a robot, in place. `block_z` is how deep each block's scene lies:
+    a shadow's edge is wider than a block."""
+    blocks = window.blocks
+    z = block_z[blocks]
     below = z - np.float32(eta[2])
-    x = view.surface_x[window.pixels] + z * view.water_x[window.pixels] - np.float32(eta[0])
-    y = view.surface_y[window.pixels] + z * view.water_y[window.pixels] - np.float32(eta[1])
+    x = view.block_surface_x[blocks] + z * view.block_water_x[blocks] - np.float32(eta[0])
+    y = view.block_surface_y[blocks] + z * view.block_water_y[blocks] - np.float32(eta[1])
     x += below * np.float32(LAMP[0] / LAMP[2])
     y += below * np.float32(LAMP[1] / LAMP[2])
     softness = np.float32(PENUMBRA) * np.maximum(below, np.float32(0.02))
     inside = np.clip((np.float32(radius_m) - np.sqrt(x * x + y * y)) / softness * np.float32(0.5) + np.float32(0.5), 0.0, 1.0)
     inside *= inside * (3.0 - 2.0 * inside) * (below > 0)
     spot = raw[window.pixels]
-    spot[:] = np.rint(spot * (1.0 - np.float32(SHADOW) * inside)).astype(np.uint8)
+    left_over = view.spread(_float(1.0 - np.float32(SHADOW) * inside), window)
+    np.rint(spot * left_over, out=left_over)
+    spot[:] = left_over
 
 
 def shadow_box(eta: Array, floor_m: float, radius_m: float) -> Array:
