@@ -24,6 +24,7 @@ LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis 
 GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
 GATE_PATIENCE = 5  # poses that contradict the estimate in a row before they are believed
 SENSED_KEPT = 16  # board samples, one per step: reaches back 0.8 s
+INPUTS_KEPT = 256  # more than COAST_NS of the fastest loop
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,7 @@ class Estimator:
     def __init__(self, model: Model, config: EstimatorConfig, dead_time_s: float) -> None:
         self._model, self._config = model, config
         self._dead_ns = round(dead_time_s * NS)
-        self._inputs: deque[tuple[int, Wrench]] = deque()  # (instant from which it acts, wrench), oldest first
+        self._inputs: deque[tuple[int, Wrench]] = deque(maxlen=INPUTS_KEPT)  # (instant from which it acts, wrench)
         self._sensed: deque[tuple[int, float | None, float | None]] = deque(maxlen=SENSED_KEPT)
         self._state: State | None = None  # at the exposure _at_ns
         self._disturbance = [0.0, 0.0, 0.0, 0.0]

@@ -133,7 +133,8 @@ class DaqpSolver:
             self._sense,
         )
         x = np.asarray(x) * scale
-        return Solution(x, bool(status > 0 and np.isfinite(x).all()), int(info["iterations"]))
+        solved = bool(status > 0 and np.isfinite(x).all())
+        return Solution(x if solved else np.zeros(len(q)), solved, int(info["iterations"]))
 
 
 def _built(p_mask: Mask, a_mask: Mask) -> Any:
