@@ -35,6 +35,7 @@ class RobotResult(Errors):
     rms_yaw_command_rad: float | None = None
     rms_yaw_command_after_20s_rad: float | None = None
     dtau_rms: Three | None = None  # change of the wrench per step [N, N, N m]
+    dtau_rms_after_20s: Three | None = None
     pulse_step_rms_us: float | None = None  # change of the thruster pulses per step
     disturbance_error_rms: tuple[float, ...] | None = None  # estimated minus true [m/s^2 x 3, rad/s^2]
     control_steps: int = 0
@@ -101,6 +102,7 @@ class Result:
     pose_error_rad: Spread | None
     exposure_to_pwm_ms: Quantiles | None
     dtau_rms: Three | None  # of the robot that is worst, per axis
+    dtau_rms_after_20s: Three | None
     pulse_step_rms_us: float | None
     missed_deadlines: int
     missed_deadlines_fraction: float | None

@@ -11,6 +11,7 @@ import threading
 import time
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from sim_bridge.camera import Renderer
@@ -90,6 +91,7 @@ class Pool:
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = Sockets(base_port, experiment.robot_ids)
+        cv2.setNumThreads(1)  # two cores, five processes: more threads only fight
         self._renderer = Renderer(experiment, experiment.seed)
         self._frame_index = 0
         self._frame_ns = -1

@@ -276,7 +276,7 @@ class Limit(Section):
     rms_after_20s_m: Positive | None = None
     max_after_20s_m: Positive | None = None
     pose_rms_m: Positive | None = None
-    wrench_step_rms: Fraction | None = None  # RMS of the inputs' change per step, as a fraction of its bound: chatter is wear
+    wrench_step_rms: Fraction | None = None  # after 20 s: RMS of the inputs' change per step, as a fraction of its bound
     exposure_to_pwm_p99_ms: Positive | None = None
 
 

@@ -53,7 +53,7 @@ class Script:
     metadata: dict[str, str] = field(default_factory=lambda: {"mode": "lockstep", "version": "0.1.0", "zenoh": "1.10.0"})
 
     def experiment(self) -> Experiment:
-        return load_experiment("pool", [f"duration_s={self.duration_s}", *self.settings])
+        return load_experiment("pool", [f"duration_s={self.duration_s}", "limits={}", *self.settings])
 
 
 class _Log:

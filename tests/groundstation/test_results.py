@@ -94,6 +94,7 @@ def test_timing_and_wear(result: Result) -> None:
     assert result.control_step_us.max == 299.0
     assert result.control_step_us.p99 == pytest.approx(298.0, abs=1.0)
     assert result.dtau_rms == pytest.approx((0.03, 0.01, 0.04))  # of the robot that is worst in yaw
+    assert result.dtau_rms_after_20s == pytest.approx((0.03, 0.01, 0.04))
     # three of four thrusters swing by 20 us each step
     assert result.pulse_step_rms_us == pytest.approx(20.0 * np.sqrt(3.0 / 4.0))
     assert result.robots["1"].disturbance_error_rms == pytest.approx((0.01, 0.0, 0.0, 0.0))
@@ -279,3 +280,10 @@ def test_damaged_messages_are_counted_not_fatal(tmp_path: Path) -> None:
     log = read_log(tmp_path / "run.mcap")
     assert log.undecodable == 1
     assert log.entries == {}
+
+
+def test_a_run_planned_shorter_than_20_s_is_not_asked_for_what_comes_after(tmp_path: Path) -> None:
+    settings = ("limits.rms_after_20s_m=0.001", "limits.max_after_20s_m=0.001", "limits.wrench_step_rms=0.01")
+    result = result_of(tmp_path, Script(duration_s=10.0, settings=settings))
+    assert result.robots["1"].rms_after_20s_m is None
+    assert result.passed
