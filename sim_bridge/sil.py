@@ -108,7 +108,15 @@ def _report(run_dir: Path, console: Console) -> bool:
         return False
     result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
     console.print(_table(result))
-    return all(check["passed"] for check in result.get("checks", []))
+    for check in result["checks"]:
+        if not check["passed"]:
+            console.print(
+                f"[red]not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}[/]",
+                soft_wrap=True,
+            )
+    for fault in result["faults"]:
+        console.print(f"[red]fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}[/]", soft_wrap=True)
+    return bool(result["passed"])
 
 
 def _table(result: dict[str, Any]) -> Table:

@@ -1,0 +1,40 @@
+"""SHELL: docs/images/run.png for the README, from a real run: `python docs/picture.py runs/pool-...`."""
+
+import io
+import sys
+from pathlib import Path
+
+import matplotlib.image
+import matplotlib.pyplot as plt
+from mcap.reader import make_reader
+
+from groundstation import alignment, figures
+from groundstation.runlog import read_log
+from wire import codec, topics
+from wire.experiment import load_experiment
+from wire.messages import Preview
+
+SHOW_AT = 0.45  # of the run: the transient is over, and the circle not yet closed
+
+
+def main(run: Path) -> None:
+    """What the camera saw, with the localizer's marks, beside the paths that were flown."""
+    with (run / "run.mcap").open("rb") as file:
+        previews = [m.data for _, c, m in make_reader(file).iter_messages() if c.topic.endswith(topics.PREVIEW.name)]
+    jpeg = codec.decode(Preview, previews[round(SHOW_AT * len(previews))], str(run), topics.PREVIEW.name).jpeg
+    flown = figures.paths(alignment.align(load_experiment(str(run / "experiment.toml")), read_log(run / "run.mcap")))
+    assert flown is not None, "the run has no paths to show"
+    png = io.BytesIO()
+    flown.savefig(png, format="png", dpi=200, bbox_inches="tight")
+    png.seek(0)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(14, 5.2), width_ratios=(1.25, 1))
+    left.imshow(matplotlib.image.imread(io.BytesIO(jpeg), format="jpeg"))
+    right.imshow(matplotlib.image.imread(png))
+    for axes in (left, right):
+        axes.set_axis_off()
+    figure.tight_layout(pad=0.2)
+    figure.savefig(Path(__file__).parent / "images" / "run.png", dpi=100)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
