@@ -1,6 +1,6 @@
 """SHELL: one robot's process around its core: read, step, publish.
 
-By the wall clock a step comes as soon as a pose has arrived, one period after the last step give or take JITTER; without a
+By the wall clock a step comes as soon as a pose has arrived, about one period (EARLY, LATE) after the last step; without a
 pose it comes anyway. So the loop falls in step with the camera, and a pose never waits. In lockstep it comes when the
 simulator says so and every input it names is here.
 """
@@ -21,7 +21,8 @@ from wire.mavlink import AgentLink
 from wire.messages import Command, Mode, Plan, Pose, Reply, StationHeartbeat, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 
-JITTER = 0.25  # of a period: a step may come this much early for a pose, or wait this much longer for one
+EARLY = 0.25  # of a period: a step may come this much before its time, for a pose
+LATE = 0.5  # of a period: a step waits this much longer for a pose; one with an old pose is worth less than a late one
 BUDGET = 0.5  # of a period: pulses that leave later than this after the step was due are a missed deadline
 LINK_HEARTBEAT_S = 1.0
 
@@ -91,15 +92,15 @@ class Shell:
         last_s = time.monotonic()
         taken: Header | None = None
         while not self._stop.requested:
-            wait(self._bus, self._stop, lambda: False, last_s + (1 - JITTER) * period_s - time.monotonic())
+            wait(self._bus, self._stop, lambda: False, last_s + (1 - EARLY) * period_s - time.monotonic())
             fresh = wait(
                 self._bus,
                 self._stop,
                 lambda seen=taken: self._poses.newest_header() is not seen,  # type: ignore[misc]
-                last_s + (1 + JITTER) * period_s - time.monotonic(),
+                last_s + (1 + LATE) * period_s - time.monotonic(),
             )
             now_s = time.monotonic()
-            due_s = now_s if fresh else min(now_s, last_s + (1 + JITTER) * period_s)
+            due_s = now_s if fresh else min(now_s, last_s + (1 + LATE) * period_s)
             taken = self._poses.newest_header()
             last_s = max(due_s, now_s - period_s)
             yield self._clock.now_ns() - round((now_s - due_s) * 1e9), None
