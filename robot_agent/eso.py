@@ -23,6 +23,7 @@ COAST_NS = NS  # prediction alone is no estimate any more: the agent has been ne
 LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
 GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
 GATE_PATIENCE = 5  # poses that contradict the estimate in a row before they are believed
+ABSURD = 1e3  # m, rad, rad/s: nothing in a pool measures that much
 SENSED_KEPT = 16  # board samples, one per step: reaches back 0.8 s
 INPUTS_KEPT = 256  # more than COAST_NS of the fastest loop
 
@@ -79,7 +80,7 @@ class Estimator:
         """Take in what is new; None before the first pose and after coasting for too long."""
         self._note_board(measurement, now_ns)
         pose = measurement.pose
-        if pose is not None and _finite(pose.x_m, pose.y_m, pose.yaw_rad) and pose.stamp_ns <= now_ns:
+        if pose is not None and _sane(pose.x_m, pose.y_m, pose.yaw_rad) and pose.stamp_ns <= now_ns:
             self._see(pose, now_ns)
         if self._state is None or now_ns - self._at_ns > COAST_NS:
             self._state = None
@@ -96,8 +97,8 @@ class Estimator:
         if at_ns > now_ns or (self._sensed and at_ns <= self._sensed[-1][0]):
             return
         depth, rate = measurement.depth_m, measurement.yaw_rate_radps
-        depth = depth if depth is not None and _finite(depth) else None
-        rate = rate if self._config.use_imu_yaw_rate and rate is not None and _finite(rate) else None
+        depth = depth if depth is not None and _sane(depth) else None
+        rate = rate if self._config.use_imu_yaw_rate and rate is not None and _sane(rate) else None
         if depth is not None or rate is not None:
             self._sensed.append((at_ns, depth, rate))
 
@@ -142,7 +143,8 @@ class Estimator:
             v, extra[1] = v + velocity * aside, extra[1] + unknown * aside
         depth = self._at(1, at_ns)
         if depth is not None:
-            z, w, extra[2] = z + pose * (depth - z), w + velocity * (depth - z), extra[2] + unknown * (depth - z)
+            sunk = min(max(depth - z, -GATE_M), GATE_M)
+            z, w, extra[2] = z + pose * sunk, w + velocity * sunk, extra[2] + unknown * sunk
         rate = self._at(2, at_ns)
         if rate is None:
             pose, velocity, unknown = gains(config.yaw_bandwidth_radps, elapsed_s)
@@ -150,7 +152,8 @@ class Estimator:
         else:
             # The gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad.
             pose, velocity, unknown = gains_with_rate(config.yaw_bandwidth_radps, elapsed_s)
-            r, slip = r + velocity * (rate - r), unknown * (rate - r)
+            spun = min(max(rate - r, -GATE_RAD), GATE_RAD)
+            r, slip = r + velocity * spun, unknown * spun
         extra[3] += slip if config.enabled else 0.0
         return (x, y, z, yaw + pose * error[2], u, v, w, r, *thrust)
 
@@ -205,5 +208,6 @@ def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float
     return rest, 1.0 - beta * beta, rest * rest / step_s
 
 
-def _finite(*values: float) -> bool:
-    return all(math.isfinite(value) for value in values)
+def _sane(*values: float) -> bool:
+    """Numbers that can be a measurement; false for NaN too."""
+    return all(abs(value) < ABSURD for value in values)

@@ -4,7 +4,6 @@ Distances are horizontal: robots pass beside one another, never above, where the
 upper one would break the surface (a controller left free to use depth did both). Only a robot 2R deeper is out of the way.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,6 +19,7 @@ NS = 1e9
 NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the plane, without those it cannot run into first
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
+SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
 SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal: the two robots see each other's figure a step late
 
 
@@ -146,11 +146,12 @@ class Formation:
 
 
 def _sound(neighbour: Neighbour) -> bool:
-    """A plan that can be used: of a known length, and numbers throughout."""
+    """A plan that can be used: of a known length, and numbers that can be poses (false for NaN too)."""
     plan = neighbour.plan
     return (
         len(plan.eta) > 0
         and plan.eta.shape == plan.eta_reference.shape
-        and plan.period_s > 0.0
-        and math.isfinite(plan.tracking_error_m + plan.period_s + float(plan.eta.sum()) + float(plan.eta_reference.sum()))
+        and SHORTEST_S <= plan.period_s < ABSURD
+        and abs(plan.tracking_error_m) < ABSURD
+        and bool((np.abs(plan.eta) < ABSURD).all() and (np.abs(plan.eta_reference) < ABSURD).all())
     )

@@ -41,8 +41,8 @@ class Guidance:
         self.reset()
 
     def reset(self) -> None:
-        """Start anew: the next request counts in full."""
-        self._asked: Vector | None = None
+        """Start anew, from the goal's own heading."""
+        self._asked: Vector = (0.0, 0.0)
         self._direction = 1.0  # of thrust: 1 ahead, -1 astern
         self._jump = 0.0
         self._hold_yaw: float | None = None
@@ -108,8 +108,6 @@ class Guidance:
         return rate * float(path.eta[0, 0] - eta[0]), rate * float(path.eta[0, 1] - eta[1])
 
     def _filter(self, asked: Vector) -> Vector:
-        if self._asked is None:
-            self._asked = asked
         keep, before = self._keep, self._asked
         self._asked = (keep * before[0] + (1.0 - keep) * asked[0], keep * before[1] + (1.0 - keep) * asked[1])
         return self._asked

@@ -30,13 +30,16 @@ def solver(name: Backend, n: int = N, m: int = M) -> Solver:
 
 def exact(p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Array:
     """By sequential quadratic programming from scipy, which shares nothing with either backend."""
+
+    def cost(x: Array) -> float:
+        return float(0.5 * x @ p @ x + q @ x)
+
+    def slope(x: Array) -> Array:
+        return np.asarray(p @ x + q)
+
+    rows = LinearConstraint(a, np.maximum(lower, -1e6), upper)
     found = minimize(
-        lambda x: 0.5 * x @ p @ x + q @ x,
-        np.zeros(len(q)),
-        jac=lambda x: p @ x + q,
-        constraints=[LinearConstraint(a, np.maximum(lower, -1e6), upper)],
-        method="SLSQP",
-        options={"ftol": 1e-9, "maxiter": 500},
+        cost, np.zeros(len(q)), jac=slope, constraints=[rows], method="SLSQP", options={"ftol": 1e-9, "maxiter": 500}
     )
     assert found.success, found.message
     return np.asarray(found.x)
@@ -50,7 +53,7 @@ def test_random_problems_in_a_row_are_solved(name: Backend) -> None:
         solution = backend.solve(p, q, a, lower, upper)
         assert solution.solved
         best = exact(p, q, a, lower, upper)
-        cost, least = (0.5 * x @ p @ x + q @ x for x in (solution.x, best))
+        cost, least = (float(0.5 * x @ p @ x + q @ x) for x in (solution.x, best))
         assert cost == pytest.approx(least, abs=0.02 * (1 + abs(least)))
         assert np.all(a @ solution.x <= upper + 0.02) and np.all(a @ solution.x >= lower - 0.02)
 

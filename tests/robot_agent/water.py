@@ -12,9 +12,9 @@ from wire.vehicle import Vehicle
 def integrate(
     vehicle: Vehicle,
     state: Array,
-    command: Callable[[float], Sequence[float]],
+    command: Callable[[float], Sequence[float] | Array],
     seconds: float,
-    disturbance: Sequence[float] = (0.0, 0.0, 0.0, 0.0),
+    disturbance: Sequence[float] | Array = (0.0, 0.0, 0.0, 0.0),
     lag: bool = True,
     steps_per_s: int = 1000,
 ) -> Array:

@@ -1,0 +1,137 @@
+"""Neighbours: formation pull, who yields, growing bubbles, half-spaces."""
+
+import numpy as np
+import pytest
+
+from robot_agent.formation import NEAREST, Formation, Neighbour, Rank
+from wire.experiment import Mpc as MpcConfig
+from wire.experiment import Safety
+from wire.frames import Array
+from wire.messages import Plan
+
+PERIOD_S, NS = 0.05, 1_000_000_000
+CONFIG, SAFETY = MpcConfig(), Safety()
+STEPS = CONFIG.horizon + 1
+EQUAL = Rank(False, 0.0, 1)
+
+
+def plan(
+    start: tuple[float, float],
+    velocity: tuple[float, float] = (0.0, 0.0),
+    off: tuple[float, ...] = (0, 0, 0, 0),
+    **rank: object,
+) -> Plan:
+    eta = np.zeros((STEPS, 4))
+    eta[:, :2] = np.array(start) + PERIOD_S * np.arange(STEPS)[:, None] * np.array(velocity)
+    fields = {"tracking_error_m": 0.0, "urgent": False, "heard": 1, **rank}
+    return Plan(PERIOD_S, eta, eta - np.array(off), **fields)  # type: ignore[arg-type]
+
+
+def neighbour(p: Plan, stamp_ns: int = 0, fresh: bool = True, robot: int = 2) -> Neighbour:
+    return Neighbour(robot, stamp_ns, p, fresh)
+
+
+def formation() -> Formation:
+    return Formation(CONFIG, SAFETY, PERIOD_S)
+
+
+def test_pull_is_the_sum_of_weighted_deviations() -> None:
+    """argmin of ||e||_Q^2 + sum ||e - dev_j||_Qij^2 is sum Qij dev_j / (Q + sum Qij): what the reference is moved by."""
+    both = [neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4))), neighbour(plan((2, 0), off=(-0.3, 0, 0, 0)), robot=3)]
+    company = formation().company(both, EQUAL, 0, 0)
+    assert company.pull[10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]))
+    assert company.weight == pytest.approx(np.full(4, 0.3)) and company.heard == 2
+
+
+def test_plans_are_read_at_our_instants() -> None:
+    company = formation().company([neighbour(plan((0, 0), (0.2, 0.1)), stamp_ns=0)], EQUAL, NS // 10, 3 * NS // 20)
+    assert company.positions[0][0] == pytest.approx([0.03, 0.015, 0.0])
+    assert company.positions[0][-1] == pytest.approx([0.5, 0.25, 0.0])  # the plan's end stands
+
+
+def test_yaw_deviation_is_wrapped() -> None:
+    company = formation().company([neighbour(plan((1, 0), off=(0, 0, 0, 6.2)))], EQUAL, 0, 0)
+    assert company.pull[0, 3] == pytest.approx(0.15 * (6.2 - 2 * np.pi))
+
+
+def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() -> None:
+    silent = neighbour(plan((1, 0), off=(0.1, 0, 0, 0)), fresh=False)
+    sizes = [formation().company([silent], EQUAL, now, now).distance_m[0] for now in (NS, 3 * NS, 60 * NS)]
+    assert sizes == pytest.approx([0.7, 0.9, 1.1])  # 2R + 0.1 m/s, at most 0.5 m more
+    company = formation().company([silent], EQUAL, NS, NS)
+    assert not company.pull.any() and not company.weight.any() and company.heard == 0
+
+
+@pytest.mark.parametrize(
+    ("high", "low"),
+    [
+        (Rank(True, 1.0, 0), Rank(False, 0.0, 3)),
+        (Rank(False, 0.1, 0), Rank(False, 0.2, 3)),
+        (Rank(False, 0.1, 1), Rank(False, 0.11, 0)),
+    ],
+)
+def test_ranks(high: Rank, low: Rank) -> None:
+    assert high.above(low) and not low.above(high) and not high.above(high)
+
+
+def test_the_higher_ignores_the_lower_which_yields_and_equals_both_act() -> None:
+    here = neighbour(plan((1, 0), tracking_error_m=0.2))
+    assert len(formation().company([here], Rank(False, 0.05, 1), 0, 0).distance_m) == 0
+    assert len(formation().company([here], Rank(False, 0.5, 1), 0, 0).distance_m) == 1
+    assert len(formation().company([here], Rank(False, 0.2, 1), 0, 0).distance_m) == 1
+
+
+def test_nobody_is_above_a_silent_robot() -> None:
+    silent = neighbour(plan((1, 0), tracking_error_m=9.0), fresh=False)
+    assert len(formation().company([silent], Rank(True, 0.0, 1), 0, 0).distance_m) == 1
+
+
+def own(x: float, y: float = 0.0, z: float = 0.0) -> Array:
+    return np.tile([x, y, z], (STEPS, 1))
+
+
+def test_half_spaces_only_when_it_gets_close() -> None:
+    f = formation()
+    company = f.company([neighbour(plan((0, 0)))], EQUAL, 0, 0)
+    assert len(f.half_spaces(company, own(0.66)).node) == 0  # 2R + margin = 0.65
+    assert len(f.half_spaces(company, own(0.64)).node) == 5
+
+
+def test_half_spaces_are_tangent_to_the_circle_between_the_two() -> None:
+    f = formation()
+    company = f.company([neighbour(plan((0.1, 0.2), (0.02, 0.0)))], EQUAL, 0, 0)
+    rows = f.half_spaces(company, own(0.4, 0.6))
+    for node, normal, offset in zip(rows.node, rows.normal, rows.offset, strict=True):
+        there = np.array([0.1 + 0.02 * PERIOD_S * node, 0.2])
+        line = np.array([0.4, 0.6]) - there
+        assert normal == pytest.approx(line / np.linalg.norm(line))
+        assert offset == pytest.approx(normal @ there + 0.6)
+
+
+def test_a_robot_well_below_is_out_of_the_way() -> None:
+    f = formation()
+    company = f.company([neighbour(plan((0, 0)))], EQUAL, 0, 0)
+    assert len(f.half_spaces(company, own(0.1, 0.0, 0.7)).node) == 0
+    assert len(f.half_spaces(company, own(0.1, 0.0, 0.5)).node) == 5
+
+
+def test_on_top_of_one_another_there_is_a_way_out() -> None:
+    f = formation()
+    rows = f.half_spaces(f.company([neighbour(plan((0, 0)))], EQUAL, 0, 0), own(0.0))
+    assert np.isfinite(rows.normal).all() and np.linalg.norm(rows.normal, axis=1) == pytest.approx(np.ones(5))
+
+
+def test_the_nearest_count_when_there_are_too_many() -> None:
+    f = formation()
+    crowd = [neighbour(plan((0.3 + 0.05 * i, 0.0)), robot=i + 2) for i in range(6)]
+    rows = f.half_spaces(f.company(crowd, EQUAL, 0, 0), own(0.0))
+    assert len(rows.node) == 5 * NEAREST == f.rows
+    assert rows.offset.min() == pytest.approx(-0.45 + 0.6)  # of the fourth; the fifth and sixth are left out
+
+
+@pytest.mark.parametrize("poison", [np.nan, np.inf])
+def test_a_plan_with_nonsense_is_no_plan(poison: float) -> None:
+    bad = plan((0, 0))
+    bad.eta[3, 1] = poison
+    company = formation().company([neighbour(bad), neighbour(Plan(PERIOD_S))], EQUAL, 0, 0)
+    assert company.heard == 0 and len(company.distance_m) == 0

@@ -1,0 +1,179 @@
+"""The controller's optimisation: optimal against an independent solver, within limits, and what happens when it fails."""
+
+import numpy as np
+import pytest
+from scipy.optimize import Bounds, LinearConstraint, minimize
+
+from robot_agent.formation import NOWHERE, HalfSpaces
+from robot_agent.model import Model, State
+from robot_agent.mpc import MAX_SHIFTED, Mpc
+from robot_agent.qp import Solution
+from wire.experiment import Mpc as MpcConfig
+from wire.frames import Array
+from wire.messages import Solve
+from wire.vehicle import load_vehicle
+
+VEHICLE = load_vehicle("spherical")
+PERIOD_S, ROWS = 0.05, 20
+LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step)
+WEIGHT = np.ones(4)
+START: State = (0.0,) * 11
+
+
+def mpc(**changes: object) -> Mpc:
+    return Mpc(VEHICLE, Model(VEHICLE), MpcConfig().model_copy(update=changes), PERIOD_S, ROWS)
+
+
+def ahead(x: float, speed: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Array:
+    reference = np.zeros((51, 4))
+    reference[:, 0], reference[:, 2], reference[:, 3] = x + speed * PERIOD_S * np.arange(51), z, yaw
+    return reference
+
+
+def rollout(state: State, plan: Array, blocks: tuple[int, ...]) -> Array:
+    """Poses (50, 4) under blocked wrenches (blocks, 3), through the nonlinear model."""
+    model, poses = Model(VEHICLE), []
+    of = np.minimum(np.searchsorted(np.cumsum(blocks), np.arange(50), side="right"), len(blocks) - 1)
+    for k in range(50):
+        state = model.advance(state, (0.0,) * 4, tuple(plan[of[k]]), PERIOD_S)
+        poses.append(state[:4])
+    return np.array(poses)
+
+
+def test_the_plan_minimises_the_nonlinear_cost() -> None:
+    """A general optimiser on the nonlinear model, with the same cost and limits, finds nothing better (2 %)."""
+    config, reference = MpcConfig(blocks=(2, 4, 8)), ahead(0.15, 0.05, 0.02, 0.3)
+    controller = mpc(blocks=(2, 4, 8))
+    r = np.array(config.r)
+
+    def cost(flat: Array) -> float:
+        plan = flat.reshape(3, 3)
+        error = rollout(START, plan, config.blocks) - reference[1:]
+        change = np.diff(np.vstack([np.zeros(3), plan]), axis=0)
+        return float((error**2).sum() + (r * change**2).sum())
+
+    step = np.kron(np.eye(3) - np.eye(3, k=-1), np.eye(3))
+    best = minimize(
+        cost,
+        np.zeros(9),
+        method="SLSQP",
+        bounds=Bounds(-np.tile(LIMIT, 3), np.tile(LIMIT, 3)),
+        constraints=[LinearConstraint(step, -np.tile(STEP, 3), np.tile(STEP, 3))],
+        options={"maxiter": 200, "ftol": 1e-9},
+    )
+    first = None
+    for _ in range(6):  # the same state again: linearised along its own plan, it converges
+        controller._prediction.nominal[:, 1:] = controller._prediction.nominal[:, :-1].copy()  # undo the shift
+        first = controller.plan(START, np.zeros(4), np.zeros(3), reference, WEIGHT, NOWHERE)
+    assert first is not None and first.solve is Solve.SOLVED
+    assert first.wrench == pytest.approx(best.x[:3], abs=0.05 * float(STEP.max()))
+
+
+@pytest.mark.parametrize("solver", ["osqp", "daqp"])
+def test_limits_hold_from_any_state(solver: str) -> None:
+    random, controller, wrench = np.random.default_rng(0), mpc(solver=solver), np.zeros(3)
+    for _ in range(150):
+        state: State = tuple(random.normal(size=11) * [1, 1, 0.3, 3, 0.3, 0.1, 0.1, 1, 3, 2, 0.2])
+        reference = ahead(random.normal() * 3, random.normal() * 0.3, random.normal(), state[3] + random.normal())
+        plan = controller.plan(state, random.normal(size=4) * 0.05, wrench, reference, WEIGHT, NOWHERE)
+        assert np.all(np.abs(plan.wrench) <= LIMIT) and np.all(np.abs(plan.wrench - wrench) <= STEP + 1e-12)
+        assert np.isfinite(plan.eta).all() and plan.eta.shape == (51, 4)
+        wrench = plan.wrench
+
+
+def test_both_backends_agree() -> None:
+    random = np.random.default_rng(1)
+    a, b, wrench = mpc(solver="osqp"), mpc(solver="daqp"), np.zeros(3)
+    for k in range(40):
+        state: State = tuple(random.normal(size=11) * [0.05, 0.05, 0.02, 0.1, 0.02, 0.01, 0.01, 0.1, 0.1, 0.1, 0.01])
+        reference = ahead(0.02 * k, 0.1)
+        plans = [c.plan(state, np.zeros(4), wrench, reference, WEIGHT, NOWHERE) for c in (a, b)]
+        assert plans[0].wrench == pytest.approx(plans[1].wrench, abs=0.02 * float(STEP.max()))
+        wrench = plans[1].wrench
+
+
+def test_the_articles_setting_is_there() -> None:
+    controller = mpc(horizon=25, blocks=(1,) * 15, linearise="point", r=(0.01, 0.01, 0.01), model_lag=False)
+    plan = controller.plan(START, np.zeros(4), np.zeros(3), ahead(1.0)[:26], WEIGHT, NOWHERE)
+    assert plan.solve is Solve.SOLVED and plan.wrench[0] == pytest.approx(STEP[0], abs=1e-3)
+
+
+def wall(x: float) -> HalfSpaces:
+    """Stay at x <= `x` at five nodes."""
+    nodes = np.array([10, 20, 30, 40, 50])
+    return HalfSpaces(nodes, np.tile([-1.0, 0.0], (5, 1)), np.full(5, -x))
+
+
+def test_half_spaces_stop_it() -> None:
+    """Driving at a wall with the reference beyond: it stops short of it, and says so if it cannot."""
+    controller, model = mpc(), Model(VEHICLE)
+    state: State = (0.0, 0.0, 0.0, 0.0, 0.2, *([0.0] * 6))
+    wrench, furthest = np.zeros(3), 0.0
+    for _ in range(160):
+        plan = controller.plan(state, np.zeros(4), wrench, ahead(1.0), WEIGHT, wall(0.3))
+        wrench = plan.wrench
+        state = model.advance(state, (0.0,) * 4, tuple(wrench), PERIOD_S)
+        furthest = max(furthest, state[0])
+    assert furthest < 0.31 and state[0] > 0.27
+    late = mpc().plan((0.5, *START[1:]), np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, wall(0.3))
+    assert late.solve is Solve.SOLVED and 0.1 < late.slack_m < 0.25 and late.wrench[0] < -0.2
+
+
+class Refusing:
+    """A solver that gives up when told to."""
+
+    def __init__(self, controller: Mpc) -> None:
+        self._real, self.refuse = controller._solver, False
+        controller._solver = self
+
+    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
+        return Solution(np.zeros(len(q)), False, 100) if self.refuse else self._real.solve(p, q, a, lower, upper)
+
+
+def test_failures_are_bridged_by_the_last_plan_then_neutral() -> None:
+    controller = mpc(blocks=(1,) * 6)
+    solver = Refusing(controller)
+    wrench = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE).wrench
+    solver.refuse, seen = True, []
+    for _ in range(MAX_SHIFTED + 2):
+        plan = controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE)
+        assert np.all(np.abs(plan.wrench - wrench) <= STEP + 1e-12) or plan.solve is Solve.FAILED
+        wrench = plan.wrench
+        seen.append(plan.solve)
+    assert seen == [Solve.SHIFTED] * MAX_SHIFTED + [Solve.FAILED] * 2 and not wrench.any()
+    solver.refuse = False
+    assert controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE).solve is Solve.SOLVED
+
+
+def test_the_bridge_is_the_rest_of_the_plan() -> None:
+    """With one block per step, the next solve would have said nearly the same as the last plan's second step."""
+    bridging, solving = mpc(blocks=(1,) * 10), mpc(blocks=(1,) * 10)
+    solver = Refusing(bridging)
+    first = bridging.plan(START, np.zeros(4), np.zeros(3), ahead(0.3), WEIGHT, NOWHERE).wrench
+    solving.plan(START, np.zeros(4), np.zeros(3), ahead(0.3), WEIGHT, NOWHERE)
+    solver.refuse = True
+    state = Model(VEHICLE).advance(START, (0.0,) * 4, tuple(first), PERIOD_S)
+    bridged, solved = (c.plan(state, np.zeros(4), first, ahead(0.3), WEIGHT, NOWHERE) for c in (bridging, solving))
+    assert bridged.solve is Solve.SHIFTED and bridged.wrench == pytest.approx(solved.wrench, abs=0.01)
+
+
+def test_nothing_solved_yet_means_neutral() -> None:
+    controller = mpc()
+    Refusing(controller).refuse = True
+    plan = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE)
+    assert plan.solve is Solve.FAILED and not plan.wrench.any()
+
+
+def test_nonsense_in_the_reference_is_a_failure_not_an_output() -> None:
+    controller = mpc()
+    reference = ahead(0.5)
+    controller.plan(START, np.zeros(4), np.zeros(3), reference, WEIGHT, NOWHERE)
+    reference[7, 1] = np.nan
+    assert controller.plan(START, np.zeros(4), np.zeros(3), reference, WEIGHT, NOWHERE).solve is Solve.SHIFTED
+    assert controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE).solve is Solve.SOLVED
+
+
+def test_weights_of_zero_stay_solvable() -> None:
+    controller = mpc(q=(1.0, 1.0, 0.0, 0.0), r=(0.0, 0.0, 0.0))
+    plan = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.1), np.array([1.0, 1.0, 0.0, 0.0]), NOWHERE)
+    assert plan.solve is Solve.SOLVED and np.isfinite(plan.wrench).all()
