@@ -96,7 +96,7 @@ class Controller:
         path = self._sampler.path(goal)
         company = self._formation.company(neighbours, self._rank, now_ns, now_ns + self._dead_ns)
         weight, command = self._command(goal, path, company, estimate)
-        keep_clear = self._formation.half_spaces(company, self._mpc.predicted[:, :3])
+        keep_clear = self._formation.half_spaces(company, self._mpc.expected(estimate.action)[:, :3])
         plan = self._mpc.plan(estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear)
         return self._put_out(plan, estimate, path, command, company, now_ns)
 

@@ -89,18 +89,18 @@ class Mpc:
         """Forget the last plan."""
         self._fresh, self._shifted = True, MAX_SHIFTED
 
-    @property
-    def predicted(self) -> Array:
-        """(horizon + 1, 4) poses of the last plan, moved on by one step: where to look for robots in the way."""
+    def expected(self, state: State) -> Array:
+        """Poses (horizon + 1, 4) that the coming plan is linearised along: the last plan moved on by one step, or `state`."""
+        if self._fresh or self._config.linearise == "point":
+            self._prediction.restart(state)
+            self._fresh = False
         return self._prediction.nominal[:4].T
 
     def plan(
         self, state: State, disturbance: Array, wrench: Array, reference: Array, weight: Array, keep_clear: HalfSpaces
     ) -> MpcPlan:
         """One solve. `reference` (horizon + 1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last."""
-        if self._fresh or self._config.linearise == "point":
-            self._prediction.restart(state)
-            self._fresh = False
+        self.expected(state)
         self._prediction.linearise(state, wrench, disturbance)
         self._objective(reference, weight)
         self._constraints(wrench, keep_clear)

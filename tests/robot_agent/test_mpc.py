@@ -177,3 +177,12 @@ def test_weights_of_zero_stay_solvable() -> None:
     controller = mpc(q=(1.0, 1.0, 0.0, 0.0), r=(0.0, 0.0, 0.0))
     plan = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.1), np.array([1.0, 1.0, 0.0, 0.0]), NOWHERE)
     assert plan.solve is Solve.SOLVED and np.isfinite(plan.wrench).all()
+
+
+def test_after_a_reset_it_expects_to_stay_where_it_is_now() -> None:
+    """Not where it was when it last had a plan: half-spaces are laid across the line to a neighbour from there."""
+    controller = mpc()
+    controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE)
+    controller.reset()
+    elsewhere: State = (1.0, 2.0, 0.3, 0.5, *([0.0] * 7))
+    assert controller.expected(elsewhere) == pytest.approx(np.tile([1.0, 2.0, 0.3, 0.5], (51, 1)))

@@ -1,5 +1,6 @@
 """Both backends against an exact solver, and every trap that OSQP sets."""
 
+import sys
 from typing import Literal
 
 import numpy as np
@@ -8,6 +9,7 @@ from scipy.optimize import LinearConstraint, minimize
 
 from robot_agent.qp import NO_BOUND, DaqpSolver, OsqpSolver, Solver, make_solver, usable
 from wire.frames import Array
+from wire.toml_file import ConfigError
 
 N, M = 6, 9
 Backend = Literal["osqp", "daqp"]
@@ -167,3 +169,11 @@ def test_masked_entries_follow_the_data() -> None:
         lower, upper = np.full(2, -0.3), np.full(2, 0.3)
         exactly = DaqpSolver(mask, rows, np.ones(4), np.ones(2)).solve(p, q, a, lower, upper).x
         assert backend.solve(p, q, a, lower, upper).x == pytest.approx(exactly, abs=0.01)
+
+
+def test_a_robot_without_daqp_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not part of the base install."""
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    with pytest.raises(ConfigError, match="not installed"):
+        solver("daqp")
+    assert solver("osqp").solve(*problem(np.random.default_rng(0))).solved
