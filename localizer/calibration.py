@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike
 from wire.experiment import Camera
 from wire.frames import Array
 
-# Undistortion is a fixed-point iteration that gains about a digit each round; OpenCV's default stops after 5 rounds, 0.05 px
-# short at the corners of a wide lens.
+# Undistortion is a fixed-point iteration; OpenCV's default of 5 rounds stops 0.3 px short in the corners of a wide lens.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 _NEWTON_STEPS = 6  # quadratic from a paraxial start; round trips agree to 1e-11 px over the whole picture
 _DIFFERENCE_PX = 0.5  # central differences; the third derivative leaves < 1e-8 relative at any usable lens

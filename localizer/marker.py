@@ -71,7 +71,7 @@ def marker_detector() -> cv2.aruco.ArucoDetector:
 
 def marker_pose(image: MarkerImage, view: PoolView, depth_m: float, side_m: float) -> MarkerPose:
     """Where a marker lies, its plate at `depth_m`: a square fitted to the four corners by least squares in the POOL frame.
-    An angle between pixels is no heading once lens and water have bent the picture (0.5 deg at the edge of the pool)."""
+    An angle between pixels is no heading once lens and water have bent the picture (up to 1.5 deg in the pool's corners)."""
     half = side_m / 2.0
     square = np.array([[half, -half], [half, half], [-half, half], [-half, -half]])  # upper edge ahead, y to starboard
     corners = view.pool(image.corners_px, depth_m)
