@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_agent.reference import interpolate
 from wire.experiment import Mpc as MpcConfig
 from wire.experiment import Safety
 from wire.frames import Array, wrap_angle
@@ -80,7 +81,7 @@ class Formation:
     def __init__(self, config: MpcConfig, safety: Safety, period_s: float) -> None:
         self._weight = np.array(config.q_formation)
         self._safety, self._horizon = safety, config.horizon
-        self._offsets_s = period_s * np.arange(config.horizon + 1)
+        self._offsets_s = period_s * np.arange(config.horizon + 1, dtype=np.float64)
         self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
         self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
 
@@ -107,16 +108,10 @@ class Formation:
     def _sample(self, neighbour: Neighbour, action_ns: int) -> tuple[Array, Array]:
         """Its predicted pose and its deviation from its reference at our nodes; beyond its plan's end, the end."""
         plan = neighbour.plan
-        last = len(plan.eta) - 1
-        place = np.clip(((action_ns - neighbour.stamp_ns) / NS + self._offsets_s) / plan.period_s, 0.0, last)
-        low = np.minimum(place.astype(np.intp), max(last - 1, 0))
-        share = (place - low)[:, None]
-        high = np.minimum(low + 1, last)
-        eta = plan.eta[low] * (1.0 - share) + plan.eta[high] * share
-        reference = plan.eta_reference[low] * (1.0 - share) + plan.eta_reference[high] * share
-        deviation = eta - reference
-        deviation[:, 3] = wrap_angle(deviation[:, 3])
-        return eta, deviation
+        place = ((action_ns - neighbour.stamp_ns) / NS + self._offsets_s) / plan.period_s
+        rows = interpolate(np.hstack([plan.eta, plan.eta - plan.eta_reference]), place)
+        rows[:, 7] = wrap_angle(rows[:, 7])
+        return rows[:, :4], rows[:, 4:]
 
     def _distance(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
         """How far to stay away, or None if that robot yields. Nobody yields to what cannot be heard."""
@@ -153,5 +148,5 @@ def _sound(neighbour: Neighbour) -> bool:
         and plan.eta.shape == plan.eta_reference.shape
         and SHORTEST_S <= plan.period_s < ABSURD
         and abs(plan.tracking_error_m) < ABSURD
-        and bool((np.abs(plan.eta) < ABSURD).all() and (np.abs(plan.eta_reference) < ABSURD).all())
+        and bool(np.abs(plan.eta).max() < ABSURD and np.abs(plan.eta_reference).max() < ABSURD)
     )

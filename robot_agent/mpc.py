@@ -44,7 +44,7 @@ class Mpc:
         self._config, self._n, self._h = config, len(config.blocks), config.horizon
         self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step)
         self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
-        self._planned = np.zeros((MAX_SHIFTED + 1, 3))  # wrenches of the last good plan, step by step
+        self._solution, self._base = np.zeros(3 * self._n + 1), np.zeros(3)  # the last good plan, and what it changes
         self._shifted = MAX_SHIFTED
         self._fresh = True
         n = self._n
@@ -110,10 +110,10 @@ class Mpc:
             return self._fall_back(wrench, solution.iterations)
         x = solution.x
         self._prediction.follow(x[: 2 * n], x[2 * n : 3 * n])
-        self._remember(wrench, x)
+        self._solution, self._base, self._shifted = x, wrench, 0
         eta = self._prediction.nominal[:4].T.copy()
         self._prediction.shift()
-        return MpcPlan(self._planned[0].copy(), eta, Solve.SOLVED, solution.iterations, max(0.0, float(x[-1])))
+        return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, solution.iterations, max(0.0, float(x[-1])))
 
     def _objective(self, reference: Array, weight: Array) -> None:
         """P and q as Gram matrices: unit responses, and the free response's error as one more row."""
@@ -148,14 +148,9 @@ class Mpc:
         self._a[6 * n : 6 * n + count, : 2 * n] = along[:-1].T
         self._lower[6 * n : 6 * n + count] = keep_clear.offset - along[-1]
 
-    def _remember(self, wrench: Array, x: Array) -> None:
-        """The first wrenches of the plan, exactly within the limits (the solver is right to 1e-4)."""
-        before = wrench
-        for step, unknowns in enumerate(self._unknowns):
-            before = self._planned[step] = self._within(wrench + x[unknowns], before)
-        self._shifted = 0
-
-    def _within(self, asked: Array, before: Array) -> Array:
+    def _step_of_plan(self, step: int, before: Array) -> Array:
+        """The last good plan's wrench (3,), exactly within the limits (the solver is right to 1e-4)."""
+        asked = self._base + self._solution[self._unknowns[step]]
         stepped = np.minimum(np.maximum(asked, before - self._step_limit), before + self._step_limit)
         return np.asarray(np.minimum(np.maximum(stepped, -self._limit), self._limit))
 
@@ -167,4 +162,4 @@ class Mpc:
             return MpcPlan(np.zeros(3), eta, Solve.FAILED, iterations, 0.0)
         self._shifted += 1
         self._prediction.shift()
-        return MpcPlan(self._within(self._planned[self._shifted], wrench), eta, Solve.SHIFTED, iterations, 0.0)
+        return MpcPlan(self._step_of_plan(self._shifted, wrench), eta, Solve.SHIFTED, iterations, 0.0)

@@ -56,11 +56,17 @@ class Sampler:
         if trajectory is not self._known:
             self._table = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
             self._known = trajectory
-        last = len(self._table) - 1
         place = time_s / trajectory.period_s
-        inside = np.clip(place, 0.0, last)
-        low = np.minimum(inside.astype(np.intp), max(last - 1, 0))
-        share = (inside - low)[:, None]
-        rows: Array = self._table[low] * (1.0 - share) + self._table[np.minimum(low + 1, last)] * share
-        rows[:, 4:] *= ((place >= 0.0) & (place <= last))[:, None]
+        rows = interpolate(self._table, place)
+        last = len(self._table) - 1
+        if place[0] < 0.0 or place[-1] > last:
+            rows[:, 4:] *= ((place >= 0.0) & (place <= last))[:, None]
         return rows
+
+
+def interpolate(table: Array, place: Array) -> Array:
+    """Rows of a table (rows, columns) at fractional row numbers (n,), held beyond its ends."""
+    low = np.floor(place).astype(np.intp)
+    share = (place - low)[:, None]
+    first = table.take(low, axis=0, mode="clip")
+    return first + share * (table.take(low + 1, axis=0, mode="clip") - first)
