@@ -129,19 +129,20 @@ class Shell:
 
     def _write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
         """Board first: everything else can wait."""
+        step_ns = time.perf_counter_ns() - started_ns
         if outputs.arm is not None:
             self._link.send(self._mavlink.arm(outputs.arm))
         if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
             self._link_heartbeat_s = now_ns * 1e-9
             self._link.send(self._mavlink.heartbeat())
         self._link.send(self._mavlink.pulses(outputs.pulse_us))
-        step_ns = time.perf_counter_ns() - started_ns
+        sent_ns = time.perf_counter_ns() - started_ns
         if not self._lockstep:  # where time waits for the step, nothing is late
-            late_ns = step_ns + now_ns - due_ns
+            late_ns = sent_ns + now_ns - due_ns
             self._missed += late_ns > BUDGET * self._experiment.controller.period_s * 1e9
         if outputs.plan is not None:
-            self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else step_ns)
-        latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else step_ns * 1e-6)
+            self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else sent_ns)
+        latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else sent_ns * 1e-6)
         state = replace(outputs.state, step_us=step_ns * 1e-3, exposure_to_pwm_ms=latency_ms, missed_deadlines=self._missed)
         self._bus.publish(topics.STATE, state, now_ns, self._robot)
         if (state.mode, state.fault) != self._told:
