@@ -77,6 +77,8 @@ class Agent:
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
         self._inputs = Inputs()
+        self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
+        self._verified_ns: int | None = None  # and of the last one that is surely this robot
         self._armed_since_ns: int | None = None  # since when the board should be armed and is not
         self._told_ns = -(10**18)
 
@@ -119,8 +121,7 @@ class Agent:
             return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
         if health.pose_age_s > safety.pose_hold_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
-        pose = inputs.pose.pose if inputs.pose is not None else None
-        if pose is None or (self._experiment.localizer.markers and not pose.identity_verified):
+        if health.identity_age_s > safety.pose_hold_s:
             return "its identity is not verified: no marker was read"
         if health.battery_v < battery.no_arm_v:
             return f"the battery has {health.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
@@ -150,6 +151,7 @@ class Agent:
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
         """One control step."""
         self._inputs = inputs
+        self._look(inputs.pose)
         health = self._health(inputs, now_ns)
         mode, reason = react(self.mode, health, self._experiment.safety, self._experiment.vehicle.battery)
         if mode is not self.mode:
@@ -165,12 +167,18 @@ class Agent:
     def _located(self) -> bool:
         return self._last is not None and self._last.estimated
 
+    def _look(self, seen: Seen | None) -> None:
+        if seen is not None and seen.pose.track >= Track.KCF:
+            self._sighted_ns = seen.instant_ns
+            if seen.pose.identity_verified or not self._experiment.localizer.markers:
+                self._verified_ns = seen.instant_ns
+
     def _health(self, inputs: Inputs, now_ns: int) -> Health:
-        seen, telemetry = inputs.pose, inputs.telemetry
-        usable = seen is not None and seen.pose.track is not Track.LOST
+        telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
         return Health(
-            pose_age_s=(now_ns - seen.instant_ns) * 1e-9 if seen is not None and usable else float("inf"),
+            pose_age_s=(now_ns - self._sighted_ns) * 1e-9 if self._sighted_ns is not None else float("inf"),
+            identity_age_s=(now_ns - self._verified_ns) * 1e-9 if self._verified_ns is not None else float("inf"),
             station_age_s=inputs.station.age_s,
             board_age_s=(now_ns - telemetry.arrival_ns) * 1e-9 if telemetry.board_ms >= 0 else float("inf"),
             board_disarmed_s=disarmed_s,

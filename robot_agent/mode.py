@@ -13,6 +13,7 @@ from wire.vehicle import Battery
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
 BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
+DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
 
 POWERED = frozenset({Mode.TRACKING, Mode.HOLDING})  # modes that put out thrust
 LIVE = POWERED | {Mode.ARMED}
@@ -43,7 +44,8 @@ ORDERS: dict[Order, Transition] = {
 class Health:
     """What the reactions look at. An age is in seconds by the receiver's clock; infinity is "never heard"."""
 
-    pose_age_s: float
+    pose_age_s: float  # of the last pose that was seen, not only predicted
+    identity_age_s: float  # of the last pose that was surely this robot's
     station_age_s: float
     board_age_s: float
     board_disarmed_s: float  # for how long the board has been disarmed though it should not be
@@ -73,6 +75,7 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("station silent", LIVE, lambda h, s, b: h.station_age_s > s.station_neutral_s, Mode.FAULT),
     Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s, b: h.station_age_s > s.station_hold_s, Mode.HOLDING),
     Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s, b: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
+    Reaction("identity in doubt", frozenset({Mode.TRACKING}), lambda h, s, b: h.identity_age_s > DOUBT_S, Mode.HOLDING),
 )
 
 

@@ -23,7 +23,7 @@ from wire.vehicle import Vehicle
 
 CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave
 RIDGE = 1e-9  # per N^2: keeps the problem strictly convex when every weight of a channel is zero
-MAX_SHIFTED = 3  # control steps that the last good plan may bridge (failures.md)
+MAX_SHIFTED = 3  # control steps that the last good plan may bridge
 
 
 @dataclass(frozen=True, eq=False)

@@ -223,7 +223,7 @@ for k in range(1, 100_000):
 
 
 def test_kill_9_loses_less_than_a_second(tmp_path: Path) -> None:
-    """100 kB/s, killed at random moments: failures.md allows one second."""
+    """100 kB/s, killed at random moments: one second may be lost."""
     rng = random.Random(11)
     paths = [tmp_path / f"{k}.mcap" for k in range(4)]
     children = [

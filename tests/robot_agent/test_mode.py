@@ -13,11 +13,12 @@ from wire.messages import Mode, Order
 
 EXPERIMENT = load_experiment("pool")
 SAFETY, BATTERY = EXPERIMENT.safety, EXPERIMENT.vehicle.battery
-WELL = Health(0.03, 0.02, 0.02, 0.0, 12.0, False, False)
+WELL = Health(0.03, 0.03, 0.02, 0.02, 0.0, 12.0, False, False)
 
 healths = st.builds(
     Health,
     pose_age_s=st.floats(0, 20) | st.just(float("inf")),
+    identity_age_s=st.floats(0, 20) | st.just(float("inf")),
     station_age_s=st.floats(0, 20) | st.just(float("inf")),
     board_age_s=st.floats(0, 20) | st.just(float("inf")),
     board_disarmed_s=st.floats(0, 5),
@@ -43,6 +44,12 @@ def test_a_late_pose_means_hold_and_a_missing_one_neutral() -> None:
     assert after(Mode.HOLDING, pose_age_s=0.46) is Mode.FAULT
     assert after(Mode.TRACKING, pose_age_s=0.46) is Mode.FAULT
     assert after(Mode.ARMED, pose_age_s=5.0) is Mode.ARMED  # puts out no thrust
+
+
+def test_a_robot_that_may_be_another_holds() -> None:
+    assert after(Mode.TRACKING, identity_age_s=0.24) is Mode.TRACKING
+    assert after(Mode.TRACKING, identity_age_s=0.26) is Mode.HOLDING
+    assert after(Mode.HOLDING, identity_age_s=9.0) is Mode.HOLDING
 
 
 def test_a_silent_station_means_hold_after_1_s_neutral_after_3_disarmed_after_10() -> None:
