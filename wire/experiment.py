@@ -127,7 +127,7 @@ class Estimator(Section):
 
 
 class Guidance(Section):
-    """Reference heading from the force the path asks for (equations.md, section 5): without it a robot that cannot
+    """Reference heading from the force the path asks for : without it a robot that cannot
     push sideways never corrects a lateral error at walking pace."""
 
     enabled: bool = True

@@ -182,7 +182,7 @@ def test_a_turning_robot_slides_straight_on() -> None:
 
 
 def test_a_tethered_turn_slides_outward() -> None:
-    """equations.md: at u = 0.014 m/s and r = 0.063 rad/s, about 3.5 mm/s against linear drag."""
+    """In the pool scene, at u = 0.014 m/s and r = 0.063 rad/s, about 3.5 mm/s against linear drag."""
     fleet = plant(*OPEN)
     state = moving(fleet.start(APART), [[0.014, -0.003, 0.0, 0.063], [0.0] * 4])
     for _ in range(2000):
