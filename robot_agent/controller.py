@@ -70,15 +70,13 @@ class Controller:
         self._config, self._urgent = config, urgent
         self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
         self._weight = np.array(config.mpc.q)
-        self._estimator = Estimator(
-            Model(vehicle, config.estimator.sway, config.mpc.model_lag), config.estimator, vehicle.thruster.dead_time_s
-        )
+        model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
+        self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self._sampler = Sampler(nodes_s)
         self._guidance = Guidance(vehicle, config.guidance, period_s, config.estimator.sway)
         self._formation = Formation(config.mpc, safety, period_s)
-        model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
         self._mpc = Mpc(vehicle, model, config.mpc, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
         self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
