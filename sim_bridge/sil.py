@@ -36,7 +36,7 @@ def run(experiment: Experiment, run_dir: Path, *, lockstep: bool, stop: Stop, co
     children = Children(run_dir / "logs")
     trouble: list[str] = []
     try:
-        address, ports = f"tcp/127.0.0.1:{_free_port()}", _free_base_port(experiment.robot_ids)
+        address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         station = _start_all(children, experiment, file, address, ports, lockstep, stop)
         if station is not None:
             with Bus(ZenohTransport(Endpoint(address))) as bus:
@@ -154,14 +154,14 @@ def _listens(address: str, station: Child, stop: Stop) -> bool:
     return False
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
 
 
-def _free_base_port(robots: tuple[int, ...]) -> int:
+def free_base_port(robots: tuple[int, ...]) -> int:
     """A UDP port p such that p + id is free for every robot."""
     for base in range(14550, 60000, 100):
         probes = []
