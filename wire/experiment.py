@@ -176,6 +176,7 @@ class Camera(Section):
     size_px: tuple[Annotated[int, Field(ge=64, le=8192)], Annotated[int, Field(ge=64, le=8192)]]
     rate_hz: Annotated[float, Field(ge=1, le=240)]
     exposure_s: Annotated[float, Field(gt=0, le=0.05)]
+    stamp_marks: Literal["start", "end"] = "end"  # of the exposure: what the camera driver's time stamps tell
     focal_px: tuple[Positive, Positive]
     centre_px: Vec2
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
