@@ -5,6 +5,7 @@ orders of a cycle are answered before its heartbeat, so a robot that has the hea
 """
 
 import importlib.metadata
+import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -42,10 +43,11 @@ class Station:
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     told: str = ""
     recorder_told: bool = False
+    turn: threading.Lock = field(default_factory=threading.Lock)  # a person's wish comes from a network thread
 
     def cycle(self, now_ns: int, lockstep: bool) -> None:
         """Read the fleet, run the mission, send its orders, beat."""
-        with self.bus.arrival:  # a person's wish comes from a network thread
+        with self.turn:
             commands = self.mission.step(self.fleet(), self._answers(), now_ns)
         self.pending += [(c, self.pool.submit(self.bus.order, c, now_ns, ORDER_TIMEOUT_S)) for c in commands]
         if lockstep:
@@ -67,7 +69,7 @@ class Station:
 
     def wish(self, header: Header, command: Command) -> Reply:
         """A person's order for the whole fleet."""
-        with self.bus.arrival:
+        with self.turn:
             reason = self.mission.wish(command.order, self.fleet(), self.clock.now_ns())
         log.info("%s asked for: %s", command.order.name, reason or "under way")
         return Reply(WHOLE_FLEET, not reason, reason)
