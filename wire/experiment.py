@@ -200,6 +200,7 @@ class Localizer(Section):
     lost_after_s: Positive = 0.7
     frozen_frames: Annotated[int, Field(ge=2)] = 5
     preview_rate_hz: NotNegative = 5.0
+    obstacle_min_m: NotNegative = 0.08  # what covers less than a square of this side is no obstacle; 0: none are looked for
 
 
 class Plant(Section):

@@ -142,6 +142,20 @@ class LocalizerStatus(_message.Message):
     message: str
     def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ...) -> None: ...
 
+class Obstacles(_message.Message):
+    __slots__ = ("ids", "outline", "velocity", "depth_m", "watched")
+    IDS_FIELD_NUMBER: _ClassVar[int]
+    OUTLINE_FIELD_NUMBER: _ClassVar[int]
+    VELOCITY_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    WATCHED_FIELD_NUMBER: _ClassVar[int]
+    ids: _containers.RepeatedScalarFieldContainer[int]
+    outline: _containers.RepeatedScalarFieldContainer[float]
+    velocity: _containers.RepeatedScalarFieldContainer[float]
+    depth_m: float
+    watched: float
+    def __init__(self, ids: _Optional[_Iterable[int]] = ..., outline: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., watched: _Optional[float] = ...) -> None: ...
+
 class Plan(_message.Message):
     __slots__ = ("period_s", "eta", "eta_reference", "tracking_error_m", "urgent", "heard")
     PERIOD_S_FIELD_NUMBER: _ClassVar[int]

@@ -126,6 +126,21 @@ class LocalizerStatus:
 
 
 @dataclass(frozen=True, eq=False)
+class Obstacles:
+    """What the camera sees in the pool that is no robot; all of them in one message, so that one that has gone is gone.
+
+    Each has a convex outline of twelve corners (some may coincide), in order from x to y, as it lies if the obstacle is at
+    `depth_m`: a camera alone cannot tell how deep. The k-th of all arrays and of `ids` belong together.
+    """
+
+    ids: tuple[int, ...] = ()  # an obstacle keeps its number while it is followed; no number is used twice
+    outline: Array = array(-1, 12, 2)  # x, y
+    velocity: Array = array(-1, 2)  # over the floor, pool frame
+    depth_m: float = 0.0  # assumed: that of the robots' path, where an obstacle would be in their way
+    watched: float = 0.0  # share of the pool that can be judged, 0 to 1: an empty list says nothing about the rest
+
+
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Where a robot expects to be: node s at the header's stamp + s * period_s; node 0 is the estimate."""
 
@@ -241,6 +256,6 @@ class Event:
 
 
 Message = (
-    Tick | Truth | Pose | LocalizerStatus | Plan | RobotState | StationHeartbeat | Trajectory | Command | Reply
+    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Command | Reply
     | Frame | Preview | Event
 )  # fmt: skip

@@ -41,13 +41,14 @@ FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, "camer
 PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, "localizer")
 POSE = Topic("robot/{robot}/pose", messages.Pose, 20, 0.2, Qos.CONTROL, True, "localizer")
 LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, "localizer")
+OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, "localizer")
 PLAN = Topic("robot/{robot}/plan", messages.Plan, 20, 0.5, Qos.CONTROL, True, "robot_agent")
 STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, "robot_agent")
 HEARTBEAT = Topic("station/heartbeat", messages.StationHeartbeat, 20, 1.0, Qos.CONTROL, True, "groundstation")
 TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, "groundstation")
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, "everyone")
 
-TOPICS = (TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, PLAN, STATE, HEARTBEAT, TRAJECTORY, EVENT)
+TOPICS = (TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, EVENT)
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
 PRESENCE_KEY = "presence/{process}"  # a liveliness token: there, not necessarily well
