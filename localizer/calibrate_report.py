@@ -80,11 +80,12 @@ def pose_lines(fit: PoseFit, points: Sequence[PoolPoint], pool: Pool) -> list[st
 def figure_lines(camera_figures: Figures, depth_m: float) -> list[str]:
     """What the camera sees at a depth."""
     f = camera_figures
+    middle_mm, corner_mm = f.mm_per_cm_depth
     return [
         f"At {depth_m:g} m depth:",
         f"  field of view            {f.field_m[0]:.2f} m x {f.field_m[1]:.2f} m, {f.seen_share:.0%} of the pool",
         f"  one pixel                {f.mm_per_px[0]:.2f} mm in the middle, {f.mm_per_px[1]:.2f} mm in the worst corner",
-        f"  1 cm of depth error      {f.mm_per_cm_depth[0]:.1f} mm in the middle, {f.mm_per_cm_depth[1]:.1f} mm in the worst corner",
+        f"  1 cm of depth error      {middle_mm:.1f} mm in the middle, {corner_mm:.1f} mm in the worst corner",
     ]
 
 

@@ -14,10 +14,10 @@ import numpy as np
 import tomli_w
 
 from localizer.board_files import pictures, read_picture, write_picture
-from localizer.board_views import EXAMPLES, BoardView, Pixels, parse_board
+from localizer.board_views import EXAMPLES, BoardView, parse_board
 from localizer.calibrate import Lens, LensFit, fit_lens
 from localizer.calibrate_report import figure_lines, lens_lines, lens_picture, pose_lines, pose_picture
-from localizer.patch import BAYER_TO_BGR
+from localizer.patch import BAYER_TO_BGR, Pixels
 from localizer.pool_grid import GRID_M, draw_grid, figures
 from localizer.pool_pose import PoolPoints, PoseFit, fit_pose, seen_pixels
 from wire import topics
@@ -83,17 +83,16 @@ def calibrate(request: Request) -> list[str]:
     return [*lines, *([] if points else [_NO_POSE.format(out=request.out)])]
 
 
-def check_camera(experiment: Experiment, picture: Pixels | None, depth_m: float, out: Path | None) -> list[str]:
-    """Draw the experiment's pool over a BGR picture (on black without one) into `out`; returns the report's lines."""
+def check_camera(experiment: Experiment, picture: Pixels | None, what: str, depth_m: float, out: Path) -> list[str]:
+    """Draw the experiment's pool over a BGR picture called `what` (on black without one) into `out`; returns the report's
+    lines. Raises ConfigError."""
     width, height = experiment.camera.size_px
     if picture is None:
         picture = np.zeros((height, width, 3), np.uint8)
     if picture.shape[:2] != (height, width):
         found = f"{picture.shape[1]}x{picture.shape[0]}"
-        raise ConfigError(f"the picture is {found}, but camera.size_px of experiment {experiment.name!r} is {width}x{height}")
+        raise ConfigError(f"{what}: {found}, but camera.size_px of experiment {experiment.name!r} is {width}x{height}")
     lines = figure_lines(figures(experiment.camera, experiment.pool, depth_m), depth_m)
-    if out is None:
-        return lines
     drawn = picture.copy()
     draw_grid(drawn, experiment.camera, experiment.pool, depth_m)
     write_picture(out, drawn)

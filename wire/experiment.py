@@ -191,6 +191,12 @@ class Camera(Section):
         return self
 
 
+class CameraFile(Section):
+    """A file that `localizer calibrate` wrote: an experiment names it as `camera = "lab.toml"`."""
+
+    camera: Camera
+
+
 class Localizer(Section):
     """How the localizer tracks."""
 
@@ -363,17 +369,26 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = ()) -> Experime
     """Load and check an experiment, with `--set key=value` settings laid over it. Raises ConfigError."""
     path = experiment_path(name_or_path)
     table: dict[str, Any] = read_toml(path)
-    _insert_vehicle(table, path)
+    _insert_files(table, path)
     for setting in settings:
         apply_setting(table, setting)
-        _insert_vehicle(table, path)
+        _insert_files(table, path)
     return check(Experiment, table, str(path))
 
 
-def _insert_vehicle(table: dict[str, Any], experiment: Path) -> None:
-    """Put the vehicle in the place of its name, so that settings reach into it and the hash covers it."""
-    if isinstance(table.get("vehicle"), str):
-        try:
-            table["vehicle"] = load_vehicle(table["vehicle"], experiment.parent).model_dump(mode="json")
-        except ConfigError as error:
-            raise ConfigError(f"{experiment}: {error}") from None
+def _insert_files(table: dict[str, Any], experiment: Path) -> None:
+    """Put vehicle and camera in the place of their files' names, so that settings reach into them and the hash covers them."""
+    for key, load in (("vehicle", load_vehicle), ("camera", load_camera)):
+        if isinstance(table.get(key), str):
+            try:
+                table[key] = load(table[key], experiment.parent).model_dump(mode="json")
+            except ConfigError as error:
+                raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
+
+
+def load_camera(path: str, relative_to: Path | None = None) -> Camera:
+    """The camera of a calibration's file. Raises ConfigError."""
+    if not path.endswith(".toml"):
+        raise ConfigError(f"camera = {path!r}: must be a table, or a path ending in .toml (as `localizer calibrate` writes)")
+    place = (relative_to or Path()) / path
+    return check(CameraFile, read_toml(place), str(place)).camera

@@ -214,7 +214,7 @@ def _mutants(value: object) -> Iterator[object]:
     elif isinstance(value, float):
         yield from (value + 1e-6, value - 1e-6, value * 1.001)
     else:
-        yield from ("rotate", "translate", "daqp", "osqp", "point", "trajectory", "2-1", "other")
+        yield from ("rotate", "translate", "daqp", "osqp", "point", "trajectory", "start", "end", "2-1", "other")
 
 
 def _hash(table: dict[str, Any]) -> str:
@@ -296,6 +296,50 @@ def test_the_vehicle_is_part_of_the_experiment(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("name = 3")
     with pytest.raises(ConfigError, match=r"pool\.toml: .*mine\.toml: name = 3"):
         load_experiment(str(tmp_path / "pool.toml"))
+
+
+def test_the_camera_may_lie_in_a_file_of_its_own(tmp_path: Path) -> None:
+    """As `localizer calibrate` writes it: the experiment is the one that has its table, hash and dump included."""
+    camera = FULL["camera"]
+    written = tomllib.loads((EXPERIMENTS / "pool.toml").read_text(encoding="utf-8"))
+    (tmp_path / "pool.toml").write_text(tomli_w.dumps(written | {"camera": "lab.toml"}), encoding="utf-8")
+    (tmp_path / "lab.toml").write_text(tomli_w.dumps({"camera": camera}), encoding="utf-8")
+    loaded = load_experiment(str(tmp_path / "pool.toml"))
+    assert loaded.hash == load_experiment("pool").hash
+    (tmp_path / "dump.toml").write_text(dump_experiment(loaded), encoding="utf-8")
+    (tmp_path / "other.toml").write_text(
+        tomli_w.dumps({"camera": camera | {"position_m": [0.0, 0.0, -2.9]}}), encoding="utf-8"
+    )
+    moved = load_experiment(str(tmp_path / "pool.toml"), ["camera=other.toml"])
+    assert moved.camera.position_m == (0.0, 0.0, -2.9)
+    assert moved.hash != loaded.hash
+    assert load_experiment(str(tmp_path / "pool.toml"), ["camera.rate_hz=25.0"]).camera.rate_hz == 25.0
+    (tmp_path / "lab.toml").unlink()
+    assert load_experiment(str(tmp_path / "dump.toml")).hash == loaded.hash
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (None, r"lab\.toml: no such file"),
+        ("camera = 3", r"lab\.toml: camera = 3: must be a table"),
+        ("size_px = [640, 480]", r"lab\.toml: camera: missing"),
+        ("[camera]\nsize_px = [640, 480]", r"lab\.toml: camera\.position_m: missing"),
+        ("[camera]\nfocal = 1", r"lab\.toml: camera\.focal: unknown key"),
+    ],
+)
+def test_a_camera_file_that_cannot_be_used_is_named(tmp_path: Path, content: str | None, complaint: str) -> None:
+    written = tomllib.loads((EXPERIMENTS / "pool.toml").read_text(encoding="utf-8"))
+    (tmp_path / "pool.toml").write_text(tomli_w.dumps(written | {"camera": "lab.toml"}), encoding="utf-8")
+    if content is not None:
+        (tmp_path / "lab.toml").write_text(content, encoding="utf-8")
+    with pytest.raises(ConfigError, match=rf"pool\.toml: [^\n]*{complaint}"):
+        load_experiment(str(tmp_path / "pool.toml"))
+
+
+def test_a_camera_has_no_shipped_names() -> None:
+    with pytest.raises(ConfigError, match=r"pool\.toml: camera = 'lab': must be a table, or a path ending in \.toml"):
+        load_experiment("pool", ["camera=lab"])
 
 
 # --- settings and names
