@@ -1,7 +1,11 @@
 """SHELL: `localizer`: finds the robots in the overhead camera's pictures."""
 
+from typing import Annotated
+
 import typer
 
+from localizer.calibrate_commands import calibrate, check
+from localizer.measure_commands import SourceName, evaluate, latency
 from wire.experiment import load_experiment
 from wire.options import (
     DEFAULT_FLEET,
@@ -33,19 +37,30 @@ def run(
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
     settings: Settings = None,
+    source: SourceName = "bus",
+    publish_frames: Annotated[bool, typer.Option("--publish-frames", help="Put an own camera's pictures on the bus.")] = False,
+    show: Annotated[bool, typer.Option("--show", help="Annotated pictures for a browser on this machine.")] = False,
+    show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8090,
     lockstep: LockstepMode = False,
     verbose: Verbose = False,
 ) -> None:
-    """Localize the robots of an experiment in the frames that the fleet's camera publishes."""
-    from localizer.shell import Shell
-    from wire.bus import Bus
-    from wire.transport import Endpoint, ZenohTransport
+    """Localize the robots of an experiment in the fleet's camera frames, or be the camera.
+
+    Examples:  localizer run pool --show          localizer run lab.toml --source v4l2:/dev/video0 --publish-frames
+    """
+    from localizer import shell
+    from wire.transport import Endpoint
 
     start_log("localizer", verbose)
-    stop = Stop()
     loaded = load_experiment(experiment, settings or ())
-    with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
-        Shell(loaded, bus, stop, lockstep).run()
+    options = shell.Options(source, publish_frames, show_port if show else None)
+    shell.run(loaded, Endpoint(station, lossless=lockstep), fleet, Stop(), lockstep, options)
+
+
+cli.command()(calibrate)
+cli.command()(check)
+cli.command()(latency)
+cli.command()(evaluate)
 
 
 def app() -> None:

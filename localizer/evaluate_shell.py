@@ -1,0 +1,158 @@
+"""SHELL: `localizer evaluate`: a recording, and the truth about it, into tables of errors.
+
+Three kinds of recordings. A run's log has poses and the plant's truth in it. A video of an experiment's pool is localized
+again, with all of the localizer. A plain video, of which nobody knows the camera, is followed in pixels.
+"""
+
+import dataclasses
+import json
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from localizer.evaluate import Found, PixelRow, PoseRow, pixel_row, pose_rows
+from localizer.follow import Follower
+from localizer.locate import Locator
+from localizer.patch import Pixels
+from localizer.shot import as_bayer
+from localizer.truth_files import read_idtracker, read_poses, way
+from wire import topics
+from wire.codec import DecodeError, decode
+from wire.experiment import Experiment
+from wire.frames import Array
+from wire.messages import Pose, Truth
+from wire.toml_file import ConfigError
+
+Rows = Sequence[PixelRow] | Sequence[PoseRow]
+
+
+def table(rows: Rows) -> str:
+    """Rows for people: one line each, a column per field."""
+    fields = [field.name for field in dataclasses.fields(rows[0])]
+    cells = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(fields))]
+    first, *others = widths
+    return "\n".join(
+        "  ".join([line[0].ljust(first), *(cell.rjust(width) for cell, width in zip(line[1:], others, strict=True))])
+        for line in cells
+    )
+
+
+def to_json(rows: Rows) -> str:
+    """Rows for programs; what is not a number is null."""
+    plain = [{k: None if v != v else v for k, v in dataclasses.asdict(row).items()} for row in rows]
+    return json.dumps(plain, indent=1, allow_nan=False) + "\n"
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+# --- a run's log
+
+
+def evaluate_log(path: Path) -> list[PoseRow]:
+    """Poses of a recorded run against the plant's truth in it. A log that was cut off counts as far as it goes."""
+    found: list[Found] = []
+    true: dict[int, list[tuple[int, Array]]] = {}
+    for topic, stamp_ns, data in _records(path):
+        parts = topic.split("/")
+        try:
+            if topic.endswith(topics.TRUTH.name):
+                truth = decode(Truth, data, "log", topic)
+                for robot, eta in zip(truth.robots, truth.eta, strict=False):
+                    true.setdefault(robot, []).append((stamp_ns, eta[[0, 1, 3]]))
+            elif parts[-3:-2] == ["robot"] and parts[-1] == "pose":
+                found.append(Found(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic)))
+        except (DecodeError, ValueError) as error:
+            raise ConfigError(f"{path}: {error}") from None
+    rows = pose_rows(found, {robot: way(samples) for robot, samples in true.items()})
+    if not rows:
+        raise ConfigError(f"{path}: no poses with a truth to compare with ({len(found)} poses, truth of {len(true)} robots)")
+    return rows
+
+
+def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, stamp and bytes of the poses and truths of a log."""
+    try:
+        from mcap.exceptions import McapError
+        from mcap.reader import NonSeekingReader
+    except ImportError:
+        raise ConfigError(f"{path}: reading logs needs the package mcap (pip install shoal[station])") from None
+    try:
+        with path.open("rb") as file:
+            try:
+                for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+                    if channel.topic.endswith((topics.TRUTH.name, "/pose")):
+                        yield channel.topic, message.publish_time, message.data
+            except McapError:
+                return  # the recorder was killed: what lies before is good
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+
+
+# --- videos
+
+
+def pictures(path: Path, limit: int | None) -> Iterator[Pixels]:
+    """The pictures of a video, BGR (height, width, 3). Raises ConfigError if there are none."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        count = 0
+        while limit is None or count < limit:
+            good, picture = capture.read()
+            if not good:
+                break
+            count += 1
+            yield np.asarray(picture, dtype=np.uint8)
+        if count == 0:
+            raise ConfigError(f"{path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
+    finally:
+        capture.release()
+
+
+def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) -> list[PixelRow]:
+    """Follow each target of an idTracker file from its first known place on. A target farther off than half the box is shown
+    again, and counts as a failure."""
+    rows = []
+    for number, places in enumerate(read_idtracker(truth), start=1):
+        follower: Follower | None = None
+        errors, times, failures = [], [], 0
+        for picture, place in zip(pictures(path, limit), places, strict=False):
+            known = bool(np.all(np.isfinite(place)))
+            if follower is None:
+                follower = Follower(picture, place, box_px) if known else None
+                continue
+            started = time.perf_counter()
+            found, _ = follower.step(picture)
+            times.append(1e3 * (time.perf_counter() - started))
+            errors += [float(np.linalg.norm(found - place))] if known else []
+            if known and errors[-1] > box_px / 2.0:
+                failures += 1
+                follower = Follower(picture, place, box_px)
+        if not errors:
+            raise ConfigError(f"{truth}: target {number} is nowhere in the video")
+        rows.append(pixel_row(f"target {number}", errors, failures, times))
+    return rows
+
+
+def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> list[PoseRow]:
+    """Localize the robots of an experiment in a video, frame by frame, and compare with a truth file (see read_poses)."""
+    ways, depths = read_poses(truth, experiment)
+    locator, found = Locator(experiment), []
+    period_ns = round(1e9 / experiment.camera.rate_hz)
+    for frame, picture in enumerate(pictures(path, limit)):
+        pixels = as_bayer(picture)
+        assert pixels is not None, "a video's pictures are BGR"
+        located = locator.step(pixels, frame * period_ns, depths.get(frame, {}))
+        found += [Found(robot, frame * period_ns, pose) for robot, pose in located.poses]
+    rows = pose_rows(found, ways)
+    if not rows:
+        raise ConfigError(
+            f"{path}: no robot was ever found where {truth} has a truth ({located.status.message or 'no marker'})"
+        )
+    return rows

@@ -1,0 +1,99 @@
+"""SHELL: the command line of `localizer latency` and `localizer evaluate`."""
+
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.experiment import load_experiment
+from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Settings, StationAddress
+from wire.toml_file import ConfigError
+
+SourceName = Annotated[
+    str,
+    typer.Option(
+        "--source",
+        metavar="SOURCE",
+        help="Where pictures come from: `bus`, `v4l2:/dev/video0`, `video:FILE[:FPS|:max]` or `folder:DIR[:FPS|:max]`.",
+    ),
+]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Write the figures there too.")]
+
+
+def latency(
+    experiment: ExperimentName,
+    source: SourceName = "bus",
+    seconds: Annotated[float, typer.Option(min=0.5, help="How long to measure.")] = 5.0,
+    json: JsonFile = None,
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    settings: Settings = None,
+) -> None:
+    """Measure how old poses are and how even the pictures come. Exit code 1 if something is not as it should be.
+
+    Example:  localizer latency lab.toml --source v4l2:/dev/video0
+    """
+    from localizer.latency import judge, measure
+    from localizer.locate import Locator
+    from localizer.sources import BUS, open_bus, open_own
+    from wire.bus import Bus
+    from wire.runtime import Stop, WallClock, start_log
+    from wire.transport import Endpoint, ZenohTransport
+
+    start_log("localizer")
+    loaded, clock = load_experiment(experiment, settings or ()), WallClock()
+    locator = Locator(loaded)
+    with ExitStack() as stack:
+        if source == BUS:
+            pictures = open_bus(stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet)), clock, {})
+        else:
+            pictures = open_own(source, loaded.camera, clock)
+        stack.enter_context(closing(pictures))
+        timings, dropped = measure(pictures, lambda frame, at_ns: locator.step(frame, at_ns, {}), clock, Stop(), seconds)
+        trouble = pictures.trouble
+    result = judge(timings, dropped, loaded.camera.rate_hz)
+    if result is None:
+        typer.echo(f"no pictures within {seconds:g} s{f': {trouble}' if trouble else ''}", err=True)
+        raise typer.Exit(1)
+    typer.echo(result.to_text())
+    if json is not None:
+        json.write_text(result.to_json(), encoding="utf-8")
+    raise typer.Exit(1 if result.warnings else 0)
+
+
+def evaluate(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help="A video, or a run's log (run.mcap).")],
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="idTracker's text for a plain video; with --experiment a CSV of poses per frame."),
+    ] = None,
+    experiment: Annotated[
+        str | None, typer.Option(metavar="EXPERIMENT", help="The video shows this experiment's pool: localize in metres.")
+    ] = None,
+    marker: Annotated[bool, typer.Option(help="Read markers (with --experiment).")] = True,
+    box: Annotated[float, typer.Option(min=8, help="Side of a plain video's target, pixels.")] = 64.0,
+    frames: Annotated[int | None, typer.Option(min=2, help="Look at the first so many only.")] = None,
+    json: JsonFile = None,
+    settings: Settings = None,
+) -> None:
+    """Print a table of the localizer's errors against a known truth.
+
+    Examples:  localizer evaluate runs/pool-20260101-120000/run.mcap
+    localizer evaluate mouse.mp4 --truth mouse_idtracked.txt --frames 3000
+    localizer evaluate pool.mkv --truth poses.csv --experiment lab.toml --no-marker
+    """
+    from localizer import evaluate_shell
+
+    if recording.suffix == ".mcap":
+        rows: evaluate_shell.Rows = evaluate_shell.evaluate_log(recording)
+    elif truth is None:
+        raise ConfigError(f"{recording}: a video needs --truth FILE")
+    elif experiment is None:
+        rows = evaluate_shell.evaluate_plain(recording, truth, box, frames)
+    else:
+        loaded = load_experiment(experiment, [*(settings or ()), f"localizer.markers={str(marker).lower()}"])
+        rows = evaluate_shell.evaluate_pool(recording, truth, loaded, frames)
+    typer.echo(evaluate_shell.table(rows))
+    if json is not None:
+        json.write_text(evaluate_shell.to_json(rows), encoding="utf-8")

@@ -1,0 +1,120 @@
+"""SHELL: pictures for people, made in a thread of their own after the poses are out: the preview on the bus, the page of
+`--show`, and for a camera at this machine the raw frames on the bus. The newest wins; who looks on never slows the poses.
+"""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from localizer.latest import Latest
+from localizer.locate import Located
+from localizer.page import Page
+from localizer.patch import Pixels
+from localizer.shot import Shot
+from wire import topics
+from wire.bus import Bus
+from wire.messages import Frame, Preview
+from wire.runtime import SLICE_S, Clock, log
+
+PAGE_RATE_HZ = 15.0  # smooth enough to wave at; a picture takes 5 ms of one core
+_JPEG_QUALITY = 70  # about 40 kB at 640 x 480
+_BLANK_PX = (480, 640)
+_RED = (60, 60, 220)
+
+
+class Rate:
+    """Lets one through each period, by stamps; a clock that was set back does not silence it."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self._period_ns = round(1e9 / rate_hz) if rate_hz > 0 else None
+        self._next_ns = self._last_ns = 0
+
+    def due(self, stamp_ns: int) -> bool:
+        """Whether it is time again."""
+        back = stamp_ns < self._last_ns
+        self._last_ns = stamp_ns
+        if self._period_ns is None or (stamp_ns < self._next_ns and not back):
+            return False
+        self._next_ns = stamp_ns + self._period_ns
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class _Sight:
+    """What was seen (None: nothing), and the word to say about it."""
+
+    shot: Shot | None
+    located: Located | None
+    stamp_ns: int
+    message: str = ""
+
+
+class Previews:
+    """The thread, and what it feeds."""
+
+    def __init__(
+        self,
+        draw: Callable[[Pixels, Located], Pixels],
+        bus: Bus,
+        clock: Clock,
+        preview_rate_hz: float,
+        page: Page | None = None,
+        publish_frames: bool = False,
+    ) -> None:
+        self._draw, self._bus, self._clock, self._page, self._publish_frames = draw, bus, clock, page, publish_frames
+        self._preview, self._paging = Rate(preview_rate_hz), Rate(PAGE_RATE_HZ if page is not None else 0.0)
+        self._newest: Latest[_Sight] = Latest()
+        self._closing = False
+        self._thread = threading.Thread(target=self._work, name="previews")
+        self._thread.start()
+
+    def offer(self, shot: Shot, located: Located) -> None:
+        """A picture and what was found in it. Never waits."""
+        self._newest.put(_Sight(shot, located, shot.stamp_ns))
+
+    def offer_nothing(self, message: str, stamp_ns: int) -> None:
+        """There is no picture: what people see must not look as if there were."""
+        self._newest.put(_Sight(None, None, stamp_ns, message))
+
+    def close(self) -> None:
+        """Finish the last one."""
+        self._closing = True
+        self._thread.join()
+
+    def _work(self) -> None:
+        while not self._closing:
+            sight = self._newest.take(SLICE_S)
+            if sight is None:
+                continue
+            try:
+                self._make(sight)
+            except cv2.error as error:  # a picture of a size that cannot be drawn on; the localizer says so itself
+                log.debug("no preview: %s", error)
+
+    def _make(self, sight: _Sight) -> None:
+        shot = sight.shot
+        if shot is not None and self._publish_frames:
+            age_ns = max(self._clock.now_ns() - shot.instant_ns, 0)
+            self._bus.publish(topics.FRAME, Frame(shot.pixels), shot.stamp_ns, age_ns=age_ns)
+        on_bus, on_page = self._preview.due(sight.stamp_ns), self._paging.due(sight.stamp_ns)
+        if not (on_bus or on_page):
+            return
+        if shot is not None and sight.located is not None:
+            picture = self._draw(shot.pixels, sight.located)
+        else:
+            picture = _blank(sight.message)
+        good, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        jpeg = encoded.tobytes() if good else b""
+        if on_bus and good:
+            self._bus.publish(topics.PREVIEW, Preview(jpeg), sight.stamp_ns)
+        if on_page and good and self._page is not None:
+            self._page.show(jpeg)
+
+
+def _blank(message: str) -> Pixels:
+    picture = np.full((*_BLANK_PX, 3), 24, np.uint8)
+    cv2.putText(picture, message, (20, _BLANK_PX[0] // 2), cv2.FONT_HERSHEY_SIMPLEX, 0.6, _RED, 1, cv2.LINE_AA)
+    return picture

@@ -1,0 +1,66 @@
+"""A picture with its times, and what a source of pictures is. Pure; localizer/sources.py opens one.
+
+Whatever the source, the localizer sees raw Bayer RGGB and the instant of the middle of the exposure on its own clock. A
+colour picture is turned back into the mosaic it once was (0.5 ms at 1280 x 960): so there is one way through the core, the
+one that is tested most, and only the regions around robots are ever demosaiced.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from localizer.patch import Pixels
+from wire.runtime import Stop
+
+SILENT_AFTER_S = 0.5  # without a picture for so long, say that the camera is absent, again and again
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One picture (height, width) uint8 raw Bayer RGGB, and its times."""
+
+    pixels: Pixels
+    stamp_ns: int  # middle of the exposure on the camera's clock: poses carry it on, logs are ordered by it
+    instant_ns: int  # the same on the localizer's own clock: what the filter runs on and ages are counted from
+    arrived_ns: int  # own clock
+    dropped: int = 0  # pictures lost on the way or overtaken by newer ones, since the source was opened
+    stamped: bool = True  # the camera said when; False: guessed from the arrival
+    inputs_up_to_ns: int | None = None  # lockstep: the newest robots' states that count
+
+
+class Source(Protocol):
+    """A camera, or what stands in for one."""
+
+    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        """The newest picture whenever there is a new one; None after each SILENT_AFTER_S without. Ends when told to stop, or
+        when no more can come. A source that fails recovers by itself and keeps yielding None meanwhile."""
+
+    @property
+    def trouble(self) -> str:
+        """Why no picture comes, as far as it is known."""
+
+    def close(self) -> None:
+        """Let go of the camera."""
+
+
+def as_bayer(picture: NDArray[Any]) -> Pixels | None:
+    """A picture as OpenCV reads it, as the RGGB mosaic (height, width) that BAYER_TO_BGR turns back into it.
+
+    One channel is taken to be raw already (a grey picture is its own mosaic); BGR and BGRA lose two colours of three per
+    pixel, as in the camera. None for anything that is not 8 bits deep.
+    """
+    if picture.dtype != np.uint8:
+        return None
+    if picture.ndim == 2:
+        return np.ascontiguousarray(picture)
+    if picture.ndim != 3 or picture.shape[2] not in (3, 4):
+        return None
+    mosaic = np.empty(picture.shape[:2], np.uint8)
+    mosaic[0::2, 0::2] = picture[0::2, 0::2, 2]
+    mosaic[0::2, 1::2] = picture[0::2, 1::2, 1]
+    mosaic[1::2, 0::2] = picture[1::2, 0::2, 1]
+    mosaic[1::2, 1::2] = picture[1::2, 1::2, 0]
+    return mosaic

@@ -1,0 +1,94 @@
+"""SHELL: frames from the fleet's bus: of a camera process, or of the simulated pool."""
+
+from collections.abc import Iterator, Mapping
+
+from localizer.shot import SILENT_AFTER_S, Shot
+from wire import topics
+from wire.bus import Bus, Inbox, Received
+from wire.messages import Frame, RobotState
+from wire.runtime import Clock, Lockstep, LockstepClock, Stop, wait
+
+
+class _Sequence:
+    """Counts frames of a session that never came here."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._session = self._last = 0
+
+    def note(self, received: Received[Frame]) -> int:
+        session, sequence = received.header.session, received.header.sequence
+        if session == self._session and sequence > self._last:
+            self.dropped += sequence - self._last - 1
+        self._session, self._last = session, sequence
+        return self.dropped
+
+
+class BusSource:
+    """Frames that another process publishes, in real time. The newest wins; the sender's clock may be anything."""
+
+    trouble = "no camera publishes frames"
+
+    def __init__(self, bus: Bus, clock: Clock) -> None:
+        self._bus, self._clock = bus, clock
+        self._frames = bus.inbox(topics.FRAME, Frame)
+        self._sequence = _Sequence()
+
+    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        """See Source."""
+        seen = self._frames.newest_header()
+        while not stop.requested:
+            if wait(self._bus, stop, lambda seen=seen: self._frames.newest_header() is not seen, SILENT_AFTER_S):  # type: ignore[misc]
+                seen = self._frames.newest_header()
+                received = self._frames.newest()
+                if received is not None:
+                    yield self._shot(received)
+            elif not stop.requested:
+                yield None
+
+    def _shot(self, received: Received[Frame]) -> Shot:
+        header, instant_ns = received.header, self._clock.instant_ns(received)
+        return Shot(
+            received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns,
+            dropped=self._sequence.note(received), stamped=header.age_ns > 0,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """The bus is the caller's."""
+
+
+class LockstepSource:
+    """Frames of the simulator that owns the clock: each step waits for the frame and the robots' states that its tick
+    names, and the instants are the simulator's."""
+
+    trouble = ""
+
+    def __init__(self, bus: Bus, clock: LockstepClock, states: Mapping[int, Inbox[RobotState]]) -> None:
+        self._bus, self._clock, self._states = bus, clock, states
+        self._frames = bus.inbox(topics.FRAME, Frame)
+        self._sequence = _Sequence()
+
+    def shots(self, stop: Stop) -> Iterator[Shot]:
+        """See Source. Without a tick time stands still, so nothing is ever late."""
+        lockstep = Lockstep(self._bus, stop, self._clock)
+        done_ns = -1
+        while (tick := lockstep.next()) is not None:
+            if tick.frame_ns <= done_ns:
+                continue
+            states = [(self._states[robot], tick.previous_ns) for robot in tick.robots]
+            lockstep.await_all([(self._frames, tick.frame_ns), *states])
+            received = self._frames.newest(tick.frame_ns)
+            if received is not None:
+                done_ns = tick.frame_ns
+                stamp_ns, dropped = received.header.stamp_ns, self._sequence.note(received)
+                yield Shot(
+                    received.message.pixels,
+                    stamp_ns,
+                    stamp_ns,
+                    self._clock.now_ns(),
+                    dropped,
+                    inputs_up_to_ns=tick.previous_ns,
+                )
+
+    def close(self) -> None:
+        """The bus is the caller's."""
