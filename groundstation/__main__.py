@@ -1,6 +1,7 @@
 """SHELL: `groundstation`: plan, fly, record, report."""
 
 import json
+import sys
 import time
 from pathlib import Path
 from typing import Annotated
@@ -102,10 +103,31 @@ def plan(experiment: ExperimentName, settings: Settings = None) -> None:
     trajectories = planner.plan(loaded)
     starts = planner.start_poses(loaded, trajectories)
     robots = {
-        robot: {"id": t.id, "start": starts[robot].tolist(), "period_s": t.period_s, "eta": t.eta.tolist()}
+        robot: {
+            "id": t.id,
+            "start": starts[robot].tolist(),
+            "period_s": t.period_s,
+            "eta": t.eta.tolist(),
+            "velocity": t.velocity.tolist(),
+            "acceleration": t.acceleration.tolist(),
+        }
         for robot, t in trajectories.items()
     }
     typer.echo(json.dumps({"experiment": loaded.name, "hash": loaded.hash, "robots": robots}))
+
+
+@cli.command()
+def record(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder with experiment.toml; run.mcap goes there.")],
+    mode: Annotated[str, typer.Option(help="How time went in the run; told in the report.")] = "numeric",
+) -> None:
+    """Write the log of a run that another program hands over on stdin, as `sim-bridge numeric` does."""
+    from groundstation import piped
+
+    problem = piped.record(load_experiment(str(run_folder / "experiment.toml")), run_folder, mode, sys.stdin.buffer)
+    if problem:
+        typer.echo(f"{run_folder / 'run.mcap'}: {problem}", err=True)
+    raise typer.Exit(1 if problem else 0)
 
 
 @cli.command()

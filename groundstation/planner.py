@@ -18,12 +18,13 @@ from wire.codec import MAX_MESSAGE_BYTES
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Trajectory
+from wire.toml_file import ConfigError
 
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
 BYTES_PER_SAMPLE = 3 * 4 * 8
 
 
-class PlanError(Exception):
+class PlanError(ConfigError):
     """A plan that must not be flown. One line per problem: robot, time, place, by how much."""
 
 
@@ -134,8 +135,10 @@ def _pair_problems(experiment: Experiment, motions: Mapping[int, NodeMotion], fl
 def _outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
     """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of each side of the basin, in m.
 
-    At the surface the centre counts, not the hull: a robot may float.
+    At the surface the centre counts, not the hull: a robot may float. Open water has no sides.
     """
+    if not experiment.sim.plant.walls:
+        return {}
     radius = experiment.vehicle.radius_m
     length, width, depth = experiment.pool.size_m
     x, y, z = position_m.T

@@ -13,6 +13,7 @@ told by pairs (stamp, monotonic time) in the closing metadata. A sender's restar
 its session is in the channel's metadata.
 """
 
+import importlib.metadata
 import json
 import os
 import struct
@@ -30,6 +31,7 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from wire.codec import Header, protobuf_class
+from wire.experiment import Experiment
 from wire.topics import STATE, Topic
 
 FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
@@ -41,6 +43,18 @@ JOIN_S = 10.0  # a disk that hangs must not keep the process from ending
 EXPERIMENT_NAME = "experiment.toml"
 RUN_METADATA = "run"
 END_METADATA = "recorder"
+
+
+def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
+    """What a log says of its run; `mode` is how time went."""
+    return {
+        "scene": experiment.name,
+        "seed": str(experiment.seed),
+        "mode": mode,
+        "experiment_hash": experiment.hash,
+        "version": importlib.metadata.version("shoal"),
+        "zenoh": importlib.metadata.version("eclipse-zenoh"),
+    }
 
 
 class _Output:

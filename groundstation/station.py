@@ -4,7 +4,6 @@ The heartbeat goes out from the same cycle that runs the mission: no thread of i
 orders of a cycle are answered before its heartbeat, so a robot that has the heartbeat has the orders.
 """
 
-import importlib.metadata
 import threading
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -15,7 +14,7 @@ from typing import Any
 from groundstation import planner
 from groundstation.fleet import Fleet, view
 from groundstation.mission import OVER, Answer, Mission, Phase
-from groundstation.recorder import Recorder
+from groundstation.recorder import Recorder, run_metadata
 from wire import topics
 from wire.bus import Bus, Inbox
 from wire.codec import Header
@@ -104,14 +103,7 @@ def run(
     """Run the station until its mission is over (automatic) or it is told to stop. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
     trajectories = planner.plan(experiment)
-    metadata = {
-        "scene": experiment.name,
-        "seed": str(experiment.seed),
-        "mode": "lockstep" if lockstep else "real-time",
-        "experiment_hash": experiment.hash,
-        "version": importlib.metadata.version("shoal"),
-        "zenoh": importlib.metadata.version("eclipse-zenoh"),
-    }
+    metadata = run_metadata(experiment, "lockstep" if lockstep else "real-time")
     recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata)
     try:
         record_everything(bus, recorder, clock)

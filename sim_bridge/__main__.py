@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from wire.experiment import load_experiment
+from wire.experiment import Experiment, load_experiment
 from wire.options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -25,6 +25,10 @@ cli = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
+Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
+OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder.")]
+
 
 @cli.command()
 def sil(
@@ -32,9 +36,9 @@ def sil(
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
     ] = False,
-    seed: Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
+    seed: Seed = None,
+    duration: Duration = None,
+    out: OutFolder = Path("runs"),
     settings: Settings = None,
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
@@ -47,10 +51,7 @@ def sil(
 
     from sim_bridge import sil as software_in_the_loop
 
-    changes = list(settings or ())
-    changes += [f"seed={seed}"] if seed is not None else []
-    changes += [f"duration_s={duration}"] if duration is not None else []
-    loaded = load_experiment(experiment, changes)
+    loaded = _load(experiment, seed, duration, settings)
     folder = _new_folder(out, loaded.name)
     console = Console()
     mode = "lockstep" if lockstep else "real time"
@@ -58,6 +59,39 @@ def sil(
         f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
     )
     raise typer.Exit(software_in_the_loop.run(loaded, folder, lockstep=lockstep, stop=Stop(), console=console))
+
+
+@cli.command()
+def numeric(
+    experiment: ExperimentName,
+    seed: Seed = None,
+    duration: Duration = None,
+    out: OutFolder = Path("runs"),
+    settings: Settings = None,
+) -> None:
+    """Fly an experiment with agents and plant in one process, as fast as it goes; write log and report.
+
+    No camera, no network, no thruster boards: poses are the plant's (sim.numeric: noise, sim.latency_s: age), pulses act on
+    the thrusters. Exit code 0 if every limit of the experiment held, 1 if not.
+
+    Examples:  sim-bridge numeric numeric      sim-bridge numeric numeric-disturbed --set controller.estimator.enabled=false
+    """
+    from rich.console import Console
+
+    from sim_bridge import numeric_run
+
+    loaded = _load(experiment, seed, duration, settings)
+    folder = _new_folder(out, loaded.name)
+    console = Console()
+    console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
+    raise typer.Exit(numeric_run.run(loaded, folder, stop=Stop(), console=console))
+
+
+def _load(name: str, seed: int | None, duration_s: float | None, settings: list[str] | None) -> Experiment:
+    changes = list(settings or ())
+    changes += [f"seed={seed}"] if seed is not None else []
+    changes += [f"duration_s={duration_s}"] if duration_s is not None else []
+    return load_experiment(name, changes)
 
 
 def _new_folder(out: Path, name: str) -> Path:

@@ -50,7 +50,7 @@ def run(experiment: Experiment, run_dir: Path, *, lockstep: bool, stop: Stop, co
     if stop.requested:
         console.print("interrupted: every process is stopped")
         return 130
-    passed = _report(run_dir, console) and not mission_failed and not trouble
+    passed = report(run_dir, console) and not mission_failed and not trouble
     console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
     return 0 if passed else 1
@@ -98,7 +98,7 @@ def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool,
     return list(trouble.values())
 
 
-def _report(run_dir: Path, console: Console) -> bool:
+def report(run_dir: Path, console: Console) -> bool:
     """Let the station's own command write the report, and print the table. Returns whether the result passed."""
     writing = subprocess.run(
         [sys.executable, "-m", "groundstation", "report", str(run_dir)], capture_output=True, text=True, check=False
@@ -120,24 +120,24 @@ def _report(run_dir: Path, console: Console) -> bool:
 
 
 def _table(result: dict[str, Any]) -> Table:
-    """Tracking and formation errors, whole run and after 20 s, beside the article's."""
+    """Tracking and formation errors, whole run and after 20 s, beside the article's. Yaw is to the path's tangent."""
     flown = f"{result['scene']}, seed {result['seed']}, {result['mode']}, {result['duration_s']:.0f} s"
-    title = f"{flown}: RMS errors in m, against the truth"
-    table = Table(
-        "", "whole run: x, y, z", "after 20 s: x, y, z", "largest after 20 s", "article", "never moving", title=title
-    )
+    title = f"{flown}: RMS errors in m and rad, against the truth"
+    table = Table("", "whole run: x, y, z, yaw", "after 20 s", "largest after 20 s", "article", "never moving", title=title)
 
-    def numbers(values: Any) -> str:
-        return "  ".join("  -  " if v is None else f"{v:.3f}" for v in values) if values else "-"
+    def numbers(values: Any, yaw: Any = None) -> str:
+        shown = [*(values or ()), *([yaw] if yaw is not None else [])]
+        return " ".join("  -  " if v is None else f"{v:.3f}" if v >= 0.01 else f"{v:.5f}" for v in shown) or "-"
 
     for name, row in [*result["robots"].items(), *result["pairs"].items()]:
+        article, baseline = row["article"] or {}, row["baseline"] or {}
         table.add_row(
             name,
-            numbers(row.get("rms_m")),
-            numbers(row.get("rms_after_20s_m")),
-            numbers(row.get("max_after_20s_m")),
-            numbers((row.get("article") or {}).get("rms_m")),
-            numbers((row.get("baseline") or {}).get("rms_m")),
+            numbers(row["rms_m"], row["rms_yaw_rad"]),
+            numbers(row["rms_after_20s_m"], row["rms_yaw_after_20s_rad"]),
+            numbers(row["max_after_20s_m"]),
+            numbers(article.get("rms_m"), article.get("rms_yaw_rad")),
+            numbers(baseline.get("rms_m")),
         )
     return table
 

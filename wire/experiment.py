@@ -42,6 +42,7 @@ class Circle(Section):
     diameter_m: Positive
     lap_s: Positive
     depth_m: NotNegative
+    slow: bool = False  # as for waypoints
 
 
 class Waypoints(Section):
@@ -53,6 +54,7 @@ class Waypoints(Section):
     start_index: Annotated[int, Field(ge=0)] = 0
     depth_m: NotNegative = 0.0
     dive_mps: float = 0.0
+    slow: bool = False  # slow down where a robot would exceed its limits, instead of refusing the plan
 
     @model_validator(mode="after")
     def _starts_on_the_path(self) -> Self:
@@ -222,7 +224,7 @@ class Plant(Section):
     disturbance_wrench: Weight3 = (0.0, 0.0, 0.0)  # amplitude of a sine [N, N, N m] (ambiguity A13)
     disturbance_hz: NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=1)] = 0.0  # or one per robot
     walls: bool = True  # walls, floor and water surface; false: water without end
-    step_s: Annotated[float, Field(gt=0, le=0.02)] = 0.005
+    step_s: Annotated[float, Field(gt=0, le=0.05)] = 0.005  # contact needs 0.02 or less
 
 
 class Picture(Section):
@@ -258,10 +260,19 @@ class BoardRules(Section):
     slew_us_per_s: Positive = 8000.0  # full reverse to full ahead in 0.1 s, a thruster's own time constant
 
 
+class Numeric(Section):
+    """What stands for the camera and the localizer in a numeric flight: the true pose with this noise, sim.latency_s old."""
+
+    pose_noise_m: NotNegative = 0.0  # one standard deviation, x and y each
+    yaw_noise_rad: NotNegative = 0.0
+
+
 class Sim(Section):
     """Everything that only the simulator reads."""
 
-    latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03  # lockstep: from the middle of an exposure to the control step
+    # lockstep and numeric flights: from the middle of an exposure to the control step
+    latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03
+    numeric: Numeric = Numeric()
     plant: Plant = Plant()
     picture: Picture = Picture()
     sensors: Sensors = Sensors()
@@ -282,6 +293,7 @@ class Limit(Section):
 
     rms_m: Positive | None = None
     rms_after_20s_m: Positive | None = None
+    rms_yaw_after_20s_rad: Positive | None = None  # to the path's tangent
     max_after_20s_m: Positive | None = None
     pose_rms_m: Positive | None = None
     wrench_step_rms: Fraction | None = None  # after 20 s: RMS of the inputs' change per step, as a fraction of its bound
@@ -377,13 +389,30 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = ()) -> Experime
 
 
 def _insert_files(table: dict[str, Any], experiment: Path) -> None:
-    """Put vehicle and camera in the place of their files' names, so that settings reach into them and the hash covers them."""
+    """Put vehicle and camera in the place of their files' names, so that settings reach into them and the hash covers them.
+
+    A table may name a file as `like` and say only what is different: `vehicle = { like = "spherical", radius_m = 0.2 }`.
+    """
     for key, load in (("vehicle", load_vehicle), ("camera", load_camera)):
-        if isinstance(table.get(key), str):
-            try:
-                table[key] = load(table[key], experiment.parent).model_dump(mode="json")
-            except ConfigError as error:
-                raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
+        given = table.get(key)
+        name = given.get("like") if isinstance(given, dict) else given
+        if not isinstance(name, str):
+            continue
+        try:
+            table[key] = load(name, experiment.parent).model_dump(mode="json")
+        except ConfigError as error:
+            raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
+        if isinstance(given, dict):
+            _lay_over(table[key], {k: value for k, value in given.items() if k != "like"})
+
+
+def _lay_over(table: dict[str, Any], changes: dict[str, Any]) -> None:
+    """Write `changes` into `table`, in place; tables within tables likewise."""
+    for key, value in changes.items():
+        if isinstance(value, dict) and isinstance(table.get(key), dict):
+            _lay_over(table[key], value)
+        else:
+            table[key] = value
 
 
 def load_camera(path: str, relative_to: Path | None = None) -> Camera:

@@ -23,6 +23,7 @@ OPTIONAL = (
     "sim.plant.thruster_lag_s=0.2",
     "limits.rms_m=0.1",
     "limits.rms_after_20s_m=0.03",
+    "limits.rms_yaw_after_20s_rad=0.02",
     "limits.max_after_20s_m=0.08",
     "limits.pose_rms_m=0.005",
     "article.0.rms_yaw_rad=0.1",
@@ -340,6 +341,22 @@ def test_a_camera_file_that_cannot_be_used_is_named(tmp_path: Path, content: str
 def test_a_camera_has_no_shipped_names() -> None:
     with pytest.raises(ConfigError, match=r"pool\.toml: camera = 'lab': must be a table, or a path ending in \.toml"):
         load_experiment("pool", ["camera=lab"])
+
+
+def test_a_vehicle_may_be_like_another() -> None:
+    """As in numeric.toml: the file's vehicle with what stands in the table; everything else as it is, settings on top."""
+    like = load_experiment("numeric").vehicle
+    base = load_experiment("pool").vehicle
+    assert (like.thruster.lag_s, like.thruster.dead_time_s, like.legs.ankle_dead_time_s) == (0.0, 0.0, 0.0)
+    assert (like.thruster.curve, like.mass, like.legs.position_m) == (base.thruster.curve, base.mass, base.legs.position_m)
+    assert load_experiment("numeric", ["vehicle.mass.surge_kg=13"]).vehicle.mass.surge_kg == 13.0
+    assert load_experiment("numeric", ["vehicle=spherical"]).vehicle.model_dump() == base.model_dump()
+    heavy = load_experiment("pool", ['vehicle={like="spherical", mass={surge_kg=13.0}}']).vehicle
+    assert heavy.model_dump() == base.model_dump() | {"mass": base.mass.model_dump() | {"surge_kg": 13.0}}
+    with pytest.raises(ConfigError, match=r"vehicle\.mass\.surge: unknown key"):
+        load_experiment("pool", ['vehicle={like="spherical", mass={surge=13.0}}'])
+    with pytest.raises(ConfigError, match=r"vehicle = 'submarine': no such vehicle"):
+        load_experiment("pool", ['vehicle={like="submarine"}'])
 
 
 # --- settings and names

@@ -1,0 +1,73 @@
+"""SHELL: `sim-bridge numeric`: the station plans, numeric.py flies, the station records and reports.
+
+The station's programs are its own, run as a person would run them; what is flown goes to the recorder through a pipe.
+"""
+
+import json
+import secrets
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from sim_bridge import sil
+from sim_bridge.numeric import AgentFleet, BareWater, fly
+from wire.experiment import Experiment, dump_experiment
+from wire.messages import Trajectory
+from wire.pipe import PipeWriter
+from wire.runtime import Stop
+from wire.toml_file import ConfigError
+
+STATION = (sys.executable, "-m", "groundstation")
+
+
+def run(experiment: Experiment, run_dir: Path, *, stop: Stop, console: Console) -> int:
+    """Fly an experiment with agents and plant in this process. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    trajectories, starts = plan(run_dir / "experiment.toml")
+    water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
+    fleet = AgentFleet(experiment, trajectories, water, experiment.seed, time.perf_counter_ns)
+    fleet.start()
+    recording = subprocess.Popen([*STATION, "record", str(run_dir)], stdin=subprocess.PIPE)
+    assert recording.stdin is not None
+    begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
+    try:
+        with recording.stdin as stream:
+            pipe = PipeWriter(stream, secrets.randbits(63) | 1)
+            for topic, robot, message, stamp_ns in fly(fleet, water):
+                pipe.publish(topic, message, stamp_ns, robot)
+                if stop.requested:
+                    break
+    except BrokenPipeError:  # its own words are on stderr
+        console.print("[red]the recorder has ended[/]")
+    took_s, took_cpu_s = time.perf_counter() - begin_s, time.process_time() - begin_cpu_s
+    recorded = recording.wait() == 0
+    if stop.requested:
+        console.print("interrupted")
+        return 130
+    flown_s = fleet.time_s
+    console.print(
+        f"flew {flown_s:.1f} s in {took_s:.2f} s ({took_cpu_s:.2f} s of one core): {flown_s / took_cpu_s:.0f} x real time",
+        soft_wrap=True,
+    )
+    passed = sil.report(run_dir, console) and recorded
+    console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
+    console.print("[green]passed[/]" if passed else "[red]failed[/]")
+    return 0 if passed else 1
+
+
+def plan(experiment_file: Path) -> tuple[dict[int, Trajectory], dict[int, Any]]:
+    """Trajectories and start poses by `groundstation plan`. Raises ConfigError with its reasons if it refuses."""
+    planning = subprocess.run([*STATION, "plan", str(experiment_file)], capture_output=True, text=True, check=False)
+    if planning.returncode != 0:
+        raise ConfigError(planning.stderr.strip())
+    robots = {int(robot): planned for robot, planned in json.loads(planning.stdout)["robots"].items()}
+    trajectories = {
+        robot: Trajectory(p["id"], p["period_s"], np.array(p["eta"]), np.array(p["velocity"]), np.array(p["acceleration"]))
+        for robot, p in robots.items()
+    }
+    return trajectories, {robot: p["start"] for robot, p in robots.items()}
