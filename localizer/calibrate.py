@@ -23,7 +23,7 @@ _BAD_SHARE = 1 / 3  # the most views to throw away: if more are bad, it is not t
 _SIGNIFICANT = 3.0  # standard deviations; below, k3 fits noise and swings the picture's corners
 CELLS = (8, 6)  # columns and rows that coverage is counted in
 _COVERED = 0.6  # share of cells that hold corners, below which distortion is guessed in places
-_REACHED = 0.75  # of the way from the centre to the picture's corners
+_REACHED = 0.7  # of the way from the centre to each of the picture's corners
 _LOOSE_FOCAL, _LOOSE_CENTRE_PX = 0.002, 2.0  # standard deviations worth a warning: 0.2 % is 2 mm at 1 m from the foot
 _POOR_RMS_PX = 1.0
 _FOLD_PX = 0.1
@@ -129,12 +129,8 @@ def lens_warnings(fit: LensFit) -> list[str]:
     covered = float(np.mean(fit.coverage > 0))
     if covered < _COVERED:
         said.append(f"corners cover {covered:.0%} of the picture (wanted: {_COVERED:.0%}): show it where the map is empty")
-    width, height = fit.lens.size_px
-    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
-    centre = np.array(fit.lens.centre_px)
-    reach = np.linalg.norm(fit.corners_px - centre, axis=1).max() / np.linalg.norm(corners - centre, axis=1).max()
-    if reach < _REACHED:
-        said.append(f"no corner lies beyond {reach:.0%} of the way to the picture's corners: distortion there is extrapolated")
+    if (reach := _least_reach(fit)) < _REACHED:
+        said.append(f"towards a corner of the picture the board goes only {reach:.0%} of the way: beyond, the lens is a guess")
     if max(fit.deviations[:2] / fit.lens.focal_px) > _LOOSE_FOCAL or max(fit.deviations[2:4]) > _LOOSE_CENTRE_PX:
         said.append("focal length or centre is loose: tilt the board by 20 to 40 degrees each way, and come near")
     if fit.rms_px > _POOR_RMS_PX:
@@ -142,6 +138,15 @@ def lens_warnings(fit: LensFit) -> list[str]:
     if (fold := fold_px(fit.lens)) > _FOLD_PX:
         said.append(f"the distortion folds over before the picture's edge ({fold:.1f} px off): places there will be wrong")
     return said
+
+
+def _least_reach(fit: LensFit) -> float:
+    """How far towards each of the picture's corners the board's corners went, of the whole way; the least of the four."""
+    width, height = fit.lens.size_px
+    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+    way = corners - fit.lens.centre_px
+    went = (fit.corners_px - fit.lens.centre_px) @ (way / np.sum(way**2, axis=1, keepdims=True)).T
+    return float(went.max(axis=0).min())
 
 
 def fold_px(lens: Lens) -> float:

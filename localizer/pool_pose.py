@@ -27,6 +27,7 @@ _HIGHEST_M = -1.5  # a point so far above the water is a sign that got lost: z p
 _LINE_SHARE = 0.05  # width over length of the cloud of points, below which the pose may turn around the line
 _LEAST_SIGMA_PX = 0.2  # residuals of four points may be small by luck
 _SUSPECT_RATIO, _SUSPECT_PX = 3.0, 1.0
+_SUSPECT_STEPS = 20  # a start from the fit to all points needs five; points beyond hope would take hundreds
 _UNUSABLE_PX = 10.0  # of 1280: two places confused, not a careless click
 _LOWEST_CAMERA_M = -0.05
 _STEP = 1e-5  # m and rad, for derivatives: 0.01 px, far above rounding, far below curvature
@@ -213,7 +214,7 @@ def _suspect(camera: Camera, residuals: Array, places: Array, pixels: Array) -> 
     without = []
     for i in range(len(places)):
         rest = np.delete(places, i, axis=0), np.delete(pixels, i, axis=0)
-        found = least_squares(_errors, _parameters(camera), args=(camera, *rest), x_scale="jac")
+        found = least_squares(_errors, _parameters(camera), args=(camera, *rest), x_scale="jac", max_nfev=_SUSPECT_STEPS)
         without.append(_rms(found.fun.reshape(-1, 2)))
     best = int(np.argmin(without))
     return best if without[best] * _SUSPECT_RATIO < _rms(residuals) else None
