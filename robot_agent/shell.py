@@ -48,7 +48,7 @@ class Shell:
         """Fly until told to stop."""
         log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
         self._bus.serve(self._robot, self._order)
-        self._link.send(self._mavlink.heartbeat())  # so that a board behind UDP learns where we are
+        self._greet()
         self._bus.announce(f"agent-{self._robot}")
         log.info("ready, experiment %s", self._experiment.hash[:8])
         for due_ns, up_to_ns in self._lockstep_pace() if self._lockstep else self._wall_pace():
@@ -57,6 +57,10 @@ class Shell:
             with self._turn:
                 outputs = self.agent.step(self._read(now_ns, up_to_ns), now_ns)
             self._write(outputs, now_ns, due_ns, started_ns)
+
+    def _greet(self) -> None:
+        """Let a board behind UDP learn where we are; it may not be there yet."""
+        self._link.send(self._mavlink.heartbeat())
 
     def _order(self, header: Header, command: Command) -> Reply:
         with self._turn:
@@ -108,7 +112,7 @@ class Shell:
     def _lockstep_pace(self) -> Iterator[tuple[int, int]]:
         assert isinstance(self._clock, LockstepClock)
         lockstep = Lockstep(self._bus, self._stop, self._clock)
-        while (tick := lockstep.next()) is not None:
+        while (tick := lockstep.next(meanwhile=self._greet)) is not None:
             others = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in tick.robots]
             lockstep.await_all([(self._poses, tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
             self._await_board(tick)
@@ -134,7 +138,7 @@ class Shell:
             self._link.send(self._mavlink.arm(outputs.arm))
         if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
             self._link_heartbeat_s = now_ns * 1e-9
-            self._link.send(self._mavlink.heartbeat())
+            self._greet()
         self._link.send(self._mavlink.pulses(outputs.pulse_us))
         sent_ns = time.perf_counter_ns() - started_ns
         if not self._lockstep:  # where time waits for the step, nothing is late

@@ -106,8 +106,8 @@ class Lockstep:
         self._ticks = bus.inbox(topics.TICK, Tick)
         self._last_ns = -1
 
-    def next(self) -> Tick | None:
-        """Wait for the next tick and set the clock to it. None when the process is to stop."""
+    def next(self, meanwhile: Callable[[], None] = lambda: None) -> Tick | None:
+        """Wait for the next tick and set the clock to it, doing `meanwhile` now and then. None when the process is to stop."""
         while not self._stop.requested:
             if wait(self._bus, self._stop, self._fresh, SLICE_S):
                 received = self._ticks.newest()
@@ -115,6 +115,7 @@ class Lockstep:
                     continue
                 self._last_ns = self._clock.tick_ns = received.message.now_ns
                 return received.message
+            meanwhile()
         return None
 
     def _fresh(self) -> bool:

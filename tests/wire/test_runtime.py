@@ -1,0 +1,111 @@
+"""Clocks, waiting and lockstep, on the in-memory bus."""
+
+import logging
+import threading
+import time
+
+import pytest
+
+from wire import runtime, topics
+from wire.bus import Bus
+from wire.messages import Event, StationHeartbeat, Tick
+from wire.runtime import Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
+from wire.transport import MemoryHub, MemoryTransport
+
+
+def two_buses() -> tuple[Bus, Bus]:
+    hub = MemoryHub()
+    return Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+
+
+def test_an_age_counts_from_the_content_not_from_the_arrival_and_ignores_the_senders_clock() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.HEARTBEAT, StationHeartbeat)
+    clock = WallClock()
+    hour_ns = 3_600_000_000_000
+    before_ns = clock.now_ns()
+    sender.publish(topics.HEARTBEAT, StationHeartbeat(), before_ns + hour_ns, age_ns=80_000_000)
+    received = inbox.newest()
+    assert received is not None
+    elapsed_s = (clock.now_ns() - before_ns) * 1e-9
+    assert 0.08 <= age_s(clock, received) <= 0.08 + elapsed_s + 1e-3
+    instant_ns = clock.instant_ns(received)
+    assert clock.instant_ns(received) == instant_ns  # the same message was true at one instant, whenever it is asked
+
+
+def test_in_lockstep_an_age_is_the_difference_of_stamps() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.HEARTBEAT, StationHeartbeat)
+    sender.publish(topics.HEARTBEAT, StationHeartbeat(), 50_000_000)
+    received = inbox.newest()
+    assert received is not None
+    clock = LockstepClock()
+    clock.tick_ns = 130_000_000
+    assert age_s(clock, received) == pytest.approx(0.08)
+
+
+def test_waiting_ends_on_arrival_on_time_and_on_stop() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.HEARTBEAT, StationHeartbeat)
+    stop = Stop(install=False)
+    threading.Timer(0.05, lambda: sender.publish(topics.HEARTBEAT, StationHeartbeat(), 1)).start()
+    assert wait(receiver, stop, lambda: inbox.newest_header() is not None, 5.0)
+    assert not wait(receiver, stop, lambda: False, 0.02)
+    threading.Timer(0.05, stop.request).start()
+    assert not wait(receiver, stop, lambda: False, 60.0)
+
+
+def test_lockstep_gives_each_tick_once_and_does_something_meanwhile() -> None:
+    simulator, process = two_buses()
+    clock, stop = LockstepClock(), Stop(install=False)
+    lockstep = Lockstep(process, stop, clock)
+    asked: list[int] = []
+
+    def meanwhile() -> None:
+        asked.append(clock.tick_ns)
+        if len(asked) == 2:
+            simulator.publish(topics.TICK, Tick(30, -1, 0), 30)
+
+    tick = lockstep.next(meanwhile)
+    assert tick is not None
+    assert (tick.now_ns, clock.now_ns(), len(asked)) == (30, 30, 2)
+    simulator.publish(topics.TICK, Tick(80, 30, 50), 80)
+    tick = lockstep.next()
+    assert tick is not None
+    assert (tick.now_ns, tick.previous_ns) == (80, 30)
+    threading.Timer(0.05, stop.request).start()
+    assert lockstep.next() is None  # no tick comes twice
+
+
+def test_lockstep_waits_for_every_input_and_in_the_end_goes_on_without(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    simulator, process = two_buses()
+    inbox = process.inbox(topics.HEARTBEAT, StationHeartbeat)
+    lockstep = Lockstep(process, Stop(install=False), LockstepClock())
+    lockstep.await_all([(inbox, -1)])  # before the first step there was none to wait for
+    threading.Timer(0.05, lambda: simulator.publish(topics.HEARTBEAT, StationHeartbeat(), 100)).start()
+    lockstep.await_all([(inbox, 100)])
+    assert inbox.newest() is not None
+    monkeypatch.setattr(runtime, "LOCKSTEP_PATIENCE_S", 0.05)
+    monkeypatch.setattr(log, "propagate", True)
+    started_s = time.monotonic()
+    lockstep.await_all([(inbox, 101)])
+    assert time.monotonic() - started_s >= 0.05
+    assert "no station/heartbeat" in caplog.text
+
+
+def test_the_logs_lines_travel_as_events_debug_ones_do_not() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.EVENT, Event)
+    before = (list(log.handlers), log.level)
+    try:
+        log.setLevel(logging.DEBUG)
+        log_to_bus(sender, LockstepClock(), "tester")
+        log.warning("water in %s", "the boat")
+        log.debug("a detail")
+    finally:
+        log.handlers[:], log.level = before
+    received = inbox.newest()
+    assert received is not None
+    assert (received.message.level, received.message.source, received.message.message) == (3, "tester", "water in the boat")
