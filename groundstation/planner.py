@@ -6,19 +6,21 @@ starts = start_poses(experiment, trajectories)      # where each robot is put in
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from groundstation.formation import NodeMotion, node_motion
-from groundstation.spline import make_path
+from groundstation.pace import slowed
+from groundstation.spline import Path, make_path
 from wire.codec import MAX_MESSAGE_BYTES
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Trajectory
 from wire.toml_file import ConfigError
+from wire.vehicle import Vehicle
 
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
 BYTES_PER_SAMPLE = 3 * 4 * 8
@@ -39,8 +41,8 @@ class _Worst:
 def plan(experiment: Experiment) -> dict[int, Trajectory]:
     """Each robot's trajectory: samples every controller period from 0 to the run's end, and a controller's horizon more.
 
-    Raises PlanError if a robot would exceed its speed, heave or yaw-rate limit, touch a wall, floor or surface, or come
-    closer than 2 R (36) to another.
+    Raises PlanError if a robot would exceed its speed, heave, yaw-rate or thrust limits (with `path.slow` only if slowing
+    down does not help), touch a wall, floor or surface, or come closer than 2 R (36) to another.
     """
     period_s = experiment.controller.period_s
     flown = round(experiment.duration_s / period_s) + 1
@@ -49,16 +51,16 @@ def plan(experiment: Experiment) -> dict[int, Trajectory]:
         longest = (MAX_MESSAGE_BYTES - 1024) // BYTES_PER_SAMPLE * period_s
         raise PlanError(f"duration_s = {experiment.duration_s:g}: a trajectory message holds {longest:.0f} s")
     try:
-        path = make_path(experiment.path)
+        path: Path = make_path(experiment.path)
     except ValueError as error:
         raise PlanError(str(error)) from None
+    if experiment.path.slow:
+        path = slowed(
+            path, lambda slower: _too_fast(experiment, _motions(experiment, slower, samples)), samples, period_s
+        )
     if experiment.duration_s > path.end_s + period_s:
         raise PlanError(f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s")
-    centre = path.at(np.arange(samples, dtype=np.float64) * period_s)
-    motions = {
-        robot.id: node_motion(centre, node_m, experiment.formation.mode, period_s)
-        for robot, node_m in zip(experiment.robots, experiment.nodes_m(), strict=True)
-    }
+    motions = _motions(experiment, path, samples)
     problems = [*_robot_problems(experiment, motions, flown), *_pair_problems(experiment, motions, flown)]
     if problems:
         raise PlanError("\n".join(problems))
@@ -95,6 +97,16 @@ def starts_json(starts: Mapping[int, Array]) -> str:
     return json.dumps({str(robot): starts[robot].tolist() for robot in sorted(starts)}, indent=1) + "\n"
 
 
+def _motions(experiment: Experiment, path: Path, samples: int) -> dict[int, NodeMotion]:
+    """Each robot's motion at `samples` control periods from 0 on."""
+    period_s = experiment.controller.period_s
+    centre = path.at(np.arange(samples, dtype=np.float64) * period_s)
+    return {
+        robot.id: node_motion(centre, node_m, experiment.formation.mode, period_s)
+        for robot, node_m in zip(experiment.robots, experiment.nodes_m(), strict=True)
+    }
+
+
 def _trajectory(motion: NodeMotion, period_s: float) -> Trajectory:
     digest = hashlib.sha256(np.float64(period_s).tobytes())
     for array in (motion.eta, motion.velocity, motion.acceleration):
@@ -102,17 +114,33 @@ def _trajectory(motion: NodeMotion, period_s: float) -> Trajectory:
     return Trajectory(digest.hexdigest()[:12], period_s, motion.eta, motion.velocity, motion.acceleration)
 
 
+def _limited(vehicle: Vehicle, motion: NodeMotion) -> Iterator[tuple[str, str, int, float, Array]]:
+    """What a motion takes and what there is: name, unit, power of the pace it grows with, limit, values (n,)."""
+    limits, v = vehicle.limits, motion.velocity
+    speed = np.hypot(v[:, 0], v[:, 1])
+    yield "speed", "m/s", 1, limits.speed_mps, speed
+    yield "heave", "m/s", 1, limits.heave_mps, np.abs(v[:, 2])
+    yield "yaw rate", "rad/s", 1, limits.yaw_rate_radps, np.abs(v[:, 3])
+    flow = np.column_stack([speed, speed, np.abs(v[:, 2]), np.abs(v[:, 3])])
+    force = vehicle.inertia * motion.acceleration + (vehicle.drag_linear + vehicle.drag_quadratic * flow) * v
+    surge_n, heave_n, yaw_nm = limits.wrench
+    # no side thruster: in a bend the robot turns inwards until surge gives the side force too
+    yield "thrust", "N", 2, surge_n, np.hypot(force[:, 0], force[:, 1])
+    yield "heave thrust", "N", 2, heave_n, np.abs(force[:, 2])
+    yield "yaw moment", "N m", 2, yaw_nm, np.abs(force[:, 3])
+
+
+def _too_fast(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
+    """By what factor the worst robot should be slower, at each sample (n,); 1 is at its limit."""
+    limited = (entry for motion in motions.values() for entry in _limited(experiment.vehicle, motion))
+    return np.asarray(np.max([(value / limit) ** (1.0 / power) for _, _, power, limit, value in limited], axis=0))
+
+
 def _robot_problems(experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int) -> Iterator[str]:
-    limits = experiment.vehicle.limits
-    measures: tuple[tuple[str, str, float, Callable[[Array], Array]], ...] = (
-        ("speed", "m/s", limits.speed_mps, lambda v: np.hypot(v[:, 0], v[:, 1])),
-        ("heave", "m/s", limits.heave_mps, lambda v: np.abs(v[:, 2])),
-        ("yaw rate", "rad/s", limits.yaw_rate_radps, lambda v: np.abs(v[:, 3])),
-    )
     for robot, motion in motions.items():
-        eta, velocity = motion.eta[:flown], motion.velocity[:flown]
-        for what, unit, limit, measure in measures:
-            worst = _worst(measure(velocity), limit)
+        eta = motion.eta[:flown]
+        for what, unit, _, limit, values in _limited(experiment.vehicle, motion):
+            worst = _worst(values[:flown], limit)
             if worst is not None:
                 over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
                 yield f"robot {robot}: {over} {_moment(experiment, worst.index, eta[worst.index])}"

@@ -117,6 +117,25 @@ def test_yaw_rate_is_checked() -> None:
         plan(pool(path=path))
 
 
+def test_thrust_is_checked_and_a_bend_takes_some_of_it() -> None:
+    """0.41 m/s on a radius of 0.5 m: drag 4.592 N ahead, 12 kg x 0.336 m/s^2 inwards. Straight ahead 0.47 m/s take 5.83 N."""
+    path = {"kind": "circle", "diameter_m": 1.0, "lap_s": np.pi / 0.41, "depth_m": 0.3}
+    with pytest.raises(PlanError, match=rf"robot 1: thrust {np.hypot(4.592, 12.0 * 0.41**2 / 0.5):.3f} N exceeds the limit 6"):
+        plan(pool(path=path))
+    straight = {"kind": "waypoints", "points_m": [[-15.0, 0.0], [15.0, 0.0]], "speed_mps": 0.47, "depth_m": 0.3}
+    plan(pool(path=straight, pool={"size_m": [40.0, 4.0, 1.0]}, duration_s=60.0))
+
+
+def test_open_water_has_no_walls() -> None:
+    path = {"kind": "circle", "diameter_m": 40.0, "lap_s": 1000.0, "depth_m": 20.0}
+    open_water = pool().sim.model_dump()
+    open_water["plant"]["walls"] = False
+    experiment = pool(path=path, sim=open_water)
+    assert start_poses(experiment, plan(experiment))[1][0] == pytest.approx(20.49)
+    with pytest.raises(PlanError, match="wall"):
+        plan(pool(path=path))
+
+
 def test_path_shorter_than_the_run_is_refused() -> None:
     path = {"kind": "waypoints", "points_m": [[-0.5, 0.0], [0.5, 0.0]], "speed_mps": 0.1, "depth_m": 0.3}
     with pytest.raises(PlanError, match=r"duration_s = 120: the path ends after 10\.00 s"):
