@@ -38,6 +38,12 @@ class Monitor:
         return heartbeat.message.mission if heartbeat is not None else "starting"
 
     @property
+    def heartbeats(self) -> int:
+        """How many cycles the station has run, as last heard: stands still when everything does."""
+        header = self._heartbeat.newest_header()
+        return header.sequence if header is not None else 0
+
+    @property
     def flown_s(self) -> float:
         """How far the slowest robot is along its trajectory."""
         states = [inbox.newest() for inbox in self._states.values()]

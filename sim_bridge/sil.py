@@ -24,6 +24,7 @@ from wire.transport import Endpoint, ZenohTransport
 
 START_WITHIN_S = 30.0
 LOOK_EVERY_S = 0.2
+STALLED_S = 60.0  # without a heartbeat of the station: something waits for something that never comes
 SAFE_WITHIN_S = 1.0
 SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 
@@ -79,7 +80,8 @@ def _start_all(
 def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool, stop: Stop, console: Console) -> list[str]:
     """Show the run until the station has ended it. Returns what went wrong with processes."""
     trouble: dict[str, str] = {}
-    said_s = time.monotonic()
+    said_s = moved_s = time.monotonic()
+    heartbeats = 0
     with Live(console=console, refresh_per_second=5, get_renderable=monitor.render, transient=True) as live:
         live.auto_refresh = console.is_terminal
         while station.exit_code is None and not stop.requested:
@@ -89,8 +91,15 @@ def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool,
                     console.print(f"[red]{trouble[child.name]}[/]", soft_wrap=True)
             if trouble and lockstep:
                 break  # the others would wait for it for ever
+            if monitor.heartbeats != heartbeats:
+                heartbeats, moved_s = monitor.heartbeats, time.monotonic()
+            elif time.monotonic() - moved_s > STALLED_S:
+                trouble["all"] = f"nothing has moved for {STALLED_S:.0f} s"
+                console.print(f"[red]{trouble['all']}[/]", soft_wrap=True)
+                break
             if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
-                said_s = time.monotonic()
+                said_s = moved_s = time.monotonic()
+    heartbeats = 0
                 console.print(monitor.line(), soft_wrap=True)
             time.sleep(LOOK_EVERY_S)
         if station.exit_code not in (None, 0, 1):
