@@ -1,0 +1,46 @@
+"""What the tests of sources share: a clock moved by hand, and pictures that are told apart by their brightness."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from localizer.patch import Pixels
+from localizer.shot import Shot
+from wire.bus import Received
+
+MS = 1_000_000
+
+
+class HandClock:
+    """Moves only when told to, or when somebody sleeps by it."""
+
+    def __init__(self) -> None:
+        self.ns = 1_000_000_000_000
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def instant_ns(self, received: Received[Any]) -> int:
+        raise NotImplementedError
+
+    def sleep(self, seconds: float) -> None:
+        self.ns += round(seconds * 1e9)
+
+
+def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    deadline = time.monotonic() + timeout_s
+    while not ready() and time.monotonic() < deadline:
+        time.sleep(0.002)
+    return ready()
+
+
+def level(shot: Shot | None) -> int:
+    """Which picture it was: its brightness."""
+    assert shot is not None
+    return round(float(shot.pixels.mean()))
+
+
+def flat(value: int, height: int = 48, width: int = 64) -> Pixels:
+    return np.full((height, width, 3), value, np.uint8)
