@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from localizer.kcf import CorrelationFilter, FilterShape, Real
-from localizer.patch import Hull, Pixels, Sampler
+from localizer.patch import Colour, Hull, Sampler
 from localizer.sight import Sight
 from wire.frames import Array, body_to_pool, wrap
 
@@ -19,6 +19,7 @@ _TARGET_WIDTH = 2.5  # samples, both filters
 _PLACE_KERNEL = 1.0
 _TURN_KERNEL = 2.0
 _LEAST_TURN_PEAK = 0.2  # below it the heading is a guess, whatever the place filter says
+_AVERAGED_PX = 1.3  # samples farther apart are taken from a picture at half scale
 _FAR_SHIFT = 1.5  # samples; the window pulls a peak back by 4.5 % of the shift, so a larger one is looked at again
 
 
@@ -53,14 +54,14 @@ class Appearance:
         """Each robot (its look known) near the pose given."""
         if not sights:
             return []
-        robots, halves = _robots(sights), _halves(sights)
+        robots, colours = _robots(sights), self._colours(sights)
         found = np.array(poses)
         for _ in range(2):
-            shifts, peaks = self._place.detect(robots, self._patches(sights, halves, found))
+            shifts, peaks = self._place.detect(robots, self._patches(sights, colours, found))
             found[:, :2] += body_to_pool(shifts * self._sampler.pitch_m, found[:, 2])
             if np.max(np.abs(shifts)) < _FAR_SHIFT:
                 break
-        turns, turn_peaks = self._turn.detect(robots, self._rings(sights, halves, found))
+        turns, turn_peaks = self._turn.detect(robots, self._rings(sights, colours, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
         sure = np.where(turn_peaks > _LEAST_TURN_PEAK, np.clip(peaks, 0.0, 1.0), 0.0)
         return [Match(np.array([x, y, wrap(yaw)]), float(peak)) for (x, y, yaw), peak in zip(found, sure, strict=True)]
@@ -69,22 +70,23 @@ class Appearance:
         """Blend in how robots look at these poses; one whose look is not known yet is learnt from this sight alone."""
         if not sights:
             return
-        robots, halves, at = _robots(sights), _halves(sights), np.array(poses)
+        robots, colours, at = _robots(sights), self._colours(sights), np.array(poses)
         rates = np.where(self._learnt[robots], rate, 1.0).astype(np.float32)
-        self._place.learn(robots, self._patches(sights, halves, at), rates)
-        self._turn.learn(robots, self._rings(sights, halves, at), rates)
+        self._place.learn(robots, self._patches(sights, colours, at), rates)
+        self._turn.learn(robots, self._rings(sights, colours, at), rates)
         self._learnt[robots] = True
 
-    def _patches(self, sights: Sequence[Sight], halves: Sequence[Pixels], poses: Array) -> Real:
-        return np.stack([self._sampler.patch(h, s.region, s.body(p)) for h, s, p in zip(halves, sights, poses, strict=True)])
+    def _colours(self, sights: Sequence[Sight]) -> list[Colour]:
+        """Averaged where samples lie farther apart than pixels."""
+        apart_px = [self._sampler.pitch_m * sight.tangent.px_per_m for sight in sights]
+        return [sight.region.colour(2 if apart > _AVERAGED_PX else 1) for sight, apart in zip(sights, apart_px, strict=True)]
 
-    def _rings(self, sights: Sequence[Sight], halves: Sequence[Pixels], poses: Array) -> Real:
-        return np.stack([self._sampler.rings(h, s.region, s.body(p)) for h, s, p in zip(halves, sights, poses, strict=True)])
+    def _patches(self, sights: Sequence[Sight], colours: Sequence[Colour], poses: Array) -> Real:
+        return np.stack([self._sampler.patch(c, s.body(p)) for c, s, p in zip(colours, sights, poses, strict=True)])
+
+    def _rings(self, sights: Sequence[Sight], colours: Sequence[Colour], poses: Array) -> Real:
+        return np.stack([self._sampler.rings(c, s.body(p)) for c, s, p in zip(colours, sights, poses, strict=True)])
 
 
 def _robots(sights: Sequence[Sight]) -> NDArray[np.intp]:
     return np.array([sight.robot for sight in sights], dtype=np.intp)
-
-
-def _halves(sights: Sequence[Sight]) -> list[Pixels]:
-    return [sight.region.colour_half() for sight in sights]

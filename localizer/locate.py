@@ -110,7 +110,7 @@ class Locator:
             reach_m = self._looks.reach_m + _REGION_SIGMAS * min(sigmas_m[i], _WIDEST_SIGMA_M)
             region = cut(frame, tangent.pixel, reach_m * tangent.px_per_m)
             if region is not None:
-                sights[i] = Sight(i, depths[i], tangent, region)
+                sights[i] = Sight(i, self.radius_m, depths[i], tangent, region)
         return sights
 
     def _read_markers(self, frame: Pixels, depths: Sequence[Depth], sights: dict[int, Sight]) -> None:

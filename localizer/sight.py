@@ -16,18 +16,18 @@ from wire.frames import Array
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation of a way of measuring: the centre in pixels per axis, the heading in rad."""
+    """One standard deviation of a way of measuring, in pixels, so that it holds at any scale: the centre per axis, and the
+    turn by how far it moves the hull's rim."""
 
     centre_px: float
-    yaw_rad: float
+    rim_px: float
 
 
-MARKER_NOISE = Noise(centre_px=0.1, yaw_rad=0.004)
-KCF_NOISE = Noise(centre_px=0.35, yaw_rad=0.006)
-_DEPTH_SIGMA_M = 0.005  # a pressure sensor's noise and bias
+MARKER_NOISE = Noise(centre_px=0.03, rim_px=0.15)
+KCF_NOISE = Noise(centre_px=0.3, rim_px=0.3)
 _DEPTH_ASSUMED_SIGMA_M = 0.05  # nobody reported one: the experiment's depth is taken
 _SHALLOWEST_M = -0.2  # a robot lying on the surface
-_WAVE_SLOPE_RAD = 0.01  # of ripples on the surface; each bends the line of sight by (1 - 1/n) of itself
+_WAVE_SLOPE_RAD = 0.0043  # of ripples on the surface; each bends the line of sight by (1 - 1/n) of itself
 
 
 @dataclass(frozen=True)
@@ -51,12 +51,13 @@ class Depth:
 def depths_of(experiment: Experiment, start_m: Sequence[float], reported_m: Mapping[int, float]) -> tuple[Depth, ...]:
     """Every robot's depth, in the experiment's order: as reported (by id), or as at the start, (robots,)."""
     height_m, deepest_m = experiment.vehicle.marker.height_m, experiment.pool.size_m[2]
+    known_sigma_m = experiment.localizer.depth_sigma_m
     depths = []
     for robot_id, start in zip(experiment.robot_ids, start_m, strict=True):
         depth = reported_m.get(robot_id, float("nan"))
         known = _SHALLOWEST_M <= depth <= deepest_m
         centre = depth if known else float(start)
-        depths.append(Depth(centre, centre - height_m, _DEPTH_SIGMA_M if known else _DEPTH_ASSUMED_SIGMA_M))
+        depths.append(Depth(centre, centre - height_m, known_sigma_m if known else max(known_sigma_m, _DEPTH_ASSUMED_SIGMA_M)))
     return tuple(depths)
 
 
@@ -65,6 +66,7 @@ class Sight:
     """A robot (by index) expected where `tangent` was taken, at the depth of its plate."""
 
     robot: int
+    radius_m: float
     depth: Depth
     tangent: Tangent
     region: Region
@@ -85,5 +87,5 @@ class Sight:
         spread = self.tangent.jacobian * np.array([noise.centre_px, noise.centre_px, self.depth.sigma_m])
         covariance = np.zeros((3, 3))
         covariance[:2, :2] = spread @ spread.T + wave_m**2 * np.eye(2)
-        covariance[2, 2] = noise.yaw_rad**2
+        covariance[2, 2] = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2
         return Measurement(pose, covariance, peak)

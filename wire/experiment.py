@@ -207,6 +207,7 @@ class Localizer(Section):
     min_peak: Fraction = 0.3
     lost_after_s: Positive = 0.7
     frozen_frames: Annotated[int, Field(ge=2)] = 5
+    depth_sigma_m: Positive = 0.015  # of reported depths: mostly their zero. 1 hPa of air pressure and 5 deg of trim are 1 cm
     preview_rate_hz: NotNegative = 5.0
     obstacle_min_m: NotNegative = 0.08  # what covers less than a square of this side is no obstacle; 0: none are looked for
 

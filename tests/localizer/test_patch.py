@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from localizer.calibration import PoolView
-from localizer.patch import BodyFrame, Hull, Sampler, cut, whole
+from localizer.patch import BAYER_TO_BGR, BodyFrame, Hull, Sampler, cut, whole
 from tests.localizer.scene import bayer
 from wire.experiment import load_experiment
 from wire.frames import Array, body_to_pool
@@ -37,16 +37,23 @@ def test_regions_start_on_a_red_pixel_inside_the_picture(x: float, y: float, hal
     assert np.array_equal(region.bayer, frame[region.top_px :, region.left_px :][:height, :width])
 
 
-def test_colours_are_right() -> None:
+SCALES = pytest.mark.parametrize("shrink", [1, 2])
+
+
+@SCALES
+def test_colours_are_right(shrink: int) -> None:
     plain = np.zeros((32, 32, 3), np.uint8)
     plain[...] = (10, 90, 200)
     region = whole(bayer(plain))
-    assert np.all(region.colour_half() == (10, 90, 200))
+    colour = region.colour(shrink).bgr
+    assert colour.shape == (32 // shrink, 32 // shrink, 3)
+    assert np.all(colour == (10, 90, 200))
     assert region.grey()[8, 8] == pytest.approx(0.114 * 10 + 0.587 * 90 + 0.299 * 200, abs=1.5)
 
 
+@SCALES
 @given(x=st.floats(35, 45), y=st.floats(35, 45), yaw=st.floats(-3.2, 3.2))
-def test_samples_lie_where_the_body_frame_says(x: float, y: float, yaw: float) -> None:
+def test_samples_lie_where_the_body_frame_says(shrink: int, x: float, y: float, yaw: float) -> None:
     """In a picture whose colours are coordinates, three levels a pixel, each sample's colour says where it was taken: a
     slip of half a pixel by the Bayer pattern, the half scale or the cut would show. 8-bit rounding is a fifth of a pixel."""
     frame = bayer(np.rint(3.0 * _ramp()[:80, :80]).astype(np.uint8))
@@ -55,13 +62,13 @@ def test_samples_lie_where_the_body_frame_says(x: float, y: float, yaw: float) -
     turn = 100.0 * np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
     body = BodyFrame(np.array([x, y]), turn, np.zeros(2))
     sampler = Sampler(24, 0.008, 0.12, FLAT)
-    seen = sampler.patch(region.colour_half(), region, body)[:2] / 3.0
+    seen = sampler.patch(region.colour(shrink), body)[:2] / 3.0
     offsets = (np.arange(24) - 12) * 0.008
     ahead, starboard = np.meshgrid(offsets, offsets)
     expected = np.moveaxis(np.array([x, y]) + 100.0 * body_to_pool(np.stack([ahead, starboard], axis=-1), yaw), -1, 0)
     assert np.abs(np.mean(seen - expected, axis=(1, 2))).max() < 0.25
     assert np.abs(seen - expected).max() < 0.7
-    rings = sampler.rings(region.colour_half(), region, body).reshape(3, 10, 128)[:2] / 3.0
+    rings = sampler.rings(region.colour(shrink), body).reshape(3, 10, 128)[:2] / 3.0
     assert rings[:, -1, 0] == pytest.approx([x + 12 * np.cos(yaw), y + 12 * np.sin(yaw)], abs=0.5)
     assert rings[:, -1, 32] == pytest.approx([x - 12 * np.sin(yaw), y + 12 * np.cos(yaw)], abs=0.5)
 
@@ -91,6 +98,18 @@ def test_the_plate_is_flat_and_the_sphere_ends_at_its_rim() -> None:
 def test_half_scale_is_the_mean_of_its_four_pixels() -> None:
     random = np.random.default_rng(1)
     smooth = cv2.GaussianBlur(random.uniform(0, 255, (64, 64, 3)), (0, 0), 3.0).astype(np.uint8)
-    half = whole(bayer(smooth)).colour_half().astype(float)
+    half = whole(bayer(smooth)).colour(2).bgr.astype(float)
     means = smooth.astype(float).reshape(32, 2, 32, 2, 3).mean(axis=(1, 3))
     assert np.abs(half - means)[2:-2, 2:-2].mean() < 1.0
+
+
+def test_fine_detail_has_no_false_colour() -> None:
+    """Grey stripes two pixels wide, at any phase: bilinear demosaicing paints them in colours that change with the phase."""
+    column = np.arange(64)
+    for phase in (0.0, 0.7, 1.9):
+        stripes = np.rint(128 + 60 * np.sin(np.pi / 2 * (column + phase))).astype(np.uint8)
+        region = whole(bayer(np.repeat(np.tile(stripes, (64, 1))[..., None], 3, axis=2)))
+        plain = np.asarray(cv2.cvtColor(region.bayer, BAYER_TO_BGR), dtype=float)
+        fine = region.colour(1).bgr.astype(float)
+        chroma = [np.ptp(picture[8:-8, 8:-8], axis=2).mean() for picture in (plain, fine)]
+        assert chroma[1] < 0.35 * chroma[0]
