@@ -98,8 +98,7 @@ def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool,
                 console.print(f"[red]{trouble['all']}[/]", soft_wrap=True)
                 break
             if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
-                said_s = moved_s = time.monotonic()
-    heartbeats = 0
+                said_s = time.monotonic()
                 console.print(monitor.line(), soft_wrap=True)
             time.sleep(LOOK_EVERY_S)
         if station.exit_code not in (None, 0, 1):
