@@ -30,10 +30,13 @@ class HandClock:
 
 
 def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
+    """Whether `ready()` within that time; not asked again once it was."""
     deadline = time.monotonic() + timeout_s
-    while not ready() and time.monotonic() < deadline:
+    while time.monotonic() < deadline:
+        if ready():
+            return True
         time.sleep(0.002)
-    return ready()
+    return False
 
 
 def level(shot: Shot | None) -> int:
