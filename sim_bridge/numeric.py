@@ -201,14 +201,18 @@ class AgentFleet:
     def _move(self) -> None:
         """The water up to the next control step, and the exposure that will be seen at it or later."""
         before_ns = self._latency_ns % self.period_ns
-        end_ns = self._water.now_ns if self.held else self._water.now_ns + self.period_ns
+        end_ns = self._water.now_ns + self.period_ns
         if not self.held:
             self._water.advance(end_ns - before_ns)
-        seen = self._water.eta + self._random.standard_normal((len(self.robots), 4)) * self._noise
-        poses = [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
-        self.seen.append((self.now_ns + self.period_ns - before_ns, poses))
+        self.expose(self.now_ns + self.period_ns - before_ns)
         if not self.held:
             self._water.advance(end_ns)
+
+    def expose(self, stamp_ns: int) -> None:
+        """Locate every robot."""
+        seen = self._water.eta + self._random.standard_normal((len(self.robots), 4)) * self._noise
+        poses = [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
+        self.seen.append((stamp_ns, poses))
 
     def think(self, i: int, plans: Mapping[int, Heard | None]) -> None:
         """One control step of the i-th robot."""
