@@ -35,8 +35,8 @@ class Page:
         handler = type("Handler", (_Handler,), {"page": self})
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), handler)
-        except OSError as error:
-            taken = error.errno == errno.EADDRINUSE
+        except (OSError, OverflowError) as error:
+            taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
             raise ConfigError(f"--show-port {port}: {'in use; choose another one' if taken else error}") from None
         self._server.daemon_threads = True  # a viewer that stopped reading must not keep the process
         self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="page", daemon=True)

@@ -1,0 +1,256 @@
+"""The localizer as a process of its own, on a real Zenoh bus, with a folder of images as its camera."""
+
+import http.client
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from localizer.patch import Pixels
+from localizer.previews import Rate
+from localizer.shell import Options, Shell, run
+from tests.localizer.scene import Scene
+from tests.localizer.stand_ins import MS, eventually
+from tests.wire.test_bus import free_port
+from wire import topics
+from wire.bus import Bus
+from wire.codec import Header, decode
+from wire.experiment import load_experiment
+from wire.messages import CameraHealth, Frame, LocalizerStatus, Pose, Preview, RobotState, Tick, Track
+from wire.runtime import Clock, LockstepClock, Stop, WallClock, log
+from wire.toml_file import ConfigError
+from wire.topics import Topic
+from wire.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
+
+EXPERIMENT = load_experiment("pool")
+ETA = {1: np.array([0.45, 0.1, 0.3, 0.7]), 2: np.array([-0.4, -0.05, 0.3, -2.0])}
+FROZEN_FRAMES = EXPERIMENT.localizer.frozen_frames
+PATIENCE_S = 30.0
+
+
+@dataclass
+class Localizer:
+    """A running `localizer`, the folder that it looks at, and all that it said."""
+
+    folder: Path
+    bus: Bus
+    process: subprocess.Popen[str]
+    written: int = 0
+    statuses: list[LocalizerStatus] = field(default_factory=list)
+
+    def feed(self, *pictures: Pixels) -> None:
+        """Complete before they have their names."""
+        for picture in pictures:
+            self.written += 1
+            part = self.folder / f"{self.written}.part"
+            part.write_bytes(cv2.imencode(".bmp", picture)[1].tobytes())
+            part.rename(self.folder / f"{self.written}.bmp")
+
+    def until(self, camera: CameraHealth) -> LocalizerStatus:
+        """Wait until it has looked at every picture and says this about its camera."""
+
+        def said() -> bool:
+            newest = self.statuses[-1] if self.statuses else LocalizerStatus()
+            return newest.frames == self.written and newest.camera is camera
+
+        assert eventually(said, PATIENCE_S), f"not {camera.name}: {self.statuses[-1:]}, process {self.process.poll()}"
+        return self.statuses[-1]
+
+    def first(self, camera: CameraHealth) -> int:
+        """Number of the first picture that it said this about."""
+        return next(status.frames for status in self.statuses if status.camera is camera)
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Localizer]]:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    running: list[Localizer] = []
+
+    def run(*options: str) -> Localizer:
+        folder = tmp_path / "camera"
+        folder.mkdir()
+        bus = Bus(ZenohTransport(Endpoint(address, router=True)))
+        command = [sys.executable, "-m", "localizer", "run", "pool", "--station", address]
+        process = subprocess.Popen([*command, "--source", f"folder:{folder}:max", *options], stderr=subprocess.PIPE, text=True)
+        localizer = Localizer(folder, bus, process)
+        running.append(localizer)
+
+        def note(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+            localizer.statuses.append(decode(LocalizerStatus, payload, "localizer", topic.name))
+
+        bus.subscribe(topics.LOCALIZER, None, note)
+        return localizer
+
+    yield run
+    for localizer in running:
+        localizer.process.kill()
+        localizer.process.communicate()
+        localizer.bus.close()
+
+
+def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callable[..., Localizer]) -> None:
+    """Well, frozen, well, black, another size, absent, well: nobody helps."""
+    localizer, scene = start(), Scene(EXPERIMENT)
+    poses = {robot: localizer.bus.inbox(topics.POSE, Pose, robot) for robot in ETA}
+
+    def well(count: int) -> list[Pixels]:
+        return [scene.frame(ETA) for _ in range(count)]
+
+    def located() -> None:
+        for robot, inbox in poses.items():
+            received = inbox.newest()
+            assert received is not None and received.message.track is Track.MARKER
+            pose = received.message
+            assert np.hypot(pose.x_m - ETA[robot][0], pose.y_m - ETA[robot][1]) < 3e-3
+
+    localizer.feed(*well(6))
+    localizer.until(CameraHealth.OK)
+    located()
+
+    stuck = scene.frame(ETA)
+    localizer.feed(*[stuck] * (FROZEN_FRAMES + 2))
+    localizer.until(CameraHealth.FROZEN)
+    assert localizer.first(CameraHealth.FROZEN) == 6 + FROZEN_FRAMES
+    newest = poses[1].newest_header()
+    localizer.feed(stuck, stuck)
+    localizer.until(CameraHealth.FROZEN)
+    assert poses[1].newest_header() is newest, "no poses from a frozen camera"
+
+    localizer.feed(*well(6))
+    localizer.until(CameraHealth.OK)
+    located()
+
+    before = localizer.written
+    localizer.feed(*[frame // 64 for frame in well(3)])
+    localizer.until(CameraHealth.BLACK)
+    assert localizer.first(CameraHealth.BLACK) == before + 1
+
+    before = localizer.written
+    localizer.feed(*[frame[:480, :640] for frame in well(3)])
+    localizer.until(CameraHealth.WRONG_SIZE)
+    assert localizer.first(CameraHealth.WRONG_SIZE) == before + 1
+
+    assert "nothing new in" in localizer.until(CameraHealth.ABSENT).message
+    localizer.feed(*well(6))
+    localizer.until(CameraHealth.OK)
+    located()
+
+    localizer.process.send_signal(signal.SIGINT)
+    _, said = localizer.process.communicate(timeout=PATIENCE_S)
+    assert localizer.process.returncode == 0, said
+    for ill in ("frozen", "black", "wrong_size", "absent", "ok"):
+        assert f"camera {ill}" in said
+
+
+def test_an_own_camera_is_shared_and_shown(start: Callable[..., Localizer]) -> None:
+    """Its pictures go on the bus unchanged, annotated ones too, and to a browser here."""
+    localizer, frame = start("--publish-frames", "--show", "--show-port", "0"), Scene(EXPERIMENT).frame(ETA)
+    frames, previews = localizer.bus.inbox(topics.FRAME, Frame), localizer.bus.inbox(topics.PREVIEW, Preview)
+    assert localizer.process.stderr is not None
+    address = re.search(r"http://127.0.0.1:(\d+)/", localizer.process.stderr.readline())
+    assert address is not None
+    localizer.feed(frame)
+    localizer.until(CameraHealth.OK)
+    assert eventually(lambda: frames.newest() is not None and previews.newest() is not None)
+    received = frames.newest()
+    assert received is not None and np.array_equal(received.message.pixels, frame)
+    connection = http.client.HTTPConnection("127.0.0.1", int(address[1]), timeout=5)
+    connection.request("GET", "/stream")
+    part = connection.getresponse().read(30_000)
+    shown = cv2.imdecode(np.frombuffer(part[part.index(b"\r\n\r\n") + 4 :], np.uint8), cv2.IMREAD_COLOR)
+    assert shown is not None and shown.shape == (480, 640, 3)
+
+
+def test_what_cannot_be_is_said_without_waiting_for_a_station() -> None:
+    command = [sys.executable, "-m", "localizer", "run", "pool", "--station", f"tcp/127.0.0.1:{free_port()}"]
+    done = subprocess.run([*command, "--source", "webcam"], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 2 and "allowed: bus" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("lockstep", "options", "complaint"),
+    [
+        (False, Options(source="video:/nowhere.mp4"), "no such file"),
+        (False, Options(publish_frames=True), "on the bus already"),
+        (True, Options(source="folder:/tmp"), "the simulator is the camera"),
+        (False, Options(source="folder:/tmp", page_port=99999), "--show-port 99999"),
+    ],
+)
+def test_options_that_cannot_be_are_explained(lockstep: bool, options: Options, complaint: str) -> None:
+    nobody = Endpoint(f"tcp/127.0.0.1:{free_port()}")
+    with pytest.raises(ConfigError, match=complaint):
+        run(EXPERIMENT, nobody, "shoal", Stop(install=False), lockstep, options)
+
+
+# --- in one process, on a bus in memory
+
+
+@pytest.fixture
+def hub() -> Iterator[tuple[Bus, Callable[[Clock], None]]]:
+    """A bus for the test, and a way to have the localizer run on another one, by a clock."""
+    network, stop, handlers = MemoryHub(), Stop(install=False), list(log.handlers)
+    ours, threads = Bus(MemoryTransport(network)), []
+
+    def localize(clock: Clock) -> None:
+        shell = Shell(EXPERIMENT, Bus(MemoryTransport(network)), stop, clock)
+        threads.append(threading.Thread(target=shell.run))
+        threads[-1].start()
+
+    ours.watch_presence()
+    yield ours, localize
+    stop.request()
+    for thread in threads:
+        thread.join()
+    log.handlers[:] = handlers
+
+
+def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callable[[Clock], None]]) -> None:
+    """The camera's clock is an hour ahead: its stamp is passed on for the logs, ages are measured."""
+    bus, localize = hub
+    poses, statuses = bus.inbox(topics.POSE, Pose, 1), bus.inbox(topics.LOCALIZER, LocalizerStatus)
+    localize(WallClock())
+    assert eventually(lambda: "localizer" in bus.present)
+    stamp_ns, before_ns = time.time_ns() + 3_600_000_000_000, time.monotonic_ns()
+    bus.publish(topics.FRAME, Frame(Scene(EXPERIMENT).frame(ETA)), stamp_ns, age_ns=40 * MS)
+    assert eventually(lambda: (received := statuses.newest()) is not None and received.message.camera is CameraHealth.OK)
+    elapsed_ns = time.monotonic_ns() - before_ns
+    received = poses.newest()
+    assert received is not None and received.header.stamp_ns == stamp_ns
+    assert 40 * MS <= received.header.age_ns <= 40 * MS + elapsed_ns
+
+
+def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[[Clock], None]]) -> None:
+    """A robot that is already a step ahead has reported a depth that does not count yet."""
+    bus, localize = hub
+    pose = bus.inbox(topics.POSE, Pose, 1)
+    localize(LockstepClock())
+    assert eventually(lambda: "localizer" in bus.present)
+    scene = Scene(EXPERIMENT)
+    for stamp_ns, depth_m in ((80 * MS, 0.31), (130 * MS, 0.35)):
+        for robot in ETA:
+            bus.publish(topics.STATE, RobotState(depth_m=depth_m), stamp_ns, robot)
+    for frame_ns in (0, 100 * MS):
+        bus.publish(topics.FRAME, Frame(scene.frame(ETA)), frame_ns)
+        bus.publish(topics.TICK, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, (1, 2)), frame_ns + 30 * MS)
+        assert eventually(lambda at=frame_ns: (h := pose.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
+    received = pose.newest()
+    assert received is not None
+    assert received.message.depth_m == pytest.approx(0.31)
+    assert received.header.age_ns == 30 * MS
+
+
+def test_previews_keep_their_rate_and_survive_a_clock_set_back() -> None:
+    rate = Rate(5.0)
+    stamps = [1000, 1100, 1190, 1200, 1390, 1400, 20, 100, 220]
+    assert [stamp for stamp in stamps if rate.due(stamp * MS)] == [1000, 1200, 1400, 20, 220]
+    assert not any(Rate(0.0).due(stamp) for stamp in stamps)
