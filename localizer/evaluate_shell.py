@@ -6,6 +6,7 @@ again, with all of the localizer. A plain video, of which nobody knows the camer
 
 import dataclasses
 import json
+import struct
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -26,6 +27,9 @@ from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Pose, Truth
 from wire.toml_file import ConfigError
+
+_READ = (topics.TRUTH.name, "/pose")
+_LARGEST_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not ask for all memory
 
 Rows = Sequence[PixelRow] | Sequence[PoseRow]
 
@@ -77,20 +81,24 @@ def evaluate_log(path: Path) -> list[PoseRow]:
 
 
 def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, stamp and bytes of the poses and truths of a log."""
+    """Topic, stamp and bytes of the poses and truths of a log, up to where it was cut."""
     try:
+        import zstandard
         from mcap.exceptions import McapError
-        from mcap.reader import NonSeekingReader
+        from mcap.records import Channel, Message
+        from mcap.stream_reader import StreamReader
     except ImportError:
         raise ConfigError(f"{path}: reading logs needs the package mcap (pip install shoal[station])") from None
+    names: dict[int, str] = {}
     try:
         with path.open("rb") as file:
-            try:
-                for _, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-                    if channel.topic.endswith((topics.TRUTH.name, "/pose")):
-                        yield channel.topic, message.publish_time, message.data
-            except McapError:
-                return  # the recorder was killed: what lies before is good
+            for record in StreamReader(file, record_size_limit=_LARGEST_RECORD_BYTES).records:
+                if isinstance(record, Channel):
+                    names[record.id] = record.topic
+                elif isinstance(record, Message) and names.get(record.channel_id, "").endswith(_READ):
+                    yield names[record.channel_id], record.publish_time, record.data
+    except (McapError, ValueError, struct.error, zstandard.ZstdError):  # the recorder was killed: what lies before is good
+        return
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
 

@@ -31,13 +31,12 @@ def read_poses(path: Path, experiment: Experiment) -> tuple[dict[int, Way], dict
     try:
         with path.open(encoding="utf-8") as file:
             names = [name.strip() for name in file.readline().split(",")]
+            if missing := [name for name in COLUMNS if name not in names]:
+                needed = ",".join(COLUMNS)
+                raise ConfigError(f"{path}: the first line lacks {', '.join(missing)} (needed: {needed}; depth_m may follow)")
             lines = np.loadtxt(file, delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{path}: {error}") from None
-    if missing := [name for name in COLUMNS if name not in names]:
-        raise ConfigError(
-            f"{path}: the first line lacks {', '.join(missing)} (needed: {','.join(COLUMNS)}; depth_m may follow)"
-        )
     if lines.shape[1] != len(names):
         raise ConfigError(f"{path}: {lines.shape[1]} values a line, {len(names)} names in the first")
     period_ns = round(1e9 / experiment.camera.rate_hz)
