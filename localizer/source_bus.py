@@ -1,5 +1,6 @@
 """SHELL: frames from the fleet's bus: of a camera process, or of the simulated pool."""
 
+import time
 from collections.abc import Iterator, Mapping
 
 from localizer.shot import SILENT_AFTER_S, Shot
@@ -27,24 +28,29 @@ class _Sequence:
 class BusSource:
     """Frames that another process publishes, in real time. The newest wins; the sender's clock may be anything."""
 
-    trouble = "no camera publishes frames"
-
     def __init__(self, bus: Bus, clock: Clock) -> None:
+        self.trouble = ""
         self._bus, self._clock = bus, clock
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence = _Sequence()
 
     def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """See Source."""
-        seen = self._frames.newest_header()
+        """See Source. Frames that cannot be read are as good as none."""
+        seen = given = self._frames.newest_header()
+        bad, silent_since = self._frames.bad, time.monotonic()
         while not stop.requested:
-            if wait(self._bus, stop, lambda seen=seen: self._frames.newest_header() is not seen, SILENT_AFTER_S):  # type: ignore[misc]
+            left_s = SILENT_AFTER_S - (time.monotonic() - silent_since)
+            if left_s > 0.0 and wait(self._bus, stop, lambda seen=seen: self._frames.newest_header() is not seen, left_s):  # type: ignore[misc]
                 seen = self._frames.newest_header()
                 received = self._frames.newest()
-                if received is not None:
-                    yield self._shot(received)
+                if received is None or received.header is given:  # unreadable; or it was newer than `seen` a moment ago
+                    continue
+                given, bad = received.header, self._frames.bad
+                yield self._shot(received)
             elif not stop.requested:
+                self.trouble = self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
                 yield None
+            silent_since = time.monotonic()
 
     def _shot(self, received: Received[Frame]) -> Shot:
         header, instant_ns = received.header, self._clock.instant_ns(received)

@@ -19,6 +19,7 @@ from localizer.sources import open_own
 from tests.localizer.stand_ins import MS, HandClock, flat, level
 from wire import topics
 from wire.bus import Bus
+from wire.codec import Header
 from wire.experiment import Camera, load_experiment
 from wire.messages import Frame
 from wire.runtime import LockstepClock, Stop, WallClock
@@ -116,6 +117,41 @@ def test_instants_are_by_our_clock_and_the_stated_age_whatever_the_cameras_clock
     assert shot is not None and shot.stamp_ns == stamp_ns
     assert before_ns < shot.arrived_ns < ours.now_ns()
     assert shot.instant_ns == shot.arrived_ns - 40 * MS
+
+
+def test_what_cannot_be_read_is_no_picture_and_no_old_one_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source_bus, "SILENT_AFTER_S", 0.05)
+    hub, stop = MemoryHub(), Stop(install=False)
+    transport, mine = MemoryTransport(hub), Bus(MemoryTransport(hub))
+    camera = Bus(transport)
+    raw = transport.publisher(f"shoal/{topics.FRAME.name}", topics.FRAME.qos)
+    source = BusSource(mine, WallClock())
+    shots = source.shots(stop)
+    thread = threading.Timer(0.02, camera.publish, (topics.FRAME, Frame(flat(1)[..., 0]), 1))
+    thread.start()
+    assert level(next(shots)) == 1
+    thread.join()
+    ending = threading.Event()
+
+    def flood() -> None:
+        for number in range(2, 100_000):
+            raw(b"garbage", Header(camera.session, number, number).encode())
+            if ending.wait(0.001):
+                return
+
+    flooding = threading.Thread(target=flood)
+    flooding.start()
+    try:
+        assert [next(shots), next(shots)] == [None, None]
+        assert "topic camera/frame" in source.trouble
+    finally:
+        ending.set()
+        flooding.join()
+    restarted = Bus(MemoryTransport(hub))
+    thread = threading.Timer(0.02, restarted.publish, (topics.FRAME, Frame(flat(9)[..., 0]), 1))
+    thread.start()
+    assert level(next(shot for shot in shots if shot is not None)) == 9
+    thread.join()
 
 
 def test_a_bus_without_frames_says_so_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
