@@ -28,8 +28,11 @@ class Renderer:
         self._robots = experiment.robot_ids
         self._view = View(experiment.camera)
         self._backdrop = Backdrop(experiment, self._view, np.random.default_rng([seed, CAMERA_STREAM, 0]))
-        random = np.random.default_rng([seed, CAMERA_STREAM, 1])
-        self._sprites = [Sprite(robot, experiment, random) for robot in experiment.robots]
+        shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
+        self._sprites = [
+            Sprite(robot, experiment, np.random.default_rng([seed, CAMERA_STREAM, 1, shade]))
+            for robot, shade in zip(experiment.robots, shades, strict=True)
+        ]
         random = np.random.default_rng([seed, CAMERA_STREAM, 2])
         self._noise = ImageNoise(experiment.camera.size_px, self._picture.noise, random)
 

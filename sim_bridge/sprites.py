@@ -59,7 +59,8 @@ class Sprite:
         self._texels_per_m = plate_texels_per_m(vehicle)
         texels_per_px = SHELL_PX / 4.0 / vehicle.radius_m / px_per_m
         marked = experiment.localizer.markers
-        self._shell = shell(robot, marked, LENS_SOFTNESS_PX * texels_per_px, random)
+        number = None if experiment.sim.picture.alike else robot.id
+        self._shell = shell(number, marked, LENS_SOFTNESS_PX * texels_per_px, random)
         self._plate = plate(robot.marker, LENS_SOFTNESS_PX * self._texels_per_m / px_per_m) if marked else None
         half_plate_m = 0.0 if self._plate is None else self._plate.shape[0] / 2.0 / self._texels_per_m
         self._reach_m = max(self.radius_m, np.sqrt(2.0) * half_plate_m)

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.experiment import Robot
 from wire.vehicle import Vehicle
 
 Float = NDArray[np.float32]
@@ -61,7 +60,7 @@ def tiles(size_m: tuple[float, float], texel_m: float, colour: Colour, random: n
     return np.clip(shade[..., None] * np.array(colour, np.float32), 0, 255).astype(np.uint8)
 
 
-def shell(robot: Robot, marked: bool, softness_px: float, random: np.random.Generator) -> Bytes:
+def shell(number: int | None, marked: bool, softness_px: float, random: np.random.Generator) -> Bytes:
     """A robot's skin (SHELL_PX, SHELL_PX, 3): column along body x, row along body y. The sphere's point with unit normal n
     lies at n_xy / sqrt(2 (1 + n_up)) of the half size (Lambert's azimuthal projection), so the bottom is the rim.
 
@@ -96,7 +95,8 @@ def shell(robot: Robot, marked: bool, softness_px: float, random: np.random.Gene
         reach = np.maximum(np.abs(x), np.abs(y))
         image *= np.where(up > 0, 1.0 - 0.35 * np.clip((0.56 - reach) / 0.12, 0.0, 1.0), 1.0)[..., None]
     picture = np.clip(image, 0, 255).astype(np.uint8)
-    _number(picture, robot.id)
+    if number is not None:
+        _number(picture, number)
     return np.asarray(cv2.GaussianBlur(picture, (0, 0), max(softness_px, 0.4)), dtype=np.uint8)
 
 

@@ -237,6 +237,7 @@ class Picture(Section):
     glare: Fraction = 0.3
     vignetting: Fraction = 0.15
     shadows: bool = True
+    alike: bool = False  # robots in one paint and without numbers; else each has a shade of its own
 
 
 class Sensors(Section):
