@@ -69,6 +69,12 @@ class Run:
     def fleet(self) -> dict[int, RobotView]:
         return {r: robot.view() for r, robot in self.robots.items()}
 
+    def at(self, phase: Phase) -> bool:
+        return self.mission.phase is phase
+
+    def in_mode(self, robot: int, mode: Mode) -> bool:
+        return self.robots[robot].mode is mode
+
     def step(self, seconds: float = 0.05) -> None:
         for _ in range(round(seconds / 0.05)):
             self.now_ns += STEP_NS
@@ -100,7 +106,7 @@ def test_robots_start_at_one_instant_though_one_needs_a_second_order() -> None:
     run.step(0.1)
     run.robots[2].refuses = frozenset()
     run.step(0.6)
-    assert run.robots[2].mode is Mode.TRACKING
+    assert run.in_mode(2, Mode.TRACKING)
     assert abs(run.robots[1].starts_at_ns - run.robots[2].starts_at_ns) <= STEP_NS
 
 
@@ -118,7 +124,7 @@ def test_preflight_names_robot_and_reason_and_nothing_is_armed(change: dict[str,
     for name, value in change.items():
         setattr(run.robots[2], name, value)
     run.step(3.0)
-    assert run.mission.phase is Phase.WAITING
+    assert run.at(Phase.WAITING)
     assert "robot 2" in run.mission.reason
     assert says in run.mission.reason
     assert run.robots[1].got == []
@@ -134,9 +140,9 @@ def test_an_order_never_obeyed_fails_the_mission_and_disarms_all() -> None:
     run = Run()
     run.robots[1].refuses = frozenset({Order.ARM})
     run.step(PATIENCE_S + 2.0)
-    assert run.mission.phase is Phase.FAILED
+    assert run.at(Phase.FAILED)
     assert run.phases[-2:] == [Phase.ABORTING, Phase.FAILED]
-    assert run.robots[2].mode is Mode.DISARMED
+    assert run.in_mode(2, Mode.DISARMED)
     assert run.mission.failed
 
 
@@ -149,8 +155,8 @@ def test_a_robot_lost_in_flight_ends_the_mission_and_the_others_are_disarmed(cha
         setattr(run.robots[2], name, value)
     assert "robot 2" in casualty(run.experiment, run.fleet())
     run.step(PATIENCE_S + 1.0)
-    assert run.mission.phase is Phase.FAILED
-    assert run.robots[1].mode is Mode.DISARMED
+    assert run.at(Phase.FAILED)
+    assert run.in_mode(1, Mode.DISARMED)
 
 
 def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> None:
@@ -159,14 +165,14 @@ def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> Non
         run.step()
     run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, "pose late"
     run.step(0.2)
-    assert run.mission.phase is Phase.PAUSED
+    assert run.at(Phase.PAUSED)
     assert {r.mode for r in run.robots.values()} == {Mode.HOLDING}
     run.step(1.5)
     resumes = [robot.got[-1] for robot in run.robots.values()]
     assert [c.order for c in resumes] == [Order.RESUME, Order.RESUME]
     assert resumes[0].trajectory_s == resumes[1].trajectory_s >= 0.5
     run.step(4.0)
-    assert run.mission.phase is Phase.DONE
+    assert run.at(Phase.DONE)
 
 
 def test_what_a_person_holds_stays_held_until_a_person_resumes() -> None:
@@ -175,28 +181,28 @@ def test_what_a_person_holds_stays_held_until_a_person_resumes() -> None:
         run.step()
     assert run.mission.wish(Order.HOLD, run.fleet(), run.now_ns) == ""
     run.step(5.0)
-    assert run.mission.phase is Phase.PAUSED
+    assert run.at(Phase.PAUSED)
     assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
     run.step(4.0)
-    assert run.mission.phase is Phase.DONE
+    assert run.at(Phase.DONE)
 
 
 def test_stop_is_latched_on_every_robot_until_cleared() -> None:
     run = Run(automatic=False)
     assert run.mission.wish(Order.START, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert run.mission.phase is Phase.RUNNING
+    assert run.at(Phase.RUNNING)
     run.robots[2].refuses = frozenset({Order.STOP})
     assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert run.robots[1].mode is Mode.STOPPED
+    assert run.in_mode(1, Mode.STOPPED)
     run.robots[2].refuses = frozenset()
     run.step(0.5)  # asked again and again
-    assert run.robots[2].mode is Mode.STOPPED
+    assert run.in_mode(2, Mode.STOPPED)
     assert "only when" in run.mission.wish(Order.START, run.fleet(), run.now_ns)
     assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert run.mission.phase is Phase.WAITING
+    assert run.at(Phase.WAITING)
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
 
@@ -212,11 +218,11 @@ def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     assert [c.order for c in run.robots[1].got] == [Order.LOAD]
     assert run.mission.wish(Order.ARM, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert run.robots[1].mode is Mode.ARMED
-    assert run.mission.phase is Phase.ARMING
+    assert run.in_mode(1, Mode.ARMED)
+    assert run.at(Phase.ARMING)
     assert run.mission.wish(Order.START, run.fleet(), run.now_ns) == ""
     run.step(1.0)
-    assert run.robots[1].mode is Mode.TRACKING
+    assert run.in_mode(1, Mode.TRACKING)
 
 
 def test_the_tables_leave_no_phase_without_a_way_out() -> None:
