@@ -21,6 +21,7 @@ ADVISED_VIEWS = 12
 _BAD_RATIO, _BAD_PX = 2.5, 0.3  # a view this many times worse than the median, and worse than this, is blurred or misread
 _BAD_SHARE = 1 / 3  # the most views to throw away: if more are bad, it is not the views
 _SIGNIFICANT = 3.0  # standard deviations; below, k3 fits noise and swings the picture's corners
+_MATTERS = 0.98  # of the RMS without k3
 CELLS = (8, 6)  # columns and rows that coverage is counted in
 _COVERED = 0.6  # share of cells that hold corners, below which distortion is guessed in places
 _REACHED = 0.7  # of the way from the centre to each of the picture's corners
@@ -93,10 +94,10 @@ def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
 
 
 def _fit(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
-    with_k3 = _solve(views, size_px, 0)
-    if abs(with_k3.lens.distortion[4]) > _SIGNIFICANT * with_k3.deviations[8]:
-        return with_k3
-    return _solve(views, size_px, cv2.CALIB_FIX_K3)
+    """With k3 only if it is significant, and matters: views of a video repeat one another, and so do their errors."""
+    plain, with_k3 = _solve(views, size_px, cv2.CALIB_FIX_K3), _solve(views, size_px, 0)
+    is_sure = abs(with_k3.lens.distortion[4]) > _SIGNIFICANT * with_k3.deviations[8]
+    return with_k3 if is_sure and with_k3.rms_px < _MATTERS * plain.rms_px else plain
 
 
 def _solve(views: Sequence[BoardView], size_px: tuple[int, int], flags: int) -> LensFit:

@@ -29,9 +29,15 @@ def calibrate(
     pool_points_image: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The picture that they are seen in, if the file names no other.")
     ] = None,
-    rate: Annotated[float, typer.Option(min=1, max=240, help="The camera's rate, Hz; only written down.")] = 20.0,
-    exposure: Annotated[float, typer.Option(min=1e-5, max=0.05, help="The camera's exposure, s; only written down.")] = 0.008,
-    water_index: Annotated[float, typer.Option(min=1, max=2, help="Refractive index; 1.333 fresh, 1.34 sea water.")] = 1.333,
+    rate: Annotated[
+        float | None, typer.Option(min=1, max=240, help="Written down: pictures per second; 20 if not known.")
+    ] = None,
+    exposure: Annotated[
+        float | None, typer.Option(min=1e-5, max=0.05, help="Written down: exposure in s; 0.008 if not known.")
+    ] = None,
+    water_index: Annotated[
+        float | None, typer.Option(min=1, max=2, help="Refractive index: 1.333 in fresh water (default), 1.34 in sea water.")
+    ] = None,
     out: Annotated[Path, typer.Option(help="The camera file; a picture goes beside it.")] = Path("camera.toml"),
 ) -> None:
     """Find lens and pose of a camera from pictures of a board and points of the pool (docs/calibration.md).

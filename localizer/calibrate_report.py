@@ -20,9 +20,9 @@ _POOR_POINT_PX = 2.0
 _SEEN, _PREDICTED, _ARROW, _BAD, _INK = (80, 220, 80), (60, 160, 255), (60, 60, 230), (40, 40, 160), (230, 230, 230)
 
 
-def lens_lines(fit: LensFit, missing: Sequence[str]) -> list[str]:
+def lens_lines(fit: LensFit, missing: Sequence[str], spare: int) -> list[str]:
     """The lens: every view's error, coverage, the numbers with one standard deviation, warnings. `missing`: pictures
-    without the board."""
+    without the board; `spare`: views that were not used."""
     lens, sigma = fit.lens, fit.deviations
     lines = [f"Lens, from {len(fit.views)} views of the board", "", "  picture                        corners   RMS px"]
     lines += [
@@ -30,6 +30,7 @@ def lens_lines(fit: LensFit, missing: Sequence[str]) -> list[str]:
     ]
     lines += [f"  {_short(view.name):30} {len(view.pixels):7d} {rms:8.3f}   left out: bad" for view, rms in fit.rejected]
     lines += [f"  {_short(name):30}       -        -   left out: no board found" for name in missing]
+    lines += [f"  {spare} more views, evenly taken out, were not needed"] if spare else []
     lines += [f"  {'all that were kept':30} {len(fit.corners_px):7d} {fit.rms_px:8.3f}", ""]
     lines += [f"  size_px    {lens.size_px[0]} x {lens.size_px[1]}"]
     lines += [
@@ -47,7 +48,7 @@ def lens_lines(fit: LensFit, missing: Sequence[str]) -> list[str]:
     lines += [
         "    " + " ".join(_SHADES[int(np.searchsorted(_SHADE_FROM, count, "right"))] for count in row) for row in fit.coverage
     ]
-    return [*lines, "", *(f"  WARNING: {text}" for text in lens_warnings(fit))]
+    return [*lines, *_warnings(lens_warnings(fit))]
 
 
 def pose_lines(fit: PoseFit, points: Sequence[PoolPoint], pool: Pool) -> list[str]:
@@ -72,9 +73,8 @@ def pose_lines(fit: PoseFit, points: Sequence[PoolPoint], pool: Pool) -> list[st
         f"  rotation_rad  {_with_sigma(fit.camera.rotation_rad, sigma[:3], 5)}",
         f"  Places {depth_m:g} m deep are known to {1e3 * middle_m:.1f} mm in the picture's middle,",
         f"  to {1e3 * corner_m:.1f} mm in its corner (one standard deviation; the lens's own comes on top).",
-        "",
     ]
-    return [*lines, *(f"  WARNING: {text}" for text in _pose_warnings(fit, points))]
+    return [*lines, *_warnings(_pose_warnings(fit, points))]
 
 
 def figure_lines(camera_figures: Figures, depth_m: float) -> list[str]:
@@ -113,7 +113,7 @@ def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[PoolPoint], po
         _cross(picture, pixel, _BAD if i == fit.suspect else _SEEN)
         _dot(picture, pixel - error, _PREDICTED, 4)
         polyline(picture, np.array([pixel, pixel + MAGNIFIED * error]), _ARROW, 2)
-        write(picture, point.name, pixel + np.array([8.0, -8.0]), _INK)
+        write(picture, point.name, pixel + np.array([12.0, -12.0]), _INK)
     title = f"{len(points)} points, RMS {fit.rms_px:.2f} px; green: seen, orange: predicted, red: errors x{MAGNIFIED:g}"
     write(picture, title, np.array([10, 22]), _INK, 0.6)
     return picture
@@ -137,6 +137,10 @@ def _pose_warnings(fit: PoseFit, points: Sequence[PoolPoint]) -> list[str]:
             "no point lies under water: nothing tests the refraction; `localizer check` over a picture shows the floor"
         )
     return said
+
+
+def _warnings(texts: Sequence[str]) -> list[str]:
+    return ["", *(f"  WARNING: {text}" for text in texts)] if texts else []
 
 
 def _with_sigma(values: Sequence[float] | Array, sigmas: Sequence[float] | Array, digits: int) -> str:

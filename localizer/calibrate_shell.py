@@ -4,6 +4,7 @@ pictures -> board's corners -> lens --+
 points file (+ picture) --------------+-> pose over the pool -> camera.toml, picture, lines
 """
 
+import json
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,32 +12,27 @@ from typing import Any
 
 import cv2
 import numpy as np
-import tomli_w
 
 from localizer.board_files import pictures, read_picture, write_picture
 from localizer.board_views import EXAMPLES, BoardView, parse_board
-from localizer.calibrate import Lens, LensFit, fit_lens
+from localizer.calibrate import LensFit, fit_lens
 from localizer.calibrate_report import figure_lines, lens_lines, lens_picture, pose_lines, pose_picture
 from localizer.patch import BAYER_TO_BGR, Pixels
 from localizer.pool_grid import GRID_M, draw_grid, figures
 from localizer.pool_pose import PoolPoints, PoseFit, fit_pose, seen_pixels
 from wire import topics
 from wire.bus import Bus
-from wire.experiment import Camera, Experiment
+from wire.experiment import Camera, CameraFile, Experiment
 from wire.messages import Frame
 from wire.runtime import Stop, wait
-from wire.toml_file import ConfigError, Section, check, read_toml
+from wire.toml_file import ConfigError, check, read_toml
 
 LIVE_PATIENCE_S = 5.0
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
-_MOST_VIEWS = 60  # more add seconds, not knowledge
+_DEFAULTS = {"rate_hz": 20.0, "exposure_s": 0.008}
+_ANY_POSE = {"position_m": (0.0, 0.0, -1.0), "rotation_rad": (0.0, 0.0, 0.0)}
+_MOST_VIEWS = 60  # 200 with bad ones among them take five minutes, and know little more
 _DIGITS = {"focal_px": 3, "centre_px": 3, "distortion": 7, "position_m": 5, "rotation_rad": 6}  # 0.01 px and 0.01 mm
-
-
-class LensFile(Section):
-    """The part of a camera file that `--lens` takes over."""
-
-    camera: Lens
 
 
 @dataclass(frozen=True)
@@ -50,9 +46,9 @@ class Request:
     points: Path | None
     image: Path | None
     out: Path
-    rate_hz: float
-    exposure_s: float
-    water_index: float
+    rate_hz: float | None = None  # these three cannot be found: asked for, or as in `lens`, or default
+    exposure_s: float | None = None
+    water_index: float | None = None
 
 
 def calibrate(request: Request) -> list[str]:
@@ -62,24 +58,22 @@ def calibrate(request: Request) -> list[str]:
     points = None if request.points is None else check(PoolPoints, read_toml(request.points), str(request.points))
     summary, lines, panels = [], [], []
     if request.lens is not None:
-        lens = _read_lens(request.lens)
+        camera = _read_lens(request)
         lines.append(f"Lens from {request.lens}")
     else:
-        fit, missing, backdrop = _fit_lens(request)
-        lens = fit.lens
-        lines += lens_lines(fit, missing)
+        fit, missing, spare, backdrop = _fit_lens(request)
+        camera = _not_hung_up(fit.lens.model_dump(), "the camera found", request)
+        lines += lens_lines(fit, missing, spare)
         panels.append(lens_picture(backdrop, fit))
         summary.append(f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px")
-    table = _rounded(lens.model_dump(mode="json")) | {
-        "water_index": request.water_index, "rate_hz": request.rate_hz, "exposure_s": request.exposure_s
-    }  # fmt: skip
     if points is not None:
-        pose, backdrop = _fit_pose(table, points, request)
+        pose, backdrop = _fit_pose(camera, points, request)
+        camera = pose.camera
         lines += ["", *pose_lines(pose, points.points, points.pool)]
         panels.append(pose_picture(backdrop, pose, points.points, points.pool))
         summary.append(f"pose: {len(points.points)} points, RMS {pose.rms_px:.2f} px")
-        table = _rounded(pose.camera.model_dump(mode="json"))
-    lines += ["", *_write(request.out, table, "; ".join(summary), panels)]
+    left_out = set() if points else set(_ANY_POSE)
+    lines += ["", *_write(request.out, camera.model_dump(mode="json", exclude=left_out), "; ".join(summary), panels)]
     return [*lines, *([] if points else [_NO_POSE.format(out=request.out)])]
 
 
@@ -122,31 +116,28 @@ def _check_request(request: Request) -> None:
         raise ConfigError(f"--out {request.out}: must end in .toml, in a folder that exists")
 
 
-def _fit_lens(request: Request) -> tuple[LensFit, list[str], Pixels]:
-    """The lens, the names of pictures without the board, and a picture to draw on."""
+def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
+    """The lens, the names of pictures without the board, how many views were not needed, and a picture to draw on."""
     if request.board is None:
         raise ConfigError(f"--board: which board do the pictures show? (allowed: {EXAMPLES})")
     board = parse_board(request.board)
     views, missing, backdrop = list[BoardView](), list[str](), np.empty((0, 0, 3), np.uint8)
     for name, picture in pictures(request.sources, request.every):
         view = board.find(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8), name)
-        backdrop = picture
         if view is None:
             missing.append(name)
         else:
             views.append(view)
+            backdrop = picture
     if not views:
         raise ConfigError(f"--board {request.board}: found in none of {len(missing)} pictures; are counts and kind right?")
-    if len(views) > _MOST_VIEWS:
-        views = [views[i] for i in np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int)]
+    used = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int))]
     height, width, _ = backdrop.shape
-    return fit_lens(views, (width, height)), missing, backdrop
+    return fit_lens(used, (width, height)), missing, len(views) - len(used), backdrop
 
 
-def _fit_pose(table: dict[str, Any], points: PoolPoints, request: Request) -> tuple[PoseFit, Pixels]:
+def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[PoseFit, Pixels]:
     """The pose, and the picture it was found in, black if there was none."""
-    somewhere = {"position_m": (0.0, 0.0, -1.0)}
-    camera = check(Camera, table | somewhere, "the camera found")
     image = request.image
     assert request.points is not None
     if image is None and points.image is not None:
@@ -163,27 +154,29 @@ def _fit_pose(table: dict[str, Any], points: PoolPoints, request: Request) -> tu
     return pose, np.zeros((height, width, 3), np.uint8) if picture is None else picture
 
 
-def _read_lens(path: Path) -> Lens:
-    table = read_toml(path)
-    camera = table.get("camera", {})
-    if isinstance(camera, dict):
-        camera = {key: value for key, value in camera.items() if key in Lens.model_fields}
-    return check(LensFile, {"camera": camera}, str(path)).camera
+def _read_lens(request: Request) -> Camera:
+    assert request.lens is not None
+    camera = read_toml(request.lens).get("camera", {})
+    if not isinstance(camera, dict):
+        raise ConfigError(f"{request.lens}: camera = {camera!r}: must be a table")
+    return _not_hung_up(camera, str(request.lens), request)
 
 
-def _rounded(table: dict[str, Any]) -> dict[str, Any]:
-    """Digits that mean something: the rest would only look precise."""
-    return {k: [round(v, _DIGITS[k]) for v in value] if k in _DIGITS else value for k, value in table.items()}
+def _not_hung_up(table: dict[str, Any], source: str, request: Request) -> Camera:
+    """A camera with the lens of `table`, some pose, and what was asked for."""
+    asked = {key: getattr(request, key) for key in ("rate_hz", "exposure_s", "water_index")}
+    asked = {key: value for key, value in asked.items() if value is not None}
+    return check(CameraFile, {"camera": _DEFAULTS | table | asked | _ANY_POSE}, source).camera
 
 
 def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels]) -> list[str]:
-    """The camera file, checked if it is complete, and the picture."""
-    if "position_m" in table:
-        check(Camera, table, str(out))
+    """The camera file, no more digits than mean something, and the picture."""
+    table = {k: [round(v, _DIGITS[k]) for v in value] if k in _DIGITS else value for k, value in table.items()}
     text = f"# Found by `localizer calibrate`, {time.strftime('%Y-%m-%d %H:%M')}: {summary}.\n"
-    text += f'# In an experiment: camera = "{out.name}", or this table.\n\n'
+    text += f'# In an experiment: camera = "{out.name}", or this table.\n\n[camera]\n'
+    text += "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # flat, and for such JSON is TOML
     try:
-        out.write_text(text + tomli_w.dumps({"camera": table}), encoding="utf-8")
+        out.write_text(text, encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
     picture = out.with_suffix(".png")

@@ -19,6 +19,7 @@ from wire.experiment import Camera
 from wire.frames import Array
 
 Pixels = NDArray[np.uint8]
+Float = NDArray[np.float32]
 
 _OVERSAMPLE = 2
 _TEXTURE_PX_PER_M = 2000.0
@@ -76,15 +77,20 @@ class Bench:
     def picture(self, texture: Pixels, corner_m: Array, turn: Array, move: Array, noise: float = 2.0) -> Pixels:
         """A grey picture of a flat thing that carries `texture`, whose first pixel lies at `corner_m` (2,) on it, with
         sensor noise."""
-        slopes = self._flat_sight
-        normal = turn[:, 2]
-        scale = (normal @ move) / (slopes @ normal[:2] + normal[2])
-        place = (np.concatenate([slopes, np.ones((*slopes.shape[:2], 1))], axis=2) * scale[..., None] - move) @ turn[:, :2]
-        return _expose(_sample(texture, place - corner_m, np.full(place.shape[:2], 120.0, np.float32)), noise)
+        x, y = self._flat_sight
+        normal, foot = turn[:, 2], move @ turn
+        scale = np.float32(normal @ move) / (x * np.float32(normal[0]) + y * np.float32(normal[1]) + np.float32(normal[2]))
+        across, down = (
+            (x * np.float32(turn[0, k]) + y * np.float32(turn[1, k]) + np.float32(turn[2, k])) * scale
+            - np.float32(foot[k] + corner_m[k])
+            for k in (0, 1)
+        )
+        return _expose(_sample(texture, across, down, 120.0), noise)
 
     @cached_property
-    def _flat_sight(self) -> Array:
-        return _fine_rays(self.dry).air
+    def _flat_sight(self) -> tuple[Float, Float]:
+        air = _fine_rays(self.dry).air.astype(np.float32)  # 1e-7: a ten thousandth of a pixel
+        return np.ascontiguousarray(air[..., 0]), np.ascontiguousarray(air[..., 1])
 
     def pool(self, planes: list[tuple[float, Callable[[Array], Array]]], noise: float = 2.0) -> Pixels:
         """A grey picture of the pool: each plane is (depth, colour of points (h, w, 2): NaN where it holds nothing), the
@@ -149,20 +155,13 @@ def _fine_rays(camera: Camera) -> Rays:
     return Rays(spread(sparse.surface_m), spread(sparse.air), spread(sparse.water))
 
 
-def _sample(texture: Pixels, place_m: Array, background: NDArray[np.float32]) -> NDArray[np.float32]:
-    index = (place_m * _TEXTURE_PX_PER_M - 0.5).astype(np.float32)
-    found = cv2.remap(
-        texture.astype(np.float32),
-        index[..., 0],
-        index[..., 1],
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=-1e6,
-    )
-    return np.where(found < 0, background, found)
+def _sample(texture: Pixels, across_m: Float, down_m: Float, background: float) -> Float:
+    u, v = ((place * np.float32(_TEXTURE_PX_PER_M) - np.float32(0.5)) for place in (across_m, down_m))
+    found = cv2.remap(texture.astype(np.float32), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=-1e6)
+    return np.asarray(np.where(found < 0, background, found), dtype=np.float32)
 
 
-def _expose(fine: NDArray[np.float32], noise: float) -> Pixels:
+def _expose(fine: Float, noise: float) -> Pixels:
     height, width = fine.shape[0] // _OVERSAMPLE, fine.shape[1] // _OVERSAMPLE
     grey = fine.reshape(height, _OVERSAMPLE, width, _OVERSAMPLE).mean(axis=(1, 3))
     grey = grey + noise * np.random.default_rng(7).normal(size=grey.shape)

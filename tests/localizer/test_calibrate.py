@@ -194,6 +194,13 @@ def test_k3_is_fitted_where_it_matters_only() -> None:
     assert plain.count(0.0) >= 5
 
 
+def test_repeated_views_make_no_false_certainty() -> None:
+    """A video shows the board again and again where it rests: five times the same noise is not five times the knowledge."""
+    for seed in range(6):
+        views = [view for view in BENCH.views(10, BOARD_M, seed, noise_px=0.2) for _ in range(5)]
+        assert fit_lens(views, WIDE.size_px).lens.distortion[4] == 0.0
+
+
 @pytest.mark.parametrize("count", [0, 1, FEWEST_VIEWS - 1])
 def test_too_few_views(count: int) -> None:
     views = BENCH.views(count, BOARD_M, seed=1, noise_px=0.1)
