@@ -246,6 +246,11 @@ def _checks(result: Result, series: Series) -> Iterator[Check]:
         limit = getattr(limits, name)
         if limit is not None and (settles or name == "rms_m"):
             yield _at_most(name, *_worst_cell(errors, name), limit)
+    if limits.rms_yaw_after_20s_rad is not None and settles:
+        turned = {subject: found.rms_yaw_after_20s_rad for subject, found in errors.items()}
+        known = {subject: value for subject, value in turned.items() if value is not None}
+        where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
+        yield _at_most("rms_yaw_after_20s_rad", where, known.get(where), limits.rms_yaw_after_20s_rad)
     if limits.pose_rms_m is not None:
         rms = result.pose_error_m.rms if result.pose_error_m else None
         yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)

@@ -1,8 +1,9 @@
 """The report's figures: the article's, and those that a tired engineer needs to see what went wrong. Pure."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -35,6 +36,8 @@ from wire.frames import Array, wrap_angle
 MOST_PULSE_PANELS = 6
 TALLEST_IN = 6.5
 SNAPSHOT_S = 20.0  # how often the formation is drawn into the plan of the pool
+FLAT_M = 0.05  # a path that changes its depth by less than this is best seen from above
+MOST_3D_STEP = 5  # every so many control steps are enough for a picture in perspective
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,61 @@ class Kind:
     title: str
     caption: str
     draw: Callable[[Series], Figure | None]
+
+
+def references(series: Series) -> Figure | None:
+    """The planned paths seen from above, and their headings over time (the article's Figure 9)."""
+    known = {robot: r.reference for robot, r in series.robots.items() if np.isfinite(r.reference).all() and len(r.reference)}
+    if not known:
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + 2.4))
+        above, heading = figure.subplots(1, 2, gridspec_kw={"wspace": 0.28})
+        place(figure)
+        for index, robot in enumerate(series.robots):
+            if robot in known:
+                x, y, _, yaw_rad = known[robot].T
+                above.plot(x, y, "--", color=colour(index), label=f"reference {robot}")
+                above.plot(x[0], y[0], marker="*", color=colour(index), markersize=9, linestyle="")
+                heading.plot(series.time_s, yaw_rad, "--", color=colour(index))
+        above.set(xlabel="x [m]", ylabel="y [m], downwards")
+        above.set_aspect("equal", adjustable="datalim")
+        above.invert_yaxis()
+        heading.set(xlabel="time since the start [s]", ylabel="heading [rad]")
+        heading.yaxis.set_label_coords(-0.14, 0.5)
+        legend(figure, above)
+    return figure
+
+
+def space(series: Series) -> Figure | None:
+    """Paths in three dimensions, if the robots dive (Figures 10, 13 and 15)."""
+    known = {robot: r for robot, r in series.robots.items() if np.isfinite(r.truth[:, :3]).all() and len(r.truth)}
+    if not known or max(float(np.ptp(r.reference[:, 2])) for r in known.values()) < FLAT_M:
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 4.0))
+        axes: Any = figure.add_subplot(projection="3d")  # Any: mpl_toolkits ships no types
+        figure.subplots_adjust(left=0.0, right=0.94, top=1.0, bottom=0.06)
+        for index, robot in enumerate(series.robots):
+            if robot in known:
+                r, tone = known[robot], colour(index)
+                axes.plot(*r.reference[::MOST_3D_STEP, :3].T, "--", color=tone, linewidth=0.9, alpha=0.7)
+                axes.plot(*r.truth[::MOST_3D_STEP, :3].T, color=tone, label=f"robot {robot}")
+                axes.plot(*r.truth[:1, :3].T, marker="o", color=tone, markersize=5, linestyle="")
+        for row in _snapshots(series):
+            corners = np.array([r.truth[row, :3] for r in known.values()])
+            axes.plot(*np.vstack([corners, corners[:1]]).T, color=GREY, linewidth=0.7)
+        axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="depth [m]")
+        axes.invert_yaxis()  # both, so that depth goes down and the pool's frame stays right-handed
+        axes.invert_zaxis()
+        axes.set_box_aspect((2.0, 1.0, 0.8), zoom=1.25)
+        figure.legend(loc="upper left", ncols=6, borderaxespad=0.2)
+    return figure
+
+
+def _snapshots(series: Series) -> range:
+    """Rows at which the formation is drawn."""
+    return range(0, len(series.time_s), max(1, round(SNAPSHOT_S / series.experiment.controller.period_s)))
 
 
 def paths(series: Series) -> Figure | None:
@@ -59,10 +117,11 @@ def paths(series: Series) -> Figure | None:
         figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + min(inside_in, TALLEST_IN)))
         axes = figure.subplots()
         place(figure)
-        axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
+        if series.experiment.sim.plant.walls:
+            axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
         for index, (robot, r) in enumerate(series.robots.items()):
             _path(axes, robot, r, colour(index), series.experiment.vehicle.radius_m)
-        for row in range(0, len(series.time_s), max(1, round(SNAPSHOT_S / series.experiment.controller.period_s))):
+        for row in _snapshots(series):
             corners = np.array([r.truth[row, :2] for r in series.robots.values()])
             closed = np.vstack([corners, corners[:1]])
             axes.plot(closed[:, 0], closed[:, 1], color=LIGHT, linewidth=0.8, zorder=1)
@@ -75,7 +134,7 @@ def paths(series: Series) -> Figure | None:
 
 def _path(axes: Axes, robot: int, r: RobotSeries, tone: str, radius_m: float) -> None:
     """Reference dashed with a star at its start, path solid from a circle to a square, as in the article."""
-    axes.plot(r.reference[:, 0], r.reference[:, 1], "--", color=tone, linewidth=0.9, alpha=0.7, label=f"reference {robot}")
+    axes.plot(r.reference[:, 0], r.reference[:, 1], "--", color=tone, linewidth=0.9, alpha=0.7)
     axes.plot(r.truth[:, 0], r.truth[:, 1], color=tone, label=f"robot {robot}")
     axes.plot(*r.reference[0, :2], marker="*", color=tone, markersize=9, linestyle="")
     there = np.flatnonzero(np.isfinite(r.truth[:, 0]))
@@ -103,22 +162,25 @@ def _extent(series: Series) -> tuple[Array, Array]:
 
 def tracking_errors(series: Series) -> Figure | None:
     """Tracking error of each robot per axis (Figure 31)."""
-    return _axis_errors(series, {f"robot {robot}": r.error for robot, r in series.robots.items()})
+    return _axis_errors(
+        series, {f"robot {n}": r.error for n, r in series.robots.items()}, [f"{axis} error [m]" for axis in "xyz"]
+    )
 
 
 def formation_errors(series: Series) -> Figure | None:
     """Formation error of each pair per axis (Figure 32)."""
-    return _axis_errors(series, {f"pair {a}-{b}": series.pair_error(a, b) for a, b in combinations(series.robots, 2)})
+    pairs = {f"pair {a}-{b}": series.pair_error(a, b) for a, b in combinations(series.robots, 2)}
+    return _axis_errors(series, pairs, ("x error [m]", "y error [m]", "z error [m]", "yaw error [rad]"))
 
 
-def _axis_errors(series: Series, errors: dict[str, Array]) -> Figure | None:
+def _axis_errors(series: Series, errors: dict[str, Array], names: Sequence[str]) -> Figure | None:
     return stack(
         [
             Panel(
-                f"{name} error [m]",
+                name,
                 [Line(label, series.time_s, error[:, axis], colour(i)) for i, (label, error) in enumerate(errors.items())],
             )
-            for axis, name in enumerate("xyz")
+            for axis, name in enumerate(names)
         ],
         mark_s=SETTLED_S,
     )
@@ -252,12 +314,16 @@ def separation(series: Series) -> Figure | None:
 
 FIGURES = (
     Kind(
+        "references", "Planned paths", "Seen from above, from their stars, and the heading of the path's tangent.", references
+    ),
+    Kind(
         "paths",
         "Paths in the pool",
         "Seen from above. Dashed: reference, from its star. Solid: robot, from circle to square; the disc is its hull. "
         "Grey lines join the formation every 20 s.",
         paths,
     ),
+    Kind("space", "Paths in space", "Dashed: reference. Grey lines join the formation every 20 s; depth goes down.", space),
     Kind("tracking", "Tracking errors", "Robot minus reference. The dotted line is at 20 s.", tracking_errors),
     Kind("formation", "Formation errors", "Distance vector of a pair minus that of its references.", formation_errors),
     Kind("yaw", "Heading errors", "To the path's tangent, and to the heading commanded (with crab angle).", yaw),

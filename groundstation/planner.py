@@ -55,9 +55,7 @@ def plan(experiment: Experiment) -> dict[int, Trajectory]:
     except ValueError as error:
         raise PlanError(str(error)) from None
     if experiment.path.slow:
-        path = slowed(
-            path, lambda slower: _too_fast(experiment, _motions(experiment, slower, samples)), samples, period_s
-        )
+        path = slowed(path, lambda slower: _too_fast(experiment, _motions(experiment, slower, samples)), samples, period_s)
     if experiment.duration_s > path.end_s + period_s:
         raise PlanError(f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s")
     motions = _motions(experiment, path, samples)

@@ -54,7 +54,7 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
         loader=PackageLoader("groundstation"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters.update(fixed=_fixed, figure=_figure)
-    environment.globals.update(compared=_compared, article_cell=_article_cell)
+    environment.globals.update(compared=_compared, article_cell=_article_cell, article_yaw=_article_yaw)
     shown = _most_telling(series.happenings)
     return environment.get_template("report.html").render(
         title=series.experiment.title or series.experiment.name,
@@ -143,7 +143,12 @@ def _article_cell(article: ArticleRow | None, axis: str) -> float | None:
     return article.rms_m[index] if index < len(article.rms_m) else None
 
 
-def _compared(values: Sequence[float] | None, axis: int, other: Sequence[float] | None) -> Markup:
+def _article_yaw(article: ArticleRow | None) -> tuple[float | None, ...]:
+    """The article's yaw where `_compared` looks for a fourth axis."""
+    return (None, None, None, article.rms_yaw_rad if article is not None else None)
+
+
+def _compared(values: Sequence[float | None] | None, axis: int, other: Sequence[float | None] | None) -> Markup:
     """A table cell, marked where the article has a figure to compare with."""
     value = values[axis] if values is not None and axis < len(values) else None
     theirs = other[axis] if other is not None and axis < len(other) else None
@@ -164,8 +169,8 @@ def _most_telling(happenings: Sequence[Happening]) -> Sequence[Happening]:
 
 
 def _fixed(value: float | None) -> str:
-    """Metres or radians, to the millimetre."""
-    return NOTHING if value is None else f"{value:.3f}"
+    """Metres or radians, to the millimetre; what is below a centimetre, to 10 um."""
+    return NOTHING if value is None else f"{value:.3f}" if abs(value) >= 0.01 or value == 0.0 else f"{value:.5f}"
 
 
 def _figure(value: float | None) -> str:

@@ -23,6 +23,7 @@ from wire.messages import Truth
 from wire.toml_file import ConfigError
 
 WRENCH_AXES = [0, 2, 3]  # of nu: where the legs' [surge, heave, yaw] act
+AT_ONCE_S = 1e-9  # a step begins just after its command: without lag the force jumps there, and RK4 must not see the old one
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +68,7 @@ class Plant:
         h, t = self._step_s, self.time_s(state)
         move = self._thrusters.command(state.motors, pulses_us)
         end = self._thrusters.at(move, h)
-        wrench_start = self._thrusters.wrench(state.motors)
+        wrench_start = self._thrusters.wrench(self._thrusters.at(move, AT_ONCE_S))
         wrench_middle = self._thrusters.wrench(self._thrusters.at(move, h / 2))
         wrench_end = self._thrusters.wrench(end)
         contact = self._basin.is_near(state.eta[:, :3])
