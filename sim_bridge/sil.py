@@ -24,7 +24,7 @@ from wire.transport import Endpoint, ZenohTransport
 
 START_WITHIN_S = 30.0
 LOOK_EVERY_S = 0.2
-STALLED_S = 60.0  # without a heartbeat of the station: something waits for something that never comes
+STALLED_S = 180.0  # without a heartbeat of the station: something waits for something that never comes
 SAFE_WITHIN_S = 1.0
 SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 

@@ -23,7 +23,7 @@ from wire.toml_file import ConfigError
 log = logging.getLogger("shoal")
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
-LOCKSTEP_PATIENCE_S = 10.0  # an input that never comes: go on without it rather than hang; the log says so
+LOCKSTEP_PATIENCE_S = 60.0  # an input that never comes: go on without it rather than hang; the log says so
 
 _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
 
