@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from localizer.background import LAG_S, Background, Calm, Mask, Planes, Reduction
 from localizer.calibration import PoolView
 from localizer.patch import Pixels
-from localizer.things import CORNERS, Follower, Region, convex_outline
+from localizer.things import CORNERS, Region, ThingTracker, convex_outline
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Obstacles
@@ -55,7 +55,7 @@ class ObstacleWatch:
         shape = (self._reduction.rows, self._reduction.columns)
         self._calm, self._background = Calm(shape), Background(shape)
         self._shaded_from_start = np.zeros(shape, np.bool_)  # learnt where a robot may have cast its shadow all the time
-        self._follower = Follower()
+        self._tracker = ThingTracker()
         self._looks = 0
         self._stamp_ns: int | None = None
 
@@ -71,7 +71,7 @@ class ObstacleWatch:
         if 0.0 <= elapsed_s < 0.9 * _LOOK_S:
             return None
         if elapsed_s < 0.0:
-            self._follower.clear()  # time was set anew; nothing can be said of what moved how far
+            self._tracker.clear()  # time was set anew; nothing can be said of what moved how far
         self._stamp_ns = stamp_ns
         self._looks += 1
         step_s = min(abs(elapsed_s), _LONGEST_STEP_S)
@@ -82,9 +82,9 @@ class ObstacleWatch:
         foreground = self._foreground(distance, watched)
         if np.count_nonzero(foreground) > _FLOODED * np.count_nonzero(watched):
             self._background.forget(np.ones_like(watched))
-            self._follower.clear()
+            self._tracker.clear()
             watched, foreground = np.zeros_like(watched), np.zeros_like(foreground)
-        self._follower.take(self._regions(foreground), stamp_ns)
+        self._tracker.take(self._regions(foreground), stamp_ns)
         if self._looks % _LEARN_EVERY == 0:
             self._learn(colours, distance, hidden, shaded, step_s * _LEARN_EVERY)
         return self._message(int(np.count_nonzero(watched)) / max(int(np.count_nonzero(self._in_pool)), 1))
@@ -140,7 +140,7 @@ class ObstacleWatch:
         self._shaded_from_start = shaded & (self._shaded_from_start | ~known)
         clear = ~hidden & (~shaded | self._shaded_from_start)
         followed = np.zeros(clear.shape, np.uint8)
-        for thing in self._follower.things:
+        for thing in self._tracker.things:
             followed |= thing.region.cells
         clear &= cv2.dilate(followed, _EDGE_REACH) == 0
         self._background.forget(stale)
@@ -148,7 +148,7 @@ class ObstacleWatch:
 
     def _message(self, watched: float) -> Obstacles:
         """What has persisted. Averaging over time shows moving things where they were a moment ago."""
-        shown = [thing for thing in self._follower.things if thing.id]
+        shown = [thing for thing in self._tracker.things if thing.id]
         return Obstacles(
             ids=tuple(thing.id for thing in shown),
             outline=np.array([thing.region.outline_m + LAG_S * thing.velocity_mps for thing in shown]).reshape(-1, CORNERS, 2),

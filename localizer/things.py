@@ -60,7 +60,7 @@ class Thing:
         return replace(self, region=region, stamps_ns=(*self.stamps_ns[old:], stamp_ns), middles_m=middles)
 
 
-class Follower:
+class ThingTracker:
     """All things there are, the oldest first. A thing that has persisted has an `id`."""
 
     def __init__(self) -> None:

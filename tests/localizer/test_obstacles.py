@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 from localizer.background import Background, Calm
 from localizer.obstacles import ObstacleWatch
-from localizer.things import Follower, Region, convex_outline
+from localizer.things import Region, ThingTracker, convex_outline
 from sim_bridge import backdrop, surface
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project
@@ -91,24 +91,22 @@ def _renderer(settings: tuple[str, ...] = (), seed: int = 1) -> Renderer:
     return Renderer(load_experiment("pool", settings), seed)
 
 
-def draw(
-    renderer: Renderer, raw: Pixels, intruder: Intruder, since_s: float, t_s: float, random: np.random.Generator
-) -> Pixels:
-    """The picture with an intruder in it: its silhouette by exact optics, its colour through water and caustics, noise."""
+def draw(raw: Pixels, intruder: Intruder, since_s: float, t_s: float, random: np.random.Generator) -> Pixels:
+    """The picture with an intruder in it: its silhouette by exact optics, its colour through water, flicker, noise."""
     points = intruder.body + np.append(intruder.middle(since_s), DEPTH_M)
-    window = renderer._view.window(points, 4.0)
-    assert window is not None, "an intruder is in the picture"
-    under = raw[window.pixels]
-    hull = cv2.convexHull(project(EXPERIMENT.camera, points).astype(np.float32))[:, 0] - [window.left, window.top]
+    hull = cv2.convexHull(project(EXPERIMENT.camera, points).astype(np.float32))[:, 0]
+    left, top = (2 * int(low // 2) - 4 for low in hull.min(axis=0))
+    right, bottom = (2 * int(high // 2) + 6 for high in hull.max(axis=0))
+    under = raw[top:bottom, left:right]
     cover = np.zeros(under.shape, np.uint8)
-    cv2.fillConvexPoly(cover, np.rint(hull * 16).astype(np.int32), 255, cv2.LINE_AA, 4)
+    cv2.fillConvexPoly(cover, np.rint((hull - [left, top]) * 16).astype(np.int32), 255, cv2.LINE_AA, 4)
     share, veil = water_colour(2.0 * DEPTH_M)
-    light = renderer._view.spread(renderer._backdrop.light(window, DEPTH_M, t_s), window)
-    colour = bayer(np.broadcast_to(np.array(intruder.colour) * share + veil, (*under.shape, 3))) * light
+    light = 1.0 + 0.15 * np.sin(11.0 * t_s)
+    colour = bayer(np.broadcast_to(np.array(intruder.colour) * share * light + veil, (*under.shape, 3)))
     alpha = cover / 255.0
     mixed = under * (1.0 - alpha) + alpha * (colour + 2.0 * random.standard_normal(under.shape, np.float32))
     picture = raw.copy()
-    picture[window.pixels] = np.clip(np.rint(mixed), 0, 255)
+    picture[top:bottom, left:right] = np.clip(np.rint(mixed), 0, 255)
     return picture
 
 
@@ -146,7 +144,7 @@ def watch(
         eta = robots(t_s)
         frame = renderer.render(eta, np.zeros((2, 4)), t_s, k)
         for intruder in (intruders or {}).values() if t_s >= LEARNT_S else ():
-            frame = draw(renderer, frame, intruder, t_s - LEARNT_S, t_s, random)
+            frame = draw(frame, intruder, t_s - LEARNT_S, t_s, random)
         frame.setflags(write=False)  # as it comes out of a message
         obstacles = watcher.step(frame, round(t_s * 1e9), told(eta))
         assert obstacles is not None
@@ -320,30 +318,30 @@ def region(x_m: float, y_m: float = 0.0) -> Region:
     return Region(np.zeros((2, 2), np.bool_), middle, middle + np.zeros((12, 2)))
 
 
-def follow(follower: Follower, looks: Sequence[Sequence[Region]]) -> list[list[int]]:
+def follow(tracker: ThingTracker, looks: Sequence[Sequence[Region]]) -> list[list[int]]:
     """Numbers shown after each look, ten a second."""
     numbers = []
     for k, regions in enumerate(looks):
-        follower.take(regions, k * 100_000_000)
-        numbers.append([thing.id for thing in follower.things if thing.id])
+        tracker.take(regions, k * 100_000_000)
+        numbers.append([thing.id for thing in tracker.things if thing.id])
     return numbers
 
 
 def test_what_persists_is_shown_and_what_flickers_is_not() -> None:
     steady, gap = [region(0.0)], list[Region]()
-    assert follow(Follower(), [steady] * 6) == [[], [], [], [], [1], [1]]
-    assert follow(Follower(), [steady, steady, steady, gap] * 5) == [[]] * 20
-    shown = follow(Follower(), [*[steady] * 5, *[gap] * 3, steady, *[gap] * 7, *[steady] * 5])
+    assert follow(ThingTracker(), [steady] * 6) == [[], [], [], [], [1], [1]]
+    assert follow(ThingTracker(), [steady, steady, steady, gap] * 5) == [[]] * 20
+    shown = follow(ThingTracker(), [*[steady] * 5, *[gap] * 3, steady, *[gap] * 7, *[steady] * 5])
     assert shown[8] == [1] and shown[12] == [1] and shown[13] == [], "0.4 s unseen is gone"
     assert shown[-1] == [2], "no number is used twice"
 
 
 def test_things_that_pass_each_other_keep_their_numbers_and_speeds() -> None:
-    follower = Follower()
-    follow(follower, [[region(-1.0 + 0.02 * k, 0.08), region(1.0 - 0.03 * k, -0.08)] for k in range(100)])
-    assert [thing.id for thing in follower.things] == [1, 2]
-    assert follower.things[0].velocity_mps == pytest.approx([0.2, 0.0])
-    assert follower.things[1].velocity_mps == pytest.approx([-0.3, 0.0])
+    tracker = ThingTracker()
+    follow(tracker, [[region(-1.0 + 0.02 * k, 0.08), region(1.0 - 0.03 * k, -0.08)] for k in range(100)])
+    assert [thing.id for thing in tracker.things] == [1, 2]
+    assert tracker.things[0].velocity_mps == pytest.approx([0.2, 0.0])
+    assert tracker.things[1].velocity_mps == pytest.approx([-0.3, 0.0])
 
 
 # --- minutes of water
