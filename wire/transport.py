@@ -20,6 +20,7 @@ Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the re
 Presence = Callable[[str, bool], None]  # key, is it there
 
 EVENT_CACHE = 1000  # messages a publisher of events keeps for late or returning subscribers
+PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
 
 
@@ -57,11 +58,13 @@ def _config(endpoint: Endpoint) -> zenoh.Config:
         "mode": "router" if endpoint.router else "client",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/lease": PATIENT_MS if endpoint.lossless else LEASE_MS,
         "transport/link/tx/queue/size/data_low": 16,  # a whole frame fits; with 2 (default) a busy machine lost 3 % of them
         "transport/shared_memory/enabled": False,  # not needed at these rates, and leaks files when killed
         "timestamping/enabled": True,  # the advanced publisher's cache needs it
     }
+    if endpoint.lossless:
+        settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = PATIENT_MS * 1000
     if endpoint.router:
         settings["listen/endpoints"] = [endpoint.address]
     else:
