@@ -82,6 +82,7 @@ def check(
     with ExitStack() as stack:
         picture = None if image is None else read_picture(image)
         if live:
+            typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
             picture = live_picture(stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet)), Stop())
     what = "the newest frame" if live else str(image)
     typer.echo("\n".join(check_camera(loaded, picture, what, depth, out)))

@@ -8,7 +8,8 @@ import numpy as np
 from localizer.calibrate import LensFit, lens_warnings
 from localizer.patch import Pixels
 from localizer.pool_grid import Figures, draw_grid, polyline, write
-from localizer.pool_pose import FEWEST_POINTS, PoolPoint, PoseFit
+from localizer.pool_points import FEWEST_POINTS, PoolPoint
+from localizer.pool_pose import PoseFit
 from wire.experiment import Pool
 from wire.frames import Array
 

@@ -19,7 +19,8 @@ from localizer.calibrate import LensFit, fit_lens
 from localizer.calibrate_report import figure_lines, lens_lines, lens_picture, pose_lines, pose_picture
 from localizer.patch import BAYER_TO_BGR, Pixels
 from localizer.pool_grid import GRID_M, draw_grid, figures
-from localizer.pool_pose import PoolPoints, PoseFit, fit_pose, seen_pixels
+from localizer.pool_points import PoolPoints, seen_pixels
+from localizer.pool_pose import PoseFit, fit_pose
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import Camera, CameraFile, Experiment

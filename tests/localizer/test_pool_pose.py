@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer.pool_pose import PoolPoint, PoolPoints, PoseFit, fit_pose, seen_pixels
+from localizer.pool_points import PoolPoint, PoolPoints, seen_pixels
+from localizer.pool_pose import PoseFit, fit_pose
 from sim_bridge.optics import project, rays
 from tests.localizer.board_scene import Bench, marks
 from wire.experiment import Camera, load_experiment
