@@ -38,7 +38,7 @@ def latency(
     from localizer.locate import Locator
     from localizer.sources import BUS, open_bus, open_own
     from wire.bus import Bus
-    from wire.runtime import Stop, WallClock, start_log
+    from wire.runtime import Stop, WallClock, log, start_log
     from wire.transport import Endpoint, ZenohTransport
 
     start_log("localizer")
@@ -46,6 +46,7 @@ def latency(
     locator = Locator(loaded)
     with ExitStack() as stack:
         if source == BUS:
+            log.info("looking for the station at %s", station)
             pictures = open_bus(stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet)), clock, {})
         else:
             pictures = open_own(source, loaded.camera, clock)
