@@ -20,7 +20,7 @@ from wire.bus import Bus, Inbox
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.messages import Command, Pose, Reply, RobotState, StationHeartbeat, Tick
-from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 from wire.topics import Topic
 
 ORDER_TIMEOUT_S = 0.5
@@ -48,7 +48,8 @@ class Station:
         """Read the fleet, run the mission, send its orders, beat."""
         with self.turn:
             commands = self.mission.step(self.fleet(), self._answers(), now_ns)
-        self.pending += [(c, self.pool.submit(self.bus.order, c, now_ns, ORDER_TIMEOUT_S)) for c in commands]
+        timeout_s = LOCKSTEP_PATIENCE_S if lockstep else ORDER_TIMEOUT_S
+        self.pending += [(c, self.pool.submit(self.bus.order, c, now_ns, timeout_s)) for c in commands]
         if lockstep:
             for _, future in self.pending:
                 future.result()
