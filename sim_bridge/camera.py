@@ -1,17 +1,21 @@
 """The simulated overhead camera: plant in the middle of an exposure -> raw Bayer picture. Pure and repeatable.
 
-Reads in the order light travels: backdrop (floor, walls, water), shadows, robots from the farthest to the nearest, noise.
+Reads in the order light travels: backdrop (floor, walls, water), landmarks, shadows, robots from the farthest to the nearest,
+noise. A camera under a drone (sim.camera_motion) is still during an exposure.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.backdrop import Backdrop
+from sim_bridge.hover import Hover, Motion
 from sim_bridge.image_noise import ImageNoise
 from sim_bridge.optics import optical_path_m, project
-from sim_bridge.sprites import Pose, Sight, Sprite, parts, shade, shadow_box
-from sim_bridge.textures import Bytes
-from sim_bridge.view import View, Window
+from sim_bridge.plates import Plate, Sight
+from sim_bridge.scene import Scene
+from sim_bridge.sprites import Pose, Sprite, parts, shade, shadow_box
+from sim_bridge.textures import Bytes, Float
+from sim_bridge.view import Window
 from wire.experiment import Experiment
 from wire.frames import Array
 
@@ -25,14 +29,18 @@ class Renderer:
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         self._camera, self._picture = experiment.camera, experiment.sim.picture
-        self._robots = experiment.robot_ids
-        self._view = View(experiment.camera)
-        self._backdrop = Backdrop(experiment, self._view, np.random.default_rng([seed, CAMERA_STREAM, 0]))
+        self._robots, self._landmarks = experiment.robot_ids, experiment.landmarks
+        random = np.random.default_rng([seed, CAMERA_STREAM, 0])
+        motion = experiment.sim.camera_motion
+        swings = Motion(experiment.camera, motion, np.random.default_rng([seed, CAMERA_STREAM, 3]))
+        self._backdrop = Hover(experiment, swings, random) if motion.moves else Backdrop(experiment, random)
         shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
         self._sprites = [
             Sprite(robot, experiment, np.random.default_rng([seed, CAMERA_STREAM, 1, shade]))
             for robot, shade in zip(experiment.robots, shades, strict=True)
         ]
+        px_per_m = max(experiment.camera.focal_px) / -experiment.camera.position_m[2]
+        self._plates = [Plate(landmark.id, landmark.side_m, px_per_m) for landmark in self._landmarks]
         random = np.random.default_rng([seed, CAMERA_STREAM, 2])
         self._noise = ImageNoise(experiment.camera.size_px, self._picture.noise, random)
 
@@ -45,46 +53,59 @@ class Renderer:
         for i, robot in enumerate(self._robots):
             if not (np.all(np.isfinite(eta[i])) and np.all(np.isfinite(nu[i]))):
                 raise ValueError(f"robot {robot}: eta = {eta[i]}, nu = {nu[i]} must be finite")
-        raw = self._backdrop.at(time_s)
+        scene, raw = self._backdrop.at(time_s)
+        self._draw_landmarks(raw, scene, time_s)
         if self._picture.shadows:
             for sprite, pose in zip(self._sprites, eta, strict=True):
-                self._draw_shadow(raw, sprite, pose)
-        for i in np.argsort(-optical_path_m(self._camera, eta[:, :3]), kind="stable"):  # the farthest first
-            self._draw_robot(raw, self._sprites[i], eta[i], nu[i], time_s)
+                self._draw_shadow(raw, scene, sprite, pose)
+        for i in np.argsort(-optical_path_m(scene.view.camera, eta[:, :3]), kind="stable"):  # the farthest first
+            self._draw_robot(raw, scene, self._sprites[i], eta[i], nu[i], time_s)
         return self._noise.add(raw, frame_index)
 
-    def _draw_shadow(self, raw: Bytes, sprite: Sprite, eta: Array) -> None:
-        window = self._view.window(shadow_box(eta, self._backdrop.depth_m, sprite.radius_m), MARGIN_PX)
-        if window is not None:
-            shade(raw, self._backdrop.block_z, self._view, window, eta, sprite.radius_m)
+    def _draw_landmarks(self, raw: Bytes, scene: Scene, time_s: float) -> None:
+        for plate, landmark in zip(self._plates, self._landmarks, strict=True):
+            place = np.array(landmark.position_m)
+            window = scene.view.window(plate.corners(place), MARGIN_PX)
+            if window is None:
+                continue
+            slopes = scene.slopes(window, time_s)
+            colour, cover = plate.layer(_sight(scene, window, slopes, place[2], time_s), place, landmark.yaw_rad)
+            _lay(raw, scene, window, slopes, colour, cover)
 
-    def _draw_robot(self, raw: Bytes, sprite: Sprite, eta: Array, nu: Array, time_s: float) -> None:
+    def _draw_shadow(self, raw: Bytes, scene: Scene, sprite: Sprite, eta: Array) -> None:
+        window = scene.view.window(shadow_box(eta, scene.depth_m, sprite.radius_m), MARGIN_PX)
+        if window is not None:
+            shade(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
+
+    def _draw_robot(self, raw: Bytes, scene: Scene, sprite: Sprite, eta: Array, nu: Array, time_s: float) -> None:
         probe = eta[:3] + np.array([[0.0, 0.0, 0.0], [PROBE_M, 0.0, 0.0], [0.0, PROBE_M, 0.0]])
-        seen = project(self._camera, probe)
+        seen = project(scene.view.camera, probe)
         px_per_m = float(np.mean(np.linalg.norm(seen[1:] - seen[0], axis=1))) / PROBE_M
         if not np.isfinite(px_per_m):
             return  # above the lens
         instants = parts(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
-        window = self._view.window(np.concatenate([sprite.box(instants[0]), sprite.box(instants[-1])]), MARGIN_PX)
+        window = scene.view.window(np.concatenate([sprite.box(instants[0]), sprite.box(instants[-1])]), MARGIN_PX)
         if window is None:
             return
-        slopes = self._backdrop.slopes(window, time_s)
-        sight = self._sight(window, slopes, eta[2], time_s)
+        slopes = scene.slopes(window, time_s)
+        sight = _sight(scene, window, slopes, eta[2], time_s)
         layers = [sprite.layer(sight, _pose(instant, px_per_m)) for instant in instants]
         colour, cover = (np.asarray(sum(planes) / np.float32(len(planes))) for planes in zip(*layers, strict=True))
-        colour *= self._backdrop.vignette[window.pixels]
-        colour += cover * self._view.spread(self._backdrop.glare(window, slopes), window)
-        spot = raw[window.pixels]
-        spot[:] = np.clip(np.rint(spot * (1.0 - cover) + colour), 0, 255).astype(np.uint8)
+        _lay(raw, scene, window, slopes, colour, cover)
 
-    def _sight(self, window: Window, slopes: NDArray[np.float32], depth_m: float, time_s: float) -> Sight:
-        view, bending = self._view, np.float32(self._backdrop.ripples.bending)
-        light = view.spread(self._backdrop.light(window, depth_m, time_s), window)
-        rays = (view.surface_x, view.surface_y, view.air_x, view.air_y, view.water_x, view.water_y)
-        surface_x, surface_y, air_x, air_y, water_x, water_y = (plane[window.pixels] for plane in rays)
-        water_x = water_x + bending * view.spread(slopes[0], window)
-        water_y = water_y + bending * view.spread(slopes[1], window)
-        return Sight(surface_x, surface_y, air_x, air_y, water_x, water_y, light)
+
+def _lay(raw: Bytes, scene: Scene, window: Window, slopes: Float, colour: Float, cover: Float) -> None:
+    """Lay a layer, its colour weighted with its coverage, over the picture in place, and the water's glare over that."""
+    bright = colour * scene.vignette[window.pixels] + cover * scene.view.spread(scene.glare(window, slopes), window)
+    spot = raw[window.pixels]
+    spot[:] = np.clip(np.rint(spot * (1.0 - cover) + bright), 0, 255).astype(np.uint8)
+
+
+def _sight(scene: Scene, window: Window, slopes: Float, depth_m: float, time_s: float) -> Sight:
+    view, bending = scene.view, scene.bending
+    light = view.spread(scene.light(window, depth_m, time_s), window)
+    bent = view.lines(window).bent(bending * view.spread(slopes[0], window), bending * view.spread(slopes[1], window))
+    return Sight(bent, light)
 
 
 def _pose(eta: Array, px_per_m: float) -> Pose:

@@ -76,13 +76,20 @@ def optical_path_m(camera: Camera, points_pool: Array) -> Array:
     return np.asarray(in_air + camera.water_index * np.linalg.norm(points - crossing, axis=1))
 
 
+def camera_slopes(camera: Camera, pixels: Array) -> Array:
+    """Where pixels (..., 2) look in the camera's own frame: [right, down, 1], (..., 3), whatever its pose."""
+    flat = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
+    ideal = np.asarray(
+        cv2.undistortImagePoints(flat, _camera_matrix(camera), np.array(camera.distortion), arg1=UNDISTORT)
+    ).reshape(-1, 2)
+    slopes = np.column_stack([(ideal - camera.centre_px) / camera.focal_px, np.ones(len(ideal))])
+    return slopes.reshape((*np.asarray(pixels).shape[:-1], 3))
+
+
 def rays(camera: Camera, pixels: Array) -> Rays:
     """The lines of sight of pixels (..., 2). The inverse of `project`."""
-    matrix = _camera_matrix(camera)
-    flat = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
-    ideal = np.asarray(cv2.undistortImagePoints(flat, matrix, np.array(camera.distortion), arg1=UNDISTORT)).reshape(-1, 2)
-    direction: Array = np.column_stack([(ideal - camera.centre_px) / camera.focal_px, np.ones(len(ideal))])
-    direction = direction @ np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0])  # row times R = R^T times column
+    slopes = camera_slopes(camera, pixels).reshape(-1, 3)
+    direction: Array = slopes @ np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0])  # row times R = R^T times column
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     air = direction[:, :2] / np.maximum(direction[:, 2:], GRAZING)
     lens = np.array(camera.position_m)

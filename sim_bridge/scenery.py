@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.textures import TILE_M, Bytes, Float, grain, texels_per_tile, tiles
-from sim_bridge.view import View
+from sim_bridge.view import Lines
 from wire.experiment import Experiment, Pool
 
 # Per metre of water, blue, green, red: clear tap water swallows red first (Pope and Fry 1997: 0.01, 0.06, 0.34 at 450, 550,
@@ -20,7 +20,6 @@ BAND_M = 0.125  # one row of dark tiles at the waterline
 COPING_M = 0.12  # pale stone around the basin
 MARK_RADIUS_M = 0.09
 MARK = np.array([26.0, 22.0, 226.0], np.float32)
-LENS_SOFTNESS_PX = 0.5
 
 
 def water_colour(path_m: float) -> tuple[Float, Float]:
@@ -28,9 +27,20 @@ def water_colour(path_m: float) -> tuple[Float, Float]:
     return np.exp(-ABSORPTION_PER_M * np.float32(path_m)), VEIL * (1.0 - np.exp(-SCATTERING_PER_M * np.float32(path_m)))
 
 
+def through_water(raw: Float, path_m: float) -> Float:
+    """A mosaic seen through water, changed in place: each colour's share gets through, and the water adds its own."""
+    (blue, green, red), (veil_blue, veil_green, veil_red) = water_colour(path_m)
+    for i, j, share, veil in (
+        (0, 0, red, veil_red), (0, 1, green, veil_green), (1, 0, green, veil_green), (1, 1, blue, veil_blue),
+    ):  # fmt: skip
+        raw[i::2, j::2] *= share
+        raw[i::2, j::2] += veil
+    return raw
+
+
 @dataclass(frozen=True)
 class Hit:
-    """What each pixel's line of sight ends on, planes (height, width): place in the pool and along the surface it is on."""
+    """What lines of sight end on, planes of one shape: place in the pool and along the surface it is on."""
 
     x: Float
     y: Float
@@ -40,27 +50,28 @@ class Hit:
     on_deck: NDArray[np.bool_]
 
 
-def trace(view: View, pool: Pool) -> Hit:
-    """Follow each pixel to floor, wall or, outside the basin, to the deck at z = 0."""
+def trace(lines: Lines, pool: Pool) -> Hit:
+    """Follow each line to floor, wall or, outside the basin, to the deck at z = 0."""
     half_x, half_y, depth = pool.size_m[0] / 2.0, pool.size_m[1] / 2.0, pool.size_m[2]
-    deck = (np.abs(view.surface_x) > half_x) | (np.abs(view.surface_y) > half_y)
+    deck = (np.abs(lines.surface_x) > half_x) | (np.abs(lines.surface_y) > half_y)
 
     def wall(surface: Float, slope: Float, half: float) -> Float:
         safe = np.where(np.abs(slope) < 1e-6, np.float32(1e-6), slope)
         return np.asarray((np.copysign(np.float32(half), safe) - surface) / safe, dtype=np.float32)
 
-    z_x, z_y = wall(view.surface_x, view.water_x, half_x), wall(view.surface_y, view.water_y, half_y)
+    z_x, z_y = wall(lines.surface_x, lines.water_x, half_x), wall(lines.surface_y, lines.water_y, half_y)
     z = np.where(deck, np.float32(0.0), np.minimum(np.minimum(z_x, z_y), np.float32(depth)))
-    x = np.asarray(view.surface_x + z * view.water_x, dtype=np.float32)
-    y = np.asarray(view.surface_y + z * view.water_y, dtype=np.float32)
+    x = np.asarray(lines.surface_x + z * lines.water_x, dtype=np.float32)
+    y = np.asarray(lines.surface_y + z * lines.water_y, dtype=np.float32)
     wet_wall = ~deck & (z < depth)
     return Hit(x, y, z, wet_wall & (z_x <= z_y), wet_wall & (z_y < z_x), deck)
 
 
-def still_scene(experiment: Experiment, view: View, hit: Hit, random: np.random.Generator) -> Bytes:
-    """The scene under flat water without caustics and glare, BGR (height, width, 3)."""
+def still_scene(experiment: Experiment, hit: Hit, lean: Float, softness: float, random: np.random.Generator) -> Bytes:
+    """The scene under flat water without caustics and glare, BGR, in the shape of the planes of `hit`. `lean` is how much
+    longer than straight up the way to the camera is, `softness` the lens's blur in elements of the planes."""
     length, width, depth = experiment.pool.size_m
-    texel = -view.camera.position_m[2] / max(view.camera.focal_px)
+    texel = -experiment.camera.position_m[2] / max(experiment.camera.focal_px)
     grid = TILE_M / texels_per_tile(texel)
 
     def look(texture: Bytes, along: Float, down: Float) -> Float:
@@ -78,11 +89,11 @@ def still_scene(experiment: Experiment, view: View, hit: Hit, random: np.random.
         side = np.where((hit.z < BAND_M)[..., None], dark, side)
         side *= (0.86 - 0.22 * np.exp((hit.z - np.float32(depth)) / np.float32(0.15)))[..., None]
         image[mask] = side[mask]
-    path = hit.z * (1.0 + np.sqrt(1.0 + view.water_x**2 + view.water_y**2))
+    path = hit.z * (1.0 + lean)
     image *= np.exp(-path[..., None] * ABSORPTION_PER_M)
     image += VEIL * (1.0 - np.exp(-SCATTERING_PER_M * path))[..., None]
     image[hit.on_deck] = _deck(hit, half_x, half_y, random)
-    image = np.asarray(cv2.GaussianBlur(image, (0, 0), LENS_SOFTNESS_PX), dtype=np.float32)
+    image = np.asarray(cv2.GaussianBlur(image, (0, 0), softness), dtype=np.float32)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 

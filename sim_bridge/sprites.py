@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sim_bridge.scenery import water_colour
-from sim_bridge.textures import SHELL_PX, Bytes, Float, plate, plate_texels_per_m, shell
-from sim_bridge.view import View, Window, mosaic
+from sim_bridge.plates import LENS_SOFTNESS_PX, Plate, Sight
+from sim_bridge.scenery import through_water
+from sim_bridge.textures import SHELL_PX, Bytes, Float, shell
+from sim_bridge.view import Lines, View, Window, mosaic
 from wire.experiment import Experiment, Robot
 from wire.frames import Array
 
@@ -22,20 +23,6 @@ SHADOW = 0.42  # how dark the middle of a shadow is
 PENUMBRA = 0.30  # its soft edge per metre between robot and floor: the lamps are long tubes
 BLUR_STEP_PX = 1.0  # an exposure is split until nothing moves further than this between its parts: the lens hides the rest
 MAX_PARTS = 8
-LENS_SOFTNESS_PX = 0.5
-
-
-@dataclass(frozen=True)
-class Sight:
-    """Lines of sight of a window: the surface's crossing and slopes, ripples included, and what light does there."""
-
-    surface_x: Float
-    surface_y: Float
-    air_x: Float
-    air_y: Float
-    water_x: Float
-    water_y: Float
-    light: Float
 
 
 @dataclass(frozen=True)
@@ -56,13 +43,12 @@ class Sprite:
         vehicle, camera = experiment.vehicle, experiment.camera
         px_per_m = max(camera.focal_px) / -camera.position_m[2]
         self.radius_m, self.height_m = vehicle.radius_m, vehicle.marker.height_m
-        self._texels_per_m = plate_texels_per_m(vehicle)
         texels_per_px = SHELL_PX / 4.0 / vehicle.radius_m / px_per_m
         marked = experiment.localizer.markers
         number = None if experiment.sim.picture.alike else robot.id
         self._shell = shell(number, marked, LENS_SOFTNESS_PX * texels_per_px, random)
-        self._plate = plate(robot.marker, LENS_SOFTNESS_PX * self._texels_per_m / px_per_m) if marked else None
-        half_plate_m = 0.0 if self._plate is None else self._plate.shape[0] / 2.0 / self._texels_per_m
+        self._plate = Plate(robot.marker, vehicle.marker.side_m, px_per_m) if marked else None
+        half_plate_m = 0.0 if self._plate is None else self._plate.half_m
         self._reach_m = max(self.radius_m, np.sqrt(2.0) * half_plate_m)
 
     def box(self, eta: Array) -> Array:
@@ -77,14 +63,15 @@ class Sprite:
         colour, cover = self._sphere(sight, pose)
         if self._plate is None:
             return colour, cover
-        plate_colour, plate_cover = self._marker(sight, pose, self._plate)
+        top = np.array([pose.x_m, pose.y_m, pose.z_m - self.height_m])
+        plate_colour, plate_cover = self._plate.layer(sight, top, pose.yaw_rad)
         rest = 1.0 - plate_cover
         return colour * rest + plate_colour, cover * rest + plate_cover
 
     def _sphere(self, sight: Sight, pose: Pose) -> tuple[Float, Float]:
-        normal_x, normal_y, up, cover = _hit(sight, sight.water_x, sight.water_y, pose, self.radius_m)
+        normal_x, normal_y, up, cover = _hit(sight.lines, sight.lines.water_x, sight.lines.water_y, pose, self.radius_m)
         if pose.z_m < self.radius_m:  # it breaks the surface: what is above is seen straight
-            dry = _hit(sight, sight.air_x, sight.air_y, pose, self.radius_m)
+            dry = _hit(sight.lines, sight.lines.air_x, sight.lines.air_y, pose, self.radius_m)
             above = (up if pose.z_m > 0 else dry[2]) * self.radius_m > pose.z_m
             normal_x, normal_y, up, cover = (
                 np.where(above, d, w) for d, w in zip(dry, (normal_x, normal_y, up, cover), strict=True)
@@ -97,19 +84,7 @@ class Sprite:
         lamp_x, lamp_y, lamp_up = LAMP.astype(np.float32)
         lamp = np.maximum(normal_x * lamp_x + normal_y * lamp_y + up * lamp_up, np.float32(0.0))
         colour = skin * ((AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp) * sight.light) + GLOSS * _power(lamp, GLOSS_POWER)
-        return _through_water(colour, 2.0 * max(pose.z_m - 0.7 * self.radius_m, 0.0)) * cover, cover
-
-    def _marker(self, sight: Sight, pose: Pose, texture: Bytes) -> tuple[Float, Float]:
-        depth = pose.z_m - self.height_m
-        slope_x, slope_y = (sight.water_x, sight.water_y) if depth > 0 else (sight.air_x, sight.air_y)
-        x = sight.surface_x + np.float32(depth) * slope_x - np.float32(pose.x_m)
-        y = sight.surface_y + np.float32(depth) * slope_y - np.float32(pose.y_m)
-        scale, middle = self._texels_per_m, np.float32(texture.shape[0] / 2.0 - 0.5)
-        cos, sin = np.float32(scale * np.cos(pose.yaw_rad)), np.float32(scale * np.sin(pose.yaw_rad))
-        column, row = cos * y - sin * x + middle, middle - (cos * x + sin * y)
-        found = cv2.remap(texture, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        cover = found[..., 1] * np.float32(1.0 / 255.0)
-        return _through_water(found[..., 0] * sight.light, 2.0 * max(depth, 0.0)) * cover, cover
+        return through_water(colour, 2.0 * max(pose.z_m - 0.7 * self.radius_m, 0.0)) * cover, cover
 
 
 def parts(eta: Array, nu: Array, exposure_s: float, reach_m: float, px_per_m: float) -> list[Array]:
@@ -125,11 +100,10 @@ def parts(eta: Array, nu: Array, exposure_s: float, reach_m: float, px_per_m: fl
 def shade(raw: Bytes, block_z: Float, view: View, window: Window, eta: Array, radius_m: float) -> None:
     """Darken the floor (and walls) of a window below a robot, in place. `block_z` is how deep each block's scene lies:
     a shadow's edge is wider than a block."""
-    blocks = window.blocks
-    z = block_z[blocks]
+    lines, z = view.blocks[window.blocks], block_z[window.blocks]
     below = z - np.float32(eta[2])
-    x = view.block_surface_x[blocks] + z * view.block_water_x[blocks] - np.float32(eta[0])
-    y = view.block_surface_y[blocks] + z * view.block_water_y[blocks] - np.float32(eta[1])
+    x = lines.surface_x + z * lines.water_x - np.float32(eta[0])
+    y = lines.surface_y + z * lines.water_y - np.float32(eta[1])
     x += below * np.float32(LAMP[0] / LAMP[2])
     y += below * np.float32(LAMP[1] / LAMP[2])
     softness = np.float32(PENUMBRA) * np.maximum(below, np.float32(0.02))
@@ -149,11 +123,11 @@ def shadow_box(eta: Array, floor_m: float, radius_m: float) -> Array:
     return np.array([[centre[0] + i * reach, centre[1] + j * reach, floor_m] for i in (-1, 1) for j in (-1, 1)])
 
 
-def _hit(sight: Sight, slope_x: Float, slope_y: Float, pose: Pose, radius_m: float) -> tuple[Float, Float, Float, Float]:
+def _hit(lines: Lines, slope_x: Float, slope_y: Float, pose: Pose, radius_m: float) -> tuple[Float, Float, Float, Float]:
     """Where lines of sight meet the sphere: unit normal (x, y, up) and coverage of the pixel. Lines that just miss get the
     normal of the limb, so that a half-covered pixel at the edge has a colour."""
-    x = sight.surface_x + np.float32(pose.z_m) * slope_x - np.float32(pose.x_m)
-    y = sight.surface_y + np.float32(pose.z_m) * slope_y - np.float32(pose.y_m)
+    x = lines.surface_x + np.float32(pose.z_m) * slope_x - np.float32(pose.x_m)
+    y = lines.surface_y + np.float32(pose.z_m) * slope_y - np.float32(pose.y_m)
     # |(x, y, 0) + w (slope, 1)| = radius, with w the depth below the centre: a w^2 + 2 b w + |x, y|^2 - radius^2 = 0
     a = slope_x * slope_x + slope_y * slope_y + np.float32(1.0)
     b = x * slope_x + y * slope_y
@@ -168,17 +142,6 @@ def _hit(sight: Sight, slope_x: Float, slope_y: Float, pose: Pose, radius_m: flo
 def _float(values: ArrayLike) -> Float:
     """float32, without a copy when it is so already."""
     return np.asarray(values, dtype=np.float32)
-
-
-def _through_water(raw: Float, path_m: float) -> Float:
-    """A mosaic seen through water: each colour's share gets through, and the water adds its own."""
-    (blue, green, red), (veil_blue, veil_green, veil_red) = water_colour(path_m)
-    for i, j, share, veil in (
-        (0, 0, red, veil_red), (0, 1, green, veil_green), (1, 0, green, veil_green), (1, 1, blue, veil_blue),
-    ):  # fmt: skip
-        raw[i::2, j::2] *= share
-        raw[i::2, j::2] += veil
-    return raw
 
 
 def _power(base: Float, exponent: int) -> Float:

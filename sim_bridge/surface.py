@@ -42,8 +42,8 @@ class Waves:
 
     def slope_basis(self, x_m: Float, y_m: Float) -> Float:
         """cos and sin of every wave's k.x + phase, (2 count, n): any field of the waves is a small matrix times this."""
-        angle = self.number @ np.stack([x_m.ravel(), y_m.ravel()]).astype(np.float64) + self.phase[:, None]
-        return np.concatenate([np.cos(angle), np.sin(angle)]).astype(np.float32)
+        angle = self.number.astype(np.float32) @ np.stack([x_m.ravel(), y_m.ravel()]) + self.phase[:, None].astype(np.float32)
+        return np.concatenate([np.cos(angle), np.sin(angle)])
 
     def gradient(self, basis: Float, time_s: float, amplitude: Array) -> Float:
         """d/dx and d/dy, (2, n), of sum_i amplitude_i cos(k_i.x + phase_i - w_i t), from the basis at n points."""

@@ -7,8 +7,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.vehicle import Vehicle
-
 Float = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 Plane = NDArray[np.float64]
@@ -127,7 +125,7 @@ def _number(picture: Bytes, number: int) -> None:
 def plate(marker_id: int, softness_px: float) -> Bytes:
     """A marker on its white plate, (n, n, 2) brightness and coverage: row 0 ahead, column 0 to port, MARGIN_PX around it.
 
-    The 6 black-bordered cells measure the vehicle's `marker.side_m`. Softening stands for the lens: bilinear sampling of
+    The 6 black-bordered cells are the marker's side. Softening stands for the lens: bilinear sampling of
     unsoftened texels would move edges by a fraction of a pixel, differently at each heading.
     """
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
@@ -138,6 +136,6 @@ def plate(marker_id: int, softness_px: float) -> Bytes:
     return np.clip(np.rint(np.stack(soft, axis=-1)), 0, 255).astype(np.uint8)
 
 
-def plate_texels_per_m(vehicle: Vehicle) -> float:
-    """Scale of `plate`."""
-    return 6 * CELL_PX / vehicle.marker.side_m
+def plate_texels_per_m(side_m: float) -> float:
+    """Scale of `plate` for a marker of this side."""
+    return 6 * CELL_PX / side_m

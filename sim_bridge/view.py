@@ -1,4 +1,4 @@
-"""What each pixel of the simulated camera looks along, kept for the whole picture and handed out by the rectangle.
+"""What each pixel of the simulated camera looks along, handed out by the rectangle.
 
 Fields that change slowly across the picture (ripples, caustics on robots, glare) are computed once per BLOCK x BLOCK pixels
 and interpolated.
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.optics import project, rays
+from sim_bridge.optics import GRAZING, camera_slopes, project
 from wire.experiment import Camera
 from wire.frames import Array
 
@@ -43,28 +43,66 @@ class Window:
         return slice(self.block_top, self.block_bottom), slice(self.block_left, self.block_right)
 
 
-class View:
-    """Per-pixel rays as float32 planes (height, width): crossing of the surface, and slopes in air and in water."""
+@dataclass(frozen=True)
+class Lines:
+    """Lines of sight, planes of one shape: where they cross the surface, and how far they go sideways per metre down, in air
+    and in water."""
+
+    surface_x: Float
+    surface_y: Float
+    air_x: Float
+    air_y: Float
+    water_x: Float
+    water_y: Float
+
+    def __getitem__(self, where: tuple[slice, slice]) -> "Lines":
+        """Those of a rectangle."""
+        planes = (self.surface_x, self.surface_y, self.air_x, self.air_y, self.water_x, self.water_y)
+        return Lines(*(plane[where] for plane in planes))
+
+    def bent(self, slope_x: Float, slope_y: Float) -> "Lines":
+        """In water, turned by these much."""
+        water_x, water_y = np.asarray(self.water_x + slope_x), np.asarray(self.water_y + slope_y)
+        return Lines(self.surface_x, self.surface_y, self.air_x, self.air_y, water_x, water_y)
+
+
+class Lens:
+    """Where each pixel and each block looks from the camera, whatever its pose: planes (3, height, width) of slopes right and
+    down, and of ones. Finding them takes a second, so a camera that moves keeps them."""
 
     def __init__(self, camera: Camera) -> None:
-        self.camera = camera
         self.width, self.height = camera.size_px
         column, row = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
-        lines = rays(camera, np.stack([column, row], axis=-1))
-        self.surface_x, self.surface_y = _planes(lines.surface_m)
-        self.air_x, self.air_y = _planes(lines.air)
-        self.water_x, self.water_y = _planes(lines.water)
+        self.pixels = _slopes(camera, column, row)
         rows, columns = -(-self.height // BLOCK), -(-self.width // BLOCK)
         middle = (BLOCK - 1) / 2.0
         column, row = np.meshgrid(np.arange(columns) * BLOCK + middle, np.arange(rows) * BLOCK + middle)
-        lines = rays(camera, np.stack([column, row], axis=-1))
-        self.block_surface_x, self.block_surface_y = _planes(lines.surface_m)
-        self.block_water_x, self.block_water_y = _planes(lines.water)
+        self.blocks = _slopes(camera, column, row)
+
+
+class View:
+    """Lines of sight of a camera in its pose: of all blocks at once, of pixels by the rectangle."""
+
+    def __init__(self, camera: Camera, lens: Lens | None = None) -> None:
+        self.camera, self.lens = camera, lens or Lens(camera)
+        self.width, self.height = camera.size_px
+        self.blocks = _lines(camera, self.lens.blocks)
+        self._pixels = None if lens else _lines(camera, self.lens.pixels)  # for one picture only, rectangles are cheaper
+
+    def moved(self, camera: Camera) -> "View":
+        """The same camera in another pose."""
+        return View(camera, self.lens)
+
+    def lines(self, window: Window) -> Lines:
+        """Those of a window's pixels."""
+        if self._pixels is not None:
+            return self._pixels[window.pixels]
+        return _lines(self.camera, self.lens.pixels[:, *window.pixels])
 
     @property
     def whole(self) -> Window:
         """The whole picture."""
-        rows, columns = self.block_surface_x.shape
+        rows, columns = self.blocks.surface_x.shape
         return Window(0, self.height, 0, self.width, 0, rows, 0, columns)
 
     def window(self, points_pool: Array, margin_px: float) -> Window | None:
@@ -75,7 +113,7 @@ class View:
         low, high = pixels.min(axis=0) - margin_px, pixels.max(axis=0) + margin_px
         if high[0] < 0 or high[1] < 0 or low[0] > self.width - 1 or low[1] > self.height - 1:
             return None
-        rows, columns = self.block_surface_x.shape
+        rows, columns = self.blocks.surface_x.shape
         left, right = max(int(low[0]) // BLOCK, 0), min(int(high[0]) // BLOCK + 1, columns)
         top, bottom = max(int(low[1]) // BLOCK, 0), min(int(high[1]) // BLOCK + 1, rows)
         return Window(
@@ -100,5 +138,17 @@ def mosaic(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return raw
 
 
-def _planes(pairs: Array) -> tuple[Float, Float]:
-    return np.ascontiguousarray(pairs[..., 0], dtype=np.float32), np.ascontiguousarray(pairs[..., 1], dtype=np.float32)
+def _lines(camera: Camera, slopes: Float) -> Lines:
+    """Lines of sight in the pool, from slopes (3, height, width) in the camera's own frame; see sim_bridge/optics.py."""
+    turn = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0]).astype(np.float32)
+    x, y, down = np.tensordot(turn.T, slopes, axes=1)
+    length2 = x * x + y * y + down * down
+    down = np.maximum(down, np.float32(GRAZING) * np.sqrt(length2))
+    lens_x, lens_y, lens_z = (np.float32(value) for value in camera.position_m)
+    air_x, air_y = x / down, y / down
+    root = np.sqrt(np.float32(camera.water_index**2) * length2 - x * x - y * y)
+    return Lines(lens_x - lens_z * air_x, lens_y - lens_z * air_y, air_x, air_y, x / root, y / root)
+
+
+def _slopes(camera: Camera, column: Array, row: Array) -> Float:
+    return np.ascontiguousarray(np.moveaxis(camera_slopes(camera, np.stack([column, row], axis=-1)), -1, 0), dtype=np.float32)

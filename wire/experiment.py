@@ -29,6 +29,9 @@ Weight4 = tuple[NotNegative, NotNegative, NotNegative, NotNegative]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 
 
+LANDMARKS_NEEDED = 4  # one could place a camera, but tilt and sway look alike across 0.2 m; four also show which one was moved
+
+
 class Pool(Section):
     """The basin. Its walls stand at +-length/2 and +-width/2 around the origin."""
 
@@ -199,6 +202,16 @@ class CameraFile(Section):
     camera: Camera
 
 
+class Landmark(Section):
+    """A marker (ArUco, DICT_4X4_50) that lies flat and still where its place is known: on the rim (z <= 0) or on the floor.
+    Its upper edge points along `yaw_rad`, as a robot's does."""
+
+    id: Annotated[int, Field(ge=0, le=49)]
+    position_m: Vec3
+    yaw_rad: float = 0.0
+    side_m: Positive = 0.2
+
+
 class Localizer(Section):
     """How the localizer tracks."""
 
@@ -269,6 +282,20 @@ class Numeric(Section):
     yaw_noise_rad: NotNegative = 0.0
 
 
+class CameraMotion(Section):
+    """How the simulated camera moves about [camera]'s pose, as under a hovering drone. Nobody else knows: who wants poses from
+    a camera that moves lays out [[landmarks]]."""
+
+    sway_m: NotNegative = 0.0  # largest deviation along each axis
+    tilt_rad: NotNegative = 0.0  # largest turn about each axis
+    period_s: Positive = 8.0  # of the slowest swing
+
+    @property
+    def moves(self) -> bool:
+        """Whether there is any motion at all."""
+        return self.sway_m > 0.0 or self.tilt_rad > 0.0
+
+
 class Sim(Section):
     """Everything that only the simulator reads."""
 
@@ -277,6 +304,7 @@ class Sim(Section):
     numeric: Numeric = Numeric()
     plant: Plant = Plant()
     picture: Picture = Picture()
+    camera_motion: CameraMotion = CameraMotion()
     sensors: Sensors = Sensors()
     board: BoardRules = BoardRules()
 
@@ -317,6 +345,7 @@ class Experiment(Section):
     safety: Safety = Safety()
     controller: Controller = Controller()
     camera: Camera
+    landmarks: tuple[Landmark, ...] = ()  # with any, the camera is taken to move
     localizer: Localizer = Localizer()
     sim: Sim = Sim()
     limits: Limit = Limit()
@@ -337,6 +366,25 @@ class Experiment(Section):
         hz = self.sim.plant.disturbance_hz
         if isinstance(hz, tuple) and len(hz) != len(ids):
             raise ValueError(f"sim.plant.disturbance_hz: {len(hz)} values for {len(ids)} robots (allowed: one, or one each)")
+        return self
+
+    @model_validator(mode="after")
+    def _landmarks_can_be_told_apart(self) -> Self:
+        ids = [landmark.id for landmark in self.landmarks]
+        if 0 < len(ids) < LANDMARKS_NEEDED:
+            raise ValueError(f"landmarks: {len(ids)} cannot place a camera (allowed: none, or {LANDMARKS_NEEDED} and more)")
+        for landmark in self.landmarks:
+            if ids.count(landmark.id) > 1:
+                raise ValueError(f"landmarks: id {landmark.id} is used twice; each landmark needs its own")
+            for robot in self.robots:
+                if robot.marker == landmark.id:
+                    free = sorted(set(range(50)) - set(ids) - {r.marker for r in self.robots})
+                    raise ValueError(
+                        f"landmarks: id {landmark.id} is the marker of robot {robot.id} (free: {', '.join(map(str, free))})"
+                    )
+            depth, floor = landmark.position_m[2], self.pool.size_m[2]
+            if depth > floor:
+                raise ValueError(f"landmarks: id {landmark.id} at z = {depth} lies below the floor (allowed: up to {floor})")
         return self
 
     @property
