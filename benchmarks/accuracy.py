@@ -9,6 +9,7 @@ camera that knows nothing of water, and a correlation filter over the picture as
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +36,7 @@ HALL = ("pool.size_m=[16, 16, 1]", "camera.position_m=[0, 0, -16.75]", "camera.d
 SENSOR_BIAS_M, SENSOR_NOISE_M = 0.003, 0.002  # of depth, as in the experiment's [sim.sensors]
 CONFIDENCE = 0.95
 AWAY_M = 50.0
-UNDETECTED_S = 0.3  # a swap not flagged by then is not detected (docs/failures)
+UNDETECTED_S = 0.3  # a swap not flagged by then is not detected
 
 Frame = NDArray[np.uint8]
 Poses = dict[int, Array]  # by robot (index): [x, y, yaw], yaw NaN where not measured
@@ -156,7 +157,7 @@ def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
 
     def found(frame: Frame) -> dict[int, Array]:
         corners, ids, _ = detector.detectMarkers(cv2.cvtColor(frame, cv2.COLOR_BayerRGGB2GRAY))
-        pairs = zip([] if ids is None else ids.ravel().tolist(), corners, strict=True)
+        pairs = zip([] if ids is None else [int(i) for i in ids.ravel()], corners, strict=True)
         return {robots[i]: np.asarray(c, dtype=np.float64).reshape(4, 2) for i, c in pairs if i in robots}
 
     def optics(frame: Frame, plates_m: Array) -> Poses:
@@ -167,7 +168,7 @@ def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
             poses[robot] = np.append(at.mean(axis=0), np.arctan2(ahead[1], ahead[0]))
         return poses
 
-    def pinhole(frame: Frame, _: Array) -> Poses:
+    def pinhole(frame: Frame, plates_m: Array) -> Poses:
         turn = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0])
         poses = {}
         for robot, corners in found(frame).items():
@@ -251,7 +252,8 @@ def _reacquisition() -> Iterator[Row]:
 
 def _identity() -> Iterator[Row]:
     """Ten robots in one paint at ten depths cross and cover each other; each one's marker is hidden a third of the time."""
-    wrong, unflagged, doubted, placed, read, undetected = [], [], [], [], [], 0
+    wrong, unflagged, doubted, placed, undetected = [], [], [], [], 0
+    read: list[Any] = []
     for seed in SEEDS:
         n = 10
         courses = Courses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
@@ -264,8 +266,8 @@ def _identity() -> Iterator[Row]:
             eta = courses.eta(k * PERIOD_S)
             hidden ^= random.random(n) < np.where(hidden, PERIOD_S / 2.0, PERIOD_S / 4.0)  # for 2 s after 4 s, on average
             frame = renderer.render(eta, courses.nu(k * PERIOD_S), k * PERIOD_S, k)
-            for i in np.flatnonzero(hidden):
-                _paint_over(frame, experiment, eta[i])
+            for covered in np.flatnonzero(hidden):
+                _paint_over(frame, experiment, eta[covered])
             depths = dict(zip(experiment.robot_ids, eta[:, 2].tolist(), strict=True))
             poses = dict(locator.step(frame, round(k * PERIOD_S * 1e9), depths).poses)
             for i, pose in ((i, poses[r]) for i, r in enumerate(experiment.robot_ids) if r in poses):
