@@ -61,6 +61,11 @@ class PoolView:
         self._translation = -self._pool_to_camera @ self._position_m
         self._water_index = camera.water_index
 
+    @property
+    def down(self) -> Array:
+        """The pool's z axis in the camera's own frame, (3,)."""
+        return np.asarray(self._pool_to_camera[:, 2])
+
     def pool(self, points_px: ArrayLike, depth_m: ArrayLike) -> Array:
         """Pixels (..., 2) to pool x, y (..., 2) on the planes at `depth_m` (scalar or (...))."""
         pixels = np.asarray(points_px, dtype=np.float64)

@@ -1,7 +1,8 @@
 """READ FIRST: one camera frame in, every robot's pose out.
 
-    frame -> is the camera well? -> predict each robot -> cut a region around it -> read its marker there (all markers of
-    the whole picture while one is lost) -> find its look (KCF) -> gates -> filter -> learn its look -> poses
+    frame -> is the camera well? -> where does it hang? (landmarks, if it moves) -> predict each robot -> cut a region around
+    it -> read its marker there (all markers of the whole picture while one is lost) -> find its look (KCF) -> gates ->
+    filter -> learn its look -> poses
 
 A marker gives identity, place and heading; the correlation filters follow a robot whose marker is washed out by glare or
 covered. Pixels become metres at the depth the robot itself reports: an error of 1 cm there moves a robot 1 m off the
@@ -19,6 +20,7 @@ import numpy as np
 from localizer.appearance import Appearance
 from localizer.calibration import PoolView
 from localizer.health import CameraWatch
+from localizer.landmarks import LandmarkCamera, StillCamera
 from localizer.marker import MarkerPose, MarkerReader
 from localizer.patch import Hull, Pixels, cut, whole
 from localizer.sight import KCF_NOISE, MARKER_NOISE, Depth, Sight, depths_of
@@ -45,6 +47,7 @@ class Located:
 
     poses: tuple[tuple[int, Pose], ...]
     status: LocalizerStatus
+    view: PoolView  # the mapping of this frame
 
 
 class Locator:
@@ -53,7 +56,8 @@ class Locator:
     def __init__(self, experiment: Experiment) -> None:
         cv2.setNumThreads(1)
         vehicle, settings = experiment.vehicle, experiment.localizer
-        self.view = PoolView(experiment.camera)
+        camera, landmarks = experiment.camera, experiment.landmarks
+        self._eye = LandmarkCamera(camera, landmarks) if landmarks else StillCamera(camera)
         self._experiment = experiment
         self._ids = experiment.robot_ids
         self.radius_m, self.marker_height_m = vehicle.radius_m, vehicle.marker.height_m
@@ -61,7 +65,7 @@ class Locator:
         self._start = start_poses(experiment)
         self._watch = CameraWatch(experiment.camera.size_px, settings.frozen_frames)
         markers = {robot.marker: index for index, robot in enumerate(experiment.robots)}
-        self._reader = MarkerReader(self.view, vehicle.marker.side_m, markers)
+        self._reader = MarkerReader(vehicle.marker.side_m, markers)
         plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
         hull = Hull(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
         self._looks = Appearance(len(self._ids), hull, settings.template_px)
@@ -79,21 +83,26 @@ class Locator:
         depths = depths_of(self._experiment, self._start[:, 2].tolist(), depths_m)
         self._predict(stamp_ns)
         if camera is CameraHealth.OK and not self._watch.repeated:
+            self._eye.look(frame)
+        if camera is CameraHealth.OK and not self._watch.repeated and self._eye.usable:
             sights = self._look(frame, depths)
             self._read_markers(frame, depths, sights)
             self._find_looks(sights)
             self._doubt_the_near()
-            self._learn_looks(sights)
+            if self._eye.fresh:
+                self._learn_looks(sights)
         self._tracks = [track.settled(self._settings.lost_after_s) for track in self._tracks]
         poses = self._poses(depths) if camera is CameraHealth.OK else ()
-        return Located(poses, LocalizerStatus(camera=camera, frames=self._frames, message=self._trouble(camera)))
+        return Located(poses, LocalizerStatus(camera=camera, frames=self._frames, message=self._trouble(camera)), self.view)
 
     # --- in the order of `step`
 
     def _predict(self, stamp_ns: int) -> None:
         elapsed_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
         self._stamp_ns = stamp_ns
-        self._tracks = [track.advanced(min(max(elapsed_s, 0.0), _LONGEST_STEP_S)) for track in self._tracks]
+        step_s = min(max(elapsed_s, 0.0), _LONGEST_STEP_S)
+        self._eye.wait(step_s)
+        self._tracks = [track.advanced(step_s) for track in self._tracks]
 
     def _look(self, frame: Pixels, depths: Sequence[Depth]) -> dict[int, Sight]:
         """A sight of each robot seen before and expected in the picture."""
@@ -104,13 +113,15 @@ class Locator:
     def _sights(
         self, frame: Pixels, depths: Sequence[Depth], places: Mapping[int, Array], sigmas_m: Mapping[int, float]
     ) -> dict[int, Sight]:
-        tangents = self.view.tangents(list(places.values()), [depths[i].plate_m for i in places])
+        plates_m = [depths[i].plate_m for i in places]
+        tangents = self.view.tangents(list(places.values()), plates_m)
         sights = {}
-        for i, tangent in zip(places, tangents, strict=True):
-            reach_m = self._looks.reach_m + _REGION_SIGMAS * min(sigmas_m[i], _WIDEST_SIGMA_M)
+        for i, tangent, mapping in zip(places, tangents, self._eye.uncertainty(tangents, plates_m), strict=True):
+            sigma_m = sigmas_m[i] + float(np.sqrt(mapping[0, 0] + mapping[1, 1]))
+            reach_m = self._looks.reach_m + _REGION_SIGMAS * min(sigma_m, _WIDEST_SIGMA_M)
             region = cut(frame, tangent.pixel, reach_m * tangent.px_per_m)
             if region is not None:
-                sights[i] = Sight(i, self.radius_m, depths[i], tangent, region)
+                sights[i] = Sight(i, self.radius_m, depths[i], tangent, mapping, region)
         return sights
 
     def _read_markers(self, frame: Pixels, depths: Sequence[Depth], sights: dict[int, Sight]) -> None:
@@ -119,7 +130,7 @@ class Locator:
             return
         scan = self._frames % _SCAN_EVERY == 1 and any(track.state is Track.LOST for track in self._tracks)
         regions = [whole(frame)] if scan else [sight.region for sight in sights.values()]
-        readings = self._reader.read(regions, np.array([depth.plate_m for depth in depths]))
+        readings = self._reader.read(self.view, regions, np.array([depth.plate_m for depth in depths]))
         strays = [i for i, r in readings.items() if i not in sights or sights[i].distance_m(r.pose) > self.radius_m]
         elsewhere = {i: readings[i].pose[:2] for i in strays}
         sights.update(self._sights(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
@@ -169,9 +180,15 @@ class Locator:
         lost = [str(i) for i, track in pairs if track.state is Track.LOST]
         doubted = [str(i) for i, track in pairs if track.state is not Track.LOST and not track.verified]
         parts = (("lost", lost), ("identity not verified", doubted))
-        return "; ".join(f"{what}: robot {', '.join(ids)}" for what, ids in parts if ids)
+        said = [f"{what}: robot {', '.join(ids)}" for what, ids in parts if ids]
+        return "; ".join([self._eye.trouble, *said] if self._eye.trouble else said)
 
     # --- small questions
+
+    @property
+    def view(self) -> PoolView:
+        """The newest mapping between pixels and pool."""
+        return self._eye.view
 
     def _believed(self, robot: int) -> Array:
         """[x, y, yaw]: this frame's measurement, or the prediction."""

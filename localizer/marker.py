@@ -69,28 +69,33 @@ def marker_detector() -> cv2.aruco.ArucoDetector:
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), settings)
 
 
+def square(side_m: float) -> Array:
+    """Corners (4, 2) of a marker in its own frame, in ArUco's order: upper edge ahead, y to starboard."""
+    half = side_m / 2.0
+    return np.array([[half, -half], [half, half], [-half, half], [-half, -half]])
+
+
 def marker_pose(image: MarkerImage, view: PoolView, depth_m: float, side_m: float) -> MarkerPose:
     """Where a marker lies, its plate at `depth_m`: a square fitted to the four corners by least squares in the POOL frame.
     An angle between pixels is no heading once lens and water have bent the picture (up to 1.5 deg in the pool's corners)."""
-    half = side_m / 2.0
-    square = np.array([[half, -half], [half, half], [-half, half], [-half, -half]])  # upper edge ahead, y to starboard
+    flat = square(side_m)
     corners = view.pool(image.corners_px, depth_m)
     centre = corners.mean(axis=0)
     seen = corners - centre
-    yaw = np.arctan2(np.sum(square[:, 0] * seen[:, 1] - square[:, 1] * seen[:, 0]), np.sum(square * seen))
+    yaw = np.arctan2(np.sum(flat[:, 0] * seen[:, 1] - flat[:, 1] * seen[:, 0]), np.sum(flat * seen))
     c, s = np.cos(yaw), np.sin(yaw)
-    misfit = np.max(np.abs(seen - square @ np.array([[c, s], [-s, c]]))) / side_m
+    misfit = np.max(np.abs(seen - flat @ np.array([[c, s], [-s, c]]))) / side_m
     return MarkerPose(np.append(centre, yaw), float(misfit))
 
 
 class MarkerReader:
     """Reads the fleet's markers into poses."""
 
-    def __init__(self, view: PoolView, side_m: float, robot_of_marker: Mapping[int, int]) -> None:
-        self._view, self._side_m, self._robot_of_marker = view, side_m, dict(robot_of_marker)
+    def __init__(self, side_m: float, robot_of_marker: Mapping[int, int]) -> None:
+        self._side_m, self._robot_of_marker = side_m, dict(robot_of_marker)
         self._detector = marker_detector()
 
-    def read(self, regions: Iterable[Region], plates_m: NDArray[np.float64]) -> dict[int, MarkerPose]:
+    def read(self, view: PoolView, regions: Iterable[Region], plates_m: NDArray[np.float64]) -> dict[int, MarkerPose]:
         """Poses by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their plates.
         Of two markers alike (a reflection) the better square counts."""
         best: dict[int, MarkerPose] = {}
@@ -98,7 +103,7 @@ class MarkerReader:
             robot = self._robot_of_marker.get(image.id)
             if robot is None:
                 continue
-            reading = marker_pose(image, self._view, float(plates_m[robot]), self._side_m)
+            reading = marker_pose(image, view, float(plates_m[robot]), self._side_m)
             if reading.misfit < (best[robot].misfit if robot in best else _MAX_MISFIT):
                 best[robot] = reading
         return best

@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+from localizer.calibration import PoolView
 from localizer.locate import Located, Locator
 from localizer.patch import BAYER_TO_BGR, Pixels
 from wire.frames import Array, body_to_pool
@@ -28,17 +29,17 @@ def draw(locator: Locator, frame: Pixels, located: Located) -> Pixels:
     picture = np.asarray(cv2.resize(colour, _SIZE_PX, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     scale = np.array(_SIZE_PX) / (width, height)
     for robot, pose in located.poses:
-        _draw_robot(picture, locator, robot, pose, scale)
+        _draw_robot(picture, locator, located.view, robot, pose, scale)
     _write(picture, located.status.message, (8, 18), (60, 60, 220))
     return picture
 
 
-def _draw_robot(picture: Pixels, locator: Locator, robot: int, pose: Pose, scale: Array) -> None:
+def _draw_robot(picture: Pixels, locator: Locator, view: PoolView, robot: int, pose: Pose, scale: Array) -> None:
     plate_m = pose.depth_m - locator.marker_height_m
     place = np.array([pose.x_m, pose.y_m])
 
     def to_px(points_m: Array) -> Array:
-        pixels = locator.view.pixel(np.column_stack([points_m, np.full(len(points_m), plate_m)]))
+        pixels = view.pixel(np.column_stack([points_m, np.full(len(points_m), plate_m)]))
         return (pixels + 0.5) * scale - 0.5  # pixel centres, not corners
 
     colour = _COLOURS[pose.track]

@@ -16,15 +16,17 @@ from wire.frames import Array
 
 @dataclass(frozen=True)
 class Noise:
-    """One standard deviation of a way of measuring, in pixels, so that it holds at any scale: the centre per axis, and the
-    turn by how far it moves the hull's rim."""
+    """One standard deviation of a way of measuring: of the centre per axis, and of a turn by how far it moves the hull's rim.
+    In pixels, to hold at any scale, and besides as shares of the hull's radius: what light and shade feign."""
 
     centre_px: float
     rim_px: float
+    centre_share: float = 0.0
+    rim_share: float = 0.0
 
 
 MARKER_NOISE = Noise(centre_px=0.03, rim_px=0.15)
-KCF_NOISE = Noise(centre_px=0.3, rim_px=0.3)
+KCF_NOISE = Noise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
 _DEPTH_ASSUMED_SIGMA_M = 0.05  # nobody reported one: the experiment's depth is taken
 _SHALLOWEST_M = -0.2  # a robot lying on the surface
 _WAVE_SLOPE_RAD = 0.0043  # of ripples on the surface; each bends the line of sight by (1 - 1/n) of itself
@@ -69,6 +71,7 @@ class Sight:
     radius_m: float
     depth: Depth
     tangent: Tangent
+    mapping: Array  # (3, 3), covariance of [x, y, yaw] here by what is unsure about the camera's pose
     region: Region
 
     def distance_m(self, pose: Array) -> float:
@@ -82,10 +85,11 @@ class Sight:
         return BodyFrame(at.to_px(pose[:2]), at.pool_to_px @ np.array([[c, -s], [s, c]]), at.down_px)
 
     def measurement(self, pose: Array, noise: Noise, peak: float = 0.0) -> Measurement:
-        """A pose found here, with the picture's noise, the moving water and the depth's error as covariance."""
+        """A pose found here, with the picture's noise, the moving water, depth's and camera's errors as covariance."""
         wave_m = 0.25 * _WAVE_SLOPE_RAD * max(self.depth.plate_m, 0.0)
+        round_m2 = wave_m**2 + (noise.centre_share * self.radius_m) ** 2
         spread = self.tangent.jacobian * np.array([noise.centre_px, noise.centre_px, self.depth.sigma_m])
-        covariance = np.zeros((3, 3))
-        covariance[:2, :2] = spread @ spread.T + wave_m**2 * np.eye(2)
-        covariance[2, 2] = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2
+        covariance = self.mapping.copy()
+        covariance[:2, :2] += spread @ spread.T + round_m2 * np.eye(2)
+        covariance[2, 2] += (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
         return Measurement(pose, covariance, peak)

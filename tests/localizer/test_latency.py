@@ -10,10 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from localizer.__main__ import cli
+from localizer.calibration import PoolView
 from localizer.latency import WARM_UP, Latency, Timing, judge, measure
 from localizer.locate import Located
 from localizer.shot import Shot
 from tests.localizer.stand_ins import MS, HandClock
+from wire.experiment import load_experiment
 from wire.messages import LocalizerStatus
 from wire.runtime import Stop
 
@@ -73,7 +75,7 @@ def test_one_picture_is_no_measurement() -> None:
 
 def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
     clock = HandClock()
-    none = Located((), LocalizerStatus())
+    none = Located((), LocalizerStatus(), PoolView(load_experiment("pool").camera))
 
     class Camera:
         trouble = ""

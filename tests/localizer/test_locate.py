@@ -1,7 +1,7 @@
 """The whole localizer, frame by frame, against robots drawn at known places."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -264,7 +264,8 @@ def test_overlay_marks_robots_where_they_are() -> None:
     locator = Locator(EXPERIMENT)
     *_, step = _fly(locator, 2)
     frame = SIDE.frame(step.truth)
-    bare, marked = draw(locator, frame, Located((), step.located.status)), draw(locator, frame, step.located)
+    nobody = replace(step.located, poses=())
+    bare, marked = draw(locator, frame, nobody), draw(locator, frame, step.located)
     assert marked.shape == (480, 640, 3) and marked.dtype == np.uint8
     changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
     for robot in (1, 2):
@@ -272,4 +273,4 @@ def test_overlay_marks_robots_where_they_are() -> None:
         centre = (locator.view.pixel(np.array([eta[0], eta[1], eta[2] - locator.marker_height_m])) + 0.5) / 2 - 0.5
         near = changed[np.linalg.norm(changed - centre, axis=1) < 80]
         assert len(near) > 200 and np.linalg.norm(near - centre, axis=1).min() < 3
-    assert draw(locator, np.zeros((200, 300), np.uint8), Located((), step.located.status)).shape == (480, 640, 3)
+    assert draw(locator, np.zeros((200, 300), np.uint8), nobody).shape == (480, 640, 3)

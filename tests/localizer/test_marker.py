@@ -23,7 +23,7 @@ def scene() -> Scene:
 
 
 def _reader() -> MarkerReader:
-    return MarkerReader(VIEW, SIDE_M, {1: 0, 2: 1})
+    return MarkerReader(SIDE_M, {1: 0, 2: 1})
 
 
 def _region(frame: Pixels, x_m: float, y_m: float) -> Region:
@@ -39,7 +39,7 @@ def test_place_and_heading_all_over_the_pool(scene: Scene) -> None:
     for yaw in np.linspace(-np.pi, np.pi, 24):
         x, y = random.uniform([-1.4, -1.0], [1.4, 1.0])
         frame = scene.frame({1: np.array([x, y, 0.3, yaw])})
-        pose = _reader().read([_region(frame, x, y)], np.array([PLATE_M, PLATE_M]))[0].pose
+        pose = _reader().read(VIEW, [_region(frame, x, y)], np.array([PLATE_M, PLATE_M]))[0].pose
         errors.append([pose[0] - x, pose[1] - y, wrap(float(pose[2] - yaw))])
     rms = np.sqrt(np.mean(np.square(errors), axis=0))
     assert rms[:2] == pytest.approx(0.0, abs=4e-4)
@@ -66,9 +66,9 @@ def test_corners_count_from_the_first_pixels_centre(left: int, top: int) -> None
 def test_whole_picture_and_region_agree(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.6, -0.3, 0.3, 1.0]), 2: np.array([-0.7, 0.5, 0.3, -2.0])})
     plates = np.array([PLATE_M, PLATE_M])
-    everywhere = _reader().read([whole(frame)], plates)
+    everywhere = _reader().read(VIEW, [whole(frame)], plates)
     regions = [_region(frame, 0.6, -0.3), _region(frame, -0.7, 0.5)]
-    near = _reader().read(regions, plates)
+    near = _reader().read(VIEW, regions, plates)
     assert sorted(everywhere) == sorted(near) == [0, 1]
     for robot in (0, 1):
         assert everywhere[robot].pose == pytest.approx(near[robot].pose, abs=5e-4)
@@ -77,16 +77,16 @@ def test_whole_picture_and_region_agree(scene: Scene) -> None:
 def test_strangers_and_wrong_sizes_are_refused(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.2, 0.1, 0.3, 0.5])})
     region = _region(frame, 0.2, 0.1)
-    stranger = MarkerReader(VIEW, SIDE_M, {9: 0})
-    assert stranger.read([region], np.array([PLATE_M])) == {}
+    stranger = MarkerReader(SIDE_M, {9: 0})
+    assert stranger.read(VIEW, [region], np.array([PLATE_M])) == {}
     too_deep = PLATE_M + 1.0  # there the same picture would be a marker a quarter larger
-    assert _reader().read([region], np.array([too_deep, too_deep])) == {}
-    assert 0 in _reader().read([region], np.array([PLATE_M + 0.1, PLATE_M]))
+    assert _reader().read(VIEW, [region], np.array([too_deep, too_deep])) == {}
+    assert 0 in _reader().read(VIEW, [region], np.array([PLATE_M + 0.1, PLATE_M]))
 
 
 def test_a_hidden_marker_is_not_imagined(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.2, 0.1, 0.3, 0.5])}, hidden=frozenset({1}))
-    assert _reader().read([whole(frame)], np.array([PLATE_M, PLATE_M])) == {}
+    assert _reader().read(VIEW, [whole(frame)], np.array([PLATE_M, PLATE_M])) == {}
 
 
 def test_misfit_tells_a_square_from_a_squashed_one(scene: Scene) -> None:
