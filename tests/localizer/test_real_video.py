@@ -10,10 +10,10 @@ import pytest
 
 from localizer.evaluate_shell import evaluate_plain
 
-DATA = Path(os.environ.get("SHOAL_TEST_DATA", Path(__file__).parents[3] / "shared" / "data")) / "mouse"
+DATA = Path(os.environ.get("SHOAL_DATA", Path(__file__).parents[3] / "shared" / "data")) / "mouse"
 
 
-@pytest.mark.skipif(not DATA.is_dir(), reason=f"no video in {DATA} (SHOAL_TEST_DATA says where)")
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"no video in {DATA} (SHOAL_DATA says where)")
 def test_follows_a_real_animal() -> None:
     """Started once, never helped again: median error of 1,000 frames <= 3 px, and it is never lost."""
     (row,) = evaluate_plain(DATA / "mouse_video.mp4", DATA / "mouse_video_idtracked.txt", box_px=64.0, limit=1000)
