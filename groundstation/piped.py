@@ -4,18 +4,21 @@ from pathlib import Path
 from typing import IO
 
 from groundstation.recorder import Recorder, run_metadata
+from wire.codec import DecodeError
 from wire.experiment import Experiment, dump_experiment
 from wire.options import DEFAULT_FLEET
 from wire.pipe import read_pipe
 
 
 def record(experiment: Experiment, run_dir: Path, mode: str, stream: IO[bytes]) -> str:
-    """Write `run.mcap` from a pipe until it ends. Returns why the log is not whole; empty if it is. Raises DecodeError for a
-    pipe that breaks off: the log then ends there, closed."""
+    """Write `run.mcap` from a pipe until it ends. Returns why the log is not whole; empty if it is."""
     recorder = Recorder(run_dir / "run.mcap", dump_experiment(experiment), run_metadata(experiment, mode))
+    problem = ""
     try:
         for topic, robot, header, payload in read_pipe(stream):
             recorder.put(topic, f"{DEFAULT_FLEET}/{topic.key(robot)}", header, payload, header.stamp_ns)
+    except DecodeError as error:  # whoever flies has died in the middle of a message; what came before counts
+        problem = str(error)
     finally:
         recorder.close()
-    return recorder.error or (f"{recorder.dropped} messages were dropped" if recorder.dropped else "")
+    return problem or recorder.error or (f"{recorder.dropped} messages were dropped" if recorder.dropped else "")
