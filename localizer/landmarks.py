@@ -24,10 +24,11 @@ _MARGIN_PX = 30.0  # around where a landmark is expected: a drone moves by 3 px 
 _SCAN_EVERY = 4  # frames, while the pose is not known: a whole picture costs 15 ms
 _AGREES_PX = 2.0  # RMS of a landmark's four corners; ripples over 1 m of water move them by 0.3 px
 _WEIGHT_PX = 0.7  # Cauchy's scale
-_LEAST_SPREAD_PX = 0.15  # of corners, one standard deviation: fewer landmarks may agree better by chance
-_ROUNDS = 12  # of Gauss-Newton; two or three from the last frame's pose, six from the experiment's
-_SETTLED = 1e-7  # m and rad
-_STEP = np.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4])  # m, rad: central differences
+_LEAST_SPREAD_PX = 0.1  # of landmarks, one standard deviation: few of them may agree better by chance
+_ROUNDS = 20  # of Gauss-Newton; four from the last frame's pose, seven from the experiment's
+_SETTLED = 1e-5  # m and rad: a hundredth of a pixel
+_SAME_SLOPES = 0.02  # m and rad: after a move smaller than this the corners' derivatives are still good enough
+_STEP = 1e-4  # m and rad, of differences; below 1e-5 rad OpenCV's Rodrigues sees no turn at all
 # How an unseen camera may wander: a drone that sways by 0.25 m and tilts by 3 deg every 9 s, as it moves what it sees.
 _DRIFT_MPS, _DRIFT_RADPS = 0.2, 0.05
 
@@ -116,9 +117,9 @@ class LandmarkCamera:
             return np.zeros((0, 3, 3))
         pixels, depths = np.array([tangent.pixel for tangent in tangents]), np.array(depths_m)
         moved = np.zeros((len(tangents), 3, 6))
-        for k, step in enumerate(np.diag(_STEP)):
-            ahead, behind = (PoolView(_moved(self._pose.camera, sign * step)).pool(pixels, depths) for sign in (1.0, -1.0))
-            moved[:, :2, k] = (ahead - behind) / (2.0 * _STEP[k])
+        here = self.view.pool(pixels, depths)
+        for k, step in enumerate(_STEP * np.eye(6)):
+            moved[:, :2, k] = (PoolView(_moved(self._pose.camera, step)).pool(pixels, depths) - here) / _STEP
         moved[:, 2, 3:] = -self.view.down  # a camera turned about the vertical sees every heading turned back
         drift = (self._age_s * np.array([_DRIFT_MPS, _DRIFT_MPS, _DRIFT_RADPS])) ** 2
         return np.asarray(moved @ self._pose.covariance @ np.swapaxes(moved, 1, 2) + np.diag(drift))
@@ -159,18 +160,22 @@ def _fit(camera: Camera, places: Array, pixels: Array) -> tuple[Pose, Array]:
     The four corners of a landmark are moved together by the ripples above it, so that each landmark counts as one point
     when it comes to how sure the pose is.
     """
+    slope, move = np.empty((*pixels.shape, 6)), np.full(6, np.inf)
     for _ in range(_ROUNDS):
-        residuals = pixels - PoolView(camera).pixel(places)
-        slope = np.empty((*residuals.shape, 6))
-        for k, step in enumerate(np.diag(_STEP)):
-            ahead, behind = (PoolView(_moved(camera, sign * step)).pixel(places) for sign in (1.0, -1.0))
-            slope[..., k] = (ahead - behind) / (2.0 * _STEP[k])
+        seen = PoolView(camera).pixel(places)
+        if np.max(np.abs(move)) > _SAME_SLOPES:
+            for k, step in enumerate(_STEP * np.eye(6)):
+                slope[..., k] = (PoolView(_moved(camera, step)).pixel(places) - seen) / _STEP
+        residuals = pixels - seen
         weight = 1.0 / (1.0 + np.sum(residuals**2, axis=2) / _WEIGHT_PX**2)
-        normal = np.einsum("nc,ncpi,ncpj->ij", weight, slope, slope)
-        move = np.linalg.solve(normal, np.einsum("nc,ncpi,ncp->i", weight, slope, residuals))
+        weighted = slope * weight[..., None, None]
+        normal = np.tensordot(weighted, slope, axes=((0, 1, 2), (0, 1, 2)))
+        move = np.linalg.solve(normal, np.tensordot(weighted, residuals, axes=((0, 1, 2), (0, 1, 2))))
         camera = _moved(camera, move)
         if np.max(np.abs(move)) < _SETTLED:
             break
-    variance = np.sum(weight[..., None] * residuals**2) / (2.0 * np.sum(weight)) * len(places) / max(len(places) - 3, 1)
+    shifts = residuals.mean(axis=1)  # of whole landmarks: that corners are found 0.3 px inside all around shifts nothing
+    trust = weight.mean(axis=1)
+    variance = np.sum(trust[:, None] * shifts**2) / (2.0 * np.sum(trust)) * len(places) / max(len(places) - 3, 1)
     covariance = 4.0 * max(variance, _LEAST_SPREAD_PX**2) * np.linalg.inv(normal)
     return Pose(camera, covariance), residuals

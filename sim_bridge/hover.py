@@ -77,11 +77,14 @@ class Hover:
         glare = np.rint(_halved(scene.glare(view.whole, slopes), view)).astype(np.uint8)
         half_x, half_y = self._reach.astype(np.float32)
         texel = np.float32(self._texel_m)
-        column = view.spread((x + half_x) / texel - np.float32(0.5), view.whole)
-        row = view.spread((y + half_y) / texel - np.float32(0.5), view.whole)
-        raw = np.empty(column.shape, np.uint8)
+        column, row = (x + half_x) / texel - np.float32(0.5), (y + half_y) / texel - np.float32(0.5)
+        shifts = [np.gradient(plane, BLOCK) for plane in (column, row)]  # down and right, per pixel
+        raw = np.empty((view.height, view.width), np.uint8)
         for i, j, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
-            place = (np.ascontiguousarray(column[i::2, j::2]), np.ascontiguousarray(row[i::2, j::2]))
+            place = [
+                _halved(plane + np.float32(i - 0.5) * down + np.float32(j - 0.5) * right, view)
+                for plane, (down, right) in zip((column, row), shifts, strict=True)
+            ]
             seen = cv2.remap(self._planes[channel], *place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             raw[i::2, j::2] = cv2.add(cv2.multiply(seen, light, dtype=cv2.CV_8U), glare)
         return scene, raw
@@ -117,7 +120,7 @@ def _unfolded(plan_x: Float, plan_y: Float, pool: Pool) -> Hit:
 
 
 def _halved(blocks: Float, view: View) -> Float:
-    """Values at the middles of all blocks, interpolated to every second pixel of every second row, between the four."""
+    """Values at the middles of all blocks, interpolated to the middle of every 2 x 2 pixels."""
     rows, columns = blocks.shape
     fine = cv2.resize(blocks, (columns * BLOCK // 2, rows * BLOCK // 2), interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(fine[: view.height // 2, : view.width // 2], dtype=np.float32)
