@@ -9,6 +9,7 @@ sign, so an ankle never turns over when surge reverses. What does not fit gives 
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -41,26 +42,33 @@ class Allocator:
         if max(x) - min(x) > SAME_M or max(y) - min(y) > SAME_M or len(set(legs.position_m)) != 4:
             raise ValueError(f"legs.position_m = {legs.position_m}: must be the corners of a rectangle around the centre")
         self._legs = tuple(Leg(1.0 if along > 0.0 else -1.0, across < 0.0, across) for along, across in legs.position_m)
-        self._arm_m, self._idle_n, self._thruster = y[0], legs.idle_thrust_n, vehicle.thruster
+        self._arm_m, self._idle_n = y[0], legs.idle_thrust_n
         self._ahead_n = min(vehicle.thruster.max_thrust_n, curve[-1][1])
         self._astern_n = min(vehicle.thruster.max_thrust_n, -curve[0][1])
         low, high = legs.ankle_us
         self._ankle_level_us, self._ankle_us_per_rad = 0.5 * (low + high), 0.5 * (high - low) / legs.ankle_range_rad
         level = round(self._ankle_level_us)
         self.neutral_us = (vehicle.thruster.neutral_us,) * 4 + (level,) * 4
+        # Pulses are whole microseconds: the thrust of each there is, and between them where one is nearer than the other.
+        self._slowest_us = int(curve[0][0])
+        pulses_us = np.arange(self._slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
+        self._thrust_n: list[float] = vehicle.thruster.force_n(pulses_us).tolist()
+        self._between_n: list[float] = vehicle.thruster.force_n(pulses_us[:-1] + 0.5).tolist()
 
     def pulses(self, wrench: Array) -> tuple[int, ...]:
         """Pulse widths in us for a wrench (3,), as much of it as the thrusters can give."""
         force, ankle = self.forces(wrench)
-        thrust_us = self._thruster.pulse_us(np.array(force)).tolist()
-        ankle_us = (self._ankle_level_us + self._ankle_us_per_rad * angle for angle in ankle)
-        return (*map(round, thrust_us), *map(round, ankle_us))
+        level_us, per_rad = self._ankle_level_us, self._ankle_us_per_rad
+        return (*[self._pulse(f) for f in force], *[round(level_us + per_rad * angle) for angle in ankle])
+
+    def _pulse(self, force_n: float) -> int:
+        """The pulse for a thrust, the nearest by the curve. The slightest is just outside the dead zone, none is neutral."""
+        return self._slowest_us + bisect_right(self._between_n, force_n) if force_n else self.neutral_us[0]
 
     def delivered(self, pulse_us: tuple[int, ...]) -> Wrench:
         """The wrench of eight pulse widths by the nominal thrust curve: what the estimator is told."""
-        force = self._thruster.force_n(np.array(pulse_us[:4], dtype=np.float64)).tolist()
-        ankle = [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]]
-        return self.wrench(force, ankle)
+        force = [self._thrust_n[pulse - self._slowest_us] for pulse in pulse_us[:4]]
+        return self.wrench(force, [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]])
 
     def wrench(self, force_n: Sequence[float], ankle_rad: Sequence[float]) -> Wrench:
         """Forward equations: four thruster forces and ankle angles -> wrench."""

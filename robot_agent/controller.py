@@ -15,6 +15,7 @@ The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None`
 neutral pulses and forgets its plan. All instants are on one clock, the robot's monotonic one (in lockstep the simulator's).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -92,9 +93,10 @@ class Controller:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
         path = self._sampler.path(goal)
-        company = self._formation.company(neighbours, self._rank, now_ns, now_ns + self._dead_ns)
+        company = self._formation.company(neighbours, now_ns + self._dead_ns)
         weight, command = self._command(goal, path, company, estimate)
-        keep_clear = self._formation.half_spaces(company, self._mpc.expected(estimate.action)[:, :3])
+        expected = self._mpc.expected(estimate.action)
+        keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns)
         plan = self._mpc.plan(estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear)
         return self._put_out(plan, estimate, path, command, company, now_ns)
 
@@ -110,18 +112,21 @@ class Controller:
             command = path.eta.copy()
             command[:, 3] = self._guidance.hold(path, estimate.eta, estimate.nu, estimate.disturbance)
             return self._weight, command
-        weight = self._weight + company.weight
-        pull = company.pull / np.maximum(weight, 1e-12)
         command = path.eta.copy()
-        command[1:] += pull
-        command[0] += pull[0]
+        weight = self._weight
+        if company.weight.any():
+            weight = weight + company.weight
+            pull = company.pull / np.maximum(weight, 1e-12)
+            command[1:] += pull
+            command[0] += pull[0]
         if self._config.guidance.enabled:
             lead = Path(command, path.velocity, path.acceleration)
             command[:, 3] = self._guidance.follow(lead, estimate.eta, estimate.nu, estimate.disturbance)
-        away = (estimate.eta[3] - command[0, 3]) / TURN - self._turns
+        away = float(estimate.eta[3] - command[0, 3]) / TURN - self._turns
         if abs(away) > 0.55:  # beyond half a turn by a margin, so that a robot facing backwards does not change its mind
             self._turns += round(away)
-        command[:, 3] += TURN * self._turns
+        if self._turns:
+            command[:, 3] += TURN * self._turns
         return weight, command
 
     def _put_out(
@@ -132,11 +137,14 @@ class Controller:
         delivered = self._allocator.delivered(pulses)
         self._estimator.applied(delivered, now_ns)
         wrench_step, self._wrench = plan.wrench - self._wrench, plan.wrench
-        error_m = float(np.linalg.norm(path.eta[0, :3] - estimate.eta[:3]))
+        error_m = math.dist(path.eta[0, :3].tolist(), estimate.eta[:3].tolist())
+        told = np.empty((len(command), 8))  # from now on, at the command's instants: poses and commands
+        told[0, :4], told[1:, :4], told[:, 4:] = estimate.eta, plan.eta, command
+        told = self._to_now @ told
         self._rank = Rank(self._urgent, error_m, company.heard)
         return ControlOutput(
             pulse_us=pulses,
-            wrench=plan.wrench.copy(),
+            wrench=plan.wrench,
             wrench_step=wrench_step,
             wrench_delivered=np.array(delivered),
             estimated=True,
@@ -145,8 +153,8 @@ class Controller:
             disturbance=estimate.disturbance,
             eta_reference=path.eta[0].copy(),
             eta_command=command[0].copy(),
-            plan_eta=self._to_now @ np.vstack([estimate.eta, plan.eta]),
-            plan_reference=self._to_now @ command,
+            plan_eta=told[:, :4],
+            plan_reference=told[:, 4:],
             tracking_error_m=error_m,
             solve=plan.solve,
             iterations=plan.iterations,

@@ -80,7 +80,7 @@ class Estimator:
         """Take in what is new; None before the first pose and after coasting for too long."""
         self._note_board(measurement, now_ns)
         pose = measurement.pose
-        if pose is not None and _sane(pose.x_m, pose.y_m, pose.yaw_rad) and pose.stamp_ns <= now_ns:
+        if pose is not None and pose.stamp_ns <= now_ns and _sane(pose.x_m) and _sane(pose.y_m) and _sane(pose.yaw_rad):
             self._see(pose, now_ns)
         if self._state is None or now_ns - self._at_ns > COAST_NS:
             self._state = None
@@ -188,6 +188,8 @@ class Estimator:
         return self._steps(state, wrench, to_ns - from_ns)
 
     def _steps(self, state: State, wrench: Wrench, duration_ns: int) -> State:
+        if 0 < duration_ns <= LONGEST_STEP_NS:
+            return self._model.advance(state, self._disturbance, wrench, duration_ns / NS)
         count = -(-duration_ns // LONGEST_STEP_NS)
         for _ in range(count):
             state = self._model.advance(state, self._disturbance, wrench, duration_ns / count / NS)
@@ -208,6 +210,6 @@ def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float
     return rest, 1.0 - beta * beta, rest * rest / step_s
 
 
-def _sane(*values: float) -> bool:
-    """Numbers that can be a measurement; false for NaN too."""
-    return all(abs(value) < ABSURD for value in values)
+def _sane(value: float) -> bool:
+    """A number that can be a measurement; false for NaN too."""
+    return abs(value) < ABSURD

@@ -4,8 +4,9 @@ Distances are horizontal: robots pass beside one another, never above, where the
 upper one would break the surface (a controller left free to use depth did both). Only a robot 2R deeper is out of the way.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,12 @@ from numpy.typing import NDArray
 from robot_agent.reference import interpolate
 from wire.experiment import Mpc as MpcConfig
 from wire.experiment import Safety
-from wire.frames import Array, wrap_angle
+from wire.frames import TURN, Array
 from wire.messages import Plan
 
 NS = 1e9
 NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the plane, without those it cannot run into first
+LONGEST_PLAN = 1000  # rows of a plan that is resampled
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
@@ -54,14 +56,14 @@ class Rank:
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces:
-    """normal[i] . [x, y] of node[i] >= offset[i] - slack. Nodes count from 1."""
+    """normal[i] . (x, y) of node[i] >= offset[i] - slack. Nodes count from 1."""
 
     node: NDArray[np.intp]  # (rows,)
-    normal: Array  # (rows, 2)
+    normal: NDArray[np.complex128]  # (rows,) x + iy
     offset: Array  # (rows,)
 
 
-NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros(0))
+NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,50 +72,83 @@ class Company:
 
     pull: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref): added to Q eta_ref it is the weighted reference
     weight: Array  # (4,) sum of Q_ij
-    positions: Array  # (others, horizon + 1, 3) predicted
-    distance_m: Array  # (others,) that must be kept
     heard: int
+    others: Sequence[Neighbour]  # whose plans can be used
+    place: NDArray[np.complex128]  # (others, nodes) predicted x + iy, at the nodes where distance is kept
+    depth: Array  # (others, nodes)
 
 
 class Formation:
     """Workspaces for one robot."""
 
     def __init__(self, config: MpcConfig, safety: Safety, period_s: float) -> None:
+        self._safety, self._period_s, self._horizon = safety, period_s, config.horizon
         self._weight = np.array(config.q_formation)
-        self._safety, self._horizon = safety, config.horizon
-        self._offsets_s = period_s * np.arange(config.horizon + 1, dtype=np.float64)
+        self._weights = np.tile(self._weight, config.horizon + 1)
+        self._ahead = np.arange(config.horizon + 2)
         self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
+        self._around_nodes = np.concatenate([self._nodes, self._nodes + 1])
         self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
+        self._near_m = 2.0 * safety.radius_m + safety.margin_m
+        nobody = np.zeros((0, len(self._nodes)))
+        self._alone = Company(np.zeros((config.horizon + 1, 4)), np.zeros(4), 0, (), nobody.astype(np.complex128), nobody)
 
-    def company(self, neighbours: Sequence[Neighbour], own: Rank, now_ns: int, action_ns: int) -> Company:
-        """Neighbours' predictions on our horizon, whose node 0 is at `action_ns`."""
-        pull, weight = np.zeros((self._horizon + 1, 4)), np.zeros(4)
-        positions, distances, heard = [], [], 0
-        for neighbour in neighbours:
-            if not _sound(neighbour):
-                continue
-            eta, deviation = self._sample(neighbour, action_ns)
-            if neighbour.fresh:
-                heard += 1
-                if neighbour.formation:
-                    pull += self._weight * deviation
-                    weight += self._weight
-            distance = self._distance(neighbour, own, now_ns)
-            if distance is not None:
-                positions.append(eta[:, :3])
-                distances.append(distance)
-        stacked = np.array(positions) if positions else np.zeros((0, self._horizon + 1, 3))
-        return Company(pull, weight, stacked, np.array(distances), heard)
+    def company(self, neighbours: Sequence[Neighbour], action_ns: int) -> Company:
+        """Neighbours' predictions on our horizon, whose node 0 is at `action_ns`; of all of them at once."""
+        others = [usable for neighbour in neighbours if (usable := self._in_step(neighbour)) is not None]
+        if others and not _plausible(*_stacked(others)):
+            others = [neighbour for neighbour in others if _plausible(*_stacked([neighbour]))]
+        if not others:
+            return self._alone
+        eta, deviation = _stacked(others)
+        rows, share = self._rows(others, action_ns)
+        pull, weight = self._pull(others, deviation.take(rows, axis=0), share)
+        around = eta.view(np.complex128).take(rows[:, self._around_nodes], axis=0)  # x + iy, z + i yaw
+        there, after = around[:, : len(self._nodes)], around[:, len(self._nodes) :]
+        there += np.array(share)[:, None, None] * (after - there)
+        return Company(pull, weight, sum(n.fresh for n in others), others, there[:, :, 0], there[:, :, 1].real)
 
-    def _sample(self, neighbour: Neighbour, action_ns: int) -> tuple[Array, Array]:
-        """Its predicted pose and its deviation from its reference at our nodes; beyond its plan's end, the end."""
-        plan = neighbour.plan
-        place = ((action_ns - neighbour.stamp_ns) / NS + self._offsets_s) / plan.period_s
-        rows = interpolate(np.hstack([plan.eta, plan.eta - plan.eta_reference]), place)
-        rows[:, 7] = wrap_angle(rows[:, 7])
-        return rows[:, :4], rows[:, 4:]
+    def _in_step(self, neighbour: Neighbour) -> Neighbour | None:
+        """The same with its plan at steps as long as ours, which all robots of an experiment have; None if it has no plan."""
+        plan, period_s = neighbour.plan, self._period_s
+        if not _readable(plan):
+            return None
+        if plan.period_s == period_s:
+            return neighbour
+        if not _plausible(*_stacked([neighbour])):
+            return None
+        count = min(math.ceil((len(plan.eta) - 1) * plan.period_s / period_s), LONGEST_PLAN) + 1
+        place = np.arange(count, dtype=np.float64) * (period_s / plan.period_s)
+        eta, reference = interpolate(plan.eta, place), interpolate(plan.eta_reference, place)
+        return replace(neighbour, plan=replace(plan, period_s=period_s, eta=eta, eta_reference=reference))
 
-    def _distance(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
+    def _rows(self, others: Sequence[Neighbour], action_ns: int) -> tuple[NDArray[np.intp], list[float]]:
+        """Where our nodes lie in the plans put one below the other: after which rows (others, horizon + 2), and how far after.
+        Before a plan's start it is its start, beyond its end the end."""
+        table, share, end = [], [], 0
+        for neighbour in others:
+            begin, end = end, end + len(neighbour.plan.eta)
+            steps = (action_ns - neighbour.stamp_ns) / NS / self._period_s
+            whole = math.floor(steps)
+            share.append(steps - whole)
+            table.append((begin + whole, begin, end - 1))
+        start, first, last = np.array(table).T[:, :, None]
+        return np.minimum(np.maximum(start + self._ahead, first), last), share
+
+    def _pull(self, others: Sequence[Neighbour], deviation: Array, share: list[float]) -> tuple[Array, Array]:
+        """Q_ij times the deviations (others, horizon + 2, 4) between rows, of those in the formation; and as many Q_ij."""
+        member = [1.0 if neighbour.fresh and neighbour.formation else 0.0 for neighbour in others]
+        members = sum(member)
+        if not members:
+            return self._alone.pull, self._alone.weight
+        after = [m * s for m, s in zip(member, share, strict=True)]
+        here = np.array([[m - s for m, s in zip(member, after, strict=True)], after])
+        before, behind = here @ deviation.reshape(len(others), -1)
+        pull = before[:-4] + behind[4:]
+        pull *= self._weights
+        return pull.reshape(-1, 4), members * self._weight
+
+    def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
         """How far to stay away, or None if that robot yields. Nobody yields to what cannot be heard."""
         keep = 2.0 * self._safety.radius_m
         if neighbour.fresh:
@@ -122,31 +157,61 @@ class Formation:
         silent_s = max(0.0, (now_ns - neighbour.stamp_ns) / NS)
         return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
 
-    def half_spaces(self, company: Company, own: Array) -> HalfSpaces:
-        """Half-spaces across the lines between predicted positions, where `own` (horizon + 1, 3) comes close (A6)."""
-        if len(company.positions) == 0:
+    def half_spaces(self, company: Company, own: Array, rank: Rank, now_ns: int) -> HalfSpaces:
+        """Half-spaces across the lines between predicted positions, where we come close (A6). `own` (2, horizon + 1, 2) is
+        what we expect of ourselves: (x, y) and (z, yaw)."""
+        if not company.others:
             return NOWHERE
-        there = company.positions[:, self._nodes]  # (others, nodes, 3)
-        apart = own[self._nodes] - there
-        distance = np.hypot(apart[:, :, 0], apart[:, :, 1])
-        beside = np.abs(apart[:, :, 2]) < company.distance_m[:, None]
-        near = np.flatnonzero((beside & (distance < (company.distance_m + self._safety.margin_m)[:, None])).any(axis=1))
+        nodes = self._nodes
+        apart = own[0].view(np.complex128)[nodes, 0] - company.place
+        distance = np.abs(apart)
+        nearest = np.minimum.reduce(distance, axis=1).tolist()
+        near_m = self._near_m if company.heard == len(company.others) else self._near_m + self._safety.bubble_max_m
+        kept = []
+        for i, there_m in enumerate(nearest):
+            if there_m < near_m:
+                keep_m = self.distance_m(company.others[i], rank, now_ns)
+                if keep_m is not None:
+                    kept.append((i, keep_m))
+        return self._across(kept, company, own, apart, distance) if kept else NOWHERE
+
+    def _across(
+        self, kept: list[tuple[int, float]], company: Company, own: Array, apart: NDArray[np.complex128], distance: Array
+    ) -> HalfSpaces:
+        """The same for those of the others, and the distance from each, that are to be kept clear of."""
+        near = np.array([i for i, _ in kept], dtype=np.intp)
+        keep = np.array([keep_m for _, keep_m in kept])[:, None]
+        level = np.abs(own[1, self._nodes, 0] - company.depth[near]) < keep
+        soon = (level & (distance[near] < keep + self._safety.margin_m)).any(axis=1)
+        near, keep = near[soon], keep[soon]
         if len(near) == 0:
             return NOWHERE
-        near = near[np.argsort(distance[near].min(axis=1), kind="stable")][:NEAREST]
-        away = apart[near, :, :2] / np.maximum(distance[near], TOUCHING_M)[:, :, None]
-        away[distance[near] < TOUCHING_M] = (1.0, 0.0)  # on top of one another: any direction leads out
-        offset = (away * there[near, :, :2]).sum(axis=2) + company.distance_m[near, None]
-        return HalfSpaces(np.tile(self._nodes, len(near)), away.reshape(-1, 2), offset.ravel())
+        order = np.argsort(distance[near].min(axis=1), kind="stable")[:NEAREST]
+        near, keep = near[order], keep[order]
+        away = apart[near] / np.maximum(distance[near], TOUCHING_M)
+        away[distance[near] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out
+        there = company.place[near]
+        offset = away.real * there.real + away.imag * there.imag + keep
+        return HalfSpaces(np.tile(self._nodes, len(near)), away.ravel(), offset.ravel())
 
 
-def _sound(neighbour: Neighbour) -> bool:
-    """A plan that can be used: of a known length, and numbers that can be poses (false for NaN too)."""
-    plan = neighbour.plan
-    return (
-        len(plan.eta) > 0
-        and plan.eta.shape == plan.eta_reference.shape
-        and SHORTEST_S <= plan.period_s < ABSURD
-        and abs(plan.tracking_error_m) < ABSURD
-        and bool(np.abs(plan.eta).max() < ABSURD and np.abs(plan.eta_reference).max() < ABSURD)
-    )
+def _readable(plan: Plan) -> bool:
+    """A plan of a known length and period."""
+    return len(plan.eta) > 0 and plan.eta.shape == plan.eta_reference.shape and SHORTEST_S <= plan.period_s < ABSURD
+
+
+def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
+    """Poses of all plans one below the other, and how far they are from their references, without whole turns (rows, 4)."""
+    eta = np.concatenate([neighbour.plan.eta for neighbour in others])
+    deviation = eta - np.concatenate([neighbour.plan.eta_reference for neighbour in others])
+    yaw = deviation[:, 3]
+    if not np.abs(yaw).max() <= math.pi:
+        ends = np.cumsum([len(neighbour.plan.eta) for neighbour in others])
+        for part in np.split(yaw, ends[:-1]):
+            part -= TURN * np.rint(part[0] / TURN)
+    return eta, deviation
+
+
+def _plausible(eta: Array, deviation: Array) -> bool:
+    """Numbers that can be poses; false for NaN too."""
+    return float(np.vdot(eta, eta) + np.vdot(deviation, deviation)) < ABSURD**2

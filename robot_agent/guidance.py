@@ -74,32 +74,42 @@ class Guidance:
         return np.full(len(path.eta), self._hold_yaw)
 
     def _headings(self, path: Path, tangent: Array, feedback: Vector) -> Array:
-        c, s = np.cos(tangent), np.sin(tangent)
-        speed = c * path.velocity[:, 0] + s * path.velocity[:, 1]
+        """In the tangent's frame, along + i across."""
+        back = np.exp(-1j * tangent)
+        speed = (back * path.velocity.view(np.complex128)[:, 0]).real
         if self._sway:
-            force = self._mass * path.acceleration[:, :2] + feedback
-            along = c * force[:, 0] + s * force[:, 1] + (self._linear + self._quadratic * np.abs(speed)) * speed
-            across = c * force[:, 1] - s * force[:, 0]
+            force = self._mass * path.acceleration.view(np.complex128)[:, 0]
+            force += complex(*feedback)
+            force *= back
+            drag = np.abs(speed)
+            drag *= self._quadratic
+            drag += self._linear
+            drag *= speed
+            along, across = force.real + drag, force.imag
         else:
-            along = c * feedback[0] + s * feedback[1] + speed
-            across = c * feedback[1] - s * feedback[0]
-        if self._direction * float(along[0]) < -self._worth:
-            before = self._angle(along[0], across[0])
+            back *= complex(*feedback)
+            along, across = back.real + speed, back.imag
+        if self._direction * along[0] < -self._worth:
+            before = self._angle(along[:1], across[:1])
             self._direction = -self._direction
-            self._jump += float(before - self._angle(along[0], across[0]))
+            self._jump += float(before[0] - self._angle(along[:1], across[:1])[0])
         self._jump *= self._keep
-        return np.asarray(tangent + self._angle(along, across) + self._jump)
+        angle = self._angle(along, across)
+        angle += tangent
+        angle += self._jump
+        return angle
 
     def _force(self, path: Path, eta: Array, nu: Array, side: float) -> Vector:
         """Feedback part of F in the pool frame, newtons; `side` is Gamma_v."""
-        c, s = math.cos(eta[3]), math.sin(eta[3])
-        slip_x = float(path.velocity[0, 0]) - (c * nu[0] - s * nu[1])
-        slip_y = float(path.velocity[0, 1]) - (s * nu[0] + c * nu[1])
+        x, y, _, yaw = eta.tolist()
+        u, v, _, _ = nu.tolist()
+        goal_x, goal_y, _, _ = path.eta[0].tolist()
+        speed_x, speed_y, _, _ = path.velocity[0].tolist()
+        c, s = math.cos(yaw), math.sin(yaw)
         stiff, damp = self._config.position_gain_per_s2, self._config.velocity_gain_per_s
-        error_x, error_y = path.eta[0, 0] - eta[0], path.eta[0, 1] - eta[1]
         return (
-            self._mass * float(stiff * error_x + damp * slip_x + side * s),
-            self._mass * float(stiff * error_y + damp * slip_y - side * c),
+            self._mass * (stiff * (goal_x - x) + damp * (speed_x - c * u + s * v) + side * s),
+            self._mass * (stiff * (goal_y - y) + damp * (speed_y - s * u - c * v) - side * c),
         )
 
     def _velocity(self, path: Path, eta: Array) -> Vector:
@@ -113,6 +123,9 @@ class Guidance:
         return self._asked
 
     def _angle(self, along: Array, across: Array) -> Array:
-        ahead = np.maximum(self._direction * along, self._worth)
+        tangent = across / np.maximum(self._direction * along, self._worth)
+        tangent *= self._direction
+        angle = np.arctan(tangent)
         limit = self._config.max_correction_rad
-        return np.minimum(np.maximum(np.arctan(self._direction * across / ahead), -limit), limit)
+        np.maximum(angle, -limit, out=angle)
+        return np.minimum(angle, limit, out=angle)

@@ -46,27 +46,30 @@ class Model:
         x, y, z, yaw, u, v, w, r, fx, fz, fn = state
         left, mean = self.lag(dt_s)
         cx, cz, cn = wrench
-        linear, quadratic, mass, ratio = self.linear, self.quadratic, self.mass, self.coriolis
-        speed = math.hypot(u, v)
-        push = cx + (fx - cx) * mean - (linear[0] + quadratic[0] * speed) * u
-        u1 = u + self.held(0, speed, u, dt_s) * (push / mass[0] + ratio * v * r + disturbance[0])
+        mass_u, mass_v, mass_w, mass_r = self.mass
+        linear_u, linear_v, linear_w, linear_r = self.linear
+        quadratic_u, quadratic_v, quadratic_w, quadratic_r = self.quadratic
+        speed, climb, spin = math.sqrt(u * u + v * v), abs(w), abs(r)
+        bend = 1.0 / speed if speed > 0.0 else 0.0
+        push = cx + (fx - cx) * mean - (linear_u + quadratic_u * speed) * u
+        held = _held((linear_u + quadratic_u * (speed + u * u * bend)) / mass_u, dt_s)
+        u1 = u + held * (push / mass_u + self.coriolis * v * r + disturbance[0])
         v1 = 0.0
         if self.sway:
-            push = -(linear[1] + quadratic[1] * speed) * v
-            v1 = v + self.held(1, speed, v, dt_s) * (push / mass[1] - u * r / ratio + disturbance[1])
-        push = cz + (fz - cz) * mean - (linear[2] + quadratic[2] * abs(w)) * w
-        w1 = w + self.held(2, abs(w), w, dt_s) * (push / mass[2] + disturbance[2])
-        push = cn + (fn - cn) * mean - (linear[3] + quadratic[3] * abs(r)) * r
-        r1 = r + self.held(3, abs(r), r, dt_s) * (push / mass[3] + disturbance[3])
+            held = _held((linear_v + quadratic_v * (speed + v * v * bend)) / mass_v, dt_s)
+            v1 = v + held * (disturbance[1] - (linear_v + quadratic_v * speed) * v / mass_v - u * r / self.coriolis)
+        push = cz + (fz - cz) * mean - (linear_w + quadratic_w * climb) * w
+        w1 = w + _held((linear_w + 2.0 * quadratic_w * climb) / mass_w, dt_s) * (push / mass_w + disturbance[2])
+        push = cn + (fn - cn) * mean - (linear_r + quadratic_r * spin) * r
+        r1 = r + _held((linear_r + 2.0 * quadratic_r * spin) / mass_r, dt_s) * (push / mass_r + disturbance[3])
         half = 0.5 * dt_s
         yaw1 = yaw + half * (r + r1)
         c, s, c1, s1 = math.cos(yaw), math.sin(yaw), math.cos(yaw1), math.sin(yaw1)
         x1, y1 = x + half * (c * u - s * v + c1 * u1 - s1 * v1), y + half * (s * u + c * v + s1 * u1 + c1 * v1)
-        thrust = (cx + (fx - cx) * left, cz + (fz - cz) * left, cn + (fn - cn) * left)
-        return (x1, y1, z + half * (w + w1), yaw1, u1, v1, w1, r1, *thrust)
+        rest = (cx + (fx - cx) * left, cz + (fz - cz) * left, cn + (fn - cn) * left)
+        return (x1, y1, z + half * (w + w1), yaw1, u1, v1, w1, r1, *rest)
 
-    def held(self, axis: int, speed: float, velocity: float, dt_s: float) -> float:
-        """dt phi(a dt): how long a constant acceleration counts while drag eats it."""
-        bend = speed + velocity * velocity / speed if speed > 0.0 else 0.0
-        slope = (self.linear[axis] + self.quadratic[axis] * bend) / self.mass[axis]
-        return -math.expm1(-slope * dt_s) / slope
+
+def _held(slope: float, dt_s: float) -> float:
+    """dt phi(a dt): how long a constant acceleration counts while drag of that slope, per mass, eats it."""
+    return -math.expm1(-slope * dt_s) / slope

@@ -11,11 +11,12 @@ suffices; `"point"` is the article's single working point.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from robot_agent.formation import HalfSpaces
 from robot_agent.model import Model, State
 from robot_agent.prediction import Prediction
-from robot_agent.qp import NO_BOUND, Solver, make_solver
+from robot_agent.qp import NO_BOUND, Solution, Solver, make_solver
 from wire.experiment import Mpc as MpcConfig
 from wire.frames import Array
 from wire.messages import Solve
@@ -38,125 +39,151 @@ class MpcPlan:
 
 
 class Mpc:
-    """Workspaces and memory of one robot's controller."""
+    """Workspaces and memory of one robot's controller.
+
+    Half-spaces are rare, and their rows would double the time of a solve: so there are two problems, `alone` with the limits
+    only and `beside` others with a slack and `rows` more.
+    """
 
     def __init__(self, vehicle: Vehicle, model: Model, config: MpcConfig, period_s: float, rows: int) -> None:
         self._config, self._n, self._h = config, len(config.blocks), config.horizon
         self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step)
         self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
-        self._solution, self._base = np.zeros(3 * self._n + 1), np.zeros(3)  # the last good plan, and what it changes
+        self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)  # the last good plan, and what it changes
         self._shifted = MAX_SHIFTED
         self._fresh = True
-        n = self._n
+        n, size = self._n, 3 * self._n
         ends = np.cumsum(config.blocks)
         first = np.minimum(np.searchsorted(ends, np.arange(MAX_SHIFTED + 1), side="right"), n - 1)
         self._unknowns = first[:, None] + n * np.array([0, 2, 1])  # (steps, 3) where each step's wrench is among the unknowns
-        size, fixed = 3 * n + 1, 6 * n
-        self._p, self._q = np.zeros((size, size)), np.zeros(size)
-        self._a = np.zeros((fixed + rows, size))
-        self._lower, self._upper = np.full(fixed + rows, -NO_BOUND), np.full(fixed + rows, NO_BOUND)
+        # What the errors at nodes 1..horizon depend on, weighted: x and y node by node, then yaw; z by itself
+        self._planar, self._depth = np.zeros((2 * n + 1, 3 * self._h)), np.zeros((n + 1, self._h))
+        self._root = np.zeros((self._h, 2))
         difference = np.eye(n) - np.eye(n, k=-1)
-        self._rates = np.zeros((3 * n, 3 * n))
-        for i, channel in enumerate(CHANNELS):
-            block = slice(i * n, (i + 1) * n)
-            self._rates[block, block] = config.r[channel] * difference.T @ difference + RIDGE * np.eye(n)
-            self._a[block, block] = np.eye(n)
-            self._a[3 * n + i * n : 3 * n + (i + 1) * n, block] = difference
-            self._upper[3 * n + i * n : 3 * n + (i + 1) * n] = self._step_limit[channel]
-            self._lower[3 * n + i * n : 3 * n + (i + 1) * n] = -self._step_limit[channel]
-        self._p[-1, -1] = config.slack
-        self._a[fixed:, -1] = 1.0
-        self._solver = self._make_solver(rows)
+        smooth = [config.r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
+        self._planar_cost, self._depth_cost = block_diag(*smooth[:2]), smooth[2]
+        self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
+        self._p_beside = block_diag(self._p, np.array([[config.slack]]))
+        self._a = np.vstack([np.eye(size), block_diag(difference, difference, difference)])
+        self._a_beside = block_diag(self._a, np.ones((rows, 1)))
+        channel_limits, channel_steps = self._limit.take(CHANNELS).repeat(n), self._step_limit.take(CHANNELS).repeat(n)
+        self._channel_limits, self._channel_of = channel_limits, np.array(CHANNELS).repeat(n)
+        self._upper = np.concatenate([channel_limits, channel_steps, np.full(rows, NO_BOUND)])
+        self._lower = -self._upper
+        self._alone, self._beside = self._make_solvers(rows)
+        self._in_company = False
 
-    def _make_solver(self, rows: int) -> Solver:
+    def _make_solvers(self, rows: int) -> tuple[Solver, Solver]:
         """Scaled so that the Hessian of a robot at rest has a unit diagonal: 16 iterations, 18-40 with the limits as scale."""
-        n, size = self._n, 3 * self._n + 1
-        p_mask = np.zeros((size, size), dtype=bool)
-        p_mask[: 2 * n, : 2 * n] = True
-        p_mask[2 * n : 3 * n, 2 * n : 3 * n] = True
-        p_mask[-1, -1] = True
-        a_mask = self._a != 0.0
-        a_mask[6 * n :, : 2 * n] = True
+        n, size = self._n, 3 * self._n
+        p_beside = block_diag(np.ones((2 * n, 2 * n)), np.ones((n, n)), np.ones((1, 1))) > 0.0
+        a_beside = self._a_beside != 0.0
+        a_beside[2 * size :, : 2 * n] = True
         rest = (0.0,) * 11
         self._prediction.restart(rest)
         self._prediction.linearise(rest, np.zeros(3), np.zeros(4))
         self._objective(np.zeros((self._h + 1, 4)), np.array(self._config.q) + self._config.q_formation)
         scale = 1.0 / np.sqrt(np.diagonal(self._p))
-        row_scale = np.concatenate([np.tile(1.0 / scale[:-1], 2), np.full(rows, 1.0 / scale[-1])])
-        return make_solver(self._config.solver, p_mask, a_mask, scale, row_scale)
+        slack = 1.0 / np.sqrt(self._config.slack)
+        row_scale, scale_beside = np.tile(1.0 / scale, 2), np.append(scale, slack)
+        name, row_scale_beside = self._config.solver, np.append(row_scale, np.full(rows, 1.0 / slack))
+        alone = make_solver(name, p_beside[:-1, :-1], self._a != 0.0, scale, row_scale, bounds=size)
+        alone.solve(self._p, self._q[:size], self._a, self._lower[: 2 * size], self._upper[: 2 * size])  # it has A from now on
+        return alone, make_solver(name, p_beside, a_beside, scale_beside, row_scale_beside, bounds=size)
 
     def reset(self) -> None:
         """Forget the last plan."""
         self._fresh, self._shifted = True, MAX_SHIFTED
 
     def expected(self, state: State) -> Array:
-        """Poses (horizon + 1, 4) that the coming plan is linearised along: the last plan moved on by one step, or `state`."""
+        """What the coming plan is linearised along, the last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all
+        nodes, shape (2, horizon + 1, 2)."""
         if self._fresh or self._config.linearise == "point":
             self._prediction.restart(state)
             self._fresh = False
-        return self._prediction.nominal[:4].T
+        return self._prediction.eta
 
     def plan(
         self, state: State, disturbance: Array, wrench: Array, reference: Array, weight: Array, keep_clear: HalfSpaces
     ) -> MpcPlan:
         """One solve. `reference` (horizon + 1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last."""
-        self.expected(state)
-        self._prediction.linearise(state, wrench, disturbance)
+        n, prediction = self._n, self._prediction
+        if self._fresh or self._config.linearise == "point":
+            prediction.restart(state)
+            self._fresh = False
+        prediction.linearise(state, wrench, disturbance)
         self._objective(reference, weight)
-        self._constraints(wrench, keep_clear)
-        solution = self._solver.solve(self._p, self._q, self._a, self._lower, self._upper)
-        n = self._n
+        self._limits(wrench)
+        solution = self._solve_alone() if len(keep_clear.node) == 0 else self._solve_beside(keep_clear)
         if not solution.solved:
             return self._fall_back(wrench, solution.iterations)
         x = solution.x
-        self._prediction.follow(x[: 2 * n], x[2 * n : 3 * n])
+        prediction.follow(x[: 2 * n], x[2 * n : 3 * n])
         self._solution, self._base, self._shifted = x, wrench, 0
-        eta = self._prediction.nominal[:4].T.copy()
-        self._prediction.shift()
-        return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, solution.iterations, max(0.0, float(x[-1])))
+        eta = prediction.poses()
+        prediction.shift()
+        slack_m = max(0.0, float(x[-1])) if self._in_company else 0.0
+        return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, solution.iterations, slack_m)
 
     def _objective(self, reference: Array, weight: Array) -> None:
         """P and q as Gram matrices: unit responses, and the free response's error as one more row."""
-        n, prediction, p = self._n, self._prediction, self._p
+        n, h, prediction = self._n, self._h, self._prediction
         root = np.sqrt(weight)
-        position = prediction.position.view(np.float64) * np.tile(root[:2], self._h)
-        position[-1] -= (reference[1:, :2] * root[:2]).ravel()
-        yaw = prediction.yaw * root[3]
-        yaw[-1] -= reference[1:, 3] * root[3]
-        heave = prediction.heave * root[2]
-        heave[-1] -= reference[1:, 2] * root[2]
-        planar, depth = position @ position.T, heave @ heave.T
-        planar[n:, n:] += yaw @ yaw.T
-        p[: 3 * n, : 3 * n] = self._rates
-        p[: 2 * n, : 2 * n] += planar[:-1, :-1]
-        p[2 * n : 3 * n, 2 * n : 3 * n] += depth[:-1, :-1]
-        self._q[: 2 * n], self._q[2 * n : 3 * n] = planar[:-1, -1], depth[:-1, -1]
+        goal = reference[1:] * root
+        planar, depth = self._planar, self._depth
+        self._root[:] = root[:2]
+        np.multiply(prediction.position.view(np.float64)[:, 2:], self._root.reshape(-1), out=planar[:, : 2 * h])
+        np.multiply(prediction.yaw[:, 1:], root[3], out=planar[n:, 2 * h :])
+        np.multiply(prediction.heave[:, 1:], root[2], out=depth)
+        planar[-1, : 2 * h] -= goal[:, :2].reshape(-1)
+        planar[-1, 2 * h :] -= goal[:, 3]
+        depth[-1] -= goal[:, 2]
+        moving, sinking = planar @ planar.T, depth @ depth.T
+        np.add(moving[:-1, :-1], self._planar_cost, out=self._p[: 2 * n, : 2 * n])
+        np.add(sinking[:-1, :-1], self._depth_cost, out=self._p[2 * n :, 2 * n :])
+        self._q[: 2 * n], self._q[2 * n : 3 * n] = moving[-1, :-1], sinking[-1, :-1]
 
-    def _constraints(self, wrench: Array, keep_clear: HalfSpaces) -> None:
-        n = self._n
-        for i, channel in enumerate(CHANNELS):
-            rows = slice(i * n, (i + 1) * n)
-            self._upper[rows] = self._limit[channel] - wrench[channel]
-            self._lower[rows] = -self._limit[channel] - wrench[channel]
-        self._a[6 * n :, : 2 * n] = 0.0
-        self._lower[6 * n :] = -NO_BOUND
-        count = len(keep_clear.node)
-        if count == 0:
-            return
-        responses = self._prediction.position[:, keep_clear.node - 1]
-        along = responses.real * keep_clear.normal[:, 0] + responses.imag * keep_clear.normal[:, 1]
-        self._a[6 * n : 6 * n + count, : 2 * n] = along[:-1].T
-        self._lower[6 * n : 6 * n + count] = keep_clear.offset - along[-1]
+    def _limits(self, wrench: Array) -> None:
+        """Bounds (39) on blocks that are changes to `wrench`."""
+        size, now = 3 * self._n, wrench.take(self._channel_of)
+        np.subtract(self._channel_limits, now, out=self._upper[:size])
+        np.negative(self._channel_limits, out=self._lower[:size])
+        self._lower[:size] -= now
+
+    def _solve_alone(self) -> Solution:
+        size = 3 * self._n
+        if self._in_company:
+            self._alone.start_from(self._solution[:size])
+            self._in_company = False
+        return self._alone.solve(self._p, self._q[:size], None, self._lower[: 2 * size], self._upper[: 2 * size])
+
+    def _solve_beside(self, keep_clear: HalfSpaces) -> Solution:
+        """With half-spaces (36) in the first of the rows that there are for them."""
+        n, size, count = self._n, 3 * self._n, len(keep_clear.node)
+        if not self._in_company:
+            self._beside.start_from(np.append(self._solution[:size], 0.0))
+            self._in_company = True
+        responses = self._prediction.position[:, keep_clear.node]
+        along = responses.real * keep_clear.normal.real + responses.imag * keep_clear.normal.imag
+        rows, lower = self._a_beside[2 * size :], self._lower[2 * size :]
+        rows[:count, : 2 * n], rows[count:, : 2 * n] = along[:-1].T, 0.0
+        lower[:count], lower[count:] = keep_clear.offset - along[-1], -NO_BOUND
+        self._p_beside[:-1, :-1] = self._p
+        return self._beside.solve(self._p_beside, self._q, self._a_beside, self._lower, self._upper)
 
     def _step_of_plan(self, step: int, before: Array) -> Array:
         """The last good plan's wrench (3,), exactly within the limits (the solver is right to 1e-4)."""
-        asked = self._base + self._solution[self._unknowns[step]]
-        stepped = np.minimum(np.maximum(asked, before - self._step_limit), before + self._step_limit)
-        return np.asarray(np.minimum(np.maximum(stepped, -self._limit), self._limit))
+        asked = self._solution[self._unknowns[step]]
+        asked += self._base
+        np.maximum(asked, before - self._step_limit, out=asked)
+        np.minimum(asked, before + self._step_limit, out=asked)
+        np.maximum(asked, -self._limit, out=asked)
+        np.minimum(asked, self._limit, out=asked)
+        return np.asarray(asked)
 
     def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
         """The last good plan, moved on by a step; nothing once it is used up."""
-        eta = self._prediction.nominal[:4].T.copy()
+        eta = self._prediction.poses()
         if self._shifted >= MAX_SHIFTED:
             self.reset()
             return MpcPlan(np.zeros(3), eta, Solve.FAILED, iterations, 0.0)

@@ -7,6 +7,7 @@ spoils every later solve; `update(Px=)` overwrites the caller's array; an infeas
 """
 
 import importlib
+import math
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -35,6 +36,8 @@ SETTINGS = {
     "warm_starting": 1,
     "time_limit": 1e10,
 }
+SOLVED = (int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE))
+OUT_OF_ITERATIONS = int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
 CLOSE = 0.01  # of what was asked for: a hundred times the tolerance
 NO_BOUND = 1e30  # what both solvers take for infinity
 
@@ -51,14 +54,11 @@ class Solution:
 class Solver(Protocol):
     """A backend."""
 
-    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
-        """Solve for p (n, n) symmetric, q (n,), a (m, n), bounds (m,); 1e30 and beyond is no bound."""
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
+        """Solve for p (n, n) symmetric, q (n,), a (m, n), bounds (m,); 1e30 and beyond is no bound. `a` None: as it was."""
 
-
-def usable(p: Array, q: Array, a: Array, lower: Array, upper: Array) -> bool:
-    """True if every number is one and no bounds cross."""
-    total = float(p.sum()) + float(q.sum()) + float(a.sum()) + float(lower.sum()) + float(upper.sum())
-    return bool(np.isfinite(total) and (lower <= upper).all())
+    def start_from(self, x: Array) -> None:
+        """Begin the next solve at x (n,) instead of at the last solution."""
 
 
 class OsqpSolver:
@@ -69,72 +69,108 @@ class OsqpSolver:
     """
 
     def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array) -> None:
-        self._shape = a_mask.shape
-        n = self._shape[1]
+        rows, n = a_mask.shape
         upper = np.triu(p_mask) | np.eye(n, dtype=bool)
-        self._p_entries = _by_columns(upper)
-        self._a_entries = _by_columns(a_mask)
         self._scale, self._row_scale = scale.copy(), row_scale.copy()
-        self._p_scale = (scale[:, None] * scale)[self._p_entries]
-        self._a_scale = (row_scale[:, None] * scale)[self._a_entries]
+        self._p_entries, self._a_entries = _by_columns(upper), _by_columns(a_mask)
+        self._p_scale = np.multiply.outer(scale, scale).take(self._p_entries)
+        self._a_scale = np.multiply.outer(row_scale, scale).take(self._a_entries)
+        self._numbers, (self._p, self._a, self._q, self._low, self._high) = _workspace(
+            len(self._p_entries), len(self._a_entries), n, rows, rows
+        )
         self._solver = _built(upper, a_mask)
-        self._p_values, self._a_values = np.empty(len(self._p_scale)), np.empty(len(self._a_scale))
 
-    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """See `Solver`."""
-        if not usable(p, q, a, lower, upper):
+        p.take(self._p_entries, out=self._p, mode="clip")
+        self._p *= self._p_scale
+        if a is not None:
+            a.take(self._a_entries, out=self._a, mode="clip")
+            self._a *= self._a_scale
+        np.multiply(q, self._scale, out=self._q)
+        _scaled_bounds(lower, upper, self._row_scale, self._low, self._high)
+        solver = self._solver
+        if (
+            not _finite(self._numbers)
+            or solver.update_data_vec(q=self._q, l=self._low, u=self._high)  # refuses bounds that cross
+            or solver.update_data_mat(P_x=self._p, P_i=None, A_x=None if a is None else self._a, A_i=None)
+        ):
             return Solution(np.zeros(len(q)), False, 0)
-        np.multiply(p[self._p_entries], self._p_scale, out=self._p_values)
-        np.multiply(a[self._a_entries], self._a_scale, out=self._a_values)
-        low = np.maximum(lower * self._row_scale, -NO_BOUND)
-        high = np.minimum(upper * self._row_scale, NO_BOUND)
-        refused = self._solver.update_data_mat(P_x=self._p_values, P_i=None, A_x=self._a_values, A_i=None)
-        refused |= self._solver.update_data_vec(q=q * self._scale, l=low, u=high)
-        if refused:
-            return Solution(np.zeros(len(q)), False, 0)
-        self._solver.solve()
-        x, info = np.array(self._solver.solution.x), self._solver.info
-        if not (self._close(info, q) and np.isfinite(x).all()):
-            self._solver.warm_start(np.zeros(len(q)), np.zeros(len(lower)))
-            return Solution(np.zeros(len(q)), False, int(info.iter))
-        return Solution(x * self._scale, True, int(info.iter))
+        solver.solve()
+        x, info = solver.solution.x, solver.info
+        if not (self._close(info) and _finite(x)):
+            solver.warm_start(np.zeros(len(q)), np.zeros(len(lower)))
+            return Solution(np.zeros(len(q)), False, info.iter)
+        return Solution(x * self._scale, True, info.iter)
 
-    def _close(self, info: Any, q: Array) -> bool:
+    def start_from(self, x: Array) -> None:
+        """See `Solver`. The multipliers start at zero."""
+        self._solver.warm_start(x / self._scale, np.zeros(len(self._low)))
+
+    def _close(self, info: Any) -> bool:
         """Solved; or out of iterations so close to it that the plan is better than the last one (residuals are scaled)."""
         status = info.status_val
-        if status in (osqp.SolverStatus.OSQP_SOLVED, osqp.SolverStatus.OSQP_SOLVED_INACCURATE):
+        if status in SOLVED:
             return True
-        enough = CLOSE * max(1.0, float(np.abs(q * self._scale).max()))
-        return bool(status == osqp.SolverStatus.OSQP_MAX_ITER_REACHED and info.prim_res < CLOSE and info.dual_res < enough)
+        enough = CLOSE * max(1.0, float(np.abs(self._q).max()))
+        return bool(status == OUT_OF_ITERATIONS and info.prim_res < CLOSE and info.dual_res < enough)
 
 
 class DaqpSolver:
-    """DAQP: dual active set, exact, with a short tail. For small problems."""
+    """DAQP: dual active set, exact, with a short tail. For small problems. It has no memory: `start_from` does nothing.
 
-    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array) -> None:
-        self._scale, self._row_scale = scale.copy(), row_scale.copy()
-        self._sense = np.zeros(a_mask.shape[0], dtype=np.int32)
+    The first `bounds` rows of A must be those of the identity: they are handled at next to no cost.
+    """
+
+    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0) -> None:
+        rows, n = a_mask.shape
+        self._bounds = bounds
+        self._scale, self._row_scale = scale.copy(), np.concatenate([1.0 / scale[:bounds], row_scale[bounds:]])
+        self._p_scale = np.multiply.outer(scale, scale)
+        self._a_scale = np.multiply.outer(self._row_scale[bounds:], scale)
+        self._numbers, (p, a, self._q, self._low, self._high) = _workspace(n * n, (rows - bounds) * n, n, rows, rows)
+        self._p, self._a = p.reshape(n, n), a.reshape(rows - bounds, n)
+        self._sense = np.zeros(rows, dtype=np.int32)
         try:
             self._daqp = importlib.import_module("daqp")
         except ModuleNotFoundError:
             raise ConfigError('controller.mpc.solver = "daqp": not installed here (pip install daqp, or use "osqp")') from None
 
-    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """See `Solver`."""
-        if not usable(p, q, a, lower, upper):
+        np.multiply(p, self._p_scale, out=self._p)
+        if a is not None:
+            np.multiply(a[self._bounds :], self._a_scale, out=self._a)
+        np.multiply(q, self._scale, out=self._q)
+        _scaled_bounds(lower, upper, self._row_scale, self._low, self._high)
+        if not _finite(self._numbers):
             return Solution(np.zeros(len(q)), False, 0)
-        scale, rows = self._scale, self._row_scale
-        x, _, status, info = self._daqp.solve(
-            np.ascontiguousarray(p * (scale[:, None] * scale)),
-            q * scale,
-            np.ascontiguousarray(a * (rows[:, None] * scale)),
-            np.minimum(upper * rows, NO_BOUND),
-            np.maximum(lower * rows, -NO_BOUND),
-            self._sense,
-        )
-        x = np.asarray(x) * scale
-        solved = bool(status > 0 and np.isfinite(x).all())
-        return Solution(x if solved else np.zeros(len(q)), solved, int(info["iterations"]))
+        x, _, status, info = self._daqp.solve(self._p, self._q, self._a, self._high, self._low, self._sense)
+        if status <= 0 or not _finite(x):
+            return Solution(np.zeros(len(q)), False, info["iterations"])
+        return Solution(x * self._scale, True, info["iterations"])
+
+    def start_from(self, x: Array) -> None:
+        """See `Solver`."""
+
+
+def _workspace(*sizes: int) -> tuple[Array, list[Array]]:
+    """One array and its parts: all numbers of a problem can be checked at once."""
+    numbers = np.zeros(sum(sizes))
+    return numbers, np.split(numbers, np.cumsum(sizes[:-1]))
+
+
+def _finite(numbers: Array) -> bool:
+    """True if every one is; false too if their sum overflows."""
+    return math.isfinite(np.add.reduce(numbers))
+
+
+def _scaled_bounds(lower: Array, upper: Array, scale: Array, low: Array, high: Array) -> None:
+    """Write the bounds of scaled rows into `low` and `high`, with the solvers' own infinity for none."""
+    np.multiply(lower, scale, out=low)
+    np.maximum(low, -NO_BOUND, out=low)
+    np.multiply(upper, scale, out=high)
+    np.minimum(high, NO_BOUND, out=high)
 
 
 def _built(p_mask: Mask, a_mask: Mask) -> Any:
@@ -151,18 +187,16 @@ def _built(p_mask: Mask, a_mask: Mask) -> Any:
 
 
 def make_solver(
-    name: Literal["osqp", "daqp"],
-    p_mask: Mask,
-    a_mask: Mask,
-    scale: Array,
-    row_scale: Array,
+    name: Literal["osqp", "daqp"], p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0
 ) -> Solver:
-    """The backend of that name for problems with entries in these masks only, (n, n) and (m, n)."""
-    backend = OsqpSolver if name == "osqp" else DaqpSolver
-    return backend(p_mask, a_mask, scale, row_scale)
+    """The backend of that name for problems with entries in these masks only, (n, n) and (m, n). The first `bounds` rows of
+    A are those of the identity."""
+    if name == "osqp":
+        return OsqpSolver(p_mask, a_mask, scale, row_scale)
+    return DaqpSolver(p_mask, a_mask, scale, row_scale, bounds)
 
 
-def _by_columns(mask: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices (rows, columns) of the entries in compressed-sparse-column order."""
+def _by_columns(mask: Mask) -> NDArray[np.intp]:
+    """Places in the flattened matrix of the entries in compressed-sparse-column order."""
     columns, rows = np.nonzero(mask.T)
-    return rows, columns
+    return np.asarray(rows * mask.shape[1] + columns)

@@ -45,8 +45,8 @@ class Sampler:
 
     def path(self, goal: Goal) -> Path:
         """The goal over the horizon."""
-        count = len(self._offsets_s)
         if isinstance(goal, Hold):
+            count = len(self._offsets_s)
             return Path(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
         rows = self._sample(goal.trajectory, goal.time_s + self._offsets_s)
         return Path(rows[:, :4], rows[:, 4:8], rows[:, 8:])

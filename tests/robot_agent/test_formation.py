@@ -1,9 +1,11 @@
 """Neighbours: formation pull, who yields, growing bubbles, half-spaces."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from robot_agent.formation import NEAREST, Formation, Neighbour, Rank
+from robot_agent.formation import NEAREST, Formation, HalfSpaces, Neighbour, Rank
 from wire.experiment import Mpc as MpcConfig
 from wire.experiment import Safety
 from wire.frames import Array
@@ -38,27 +40,36 @@ def formation() -> Formation:
 def test_pull_is_the_sum_of_weighted_deviations() -> None:
     """argmin of ||e||_Q^2 + sum ||e - dev_j||_Qij^2 is sum Qij dev_j / (Q + sum Qij): what the reference is moved by."""
     both = [neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4))), neighbour(plan((2, 0), off=(-0.3, 0, 0, 0)), robot=3)]
-    company = formation().company(both, EQUAL, 0, 0)
+    company = formation().company(both, 0)
     assert company.pull[10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]))
     assert company.weight == pytest.approx(np.full(4, 0.3)) and company.heard == 2
 
 
 def test_plans_are_read_at_our_instants() -> None:
-    company = formation().company([neighbour(plan((0, 0), (0.2, 0.1)), stamp_ns=0)], EQUAL, NS // 10, 3 * NS // 20)
-    assert company.positions[0][0] == pytest.approx([0.03, 0.015, 0.0])
-    assert company.positions[0][-1] == pytest.approx([0.5, 0.25, 0.0])  # the plan's end stands
+    company = formation().company([neighbour(plan((0, 0), (0.2, 0.1)), stamp_ns=0)], 7 * NS // 40)
+    assert company.place[0, 0] == pytest.approx((0.2 + 0.1j) * 0.675)  # node 10 of ours, 13.5 of theirs
+    assert company.place[0, -1] == pytest.approx((0.2 + 0.1j) * 2.5)  # the plan's end stands
+
+
+def test_plans_with_steps_of_another_length_are_read_at_our_instants() -> None:
+    slow = plan((0, 0), (0.2, 0.1), off=(0.1, 0, 0, 0))
+    slow = dataclasses.replace(slow, period_s=0.08, eta=slow.eta[:40], eta_reference=slow.eta_reference[:40])
+    company = formation().company([neighbour(slow), neighbour(plan((0, 0)))], NS // 10)
+    assert company.place[0, 0] == pytest.approx((0.2 + 0.1j) * 0.05 * 0.6 / 0.08)
+    assert company.place[0, -1] == pytest.approx((0.2 + 0.1j) * 0.05 * 2.6 / 0.08)
+    assert company.pull[:, 0] == pytest.approx(np.full(STEPS, 0.015))
 
 
 def test_yaw_deviation_is_wrapped() -> None:
-    company = formation().company([neighbour(plan((1, 0), off=(0, 0, 0, 6.2)))], EQUAL, 0, 0)
+    company = formation().company([neighbour(plan((1, 0), off=(0, 0, 0, 6.2)))], 0)
     assert company.pull[0, 3] == pytest.approx(0.15 * (6.2 - 2 * np.pi))
 
 
 def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() -> None:
     silent = neighbour(plan((1, 0), off=(0.1, 0, 0, 0)), fresh=False)
-    sizes = [formation().company([silent], EQUAL, now, now).distance_m[0] for now in (NS, 3 * NS, 60 * NS)]
+    sizes = [formation().distance_m(silent, EQUAL, now) for now in (NS, 3 * NS, 60 * NS)]
     assert sizes == pytest.approx([0.7, 0.9, 1.1])  # 2R + 0.1 m/s, at most 0.5 m more
-    company = formation().company([silent], EQUAL, NS, NS)
+    company = formation().company([silent], NS)
     assert not company.pull.any() and not company.weight.any() and company.heard == 0
 
 
@@ -76,56 +87,68 @@ def test_ranks(high: Rank, low: Rank) -> None:
 
 def test_the_higher_ignores_the_lower_which_yields_and_equals_both_act() -> None:
     here = neighbour(plan((1, 0), tracking_error_m=0.2))
-    assert len(formation().company([here], Rank(False, 0.05, 1), 0, 0).distance_m) == 0
-    assert len(formation().company([here], Rank(False, 0.5, 1), 0, 0).distance_m) == 1
-    assert len(formation().company([here], Rank(False, 0.2, 1), 0, 0).distance_m) == 1
+    assert formation().distance_m(here, Rank(False, 0.05, 1), 0) is None
+    assert formation().distance_m(here, Rank(False, 0.5, 1), 0) == pytest.approx(0.6)
+    assert formation().distance_m(here, Rank(False, 0.2, 1), 0) == pytest.approx(0.6)
 
 
 def test_nobody_is_above_a_silent_robot() -> None:
     silent = neighbour(plan((1, 0), tracking_error_m=9.0), fresh=False)
-    assert len(formation().company([silent], Rank(True, 0.0, 1), 0, 0).distance_m) == 1
+    assert formation().distance_m(silent, Rank(True, 0.0, 1), 0) == pytest.approx(0.6)
 
 
-def own(x: float, y: float = 0.0, z: float = 0.0) -> Array:
-    return np.tile([x, y, z], (STEPS, 1))
+def expecting(x: float, y: float = 0.0, z: float = 0.0) -> Array:
+    """What a robot that stays expects of itself."""
+    return np.repeat(np.array(((x, y), (z, 0.0)))[:, None], STEPS, axis=1)
+
+
+def half_spaces(others: list[Neighbour], own: Array, rank: Rank = EQUAL, now_ns: int = 0) -> HalfSpaces:
+    f = formation()
+    return f.half_spaces(f.company(others, now_ns), own, rank, now_ns)
 
 
 def test_half_spaces_only_when_it_gets_close() -> None:
-    f = formation()
-    company = f.company([neighbour(plan((0, 0)))], EQUAL, 0, 0)
-    assert len(f.half_spaces(company, own(0.66)).node) == 0  # 2R + margin = 0.65
-    assert len(f.half_spaces(company, own(0.64)).node) == 5
+    here = [neighbour(plan((0, 0)))]
+    assert len(half_spaces(here, expecting(0.66)).node) == 0  # 2R + margin = 0.65
+    assert len(half_spaces(here, expecting(0.64)).node) == 5
+
+
+def test_of_a_silent_robot_half_spaces_come_sooner() -> None:
+    silent = [neighbour(plan((0, 0)), fresh=False)]
+    assert len(half_spaces(silent, expecting(1.0), now_ns=NS).node) == 0
+    assert half_spaces(silent, expecting(1.0), now_ns=5 * NS).offset == pytest.approx(np.full(5, 1.1))
+
+
+def test_who_ranks_higher_sees_no_half_spaces() -> None:
+    here = [neighbour(plan((0, 0), tracking_error_m=0.2)), neighbour(plan((0.5, 1.0), tracking_error_m=0.0), robot=3)]
+    rows = half_spaces(here, expecting(0.5, 0.5), Rank(False, 0.1, 1))
+    assert rows.offset == pytest.approx(np.full(5, -1.0 + 0.6)) and np.allclose(rows.normal, -1j)  # of the second one alone
 
 
 def test_half_spaces_are_tangent_to_the_circle_between_the_two() -> None:
-    f = formation()
-    company = f.company([neighbour(plan((0.1, 0.2), (0.02, 0.0)))], EQUAL, 0, 0)
-    rows = f.half_spaces(company, own(0.4, 0.6))
+    rows = half_spaces([neighbour(plan((0.1, 0.2), (0.02, 0.0)))], expecting(0.4, 0.6))
     for node, normal, offset in zip(rows.node, rows.normal, rows.offset, strict=True):
-        there = np.array([0.1 + 0.02 * PERIOD_S * node, 0.2])
-        line = np.array([0.4, 0.6]) - there
-        assert normal == pytest.approx(line / np.linalg.norm(line))
-        assert offset == pytest.approx(normal @ there + 0.6)
+        there = 0.1 + 0.02 * PERIOD_S * node + 0.2j
+        line = 0.4 + 0.6j - there
+        assert normal == pytest.approx(line / abs(line))
+        assert offset == pytest.approx((normal * there.conjugate()).real + 0.6)
 
 
 def test_a_robot_well_below_is_out_of_the_way() -> None:
-    f = formation()
-    company = f.company([neighbour(plan((0, 0)))], EQUAL, 0, 0)
-    assert len(f.half_spaces(company, own(0.1, 0.0, 0.7)).node) == 0
-    assert len(f.half_spaces(company, own(0.1, 0.0, 0.5)).node) == 5
+    here = [neighbour(plan((0, 0)))]
+    assert len(half_spaces(here, expecting(0.1, 0.0, 0.7)).node) == 0
+    assert len(half_spaces(here, expecting(0.1, 0.0, 0.5)).node) == 5
 
 
 def test_on_top_of_one_another_there_is_a_way_out() -> None:
-    f = formation()
-    rows = f.half_spaces(f.company([neighbour(plan((0, 0)))], EQUAL, 0, 0), own(0.0))
-    assert np.isfinite(rows.normal).all() and np.linalg.norm(rows.normal, axis=1) == pytest.approx(np.ones(5))
+    rows = half_spaces([neighbour(plan((0, 0)))], expecting(0.0))
+    assert np.abs(rows.normal) == pytest.approx(np.ones(5))
 
 
 def test_the_nearest_count_when_there_are_too_many() -> None:
-    f = formation()
     crowd = [neighbour(plan((0.3 + 0.05 * i, 0.0)), robot=i + 2) for i in range(6)]
-    rows = f.half_spaces(f.company(crowd, EQUAL, 0, 0), own(0.0))
-    assert len(rows.node) == 5 * NEAREST == f.rows
+    rows = half_spaces(crowd, expecting(0.0))
+    assert len(rows.node) == 5 * NEAREST == formation().rows
     assert rows.offset.min() == pytest.approx(-0.45 + 0.6)  # of the fourth; the fifth and sixth are left out
 
 
@@ -133,5 +156,7 @@ def test_the_nearest_count_when_there_are_too_many() -> None:
 def test_a_plan_with_nonsense_is_no_plan(poison: float) -> None:
     bad = plan((0, 0))
     bad.eta[3, 1] = poison
-    company = formation().company([neighbour(bad), neighbour(Plan(PERIOD_S))], EQUAL, 0, 0)
-    assert company.heard == 0 and len(company.distance_m) == 0
+    good = neighbour(plan((1, 0), off=(0.1, 0, 0, 0)), robot=3)
+    company = formation().company([neighbour(bad), neighbour(Plan(PERIOD_S)), good], 0)
+    assert company.heard == 1 and company.others == [good]
+    assert company.pull[:, 0] == pytest.approx(np.full(STEPS, 0.015))

@@ -104,11 +104,11 @@ def predicted(prediction: Prediction, channel: int, block: int) -> Array:
     out = np.zeros((HORIZON, 4))
     row = {0: block, 1: block, 2: len(BLOCKS) + block}[channel]
     if channel == 1:
-        out[:, 2] = prediction.heave[block]
+        out[:, 2] = prediction.heave[block, 1:]
         return out
-    out[:, 0], out[:, 1] = prediction.position[row].real, prediction.position[row].imag
+    out[:, 0], out[:, 1] = prediction.position[row, 1:].real, prediction.position[row, 1:].imag
     if channel == 2:
-        out[:, 3] = prediction.yaw[block]
+        out[:, 3] = prediction.yaw[block, 1:]
     return out
 
 
@@ -131,7 +131,7 @@ def test_free_response_converges_to_the_nonlinear_motion(seed: int, lag: bool) -
     true = fly(vehicle, start, before, np.zeros((3, len(BLOCKS))), gamma, lag)
     free = np.stack(
         [prediction.position[-1].real, prediction.position[-1].imag, prediction.heave[-1], prediction.yaw[-1]], axis=1
-    )
+    )[1:]
     assert np.abs(free - true)[:, :3].max() < 0.01
     assert np.abs(free - true)[:, 3].max() < 0.03
 

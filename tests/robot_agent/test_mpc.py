@@ -63,7 +63,8 @@ def test_the_plan_minimises_the_nonlinear_cost() -> None:
     )
     first = None
     for _ in range(6):  # the same state again: linearised along its own plan, it converges
-        controller._prediction.nominal[:, 1:] = controller._prediction.nominal[:, :-1].copy()  # undo the shift
+        for nominal in (controller._prediction.eta, controller._prediction.nu):
+            nominal[:, 1:] = nominal[:, :-1].copy()  # undo the shift
         first = controller.plan(START, np.zeros(4), np.zeros(3), reference, WEIGHT, NOWHERE)
     assert first is not None and first.solve is Solve.SOLVED
     assert first.wrench == pytest.approx(best.x[:3], abs=0.05 * float(STEP.max()))
@@ -101,7 +102,7 @@ def test_the_articles_setting_is_there() -> None:
 def wall(x: float) -> HalfSpaces:
     """Stay at x <= `x` at five nodes."""
     nodes = np.array([10, 20, 30, 40, 50])
-    return HalfSpaces(nodes, np.tile([-1.0, 0.0], (5, 1)), np.full(5, -x))
+    return HalfSpaces(nodes, np.full(5, -1.0 + 0.0j), np.full(5, -x))
 
 
 def test_half_spaces_stop_it() -> None:
@@ -123,10 +124,13 @@ class Refusing:
     """A solver that gives up when told to."""
 
     def __init__(self, controller: Mpc) -> None:
-        self._real, self.refuse = controller._solver, False
-        controller._solver = self
+        self._real, self.refuse = controller._alone, False
+        controller._alone = self
 
-    def solve(self, p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Solution:
+    def start_from(self, x: Array) -> None:
+        self._real.start_from(x)
+
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         return Solution(np.zeros(len(q)), False, 100) if self.refuse else self._real.solve(p, q, a, lower, upper)
 
 
@@ -185,4 +189,7 @@ def test_after_a_reset_it_expects_to_stay_where_it_is_now() -> None:
     controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE)
     controller.reset()
     elsewhere: State = (1.0, 2.0, 0.3, 0.5, *([0.0] * 7))
-    assert controller.expected(elsewhere) == pytest.approx(np.tile([1.0, 2.0, 0.3, 0.5], (51, 1)))
+    expected = controller.expected(elsewhere)
+    assert np.array_equal(expected[0], np.tile([1.0, 2.0], (51, 1))) and np.array_equal(
+        expected[1], np.tile([0.3, 0.5], (51, 1))
+    )

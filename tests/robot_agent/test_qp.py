@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.optimize import LinearConstraint, minimize
 
-from robot_agent.qp import NO_BOUND, DaqpSolver, OsqpSolver, Solver, make_solver, usable
+from robot_agent.qp import NO_BOUND, DaqpSolver, OsqpSolver, Solver, make_solver
 from wire.frames import Array
 from wire.toml_file import ConfigError
 
@@ -108,7 +108,6 @@ def test_crossed_bounds_are_refused_not_ignored(name: Backend) -> None:
     p, q, a, lower, upper = problem(random)
     backend.solve(p, q, a, lower, upper)
     lower[2], upper[2] = 0.5, 0.4
-    assert not usable(p, q, a, lower, upper)
     assert not backend.solve(p, q, a, lower, upper).solved
 
 
