@@ -81,11 +81,11 @@ class Hover:
         shifts = [np.gradient(plane, BLOCK) for plane in (column, row)]  # down and right, per pixel
         raw = np.empty((view.height, view.width), np.uint8)
         for i, j, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
-            place = [
+            columns, rows = (
                 _halved(plane + np.float32(i - 0.5) * down + np.float32(j - 0.5) * right, view)
                 for plane, (down, right) in zip((column, row), shifts, strict=True)
-            ]
-            seen = cv2.remap(self._planes[channel], *place, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            )
+            seen = cv2.remap(self._planes[channel], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             raw[i::2, j::2] = cv2.add(cv2.multiply(seen, light, dtype=cv2.CV_8U), glare)
         return scene, raw
 
