@@ -82,15 +82,17 @@ class Plant:
 
     def acceleration(self, state: PlantState) -> Array:
         """d nu / dt now, shape (n, 4)."""
-        x = np.concatenate([state.eta, state.nu], axis=1)
-        wrench = self._thrusters.wrench(state.motors)
-        return self._rate(x, wrench, self.time_s(state), self._basin.is_near(state.eta[:, :3]))[:, 4:]
+        return self._acceleration(state, self._thrusters.wrench(state.motors))
 
     def truth(self, state: PlantState) -> Truth:
         """What nobody who controls may read."""
         wrench = self._thrusters.wrench(state.motors)
-        disturbance = self.acceleration(state) - self._expected(state.nu, wrench)
+        disturbance = self._acceleration(state, wrench) - self._expected(state.nu, wrench)
         return Truth(self._robots, state.eta.copy(), state.nu.copy(), wrench, disturbance)
+
+    def _acceleration(self, state: PlantState, wrench: Array) -> Array:
+        x = np.concatenate([state.eta, state.nu], axis=1)
+        return self._rate(x, wrench, self.time_s(state), self._basin.is_near(state.eta[:, :3]))[:, 4:]
 
     def _rate(self, x: Array, wrench: Array, time_s: float, contact: bool) -> Array:
         """d/dt of [eta, nu] (n, 8), with the legs' wrench (n, 3) given."""

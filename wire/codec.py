@@ -166,16 +166,16 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
 
 
 def _to_protobuf(message: Any, target: Any) -> Any:
-    for field in dataclasses.fields(message):
-        value = getattr(message, field.name)
+    for name, _, is_message in _fields(cast(Any, type(message))):
+        value = getattr(message, name)
         if isinstance(value, np.ndarray):
-            getattr(target, field.name).extend(value.ravel().tolist())
+            getattr(target, name).extend(value.ravel().tolist())
         elif isinstance(value, tuple):
-            getattr(target, field.name).extend(value)
-        elif dataclasses.is_dataclass(value):
-            _to_protobuf(value, getattr(target, field.name))
+            getattr(target, name).extend(value)
+        elif not is_message:
+            setattr(target, name, value)
         elif value is not None:
-            setattr(target, field.name, value)
+            _to_protobuf(value, getattr(target, name))
     return target
 
 
