@@ -100,6 +100,8 @@ class LandmarkCamera:
         """Find the pose in a picture (height, width)."""
         self._frames += 1
         found = self._read(frame)
+        if found is None:
+            return
         self._agreeing = len(found)
         if len(found) < LANDMARKS_NEEDED:
             return
@@ -124,10 +126,10 @@ class LandmarkCamera:
         drift = (self._age_s * np.array([_DRIFT_MPS, _DRIFT_MPS, _DRIFT_RADPS])) ** 2
         return np.asarray(moved @ self._pose.covariance @ np.swapaxes(moved, 1, 2) + np.diag(drift))
 
-    def _read(self, frame: Pixels) -> dict[int, Array]:
-        """Corners (4, 2) px of the landmarks seen, by index, in a fixed order."""
+    def _read(self, frame: Pixels) -> dict[int, Array] | None:
+        """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None where it is not worth looking."""
         if not self.usable:
-            return self._pick(frame, scan=True) if self._frames % _SCAN_EVERY == 1 else {}
+            return self._pick(frame, scan=True) if self._frames % _SCAN_EVERY == 1 else None
         found = self._pick(frame, scan=False)
         return found if len(found) >= LANDMARKS_NEEDED else self._pick(frame, scan=True)
 
