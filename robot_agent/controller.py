@@ -51,7 +51,7 @@ class ControlOutput:
     estimated: bool  # False until the first pose, and after coasting too long: eta, nu, disturbance mean nothing
     eta: Array  # (4,) estimated pose now
     nu: Array  # (4,) estimated velocity now, body frame
-    disturbance: Array  # (4,) estimated acceleration that the nominal model does not explain, body frame
+    disturbance: Array  # (4,) estimated acceleration that the nominal model in still water does not explain, body frame
     eta_reference: Array  # (4,) the goal now: yaw is the path's tangent
     eta_command: Array  # (4,) what the controller was given: yaw with crab angle and correction
     plan_eta: Array  # (horizon + 1, 4) predicted poses at now + s * period_s; node 0 is `eta`
@@ -72,7 +72,7 @@ class Controller:
         self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
         self._weight = np.array(config.mpc.q)
         model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
-        self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s)
+        self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self._sampler = Sampler(nodes_s)
@@ -97,7 +97,9 @@ class Controller:
         weight, command = self._command(goal, path, company, estimate)
         expected = self._mpc.expected(estimate.action)
         keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns)
-        plan = self._mpc.plan(estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear)
+        plan = self._mpc.plan(
+            estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current
+        )
         return self._put_out(plan, estimate, path, command, company, now_ns)
 
     def _take_up(self, goal: Goal) -> None:
@@ -110,7 +112,7 @@ class Controller:
         """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""
         if isinstance(goal, Hold):
             command = path.eta.copy()
-            command[:, 3] = self._guidance.hold(path, estimate.eta, estimate.nu, estimate.disturbance)
+            command[:, 3] = self._guidance.hold(path, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
             return self._weight, command
         command = path.eta.copy()
         weight = self._weight
@@ -121,7 +123,7 @@ class Controller:
             command[0] += pull[0]
         if self._config.guidance.enabled:
             lead = Path(command, path.velocity, path.acceleration)
-            command[:, 3] = self._guidance.follow(lead, estimate.eta, estimate.nu, estimate.disturbance)
+            command[:, 3] = self._guidance.follow(lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
         away = float(estimate.eta[3] - command[0, 3]) / TURN - self._turns
         if abs(away) > 0.55:  # beyond half a turn by a margin, so that a robot facing backwards does not change its mind
             self._turns += round(away)
@@ -150,7 +152,7 @@ class Controller:
             estimated=True,
             eta=estimate.eta,
             nu=estimate.nu,
-            disturbance=estimate.disturbance,
+            disturbance=estimate.lumped,
             eta_reference=path.eta[0].copy(),
             eta_command=command[0].copy(),
             plan_eta=told[:, :4],
@@ -180,7 +182,7 @@ class Controller:
             estimated=estimate is not None,
             eta=eta,
             nu=np.zeros(4) if estimate is None else estimate.nu,
-            disturbance=np.zeros(4) if estimate is None else estimate.disturbance,
+            disturbance=np.zeros(4) if estimate is None else estimate.lumped,
             eta_reference=eta,
             eta_command=eta,
             plan_eta=stay,

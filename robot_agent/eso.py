@@ -4,8 +4,14 @@ The observer lives at the exposure of the newest pose. From there it is predicte
 command given now begins to act, with the wrenches that act meanwhile: 50 ms unaccounted at 0.3 m/s is 15 mm, more than all
 vision noise. Gains are the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao 2006), which tend to
 b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones: poses come late and go missing.
+
+The water may stream. To a robot that holds its heading a current c and a side force Gamma_v look the same; to one that turns a
+current stands still while a force of its own turns along. So what lasts of Gamma_v is put down to a current, little by little
+and along the one direction (v, Gamma_v, c) += (-1, -slope of drag / m_v, 1) dc that changes no prediction at this heading. In
+water that streams evenly the model holds as it is for velocities through the water: c only moves the robot along.
 """
 
+import cmath
 import math
 from collections import deque
 from dataclasses import dataclass
@@ -50,25 +56,29 @@ class Measurement:
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What is known of the robot. `nu` and `disturbance` are in the body frame."""
+    """What is known of the robot. Velocities and `disturbance` are in the body frame, `current` in the pool's."""
 
     eta: Array  # (4,) now; yaw continuous, not wrapped
-    nu: Array  # (4,) now
-    disturbance: Array  # (4,) acceleration that the nominal model does not explain
-    action: State  # when a command given now begins to act
+    nu: Array  # (4,) now, over ground
+    disturbance: Array  # (4,) acceleration that the nominal model does not explain, in water that streams at `current`
+    current: complex  # x + iy of the water's own velocity, m/s
+    lumped: Array  # (4,) both together: what a model of still water does not explain
+    action: State  # when a command given now begins to act; velocities through the water
     pose_age_s: float
 
 
 class Estimator:
     """One robot's observer. `update` once per control step, then `applied` with the wrench that was sent."""
 
-    def __init__(self, model: Model, config: EstimatorConfig, dead_time_s: float) -> None:
-        self._model, self._config = model, config
+    def __init__(self, model: Model, config: EstimatorConfig, dead_time_s: float, fastest_mps: float = math.inf) -> None:
+        """`fastest_mps`: no current is stronger; what a robot cannot swim against it cannot hold out in either."""
+        self._model, self._config, self._fastest_mps = model, config, fastest_mps
         self._dead_ns = round(dead_time_s * NS)
         self._inputs: deque[tuple[int, Wrench]] = deque(maxlen=INPUTS_KEPT)  # (instant from which it acts, wrench)
         self._sensed: deque[tuple[int, float | None, float | None]] = deque(maxlen=SENSED_KEPT)
         self._state: State | None = None  # at the exposure _at_ns
         self._disturbance = [0.0, 0.0, 0.0, 0.0]
+        self._current = 0j
         self._at_ns = 0
         self._contradictions = 0
 
@@ -88,9 +98,20 @@ class Estimator:
         self._forget_inputs()
         now = self._propagate(self._state, self._at_ns, now_ns)
         action = self._propagate(now, now_ns, now_ns + self._dead_ns)
-        return Estimate(
-            np.array(now[:4]), np.array(now[4:8]), np.array(self._disturbance), action, (now_ns - self._at_ns) / NS
-        )
+        nu, lumped = self._over_ground(now)
+        disturbance, age_s = np.array(self._disturbance), (now_ns - self._at_ns) / NS
+        return Estimate(np.array(now[:4]), nu, disturbance, self._current, lumped, action, age_s)
+
+    def _over_ground(self, state: State) -> tuple[Array, Array]:
+        """Velocities over ground, and the acceleration that the current lends to a robot at them, with Gamma; (4,) each."""
+        (u, v, w, r), (extra_u, extra_v, extra_w, extra_r) = state[4:8], self._disturbance
+        if self._current:
+            carried = self._current * cmath.rect(1.0, -state[3])
+            through_u, through_v = self._model.drag(u, v)
+            u, v = u + carried.real, v + carried.imag
+            over_u, over_v = self._model.drag(u, v)
+            extra_u, extra_v = extra_u + over_u - through_u, extra_v + over_v - through_v
+        return np.array((u, v, w, r)), np.array((extra_u, extra_v, extra_w, extra_r))
 
     def _note_board(self, measurement: Measurement, now_ns: int) -> None:
         at_ns = now_ns if measurement.board_ns is None else measurement.board_ns
@@ -125,7 +146,7 @@ class Estimator:
         thrust = self._state[8:11] if self._state is not None else (0.0, 0.0, 0.0)
         z = depth if depth is not None else self._state[2] if self._state is not None else 0.0
         self._state = (pose.x_m, pose.y_m, z, pose.yaw_rad, 0.0, 0.0, 0.0, 0.0, *thrust)
-        self._disturbance = [0.0, 0.0, 0.0, 0.0]
+        self._disturbance, self._current = [0.0, 0.0, 0.0, 0.0], 0j
         self._at_ns, self._contradictions = pose.stamp_ns, 0
 
     def _correct(self, state: State, error: tuple[float, float, float], at_ns: int, elapsed_s: float) -> State:
@@ -140,7 +161,7 @@ class Estimator:
         x, y = x + pose * error[0], y + pose * error[1]
         u, extra[0] = u + velocity * ahead, extra[0] + unknown * ahead
         if config.sway:
-            v, extra[1] = v + velocity * aside, extra[1] + unknown * aside
+            v = self._put_down_to_current(u, v + velocity * aside, extra[1] + unknown * aside, yaw, elapsed_s)
         depth = self._at(1, at_ns)
         if depth is not None:
             sunk = min(max(depth - z, -GATE_M), GATE_M)
@@ -156,6 +177,17 @@ class Estimator:
             r, slip = r + velocity * spun, unknown * spun
         extra[3] += slip if config.enabled else 0.0
         return (x, y, z, yaw + pose * error[2], u, v, w, r, *thrust)
+
+    def _put_down_to_current(self, u: float, v: float, side: float, yaw: float, elapsed_s: float) -> float:
+        """Share a side force out between Gamma_v and the current; returns the sway velocity through the water."""
+        dropped = -math.expm1(-self._config.current_rate_radps * elapsed_s) * side
+        drift = dropped / self._model.sway_slope(u, v)
+        self._disturbance[1] = side - dropped
+        self._current += cmath.rect(drift, yaw + 0.5 * math.pi)
+        speed = abs(self._current)
+        if speed > self._fastest_mps:
+            self._current *= self._fastest_mps / speed
+        return v - drift
 
     def _at(self, column: int, at_ns: int) -> float | None:
         """Depth (1) or yaw rate (2) at an instant, interpolated between board samples, held at the ends."""
@@ -188,12 +220,13 @@ class Estimator:
         return self._steps(state, wrench, to_ns - from_ns)
 
     def _steps(self, state: State, wrench: Wrench, duration_ns: int) -> State:
-        if 0 < duration_ns <= LONGEST_STEP_NS:
-            return self._model.advance(state, self._disturbance, wrench, duration_ns / NS)
         count = -(-duration_ns // LONGEST_STEP_NS)
         for _ in range(count):
             state = self._model.advance(state, self._disturbance, wrench, duration_ns / count / NS)
-        return state
+        if not self._current:
+            return state
+        x, y, *rest = state
+        return (x + self._current.real * duration_ns / NS, y + self._current.imag * duration_ns / NS, *rest)
 
 
 def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:

@@ -1,14 +1,13 @@
 """Reference heading: the direction in which thrust does what the path asks for.
 
 The robot has no side force: its heading IS the direction in which it can push, as for a quadrotor. With the sway-aware model
-the heading is the one at which nothing is left to push sideways (body y axis j, tangent t, normal n, crab angle b):
+the heading is that of the force which the path needs, so that nothing is left to push sideways (body y axis j):
 
-    F = M (a_ref + kp e_position + kd e_velocity - Gamma_v j)       F . j = d_v(V) V sin b
-    =>  tan b = F_n / (F_t + d_v(V) V)
+    F = M (a_ref + kp e_position + kd e_velocity - Gamma_v j) + d_v(|V|) V        V = V_ref - current
 
-so it holds the crab angle of a turn, leans into a current and steers back to the path. Only the side force Gamma_v counts: a
-surge disturbance is the surge thrust's business (with it, a robot with a strong thruster oscillated by 0.4 rad). A heading
-that points the other way does as well: thrust reverses.
+It holds the crab angle of a turn, leans into a current, ahead of time along a bend, and steers back to the path. Of Gamma only
+the side force counts: a surge disturbance is the surge thrust's business (with it, a robot with a strong thruster oscillated
+by 0.4 rad). A heading that points the other way does as well: thrust reverses.
 
 The article keeps the path's tangent, and never corrects a lateral error at walking pace: 0.33 m on its own circle. Its model
 without sway goes where it points, so there the heading is that of the velocity V + (kp / kd) e_position.
@@ -47,12 +46,13 @@ class Guidance:
         self._jump = 0.0
         self._hold_yaw: float | None = None
 
-    def follow(self, path: Path, eta: Array, nu: Array, disturbance: Array) -> Array:
-        """Reference headings (rows,) for a path's rows: now, then all nodes. `eta`, `nu`, Gamma are estimates (4,)."""
+    def follow(self, path: Path, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
+        """Reference headings (rows,) for a path's rows: now, then all nodes. `eta`, `nu` over ground, Gamma (4,), and the
+        water's velocity x + iy are estimates."""
         request = self._force(path, eta, nu, float(disturbance[1])) if self._sway else self._velocity(path, eta)
-        return self._headings(path, path.eta[:, 3], self._filter(request))
+        return self._headings(path, path.eta[:, 3], self._filter(request), current)
 
-    def hold(self, path: Path, eta: Array, nu: Array, disturbance: Array) -> Array:
+    def hold(self, path: Path, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
         """Reference headings (rows,) for keeping station: the line of the force that is needed, ahead or astern, whichever is
         nearer; as it is while the robot is near and nothing pushes it. Here all of Gamma counts: a robot in a current ends up
         in line with it. (Turning to the point instead makes it circle the point: it drifts on for 4 s after each turn.)"""
@@ -64,8 +64,12 @@ class Guidance:
         push_x, push_y = self._force(path, eta, nu, 0.0)
         c, s = math.cos(eta[3]), math.sin(eta[3])
         side, ahead = float(disturbance[1]), float(disturbance[0])
+        drag = (self._linear + self._quadratic * abs(current)) * current
         force_x, force_y = self._filter(
-            (care * push_x - self._mass * (c * ahead - s * side), care * push_y - self._mass * (s * ahead + c * side))
+            (
+                care * push_x - self._mass * (c * ahead - s * side) - drag.real,
+                care * push_y - self._mass * (s * ahead + c * side) - drag.imag,
+            )
         )
         size = force_x * force_x + force_y * force_y
         turn = 0.5 * wrap(2.0 * (math.atan2(force_y, force_x) - self._hold_yaw))
@@ -73,20 +77,22 @@ class Guidance:
         self._hold_yaw += self._period_s * min(max(rate, -HOLD_RADPS), HOLD_RADPS)
         return np.full(len(path.eta), self._hold_yaw)
 
-    def _headings(self, path: Path, tangent: Array, feedback: Vector) -> Array:
+    def _headings(self, path: Path, tangent: Array, feedback: Vector, current: complex) -> Array:
         """In the tangent's frame, along + i across."""
         back = np.exp(-1j * tangent)
-        speed = (back * path.velocity.view(np.complex128)[:, 0]).real
         if self._sway:
-            force = self._mass * path.acceleration.view(np.complex128)[:, 0]
-            force += complex(*feedback)
-            force *= back
-            drag = np.abs(speed)
+            velocity = path.velocity.view(np.complex128)[:, 0] - current
+            drag = np.abs(velocity)
             drag *= self._quadratic
             drag += self._linear
-            drag *= speed
-            along, across = force.real + drag, force.imag
+            velocity *= drag
+            force = self._mass * path.acceleration.view(np.complex128)[:, 0]
+            force += velocity
+            force += complex(*feedback)
+            force *= back
+            along, across = force.real, force.imag
         else:
+            speed = (back * path.velocity.view(np.complex128)[:, 0]).real
             back *= complex(*feedback)
             along, across = back.real + speed, back.imag
         if self._direction * along[0] < -self._worth:

@@ -41,6 +41,18 @@ class Model:
         left = math.exp(-dt_s / self.lag_s)
         return left, self.lag_s / dt_s * (1.0 - left)
 
+    def drag(self, u: float, v: float) -> tuple[float, float]:
+        """Deceleration (2,) in m/s^2 by drag at horizontal velocities u, v through the water."""
+        speed = math.hypot(u, v)
+        along, aside = self.linear[0] + self.quadratic[0] * speed, self.linear[1] + self.quadratic[1] * speed
+        return along * u / self.mass[0], aside * v / self.mass[1]
+
+    def sway_slope(self, u: float, v: float) -> float:
+        """How fast sideways motion dies out at velocities u, v: slope of the drag, per mass, 1/s."""
+        speed = math.hypot(u, v)
+        bend = v * v / speed if speed > 0.0 else 0.0
+        return (self.linear[1] + self.quadratic[1] * (speed + bend)) / self.mass[1]
+
     def advance(self, state: State, disturbance: Sequence[float], wrench: Sequence[float], dt_s: float) -> State:
         """The state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,)."""
         x, y, z, yaw, u, v, w, r, fx, fz, fn = state

@@ -104,14 +104,22 @@ class Mpc:
         return self._prediction.eta
 
     def plan(
-        self, state: State, disturbance: Array, wrench: Array, reference: Array, weight: Array, keep_clear: HalfSpaces
+        self,
+        state: State,
+        disturbance: Array,
+        wrench: Array,
+        reference: Array,
+        weight: Array,
+        keep_clear: HalfSpaces,
+        current: complex = 0j,
     ) -> MpcPlan:
-        """One solve. `reference` (horizon + 1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last."""
+        """One solve. Velocities of `state` are through water that streams at `current` (x + iy, m/s). `reference` (horizon +
+        1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last."""
         n, prediction = self._n, self._prediction
         if self._fresh or self._config.linearise == "point":
             prediction.restart(state)
             self._fresh = False
-        prediction.linearise(state, wrench, disturbance)
+        prediction.linearise(state, wrench, disturbance, current)
         self._objective(reference, weight)
         self._limits(wrench)
         solution = self._solve_alone() if len(keep_clear.node) == 0 else self._solve_beside(keep_clear)

@@ -94,8 +94,9 @@ class Prediction:
         """The nominal trajectory's poses (nodes, 4) as they are now, to keep."""
         return np.concatenate((self.eta[0], self.eta[1]), axis=1)
 
-    def linearise(self, state: State, wrench: Array, disturbance: Array) -> None:
-        """Fill the responses for a start `state`, the wrench (3,) that the blocks are changes to, and Gamma (4,)."""
+    def linearise(self, state: State, wrench: Array, disturbance: Array, current: complex = 0j) -> None:
+        """Fill the responses for a start `state`, the wrench (3,) that the blocks are changes to, Gamma (4,), and water that
+        streams at `current` (x + iy, m/s); velocities are through the water."""
         eta, nu, flow = self.eta, self.nu, self._flow
         turned = eta[1, :, 1]
         turned += state[3] - turned[0]  # the plan's turn, from the heading there is
@@ -118,7 +119,7 @@ class Prediction:
         np.subtract(self._applied(state, wrench, disturbance), push, out=push)
         self._turn_and_dive(state, keep[1], held[1], push[1])
         self._surge_and_sway(state, keep[0], held[0], push[0])
-        self._move(state)
+        self._move(state, current)
 
     def _applied(self, state: State, wrench: Array, disturbance: Array) -> Array:
         """Velocity per step (2, horizon, 2) of the disturbance and of the wrench that thrusters are coming to."""
@@ -163,8 +164,8 @@ class Prediction:
         np.multiply(-self._coriolis_v * r - self._quadratic_v * mixed, held[:, 1], out=self._v_from_u)
         dtbtrs(self._speed_band, speed.reshape(2 * n + 1, -1).T, uplo="L", diag="U", overwrite_b=1)
 
-    def _move(self, state: State) -> None:
-        """(x + iy)' = (u + iv) exp(i yaw), linearised in yaw."""
+    def _move(self, state: State, current: complex) -> None:
+        """(x + iy)' = (u + iv) exp(i yaw) + current, linearised in yaw."""
         yaw = self.eta[1, :, 1]
         rotation = np.exp(1j * yaw)
         turn = self.nu[0].view(np.complex128)[:, 0] * rotation
@@ -172,6 +173,7 @@ class Prediction:
         velocity = self._speed.view(np.complex128)[:, :, 0] * rotation
         velocity[self._n :] += turn * self.yaw
         turn *= yaw
+        turn -= current
         velocity[-1] -= turn
         _integrate(velocity, 0.5 * self._dt, complex(state[0], state[1]), self.position)
 

@@ -129,6 +129,7 @@ class Estimator(Section):
     yaw_bandwidth_radps: Positive = 4.0
     use_imu_yaw_rate: bool = True
     sway: bool = True  # False: the article's model, which cannot slide sideways
+    current_rate_radps: NotNegative = 0.15  # how fast a side force that lasts is put down to a current; 0: never
 
 
 class Guidance(Section):

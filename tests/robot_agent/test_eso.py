@@ -30,12 +30,18 @@ def estimator(dead_time_s: float = DEAD_S, **changes: object) -> Estimator:
 class Flight:
     """A true robot and what it did; `true(t)` is its pose at any past time."""
 
-    states: list[Array]  # every 5 ms
+    states: list[Array]  # every 5 ms, as seen by one who drifts with the water
+    current: complex = 0j
 
     def true(self, t: float) -> Array:
+        """Over ground: water that streams evenly is another frame of reference, nothing else (Galilei)."""
         place = t / 0.005
         low = min(int(place), len(self.states) - 2)
-        return self.states[low] + (self.states[low + 1] - self.states[low]) * (place - low)
+        state = self.states[low] + (self.states[low + 1] - self.states[low]) * (place - low)
+        carried = self.current * np.exp(-1j * state[3])
+        state[:2] += self.current.real * t, self.current.imag * t
+        state[4:6] += carried.real, carried.imag
+        return np.asarray(state)
 
 
 def constant(wrench: Wrench) -> Callable[[float], Wrench]:
@@ -52,9 +58,10 @@ def fly(
     seen: Callable[[int], bool] = lambda k: True,
     disturbance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     gyro: bool = True,
+    current: complex = 0j,
 ) -> tuple[list[Estimate | None], Flight]:
     """A control loop without control: poses arrive late, the board is fresh, wrenches act after the dead time."""
-    flight, estimates = Flight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])]), []
+    flight, estimates = Flight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
     sighting: Sighting | None = None
     for k in range(round(seconds / STEP_S)):
         now_s, now_ns = k * STEP_S, k * STEP_NS
@@ -130,10 +137,62 @@ def test_jittering_ages_are_no_noise() -> None:
 @pytest.mark.parametrize("gyro", [True, False])
 def test_constant_disturbances_are_found(gyro: bool) -> None:
     gamma = (0.01, -0.008, 0.0125, 0.05)
-    estimates, _ = fly(lambda t: (0.5, 0.0, 0.0), 15.0, estimator(), disturbance=gamma, gyro=gyro)
+    observer = estimator(current_rate_radps=0.0)  # else some of a force that turns with the robot is taken for a current
+    estimates, _ = fly(lambda t: (0.5, 0.0, 0.0), 15.0, observer, disturbance=gamma, gyro=gyro)
     last = estimates[-1]
     assert last is not None
     assert last.disturbance == pytest.approx(gamma, abs=1.5e-3)
+    assert np.array_equal(last.lumped, last.disturbance) and last.current == 0j
+
+
+# --- currents
+
+
+def circling(t: float) -> Wrench:
+    return 1.0, 0.0, 0.04 if t > 1.0 else 0.0
+
+
+def test_a_current_is_found_once_the_robot_has_turned() -> None:
+    """Velocities over ground too, which a side force in its place does not give on a bend."""
+    current = 0.06 - 0.04j
+    found, flight = fly(circling, 60.0, estimator(), current=current)
+    last = found[-1]
+    assert last is not None and abs(last.current - current) < 0.004
+    late = np.abs(errors(found, flight, 45.0)).max(axis=0)
+    forces, flight = fly(circling, 60.0, estimator(current_rate_radps=0.0), current=current)
+    without = np.abs(errors(forces, flight, 45.0)).max(axis=0)
+    assert np.hypot(late[0], late[1]) < 0.001 and max(late[4:6]) < 0.002
+    assert np.hypot(without[0], without[1]) > 2 * np.hypot(late[0], late[1]) and max(without[4:6]) > 5 * max(late[4:6])
+
+
+def test_what_a_current_does_is_told_as_the_disturbance_that_still_water_would_need() -> None:
+    """The acceleration over ground less what the nominal model gives for these velocities, by finite differences."""
+    found, flight = fly(circling, 60.0, estimator(), current=0.06 - 0.04j)
+    for k in range(1000, 1150, 10):
+        estimate, t = found[k], k * STEP_S
+        assert estimate is not None
+        before, here, after = (flight.true(t + shift) for shift in (-0.025, 0.0, 0.025))
+        still = integrate(VEHICLE, before, constant(circling(t)), 0.05)  # its thrust is steady by now
+        assert estimate.lumped[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
+
+
+def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> None:
+    observer = estimator()
+    observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0), [0.0, 0.01, 0.0, 0.0]
+    observer.applied((0.0, 0.0, 0.0), 0)
+    before = np.array(observer._propagate(observer._state, 0, 100_000_000))
+    v = observer._put_down_to_current(0.15, 0.02, 0.01, 0.7, 0.05)
+    after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
+    assert observer._disturbance[1] < 0.01 and abs(observer._current) > 1e-4
+    assert after[:2] == pytest.approx(
+        before[:2], abs=abs(observer._current) * 0.1 * 0.02
+    )  # 2 % of how far the current carries
+
+
+def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
+    observer = Estimator(Model(VEHICLE), EstimatorConfig(current_rate_radps=1.0), DEAD_S, fastest_mps=0.05)
+    found, _ = fly(circling, 20.0, observer, current=0.4j)
+    assert max(abs(e.current) for e in found if e is not None) <= 0.05 + 1e-12
 
 
 def test_without_sway_the_side_channel_stays_silent() -> None:

@@ -136,6 +136,19 @@ def test_free_response_converges_to_the_nonlinear_motion(seed: int, lag: bool) -
     assert np.abs(free - true)[:, 3].max() < 0.03
 
 
+def test_water_that_streams_carries_the_prediction_along() -> None:
+    """Responses are the same, the free response drifts."""
+    random, vehicle = np.random.default_rng(2), uneven_vehicle()
+    start = tuple(some_state(random))
+    still, carried = (Prediction(Model(vehicle), PERIOD_S, HORIZON, BLOCKS) for _ in range(2))
+    for prediction, current in ((still, 0j), (carried, 0.05 - 0.02j)):
+        prediction.restart(start)
+        prediction.linearise(start, np.zeros(3), np.zeros(4), current)
+    assert np.array_equal(carried.position[:-1], still.position[:-1])
+    drift = (0.05 - 0.02j) * PERIOD_S * np.arange(HORIZON + 1)
+    assert carried.position[-1] - still.position[-1] == pytest.approx(drift, abs=1e-12)
+
+
 @pytest.mark.parametrize("channel", [0, 1, 2])
 @pytest.mark.parametrize("block", [0, 2, 5])
 def test_sensitivities_are_finite_differences_of_the_nonlinear_motion(channel: int, block: int) -> None:

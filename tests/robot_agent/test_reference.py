@@ -95,11 +95,38 @@ def test_time_moves_the_horizon_smoothly() -> None:
 # --- heading
 
 
-def settled(g: Guidance, path: Path, eta: Array, nu: Array, gamma: Array = REST, steps: int = 200) -> Array:
+def settled(
+    g: Guidance, path: Path, eta: Array, nu: Array, gamma: Array = REST, steps: int = 200, current: complex = 0j
+) -> Array:
     out = np.zeros(ROWS)
     for _ in range(steps):
-        out = g.follow(path, eta, nu, gamma)
+        out = g.follow(path, eta, nu, gamma, current)
     return out
+
+
+@pytest.mark.parametrize("current", [0.05j, -0.03 + 0.06j, 0.08 - 0.02j])
+def test_in_a_current_it_points_where_thrust_alone_keeps_the_robot_on_its_line(current: complex) -> None:
+    """Through the water the robot runs straight, without crab: its heading is that of its velocity through the water."""
+    headings = settled(guidance(), line(0.2), REST, np.array([0.2, 0, 0, 0]), current=current)
+    assert headings == pytest.approx(np.full(ROWS, np.angle(0.2 - current)), abs=1e-3)
+
+
+def test_in_a_current_it_turns_ahead_of_the_bend() -> None:
+    """A circle in a current, node by node against the force balance of the plant's equations."""
+    path = Sampler(OFFSETS).path(Follow(circle(0.5, 20.0), 3.0))
+    current = 0.04 + 0.05j
+    headings = settled(guidance(), path, path.eta[0], np.array([np.pi * 0.05, 0, 0, 0]), current=current)
+    velocity = path.velocity[:, 0] + 1j * path.velocity[:, 1] - current
+    drag = VEHICLE.drag.linear[1] + VEHICLE.drag.quadratic[1] * np.abs(velocity)
+    force = VEHICLE.mass.sway_kg * (path.acceleration[:, 0] + 1j * path.acceleration[:, 1]) + drag * velocity
+    assert np.exp(1j * headings) == pytest.approx(force / np.abs(force), abs=0.02)
+
+
+def test_holding_station_in_a_current_it_turns_into_it() -> None:
+    g, path = guidance(), Sampler(OFFSETS).path(Hold(REST))
+    for _ in range(400):
+        out = g.hold(path, REST, REST, REST, 0.05j)
+    assert abs(np.sin(out[0])) == pytest.approx(1.0, abs=0.01)  # ahead or astern
 
 
 def test_on_a_straight_path_it_is_the_tangent() -> None:
