@@ -5,6 +5,7 @@ pulses of a board that is stepped are neutral unless it is armed, and a valid ov
 """
 
 import math
+from collections.abc import Sequence
 from enum import IntEnum
 
 import numpy as np
@@ -95,21 +96,34 @@ class Board:
                 case Unsupported(command):
                     self._outbox.append(self._link.acknowledge(command, mavlink.UNSUPPORTED))
 
-    def step(self, now_ns: int, eta: Array, nu: Array, acceleration: Array, supply_v: float | None = None) -> bytes:
+    def measures(self, now_ns: int) -> bool:
+        """Whether the step to this instant reads the sensors."""
+        return _crosses(self._burst_ns, self._last_step_ns, now_ns)
+
+    def step(
+        self,
+        now_ns: int,
+        eta: Array,
+        nu: Array,
+        acceleration: Array,
+        supply_v: float | None = None,
+        tilt: Array | Sequence[float] = (0.0, 0.0),
+    ) -> bytes:
         """Run the rules, move the outputs, measure. Returns what to send, which is nothing between bursts.
 
-        `eta`, `nu` and `acceleration` (d nu / dt), each (4,), are the robot's true motion; `supply_v` is the battery's voltage
-        without load (default: the experiment's).
+        `eta`, `nu` and `acceleration` (d nu / dt), each (4,), are the robot's true motion; they count only in a step that
+        `measures`. `supply_v` is the battery's voltage without load (default: the experiment's), `tilt` begins with roll and
+        pitch.
         """
         if self.armed and self._is_stale(now_ns):
             self._disarm(WARNING, f"disarmed: no override for {self._rules.neutral_after_s * 1000:.0f} ms")
         voltage = None
-        if _crosses(self._burst_ns, self._last_step_ns, now_ns):
+        if self.measures(now_ns):
             voltage = self._sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())
             self._watch(voltage, _seconds(self._last_burst_ns, now_ns))
         self._move(_seconds(self._last_step_ns, now_ns))
         if voltage is not None:
-            self._burst(now_ns, self._sensors.read(eta, nu, acceleration), voltage)
+            self._burst(now_ns, self._sensors.read(eta, nu, acceleration, tilt), voltage)
             self._last_burst_ns = now_ns
         self._last_step_ns = now_ns
         data = b"".join(self._outbox)

@@ -67,7 +67,6 @@ class BareWater:
         self._state = self._plant.start(starts)
         self._step_ns = step_ns
         self._sensors = [BoardSensors(experiment.sim.sensors, robot, seed) for robot in experiment.robot_ids]
-        self._supply_v = experiment.sim.sensors.battery_v
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
 
@@ -93,14 +92,14 @@ class BareWater:
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
         """What a board would say of the i-th robot, `now_ns` on the agent's clock."""
         state = self._state
-        reading = self._sensors[i].read(state.eta[i], state.nu[i], np.zeros(4))
+        reading = self._sensors[i].read(state.eta[i], state.nu[i], np.zeros(4), state.tilt[i])
         return Telemetry(
             board_ms=now_ns // 1_000_000,
             arrival_ns=now_ns,
             heading_rad=reading.heading_rad,
             yaw_rate_radps=reading.yaw_rate_radps,
             depth_m=reading.depth_m,
-            battery_v=self._supply_v,
+            battery_v=float(self._plant.rest_v(state)[i]),
             armed=self._armed[i],
         )
 

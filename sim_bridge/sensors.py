@@ -1,10 +1,12 @@
 """What the thruster board measures of the true motion: noise, and biases that belong to the robot and the seed."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from sim_bridge.water import GRAVITY_MPS2
+from sim_bridge.flow import GRAVITY_MPS2
 from wire.experiment import Sensors
 from wire.frames import Array, wrap
 
@@ -33,18 +35,23 @@ class BoardSensors:
         self.gyro_bias_radps = gyro * sensors.gyro_bias_radps
         self.depth_bias_m = pressure * sensors.pressure_bias_m
 
-    def read(self, eta: Array, nu: Array, acceleration: Array) -> Reading:
-        """Sample a motion: eta, nu and d nu / dt, each (4,)."""
+    def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = (0.0, 0.0)) -> Reading:
+        """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes; `tilt` begins with roll and pitch, which turn the
+        sensors with the body. The board levels what it sends as heading."""
         sensors = self._sensors
         noise = [float(value) for value in self._random.standard_normal(6)]
         _, _, z, yaw = (float(value) for value in eta)
         u, v, _, r = (float(value) for value in nu)
         du, dv, dw, _ = (float(value) for value in acceleration)
-        force = (du - r * v, dv + r * u, dw - GRAVITY_MPS2)
+        roll, pitch = float(tilt[0]), float(tilt[1])
+        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+        ahead, side, down = du - r * v, dv + r * u, dw - GRAVITY_MPS2
+        bow = sp * ahead + cp * down
+        force = (cp * ahead - sp * down, cr * side + sr * bow, cr * bow - sr * side)
         fx, fy, fz = (f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True))
         return Reading(
             wrap(yaw + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
-            r + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
+            cr * cp * r + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
             (fx, fy, fz),
             z + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
         )

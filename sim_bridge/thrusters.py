@@ -43,7 +43,11 @@ class Thrusters:
         self._lag_s = vehicle.thruster.lag_s if plant.thruster_lag_s is None else plant.thruster_lag_s
         self._thruster_delay = round(vehicle.thruster.dead_time_s / plant.step_s)
         self._ankle_delay = round(vehicle.legs.ankle_dead_time_s / plant.step_s)
-        self._side_m = np.array(vehicle.legs.position_m)[:, 1]
+        ahead_m, side_m = np.array(vehicle.legs.position_m).T
+        below_m = np.full(THRUSTERS, plant.tilt.legs_below_m)
+        one, none = np.ones(THRUSTERS), np.zeros(THRUSTERS)
+        # from forces ahead and down to surge, heave, yaw, roll, pitch: r x F of a force (X, 0, Z) at (x, y, z)
+        self._mixing = np.block([[one, none], [none, one], [-side_m, none], [none, side_m], [below_m, -ahead_m]])
         self._robots = len(experiment.robots)
         spread = plant.thruster_spread
         random = np.random.default_rng([seed, SPREAD_STREAM])
@@ -57,12 +61,13 @@ class Thrusters:
         still = np.zeros((self._robots, THRUSTERS))
         return Motors(still, still, np.tile(neutral, (depth, self._robots, 1)))
 
-    def command(self, motors: Motors, pulses_us: Array) -> Move:
-        """Put pulses (n, 8) on the outputs for one step; what acts in it are the pulses of one dead time ago."""
+    def command(self, motors: Motors, pulses_us: Array, factor: Array | float = 1.0) -> Move:
+        """Put pulses (n, 8) on the outputs for one step; what acts in it are the pulses of one dead time ago. `factor` (n, 4)
+        scales each thruster's force: voltage, and what is broken."""
         if pulses_us.shape != (self._robots, 2 * THRUSTERS) or not np.isfinite(pulses_us).all():
             raise ValueError(f"pulses_us: shape {pulses_us.shape}, must be ({self._robots}, {2 * THRUSTERS}) and finite")
         history = np.concatenate([pulses_us[None], motors.pulses_us[:-1]])
-        target_n = self.gain * self._curve.force_n(history[self._thruster_delay, :, :THRUSTERS])
+        target_n = factor * self.gain * self._curve.force_n(history[self._thruster_delay, :, :THRUSTERS])
         reach = self._legs.ankle_range_rad
         target_rad = np.interp(history[self._ankle_delay, :, THRUSTERS:], self._legs.ankle_us, (-reach, reach))
         return Move(Motors(motors.force_n, motors.ankle_rad, history), target_n, target_rad)
@@ -74,9 +79,12 @@ class Thrusters:
         ankle_rad = move.start.ankle_rad + np.clip(move.target_rad - move.start.ankle_rad, -turn_rad, turn_rad)
         return Motors(move.target_n + left * (move.start.force_n - move.target_n), ankle_rad, move.start.pulses_us)
 
+    def legs(self, motors: Motors) -> Array:
+        """Forces on each hull, rows (5, n): surge N, heave N, yaw N m, roll N m, pitch N m. An ankle at +90 degrees thrusts
+        straight down."""
+        ahead, down = motors.force_n * np.cos(motors.ankle_rad), motors.force_n * np.sin(motors.ankle_rad)
+        return np.asarray(self._mixing @ np.concatenate([ahead.T, down.T]))
+
     def wrench(self, motors: Motors) -> Array:
-        """[surge N, heave N, yaw N m] on each hull, shape (n, 3). An ankle at +90 degrees thrusts straight down; the yaw
-        moment of a force X at (x, y) is -y X."""
-        ahead = motors.force_n * np.cos(motors.ankle_rad)
-        down = motors.force_n * np.sin(motors.ankle_rad)
-        return np.stack([ahead.sum(axis=1), down.sum(axis=1), -ahead @ self._side_m], axis=1)
+        """[surge N, heave N, yaw N m] on each hull, shape (n, 3)."""
+        return self.legs(motors)[:3].T.copy()

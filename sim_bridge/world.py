@@ -25,9 +25,9 @@ class World:
         self._neutral_us = experiment.vehicle.thruster.neutral_us
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
+        self._no_acceleration = np.zeros_like(starts)  # nobody looks at it between bursts
         self._frames = 1  # the first is at time 0
         self.exposed = False  # whether the last step reached the middle of an exposure
-        self._acceleration = self._plant.acceleration(self._state)
 
     @property
     def now_ns(self) -> int:
@@ -67,11 +67,14 @@ class World:
     def step(self) -> list[tuple[int, bytes]]:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
         pulses = np.array([board.pulses for board in self._boards], dtype=np.float64)
-        self._state = self._plant.step(self._state, pulses)
-        self._acceleration = self._plant.acceleration(self._state)
+        self._state = state = self._plant.step(self._state, pulses)
+        acceleration = (
+            self._plant.acceleration(self._state) if self._boards[0].measures(self.now_ns) else self._no_acceleration
+        )
+        supply_v = self._plant.rest_v(self._state).tolist()
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
         self._frames += self.exposed
         return [
-            (i, board.step(self.now_ns, self._state.eta[i], self._state.nu[i], self._acceleration[i]))
+            (i, board.step(self.now_ns, state.eta[i], state.nu[i], acceleration[i], supply_v[i], state.tilt[i]))
             for i, board in enumerate(self._boards)
         ]

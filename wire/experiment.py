@@ -16,6 +16,7 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from wire.frames import Array
+from wire.sim_plant import Plant
 from wire.toml_file import ConfigError, Section, apply_setting, check, read_toml
 from wire.vehicle import NotNegative, Positive, Vehicle, load_vehicle
 
@@ -175,6 +176,13 @@ class Controller(Section):
     mpc: Mpc = Mpc()
 
 
+class Island(Section):
+    """A round island: its foot stands on the floor, its head out of the water."""
+
+    position_m: Vec2
+    radius_m: Positive
+
+
 class Camera(Section):
     """The overhead camera: OpenCV's pinhole model with distortion, in air above flat water. The image's x runs along
     `rotation_rad` = 0 with the pool's x, its y with the pool's y. Pixel (0, 0) is the CENTRE of the first pixel."""
@@ -224,22 +232,6 @@ class Localizer(Section):
     depth_sigma_m: Positive = 0.015  # of reported depths: mostly their zero. 1 hPa of air pressure and 5 deg of trim are 1 cm
     preview_rate_hz: NotNegative = 5.0
     obstacle_min_m: NotNegative = 0.08  # what covers less than a square of this side is no obstacle; 0: none are looked for
-
-
-class Plant(Section):
-    """The simulated water and robots: what the controller does not know."""
-
-    sway: bool = True
-    mass_error: Annotated[float, Field(gt=-1)] = 0.0  # true = nominal * (1 + error)
-    drag_error: Annotated[float, Field(gt=-1)] = 0.0
-    current_mps: Vec3 = (0.0, 0.0, 0.0)
-    thruster_spread: Annotated[float, Field(ge=0, lt=1)] = 0.10
-    thruster_lag_s: NotNegative | None = None  # default: the vehicle file's
-    buoyancy_n: float = -0.2  # residual, positive sinks
-    disturbance_wrench: Weight3 = (0.0, 0.0, 0.0)  # amplitude of a sine [N, N, N m] (ambiguity A13)
-    disturbance_hz: NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=1)] = 0.0  # or one per robot
-    walls: bool = True  # walls, floor and water surface; false: water without end
-    step_s: Annotated[float, Field(gt=0, le=0.05)] = 0.005  # contact needs 0.02 or less
 
 
 class Picture(Section):
@@ -343,6 +335,7 @@ class Experiment(Section):
     path: Annotated[Circle | Waypoints, Field(discriminator="kind")]
     formation: Formation = Formation()
     robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=49)]
+    islands: tuple[Island, ...] = ()
     safety: Safety = Safety()
     controller: Controller = Controller()
     camera: Camera

@@ -2,6 +2,7 @@
 conservation laws and symmetries."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from wire.toml_file import ConfigError
 
 NEUTRAL = np.full((2, 8), 1500.0)
 APART = np.array([[-40.0, 0.0, 5.0, 0.0], [40.0, 0.0, 5.0, 0.0]])
-OPEN = ("sim.plant.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.thruster_spread=0")
+IDEAL = ("sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
+LEVEL = ("sim.plant.tilt.enabled=false",)
+OPEN = ("sim.plant.walls=false", "sim.plant.buoyancy_n=0", *IDEAL, *LEVEL)
 NO_DRAG = ("vehicle.drag.linear=[1e-12,1e-12,1e-12,1e-12]", "vehicle.drag.quadratic=[0,0,0,0]")
 LOPSIDED = ("vehicle.mass.surge_kg=11", "vehicle.mass.sway_kg=17", "vehicle.mass.yaw_kg_m2=0.3")
 
@@ -24,7 +27,7 @@ def plant(*settings: str, seed: int = 1) -> Plant:
 
 
 def moving(state: PlantState, nu: list[list[float]]) -> PlantState:
-    return PlantState(state.steps, state.eta, np.array(nu), state.motors)
+    return replace(state, nu=np.array(nu))
 
 
 def run(plant: Plant, state: PlantState, steps: int, pulses_us: Array = NEUTRAL) -> list[PlantState]:

@@ -43,6 +43,8 @@ SIGNED = {
     "robots.start_offset",
     "sim.plant.buoyancy_n",
     "sim.plant.current_mps",
+    "sim.plant.current_shear_per_s",
+    "sim.plant.waves.direction_rad",
     "vehicle.legs.position_m",
     "vehicle.thruster.curve",
 }
