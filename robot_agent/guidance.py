@@ -50,7 +50,11 @@ class Guidance:
         """Reference headings (rows,) for a path's rows: now, then all nodes. `eta`, `nu` over ground, Gamma (4,), and the
         water's velocity x + iy are estimates."""
         request = self._force(path, eta, nu, float(disturbance[1])) if self._sway else self._velocity(path, eta)
-        return self._headings(path, path.eta[:, 3], self._filter(request), current)
+        # Filtered in the tangent's frame: what feeds back in a bend, model errors above all, turns with it.
+        tangent = path.eta[:, 3]
+        c, s = math.cos(tangent[0]), math.sin(tangent[0])
+        request = (c * request[0] + s * request[1], c * request[1] - s * request[0])
+        return self._headings(path, tangent, self._filter(request), current)
 
     def hold(self, path: Path, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
         """Reference headings (rows,) for keeping station: the line of the force that is needed, ahead or astern, whichever is
@@ -78,7 +82,7 @@ class Guidance:
         return np.full(len(path.eta), self._hold_yaw)
 
     def _headings(self, path: Path, tangent: Array, feedback: Vector, current: complex) -> Array:
-        """In the tangent's frame, along + i across."""
+        """In the tangent's frame, along + i across; so is `feedback`."""
         back = np.exp(-1j * tangent)
         if self._sway:
             velocity = path.velocity.view(np.complex128)[:, 0] - current
@@ -86,15 +90,13 @@ class Guidance:
             drag *= self._quadratic
             drag += self._linear
             velocity *= drag
-            force = self._mass * path.acceleration.view(np.complex128)[:, 0]
-            force += velocity
-            force += complex(*feedback)
-            force *= back
-            along, across = force.real, force.imag
+            wish = self._mass * path.acceleration.view(np.complex128)[:, 0]
+            wish += velocity
+            wish *= back
         else:
-            speed = (back * path.velocity.view(np.complex128)[:, 0]).real
-            back *= complex(*feedback)
-            along, across = back.real + speed, back.imag
+            wish = (back * path.velocity.view(np.complex128)[:, 0]).real + 0j
+        wish += complex(*feedback)
+        along, across = wish.real, wish.imag
         if self._direction * along[0] < -self._worth:
             before = self._angle(along[:1], across[:1])
             self._direction = -self._direction

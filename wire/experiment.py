@@ -134,13 +134,13 @@ class Estimator(Section):
 
 
 class Guidance(Section):
-    """Reference heading from the force the path asks for : without it a robot that cannot
+    """Reference heading from the force the path asks for: without it a robot that cannot
     push sideways never corrects a lateral error at walking pace."""
 
     enabled: bool = True
     position_gain_per_s2: NotNegative = 0.08  # 0.28 rad/s: a third of what heading, filter and observer can follow
     velocity_gain_per_s: NotNegative = 0.5  # damping ratio 0.9
-    max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2)] = 1.2
+    max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2)] = 1.4
     turning_force_n: Positive = 0.02  # forces well below this are not worth a turn
     filter_s: Positive = 1.0  # time constant of the force that feeds back: 0.5 follows noise, 2.0 overshoots by 4 cm
     hold_radius_m: Positive = 0.06  # station keeping: nearer than this the heading stays as it is
