@@ -16,7 +16,7 @@ from localizer.patch import Pixels
 from localizer.shot import Shot
 from wire import topics
 from wire.bus import Bus
-from wire.messages import Frame, Preview
+from wire.messages import Frame, Obstacles, Preview
 from wire.runtime import SLICE_S, Clock, log
 
 PAGE_RATE_HZ = 15.0  # smooth enough to wave at; a picture takes 5 ms of one core
@@ -49,6 +49,7 @@ class _Sight:
     shot: Shot | None
     located: Located | None
     stamp_ns: int
+    obstacles: Obstacles
     message: str = ""
 
 
@@ -57,7 +58,7 @@ class Previews:
 
     def __init__(
         self,
-        draw: Callable[[Pixels, Located], Pixels],
+        draw: Callable[[Pixels, Located, Obstacles], Pixels],
         bus: Bus,
         clock: Clock,
         preview_rate_hz: float,
@@ -71,13 +72,13 @@ class Previews:
         self._thread = threading.Thread(target=self._work, name="previews")
         self._thread.start()
 
-    def offer(self, shot: Shot, located: Located) -> None:
+    def offer(self, shot: Shot, located: Located, obstacles: Obstacles) -> None:
         """A picture and what was found in it. Never waits."""
-        self._newest.put(_Sight(shot, located, shot.stamp_ns))
+        self._newest.put(_Sight(shot, located, shot.stamp_ns, obstacles))
 
     def offer_nothing(self, message: str, stamp_ns: int) -> None:
         """There is no picture: what people see must not look as if there were."""
-        self._newest.put(_Sight(None, None, stamp_ns, message))
+        self._newest.put(_Sight(None, None, stamp_ns, Obstacles(), message))
 
     def close(self) -> None:
         """Finish the last one."""
@@ -103,7 +104,7 @@ class Previews:
         if not (on_bus or on_page):
             return
         if shot is not None and sight.located is not None:
-            picture = self._draw(shot.pixels, sight.located)
+            picture = self._draw(shot.pixels, sight.located, sight.obstacles)
         else:
             picture = _blank(sight.message)
         good, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])

@@ -1,11 +1,18 @@
-"""SHELL: the localizer's process: the newest picture in, a pose per robot out."""
+"""SHELL: the localizer's process: the newest picture in, a pose per robot out, and what else is in the water.
+
+Obstacles are looked for when the poses are out: 6 ms on every other frame, in which no pose waits unless the camera is faster
+than 60 Hz.
+"""
 
 import time
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
 
-from localizer.locate import Locator
+import numpy as np
+
+from localizer.locate import Located, Locator
+from localizer.obstacles import ObstacleWatch
 from localizer.overlay import draw
 from localizer.page import Page
 from localizer.previews import Previews
@@ -14,7 +21,7 @@ from localizer.sources import BUS, open_bus, open_own
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import Experiment
-from wire.messages import CameraHealth, LocalizerStatus, RobotState
+from wire.messages import CameraHealth, LocalizerStatus, Obstacles, RobotState, Track
 from wire.runtime import Clock, LockstepClock, Stop, WallClock, age_s, log, log_to_bus
 from wire.toml_file import ConfigError
 from wire.transport import Endpoint, ZenohTransport
@@ -63,6 +70,8 @@ class Shell:
         self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
         self._source = own or open_bus(bus, clock, self._states)
         self._locator = Locator(experiment)
+        self._watch = _obstacle_watch(experiment)
+        self._obstacles = Obstacles()
         self._status = LocalizerStatus()
         self._told = CameraHealth.OK
 
@@ -90,7 +99,20 @@ class Shell:
         found = located.status
         status = LocalizerStatus(found.camera, found.frames, shot.dropped, frame_ms, age_ns * 1e-6, found.message)
         self._publish_status(status, shot.stamp_ns)
-        previews.offer(shot, located)
+        self._look_for_obstacles(shot, located)
+        previews.offer(shot, located, self._obstacles)
+
+    def _look_for_obstacles(self, shot: Shot, located: Located) -> None:
+        if self._watch is None:
+            return
+        if located.status.camera is not CameraHealth.OK:
+            self._obstacles = Obstacles()
+            return
+        seen = [[pose.x_m, pose.y_m, pose.depth_m] for _, pose in located.poses if pose.track is not Track.LOST]
+        found = self._watch.step(shot.pixels, shot.instant_ns, np.array(seen).reshape(-1, 3))
+        if found is not None:
+            self._obstacles = found
+            self._bus.publish(topics.OBSTACLES, found, shot.stamp_ns, age_ns=max(self._clock.now_ns() - shot.instant_ns, 0))
 
     def _say_absent(self, previews: Previews) -> None:
         why = f"no frame for {SILENT_AFTER_S} s" + (f": {self._source.trouble}" if self._source.trouble else "")
@@ -115,3 +137,13 @@ class Shell:
             self._told = status.camera
             say = log.info if status.camera is CameraHealth.OK else log.error
             say("camera %s%s", status.camera.name.lower(), f": {status.message}" if status.message else "")
+
+
+def _obstacle_watch(experiment: Experiment) -> ObstacleWatch | None:
+    """None where none are asked for, or where the background moves with the camera."""
+    if experiment.localizer.obstacle_min_m <= 0.0:
+        return None
+    if experiment.landmarks:
+        log.info("obstacles are not looked for: the camera moves")
+        return None
+    return ObstacleWatch(experiment)

@@ -1,7 +1,7 @@
 """The simulated overhead camera: plant in the middle of an exposure -> raw Bayer picture. Pure and repeatable.
 
-Reads in the order light travels: backdrop (floor, walls, water), landmarks, shadows, robots from the farthest to the nearest,
-noise. A camera under a drone (sim.camera_motion) is still during an exposure.
+Reads in the order light travels: backdrop (floor, walls, water), landmarks, shadows, robots and balls adrift from the farthest
+to the nearest, noise. A camera under a drone (sim.camera_motion) is still during an exposure.
 """
 
 import numpy as np
@@ -36,9 +36,10 @@ class Renderer:
         self._backdrop = Hover(experiment, swings, random) if motion.moves else Backdrop(experiment, random)
         shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
         self._sprites = [
-            Sprite(robot, experiment, np.random.default_rng([seed, CAMERA_STREAM, 1, shade]))
+            Sprite.robot(robot, experiment, np.random.default_rng([seed, CAMERA_STREAM, 1, shade]))
             for robot, shade in zip(experiment.robots, shades, strict=True)
         ]
+        self._balls = [(drifter, Sprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
         px_per_m = max(experiment.camera.focal_px) / -experiment.camera.position_m[2]
         self._plates = [Plate(landmark.id, landmark.side_m, px_per_m) for landmark in self._landmarks]
         random = np.random.default_rng([seed, CAMERA_STREAM, 2])
@@ -55,12 +56,24 @@ class Renderer:
                 raise ValueError(f"robot {robot}: eta = {eta[i]}, nu = {nu[i]} must be finite")
         scene, raw = self._backdrop.at(time_s)
         self._draw_landmarks(raw, scene, time_s)
+        bodies: list[tuple[Sprite, Array, Array]] = [*zip(self._sprites, eta, nu, strict=True), *self._adrift(time_s)]
         if self._picture.shadows:
-            for sprite, pose in zip(self._sprites, eta, strict=True):
+            for sprite, pose, _ in bodies:
                 self._draw_shadow(raw, scene, sprite, pose)
-        for i in np.argsort(-optical_path_m(scene.view.camera, eta[:, :3]), kind="stable"):  # the farthest first
-            self._draw_robot(raw, scene, self._sprites[i], eta[i], nu[i], time_s)
+        far_m = optical_path_m(scene.view.camera, np.array([pose[:3] for _, pose, _ in bodies]))
+        for i in np.argsort(-far_m, kind="stable"):  # the farthest first
+            sprite, pose, velocity = bodies[i]
+            self._draw_body(raw, scene, sprite, pose, velocity, time_s)
         return self._noise.add(raw, frame_index)
+
+    def _adrift(self, time_s: float) -> list[tuple[Sprite, Array, Array]]:
+        """The balls that are in the water, as sprite, eta and nu: heading 0, so that body and pool axes agree."""
+        places = [(sprite, drifter, drifter.place_m(time_s)) for drifter, sprite in self._balls]
+        return [
+            (sprite, np.append(place, 0.0), np.append(drifter.velocity_mps, 0.0))
+            for sprite, drifter, place in places
+            if place is not None
+        ]
 
     def _draw_landmarks(self, raw: Bytes, scene: Scene, time_s: float) -> None:
         for plate, landmark in zip(self._plates, self._landmarks, strict=True):
@@ -77,7 +90,7 @@ class Renderer:
         if window is not None:
             shade(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
 
-    def _draw_robot(self, raw: Bytes, scene: Scene, sprite: Sprite, eta: Array, nu: Array, time_s: float) -> None:
+    def _draw_body(self, raw: Bytes, scene: Scene, sprite: Sprite, eta: Array, nu: Array, time_s: float) -> None:
         probe = eta[:3] + np.array([[0.0, 0.0, 0.0], [PROBE_M, 0.0, 0.0], [0.0, PROBE_M, 0.0]])
         seen = project(scene.view.camera, probe)
         px_per_m = float(np.mean(np.linalg.norm(seen[1:] - seen[0], axis=1))) / PROBE_M

@@ -1,4 +1,5 @@
-"""A robot in the picture: a shaded sphere with a marker plate on top, traced pixel by pixel through lens and water.
+"""A robot in the picture: a shaded sphere with a marker plate on top, traced pixel by pixel through lens and water. A ball
+adrift is a sphere without one.
 
 Each pixel's line of sight is met with the sphere in closed form, so edges and texture lie where exact optics puts them.
 """
@@ -11,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from sim_bridge.plates import LENS_SOFTNESS_PX, Plate, Sight
 from sim_bridge.scenery import through_water
-from sim_bridge.textures import SHELL_PX, Bytes, Float, shell
+from sim_bridge.textures import RED, SHELL_PX, Bytes, Float, shell
 from sim_bridge.view import Lines, View, Window, mosaic
 from wire.experiment import Experiment, Robot
 from wire.frames import Array
@@ -37,29 +38,41 @@ class Pose:
 
 
 class Sprite:
-    """Draws one robot. `layer` is pure: it only reads what was drawn at the start."""
+    """Draws one body: its skin (SHELL_PX, SHELL_PX, 3), see textures.py, and its plate at `height_m` above the centre.
+    `layer` is pure: it only reads what was drawn at the start."""
 
-    def __init__(self, robot: Robot, experiment: Experiment, random: np.random.Generator) -> None:
+    def __init__(self, radius_m: float, skin: Bytes, plate: Plate | None = None, height_m: float = 0.0) -> None:
+        self.radius_m, self.height_m = radius_m, height_m
+        self._skin, self._plate = skin, plate
+        half_plate_m = 0.0 if plate is None else plate.half_m
+        self._reach_m = max(radius_m, np.sqrt(2.0) * half_plate_m)
+
+    @classmethod
+    def robot(cls, robot: Robot, experiment: Experiment, random: np.random.Generator) -> "Sprite":
+        """A robot of the experiment in a paint of its own."""
         vehicle, camera = experiment.vehicle, experiment.camera
         px_per_m = max(camera.focal_px) / -camera.position_m[2]
-        self.radius_m, self.height_m = vehicle.radius_m, vehicle.marker.height_m
         texels_per_px = SHELL_PX / 4.0 / vehicle.radius_m / px_per_m
         marked = experiment.localizer.markers
         number = None if experiment.sim.picture.alike else robot.id
-        self._shell = shell(number, marked, LENS_SOFTNESS_PX * texels_per_px, random)
-        self._plate = Plate(robot.marker, vehicle.marker.side_m, px_per_m) if marked else None
-        half_plate_m = 0.0 if self._plate is None else self._plate.half_m
-        self._reach_m = max(self.radius_m, np.sqrt(2.0) * half_plate_m)
+        skin = shell(number, marked, LENS_SOFTNESS_PX * texels_per_px, random)
+        plate = Plate(robot.marker, vehicle.marker.side_m, px_per_m) if marked else None
+        return cls(vehicle.radius_m, skin, plate, vehicle.marker.height_m)
+
+    @classmethod
+    def ball(cls, radius_m: float) -> "Sprite":
+        """A plain red ball."""
+        return cls(radius_m, np.full((SHELL_PX, SHELL_PX, 3), RED, np.uint8))
 
     def box(self, eta: Array) -> Array:
-        """Corners (8, 3) of a box in the pool frame that holds the robot at eta."""
+        """Corners (8, 3) of a box in the pool frame that holds the body at eta."""
         corner = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)], dtype=np.float64)
         top, bottom = max(self.height_m, self.radius_m), self.radius_m
         corner = corner * [self._reach_m, self._reach_m, top + bottom] - [0.0, 0.0, top]
         return np.asarray(eta[:3] + corner)
 
     def layer(self, sight: Sight, pose: Pose) -> tuple[Float, Float]:
-        """Raw mosaic of the robot weighted with its coverage, and the coverage (0 to 1), in the window's shape."""
+        """Raw mosaic of the body weighted with its coverage, and the coverage (0 to 1), in the window's shape."""
         colour, cover = self._sphere(sight, pose)
         if self._plate is None:
             return colour, cover
@@ -80,7 +93,7 @@ class Sprite:
         cos, sin = np.float32(np.cos(pose.yaw_rad)), np.float32(np.sin(pose.yaw_rad))
         column = (cos * normal_x + sin * normal_y) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
         row = (cos * normal_y - sin * normal_x) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
-        skin = mosaic(np.asarray(cv2.remap(self._shell, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)))
+        skin = mosaic(np.asarray(cv2.remap(self._skin, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)))
         lamp_x, lamp_y, lamp_up = LAMP.astype(np.float32)
         lamp = np.maximum(normal_x * lamp_x + normal_y * lamp_y + up * lamp_up, np.float32(0.0))
         colour = skin * ((AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp) * sight.light) + GLOSS * _power(lamp, GLOSS_POWER)

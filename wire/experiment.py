@@ -289,6 +289,20 @@ class CameraMotion(Section):
         return self.sway_m > 0.0 or self.tilt_rad > 0.0
 
 
+class Drifter(Section):
+    """A red ball adrift in the simulated pool. Nobody is told of it: the camera has to see it, and no robot bounces off it."""
+
+    radius_m: Positive = 0.1
+    start_m: Vec3  # where it is at from_s
+    velocity_mps: Vec3 = (0.0, 0.0, 0.0)
+    from_s: NotNegative = 0.0  # when it comes into the water
+
+    def place_m(self, time_s: float) -> Array | None:
+        """Its middle, (3,); None before it comes."""
+        since_s = time_s - self.from_s
+        return np.array(self.start_m) + since_s * np.array(self.velocity_mps) if since_s >= 0.0 else None
+
+
 class Sim(Section):
     """Everything that only the simulator reads."""
 
@@ -298,6 +312,7 @@ class Sim(Section):
     plant: Plant = Plant()
     picture: Picture = Picture()
     camera_motion: CameraMotion = CameraMotion()
+    drifters: tuple[Drifter, ...] = ()
     sensors: Sensors = Sensors()
     board: BoardRules = BoardRules()
 

@@ -12,7 +12,7 @@ from localizer.overlay import draw
 from tests.localizer.scene import Pixels, Scene
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array, body_to_pool, wrap
-from wire.messages import CameraHealth, Pose, Track
+from wire.messages import CameraHealth, Obstacles, Pose, Track
 
 EXPERIMENT = load_experiment("pool")
 STEP_NS = 50_000_000
@@ -265,7 +265,7 @@ def test_overlay_marks_robots_where_they_are() -> None:
     *_, step = _fly(locator, 2)
     frame = SIDE.frame(step.truth)
     nobody = replace(step.located, poses=())
-    bare, marked = draw(locator, frame, nobody), draw(locator, frame, step.located)
+    bare, marked = draw(locator, frame, nobody, Obstacles()), draw(locator, frame, step.located, Obstacles())
     assert marked.shape == (480, 640, 3) and marked.dtype == np.uint8
     changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
     for robot in (1, 2):
@@ -273,4 +273,18 @@ def test_overlay_marks_robots_where_they_are() -> None:
         centre = (locator.view.pixel(np.array([eta[0], eta[1], eta[2] - locator.marker_height_m])) + 0.5) / 2 - 0.5
         near = changed[np.linalg.norm(changed - centre, axis=1) < 80]
         assert len(near) > 200 and np.linalg.norm(near - centre, axis=1).min() < 3
-    assert draw(locator, np.zeros((200, 300), np.uint8), nobody).shape == (480, 640, 3)
+    assert draw(locator, np.zeros((200, 300), np.uint8), nobody, Obstacles()).shape == (480, 640, 3)
+
+
+def test_overlay_outlines_obstacles_where_they_are() -> None:
+    locator = Locator(EXPERIMENT)
+    *_, step = _fly(locator, 1)
+    frame, middle = SIDE.frame(step.truth), np.array([-1.0, 0.6])
+    turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    outline = middle + 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+    obstacles = Obstacles(ids=(3,), outline=outline[None], velocity=np.array([[0.2, 0.0]]), depth_m=0.5)
+    bare, marked = draw(locator, frame, step.located, Obstacles()), draw(locator, frame, step.located, obstacles)
+    changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
+    for point in (*outline, middle + np.array([0.15, 0.0])):  # its rim, and the way it drifts
+        seen = (locator.view.pixel(np.append(point, 0.5)) + 0.5) / 2 - 0.5
+        assert np.linalg.norm(changed - seen, axis=1).min() < 2.0

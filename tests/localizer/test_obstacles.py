@@ -18,7 +18,7 @@ from hypothesis.extra.numpy import arrays
 from localizer.background import Background, Calm
 from localizer.obstacles import ObstacleWatch
 from localizer.things import Region, ThingTracker, convex_outline
-from sim_bridge import backdrop, surface
+from sim_bridge import backdrop, scene, surface
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project
 from sim_bridge.scenery import water_colour
@@ -352,9 +352,10 @@ def test_things_that_pass_each_other_keep_their_numbers_and_speeds() -> None:
 @pytest.mark.parametrize("settings", [(), STRONG], ids=["pool scene", "strong glare and caustics"])
 def test_water_and_robots_alone_raise_no_alarm(settings: tuple[str, ...], seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A minute each. The simulated water repeats after 2.4 s, which any background has soon seen all of; here after 12 s."""
-    monkeypatch.setattr(surface, "LOOP_S", 12.0)
-    monkeypatch.setattr(backdrop, "LOOP_S", 12.0)
-    monkeypatch.setattr(backdrop, "PHASES", 240)
+    for module in (surface, scene, backdrop):
+        monkeypatch.setattr(module, "LOOP_S", 12.0)
+    for module in (scene, backdrop):
+        monkeypatch.setattr(module, "PHASES", 240)
     _renderer.cache_clear()
     looks = watch(60.0, circling, settings=settings, seed=seed)
     _renderer.cache_clear()

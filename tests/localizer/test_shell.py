@@ -18,14 +18,25 @@ import pytest
 from localizer.patch import Pixels
 from localizer.previews import Rate
 from localizer.shell import Options, Shell, run
+from sim_bridge.camera import Renderer
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS, eventually
 from tests.wire.test_bus import free_port
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, decode
-from wire.experiment import load_experiment
-from wire.messages import CameraHealth, Frame, LocalizerStatus, Pose, Preview, RobotState, Tick, Track
+from wire.experiment import Experiment, load_experiment
+from wire.messages import (
+    CameraHealth,
+    Frame,
+    LocalizerStatus,
+    Obstacles,
+    Pose,
+    Preview,
+    RobotState,
+    Tick,
+    Track,
+)
 from wire.runtime import Clock, LockstepClock, Stop, WallClock, log
 from wire.toml_file import ConfigError
 from wire.topics import Topic
@@ -196,13 +207,13 @@ def test_options_that_cannot_be_are_explained(lockstep: bool, options: Options, 
 
 
 @pytest.fixture
-def hub() -> Iterator[tuple[Bus, Callable[[Clock], None]]]:
+def hub() -> Iterator[tuple[Bus, Callable[..., None]]]:
     """A bus for the test, and a way to have the localizer run on another one, by a clock."""
     network, stop, handlers = MemoryHub(), Stop(install=False), list(log.handlers)
     ours, threads = Bus(MemoryTransport(network)), []
 
-    def localize(clock: Clock) -> None:
-        shell = Shell(EXPERIMENT, Bus(MemoryTransport(network)), stop, clock)
+    def localize(clock: Clock, experiment: Experiment = EXPERIMENT) -> None:
+        shell = Shell(experiment, Bus(MemoryTransport(network)), stop, clock)
         threads.append(threading.Thread(target=shell.run))
         threads[-1].start()
 
@@ -214,7 +225,7 @@ def hub() -> Iterator[tuple[Bus, Callable[[Clock], None]]]:
     log.handlers[:] = handlers
 
 
-def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callable[[Clock], None]]) -> None:
+def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callable[..., None]]) -> None:
     """The camera's clock is an hour ahead: its stamp is passed on for the logs, ages are measured."""
     bus, localize = hub
     poses, statuses = bus.inbox(topics.POSE, Pose, 1), bus.inbox(topics.LOCALIZER, LocalizerStatus)
@@ -229,7 +240,7 @@ def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callabl
     assert 40 * MS <= received.header.age_ns <= 40 * MS + elapsed_ns
 
 
-def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[[Clock], None]]) -> None:
+def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[..., None]]) -> None:
     """A robot that is already a step ahead has reported a depth that does not count yet."""
     bus, localize = hub
     pose = bus.inbox(topics.POSE, Pose, 1)
@@ -247,6 +258,41 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[[
     assert received is not None
     assert received.message.depth_m == pytest.approx(0.31)
     assert received.header.age_ns == 30 * MS
+
+
+def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, Callable[..., None]]) -> None:
+    """A ball comes after 5 s, at the robots' depth: outlined ten times a second, with its speed; robots never are. A black
+    camera has nothing to say."""
+    ball = "sim.drifters=[{start_m=[-1.1, 0.5, 0.3], velocity_mps=[0.1, 0.0, 0.0], from_s=5.0}]"
+    experiment = load_experiment("pool", [ball])
+    bus, localize = hub
+    heard: list[tuple[str, int, Obstacles]] = []
+
+    def note(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        said = decode(Obstacles, payload, "localizer", topic.name) if topic is topics.OBSTACLES else Obstacles()
+        heard.append((topic.name, header.stamp_ns, said))
+
+    statuses = bus.inbox(topics.LOCALIZER, LocalizerStatus)
+    for topic in (topics.OBSTACLES, topics.POSE):
+        bus.subscribe(topic, None, note)
+    localize(LockstepClock(), experiment)
+    assert eventually(lambda: "localizer" in bus.present)
+    renderer, eta = Renderer(experiment, 1), np.array([*ETA.values()])
+    for k in range(150):
+        frame_ns = 50 * MS * k
+        pixels = renderer.render(eta, np.zeros((2, 4)), frame_ns * 1e-9, k)
+        bus.publish(topics.FRAME, Frame(pixels if k < 140 else pixels // 64), frame_ns)
+        bus.publish(topics.TICK, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, ()), frame_ns + 30 * MS)
+        assert eventually(lambda at=frame_ns: (h := statuses.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
+    looks = [(stamp_ns * 1e-9, said) for topic, stamp_ns, said in heard if topic == topics.OBSTACLES.name]
+    assert [round(t_s * 10) for t_s, _ in looks] == list(range(70)), "every other frame, none of a black camera"
+    order = [topic for topic, stamp_ns, _ in heard if stamp_ns == 2000 * MS]
+    assert order == [topics.POSE.name] * 2 + [topics.OBSTACLES.name]
+    assert not any(said.ids for t_s, said in looks if t_s < 5.0)
+    for t_s, said in looks[60:]:
+        assert len(said.ids) == 1
+        assert np.linalg.norm(said.outline[0].mean(axis=0) - [-1.1 + 0.1 * (t_s - 5.0), 0.5]) < 0.04
+    assert np.linalg.norm(looks[-1][1].velocity[0] - [0.1, 0.0]) < 0.03
 
 
 def test_previews_keep_their_rate_and_survive_a_clock_set_back() -> None:

@@ -166,6 +166,24 @@ def test_bayer_order_gives_right_colours() -> None:
         assert np.all(bgr(mosaic(plain))[4:-4, 4:-4] == plain[4:-4, 4:-4])
 
 
+def test_a_ball_adrift_comes_when_it_should_and_is_drawn_where_it_is() -> None:
+    """Its outline is the hull of projected points of a sphere; robots are where they were."""
+    settings = (*CLEAN, "sim.drifters=[{radius_m=0.12, start_m=[-0.9, 0.6, 0.4], velocity_mps=[0.1, -0.05, 0.0], from_s=2.0}]")
+    eta = poses((0.5, 0.0, 0.3, 0.2), AWAY)
+    before, without = renderer(*settings).render(eta, REST, 1.9, 0), renderer(*CLEAN).render(eta, REST, 1.9, 0)
+    assert np.array_equal(before, without)
+    changed = bgr(renderer(*settings).render(eta, REST, 4.0, 0)).astype(int) - bgr(without)
+    rows, columns = np.nonzero(np.abs(changed).max(axis=2) > 60)  # half covered
+    k = np.arange(2000) + 0.5
+    up, angle = 1.0 - 2.0 * k / 2000, np.pi * (1.0 + np.sqrt(5.0)) * k
+    ball = np.column_stack([np.sqrt(1 - up**2) * np.cos(angle), np.sqrt(1 - up**2) * np.sin(angle), up])
+    hull = cv2.convexHull(project(experiment(*CLEAN).camera, np.array([-0.7, 0.5, 0.4]) + 0.12 * ball).astype(np.float32))
+    assert len(rows) == pytest.approx(cv2.contourArea(hull), rel=0.04)
+    assert [columns.mean(), rows.mean()] == pytest.approx(hull[:, 0].mean(axis=0), abs=1.5)
+    blue, green, red = bgr(renderer(*settings).render(eta, REST, 4.0, 0))[rows, columns].mean(axis=0)
+    assert red > 2 * green and red > 2 * blue
+
+
 def test_the_mark_is_red_and_robots_are_yellow() -> None:
     picture = bgr(renderer(*CLEAN).render(poses((0.8, 0.0, 0.3, 0.0), AWAY), REST, 0.0, 0)).astype(int)
     blue, green, red = picture[475:485, 635:645].reshape(-1, 3).mean(axis=0)
