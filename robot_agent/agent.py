@@ -67,7 +67,12 @@ class Agent:
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
-        self._controller = Controller(experiment.vehicle, experiment.controller, experiment.safety, self._me.urgent)
+        leader = experiment.leader_of(robot)
+        self._controller = Controller(
+            experiment.vehicle, experiment.controller, experiment.safety, self._me.urgent, follows=leader is not None
+        )
+        coupled = experiment.formation.kind == "virtual-structure"
+        self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
         self._gate = OrderGate(robot, experiment.hash)
         self._fault = ""
         self._trajectory: Trajectory | None = None
@@ -200,9 +205,9 @@ class Agent:
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
-        limit_ns = self._experiment.safety.plan_max_age_s * 1e9
+        limit_ns, formation = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with
         return tuple(
-            Neighbour(robot, heard.instant_ns, heard.plan, now_ns - heard.instant_ns <= limit_ns, robot in self._me.neighbours)
+            Neighbour(robot, heard.instant_ns, heard.plan, now_ns - heard.instant_ns <= limit_ns, robot in formation)
             for robot, heard in sorted(inputs.plans.items())
         )
 
@@ -244,6 +249,7 @@ class Agent:
             eta_command=output.eta_command,
             wrench=output.wrench,
             wrench_step=output.wrench_step,
+            wrench_wanted=output.wrench_wanted,
             wrench_delivered=output.wrench_delivered,
             pulse_us=output.pulse_us,
             echo_us=telemetry.echo_us,

@@ -8,7 +8,7 @@ The data's way through `Controller.step`:
     measurement -> Estimator (eso.py)       state at the exposure, predicted to now and to when a new command can act
     goal        -> Reference (reference.py) path over the horizon, heading that lets surge thrust correct lateral errors
     neighbours  -> Formation (formation.py) weighted reference, half-spaces that keep robots apart
-                -> Mpc (mpc.py, model.py, qp.py)    wrench over the horizon
+                -> Mpc (mpc.py, model.py, qp.py)    wrench over the horizon; or another law (law.py)
                 -> Allocator (allocation.py)        4 thrusters and 4 ankles, as pulse widths
 
 The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: it goes on estimating, puts out
@@ -25,8 +25,9 @@ from robot_agent.allocation import Allocator
 from robot_agent.eso import Estimate, Estimator, Measurement, Sighting
 from robot_agent.formation import Company, Formation, Neighbour, Rank
 from robot_agent.guidance import Guidance
+from robot_agent.law import guidance_config, make_law
 from robot_agent.model import Model
-from robot_agent.mpc import Mpc, MpcPlan
+from robot_agent.mpc import MpcPlan
 from robot_agent.reference import Follow, Goal, Hold, Path, Sampler
 from wire.experiment import Controller as ControllerConfig
 from wire.experiment import Safety
@@ -47,6 +48,7 @@ class ControlOutput:
     pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless `solve` is SOLVED or SHIFTED
     wrench: Array  # (3,) asked for: surge N, heave N, yaw N m
     wrench_step: Array  # (3,) its change in this step
+    wrench_wanted: Array  # (3,) what the law came to before it was limited; the MPC knows its limits
     wrench_delivered: Array  # (3,) what the pulses give by the nominal thrust curve
     estimated: bool  # False until the first pose, and after coasting too long: eta, nu, disturbance mean nothing
     eta: Array  # (4,) estimated pose now
@@ -66,9 +68,12 @@ class ControlOutput:
 class Controller:
     """One robot's controller with its memory and workspaces."""
 
-    def __init__(self, vehicle: Vehicle, config: ControllerConfig, safety: Safety, urgent: bool = False) -> None:
+    def __init__(
+        self, vehicle: Vehicle, config: ControllerConfig, safety: Safety, urgent: bool = False, follows: bool = False
+    ) -> None:
+        """`follows`: its one neighbour in the formation is its leader."""
         horizon, period_s = config.mpc.horizon, config.period_s
-        self._config, self._urgent = config, urgent
+        self._config, self._urgent, self._follows = config, urgent, follows
         self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
         self._weight = np.array(config.mpc.q)
         model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
@@ -76,9 +81,10 @@ class Controller:
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self._sampler = Sampler(nodes_s)
-        self._guidance = Guidance(vehicle, config.guidance, period_s, config.estimator.sway)
-        self._formation = Formation(config.mpc, safety, period_s)
-        self._mpc = Mpc(vehicle, model, config.mpc, period_s, self._formation.rows)
+        self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
+        whole = config.mpc.model_copy(update={"q_formation": (1.0, 1.0, 1.0, 1.0)})
+        self._formation = Formation(whole if follows else config.mpc, safety, period_s)
+        self._law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
         self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
         self._wrench = np.zeros(3)
@@ -95,9 +101,9 @@ class Controller:
         path = self._sampler.path(goal)
         company = self._formation.company(neighbours, now_ns + self._dead_ns)
         weight, command = self._command(goal, path, company, estimate)
-        expected = self._mpc.expected(estimate.action)
+        expected = self._law.expected(estimate.action)
         keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns)
-        plan = self._mpc.plan(
+        plan = self._law.plan(
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current
         )
         return self._put_out(plan, estimate, path, command, company, now_ns)
@@ -117,8 +123,11 @@ class Controller:
         command = path.eta.copy()
         weight = self._weight
         if company.weight.any():
-            weight = weight + company.weight
-            pull = company.pull / np.maximum(weight, 1e-12)
+            if self._follows:  # own node + (leader - leader's node) = leader + offset
+                pull = company.pull / company.weight
+            else:
+                weight = weight + company.weight
+                pull = company.pull / np.maximum(weight, 1e-12)
             command[1:] += pull
             command[0] += pull[0]
         if self._config.guidance.enabled:
@@ -148,6 +157,7 @@ class Controller:
             pulse_us=pulses,
             wrench=plan.wrench,
             wrench_step=wrench_step,
+            wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
             wrench_delivered=np.array(delivered),
             estimated=True,
             eta=estimate.eta,
@@ -166,7 +176,7 @@ class Controller:
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
         """Thrusters off, plan forgotten. The plan that is told to others: it stays where it is."""
-        self._mpc.reset()
+        self._law.reset()
         self._guidance.reset()
         self._goal = None
         wrench_step, self._wrench = -self._wrench, np.zeros(3)
@@ -178,6 +188,7 @@ class Controller:
             pulse_us=self._allocator.neutral_us,
             wrench=np.zeros(3),
             wrench_step=wrench_step,
+            wrench_wanted=np.zeros(3),
             wrench_delivered=np.zeros(3),
             estimated=estimate is not None,
             eta=eta,

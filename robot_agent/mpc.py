@@ -36,6 +36,7 @@ class MpcPlan:
     solve: Solve
     iterations: int
     slack_m: float
+    wanted: Array | None = None  # (3,) before it was limited, by a law that knows no limits
 
 
 class Mpc:

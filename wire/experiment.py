@@ -16,6 +16,7 @@ import tomli_w
 from pydantic import Field, model_validator
 
 from wire.frames import Array
+from wire.laws import AdaptiveNn, Backstepping, Fuzzy, LawName, Lqr, Pid, SlidingMode
 from wire.sim_plant import Plant
 from wire.toml_file import ConfigError, Section, apply_setting, check, read_toml
 from wire.vehicle import NotNegative, Positive, Vehicle, load_vehicle
@@ -68,9 +69,15 @@ class Waypoints(Section):
 
 
 class Formation(Section):
-    """Virtual structure (14-16): `translate` keeps the offsets constant in the pool frame, `rotate` turns them with
-    the path's tangent (ambiguity A10)."""
+    """Nodes around a virtual centre (14-16): `translate` keeps offsets constant in the pool frame, `rotate` turns them with
+    the path's tangent (ambiguity A10).
 
+    With `virtual-structure` every robot follows its own node, and the formation terms couple neighbours. With
+    `leader-follower` only the leader follows its node; the others keep their offsets from wherever the leader is.
+    """
+
+    kind: Literal["virtual-structure", "leader-follower"] = "virtual-structure"
+    leader: int | None = None  # its id; default: the first robot
     mode: Literal["translate", "rotate"] = "translate"
     scale: Positive = 1.0
 
@@ -168,12 +175,19 @@ class Mpc(Section):
 
 
 class Controller(Section):
-    """What runs on the robot, 1/period_s times a second."""
+    """What runs on the robot, 1/period_s times a second. `law` is what computes the wrench, given estimate and reference."""
 
     period_s: Annotated[float, Field(ge=0.01, le=0.5)] = 0.05
+    law: LawName = "eso-mpc"
     estimator: Estimator = Estimator()
     guidance: Guidance = Guidance()
     mpc: Mpc = Mpc()
+    backstepping: Backstepping = Backstepping()
+    pid: Pid = Pid()
+    lqr: Lqr = Lqr()
+    sliding_mode: SlidingMode = SlidingMode()
+    fuzzy: Fuzzy = Fuzzy()
+    adaptive_nn: AdaptiveNn = AdaptiveNn()
 
 
 class Island(Section):
@@ -372,6 +386,9 @@ class Experiment(Section):
                 if other not in ids or other == robot.id or robot.neighbours.count(other) > 1:
                     allowed = ", ".join(str(i) for i in ids if i != robot.id) or "none"
                     raise ValueError(f"robots: neighbours of robot {robot.id}: {other} is not allowed (once each: {allowed})")
+        if self.formation.leader is not None and self.formation.leader not in ids:
+            allowed = ", ".join(map(str, ids))
+            raise ValueError(f"formation.leader = {self.formation.leader}: no such robot (allowed: {allowed})")
         hz = self.sim.plant.disturbance_hz
         if isinstance(hz, tuple) and len(hz) != len(ids):
             raise ValueError(f"sim.plant.disturbance_hz: {len(hz)} values for {len(ids)} robots (allowed: one, or one each)")
@@ -408,6 +425,11 @@ class Experiment(Section):
                 return robot
         allowed = ", ".join(str(i) for i in self.robot_ids)
         raise ConfigError(f"robot {robot_id}: not in experiment {self.name!r} (allowed: {allowed})")
+
+    def leader_of(self, robot_id: int) -> int | None:
+        """Whom a robot follows instead of its own node; None if nobody."""
+        leader = self.robot_ids[0] if self.formation.leader is None else self.formation.leader
+        return leader if self.formation.kind == "leader-follower" and leader != robot_id else None
 
     def nodes_m(self) -> Array:
         """Formation nodes from the virtual centre, shape (robots, 3), scaled by L = l I (15)."""

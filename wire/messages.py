@@ -166,8 +166,9 @@ class RobotState:
     disturbance: Array = array(4)  # estimated acceleration, body frame [m/s^2, rad/s^2]
     eta_reference: Array = array(4)  # of the trajectory: yaw is the path's tangent
     eta_command: Array = array(4)  # what the controller was given: yaw with crab angle and correction
-    wrench: Array = array(3)  # asked for
+    wrench: Array = array(3)  # asked for, within the limits
     wrench_step: Array = array(3)  # its change in this step
+    wrench_wanted: Array = array(3)  # what the control law came to before magnitude and rate were limited
     wrench_delivered: Array = array(3)  # after allocation and limits, by the nominal thrust curve
     pulse_us: tuple[int, ...] = ()  # 4 thrusters, 4 ankles
     echo_us: tuple[int, ...] = ()  # what the board says it put out

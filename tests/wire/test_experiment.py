@@ -217,7 +217,8 @@ def _mutants(value: object) -> Iterator[object]:
     elif isinstance(value, float):
         yield from (value + 1e-6, value - 1e-6, value * 1.001)
     else:
-        yield from ("rotate", "translate", "daqp", "osqp", "point", "trajectory", "start", "end", "2-1", "other")
+        yield from ("rotate", "translate", "leader-follower", "virtual-structure", "daqp", "osqp", "pid", "eso-mpc")
+        yield from ("point", "trajectory", "start", "end", "2-1", "other")
 
 
 def _hash(table: dict[str, Any]) -> str:

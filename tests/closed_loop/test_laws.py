@@ -1,0 +1,77 @@
+"""The laws that the ESO-MPC is compared with, and leader-follower, flown in the article's scene with the robots' own code."""
+
+from typing import get_args
+
+import numpy as np
+import pytest
+
+from tests.closed_loop.test_numeric import Flight, flown
+from wire.experiment import load_experiment
+from wire.frames import Array
+from wire.laws import LawName
+from wire.messages import Mode, Solve
+from wire.toml_file import ConfigError
+
+LAWS = get_args(LawName)
+FOLLOWING = "formation.kind=leader-follower"
+
+
+def flight(law: str, *settings: str) -> Flight:
+    return flown("numeric", "duration_s=25", f"controller.law={law}", *settings)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str) -> None:
+    flown_ = flight(law)
+    limits = flown_.experiment.vehicle.limits
+    limit, step = np.array(limits.wrench), np.array(limits.wrench_step)
+    wrench, change, wanted = (_of(flown_, key) for key in ("wrench", "wrench_step", "wrench_wanted"))
+    assert all(s.mode is Mode.TRACKING and s.solve is Solve.SOLVED for states in flown_.states for s in states)
+    assert np.all(np.abs(wrench) <= limit) and np.all(np.abs(change) <= step + 1e-12)
+    assert np.abs(flown_.error[400:, :, :3]).max() < 0.1
+    np.testing.assert_allclose(np.diff(wrench, axis=1), change[:, 1:], atol=1e-12)
+    if law == "eso-mpc":
+        np.testing.assert_array_equal(wanted, wrench)
+    else:  # every law without limits breaks them at a start metres away
+        assert np.abs(wanted / limit).max() > 1.1
+        inside = np.all(np.abs(wanted) <= limit, axis=2)[:, 1:] & np.all(
+            np.abs(wanted[:, 1:] - wrench[:, :-1]) <= step, axis=2
+        )
+        np.testing.assert_array_equal(wrench[:, 1:][inside], wanted[:, 1:][inside])
+
+
+def _of(flight: Flight, key: str) -> Array:
+    return np.array([[getattr(state, key) for state in states] for states in flight.states])
+
+
+def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
+    """The leader is pushed off its path; followers, whose own nodes are elsewhere, stay with it."""
+    push = ("controller.estimator.enabled=false", "sim.plant.disturbance_wrench=[3, 0, 0]", "sim.plant.disturbance_hz=0.01")
+    together = flight("eso-mpc", *push, FOLLOWING)
+    alone = flight("eso-mpc", *push, "controller.mpc.q_formation=[0, 0, 0, 0]", "sim.plant.disturbance_hz=[0.01, 0, 0]")
+    led = flight("eso-mpc", *push, FOLLOWING, "sim.plant.disturbance_hz=[0.01, 0, 0]")
+
+    def apart(flight_: Flight) -> float:
+        return float(np.sqrt(np.mean(np.sum((flight_.error[300:, 0, :3] - flight_.error[300:, 1, :3]) ** 2, axis=1))))
+
+    assert np.abs(alone.error[300:, 0, :3]).max() > 0.1 and apart(alone) > 0.08
+    assert apart(led) < 0.6 * apart(alone)
+    np.testing.assert_array_equal(together.error[:, 0], led.error[:, 0])
+
+
+@pytest.mark.parametrize("kind,notices", [("leader-follower", False), ("virtual-structure", True)])
+def test_a_leader_does_not_care_what_its_followers_do(kind: str, notices: bool) -> None:
+    """The article's complaint about leader-follower; under the virtual structure robots wait for one another."""
+    one, other = (
+        flight("eso-mpc", f"formation.kind={kind}", f"robots.1.start=[{x}, 1.0, -1.0, 0.0]").error[:, 0] for x in (0.8, 0.2)
+    )
+    assert np.array_equal(one, other) != notices
+
+
+def test_another_robot_may_lead() -> None:
+    experiment = load_experiment("numeric", [FOLLOWING, "formation.leader=2"])
+    assert [experiment.leader_of(robot) for robot in (1, 2, 3)] == [2, None, 2]
+    assert [load_experiment("numeric", [FOLLOWING]).leader_of(robot) for robot in (1, 2, 3)] == [None, 1, 1]
+    assert load_experiment("numeric").leader_of(2) is None
+    with pytest.raises(ConfigError, match=r"formation.leader = 9: no such robot \(allowed: 1, 2, 3\)"):
+        load_experiment("numeric", ["formation.leader=9"])
