@@ -89,7 +89,8 @@ def peer_python(name: str, requirements: Sequence[str]) -> Path:
 def run_peer(name: str, requirements: Sequence[str], task: object, timeout_s: float = 600.0) -> list[Row]:
     """Run benchmarks/peers/NAME.py in its own environment and return the rows it prints.
 
-    The script reads `task` as JSON from its standard input and prints a JSON list of rows. A peer that cannot be installed
+    The script reads `task` as JSON from its standard input; the last line it prints is a JSON list of rows (solvers like to
+    introduce themselves). A peer that cannot be installed
     or fails is reported on stderr and left out: no network must not mean no benchmark.
     """
     try:
@@ -109,4 +110,4 @@ def run_peer(name: str, requirements: Sequence[str], task: object, timeout_s: fl
     if done.returncode != 0:
         print(f"peer {name} not measured: it ended with {done.returncode}: {done.stderr.strip()}", file=sys.stderr)
         return []
-    return [Row(**row) for row in json.loads(done.stdout)]
+    return [Row(**row) for row in json.loads(done.stdout.splitlines()[-1])]
