@@ -65,7 +65,7 @@ def first_moves(case: Case) -> list[float]:
     found: list[Witness] = []
 
     def watch(controller: Controller, experiment: Experiment) -> None:
-        mpc: Any = controller._mpc
+        mpc: Any = controller._law
         blocks, size = len(experiment.controller.mpc.blocks), 3 * len(experiment.controller.mpc.blocks)
         p_mask, a_mask = np.ones((size, size), dtype=bool), mpc._a != 0.0
         exact = make_solver("daqp", p_mask, a_mask, np.ones(size), np.ones(2 * size), bounds=size)
