@@ -11,7 +11,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help run test test-slow bench lint format proto docs lock clean
+.PHONY: help page run test test-slow bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -38,6 +38,9 @@ lint: $(INSTALLED) ## ruff and mypy --strict
 format: $(INSTALLED) ## let ruff lay out and repair what it can
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
+
+page: ## build the operator's page again (needs Node 20 or newer; users have the built page in groundstation/web/static)
+	cd groundstation/web/page && npm ci --silent && npm run --silent build
 
 proto: $(INSTALLED) ## generate wire/fleet_pb2.py from wire/fleet.proto
 	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/fleet.proto

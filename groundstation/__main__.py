@@ -29,6 +29,9 @@ cli = typer.Typer(
 )
 
 ORDER_TIMEOUT_S = 2.0
+DEFAULT_WEB = "127.0.0.1:8000"
+WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Where the operator's page is served.")]
+NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 FLEET_ORDERS = ("load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop")
 
 
@@ -44,16 +47,25 @@ def run(
     fleet: FleetName = DEFAULT_FLEET,
     lockstep: LockstepMode = False,
     verbose: Verbose = False,
+    web: WebAddress = DEFAULT_WEB,
+    no_web: NoWeb = False,
+    web_certificate: Annotated[Path | None, typer.Option(help="TLS certificate (PEM) of the page.")] = None,
+    web_key: Annotated[Path | None, typer.Option(help="Its private key (PEM).")] = None,
+    web_token_file: Annotated[Path | None, typer.Option(help="File with the token that a page must know.")] = None,
 ) -> None:
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
-    Without --auto the station waits for orders from another terminal: `groundstation order start`.
+    Without --auto the station waits for orders: from the operator's page, or from another terminal
+    (`groundstation order start`).
     Exit code 0 if the mission succeeded, 1 if not.
     """
     from groundstation import station
+    from groundstation.web.guard import web_options
     from wire.bus import Bus
     from wire.transport import Endpoint, ZenohTransport
 
+    token = web_token_file.read_text(encoding="utf-8").strip() if web_token_file is not None else ""
+    page = None if no_web else web_options(web, web_certificate, web_key, token)
     start_log("groundstation", verbose)
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
@@ -63,7 +75,7 @@ def run(
     (folder / "experiment.toml").write_text(text, encoding="utf-8")
     endpoint = Endpoint(listen, router=not external_router, lossless=lockstep)
     with Bus(ZenohTransport(endpoint), fleet) as bus:
-        succeeded = station.run(loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop)
+        succeeded = station.run(loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop, web=page)
     if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
         report(folder)
     raise typer.Exit(0 if succeeded else 1)

@@ -4,8 +4,10 @@ The heartbeat goes out from the same cycle that runs the mission: no thread of i
 orders of a cycle are answered before its heartbeat, so a robot that has the heartbeat has the orders.
 """
 
+import contextlib
 import threading
 import time
+from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,11 +17,14 @@ from groundstation import planner
 from groundstation.fleet import Fleet, view
 from groundstation.mission import OVER, Answer, Mission, Phase
 from groundstation.recorder import Recorder, run_metadata
+from groundstation.web.desk import Desk, Post, Status
+from groundstation.web.guard import WebOptions
+from groundstation.web.server import WebServer
 from wire import topics
 from wire.bus import Bus, Inbox
 from wire.codec import Header
 from wire.experiment import Experiment
-from wire.messages import Command, Pose, Reply, RobotState, StationHeartbeat, Tick
+from wire.messages import Command, Order, Pose, Reply, RobotState, StationHeartbeat, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 from wire.topics import Topic
 
@@ -40,6 +45,7 @@ class Station:
     poses: dict[int, Inbox[Pose]]
     pool: ThreadPoolExecutor
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
+    answers: deque[Answer] = field(default_factory=lambda: deque(maxlen=256))  # for people; taken from the left
     told: str = ""
     recorder_told: bool = False
     turn: threading.Lock = field(default_factory=threading.Lock)  # a person's wish comes from a network thread
@@ -65,14 +71,25 @@ class Station:
     def _answers(self) -> list[Answer]:
         done = [(command, future) for command, future in self.pending if future.done()]
         self.pending = [entry for entry in self.pending if not entry[1].done()]
-        return [Answer(command, future.result()) for command, future in done]
+        answers = [Answer(command, future.result()) for command, future in done]
+        self.answers.extend(answers)
+        return answers
 
     def wish(self, header: Header, command: Command) -> Reply:
-        """A person's order for the whole fleet."""
-        with self.turn:
-            reason = self.mission.wish(command.order, self.fleet(), self.clock.now_ns())
-        log.info("%s asked for: %s", command.order.name, reason or "under way")
+        """A person's order for the whole fleet, from a terminal."""
+        reason = self.ask(command.order)
         return Reply(WHOLE_FLEET, not reason, reason)
+
+    def ask(self, order: Order) -> str:
+        """A person's order for the whole fleet. Why not, or nothing when it is under way."""
+        with self.turn:
+            reason = self.mission.wish(order, self.fleet(), self.clock.now_ns())
+        log.info("%s asked for: %s", order.name, reason or "under way")
+        return reason
+
+    def status(self) -> Status:
+        """Where the mission stands."""
+        return Status(self.mission.phase, self.mission.reason, self.recorder.error)
 
     def _tell(self) -> None:
         if self.recorder.error and not self.recorder_told:
@@ -99,16 +116,25 @@ def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
 
 
 def run(
-    experiment: Experiment, experiment_toml: str, bus: Bus, run_dir: Path, *, automatic: bool, lockstep: bool, stop: Stop
+    experiment: Experiment,
+    experiment_toml: str,
+    bus: Bus,
+    run_dir: Path,
+    *,
+    automatic: bool,
+    lockstep: bool,
+    stop: Stop,
+    web: WebOptions | None = None,
 ) -> bool:
     """Run the station until its mission is over (automatic) or it is told to stop. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
     trajectories = planner.plan(experiment)
-    metadata = run_metadata(experiment, "lockstep" if lockstep else "real-time")
+    mode = "lockstep" if lockstep else "real-time"
+    metadata = run_metadata(experiment, mode)
     recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata)
     try:
         record_everything(bus, recorder, clock)
-        with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool:
+        with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool, contextlib.ExitStack() as served:
             mission = Mission(experiment, trajectories, automatic)
             states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
             poses = {r: bus.inbox(topics.POSE, Pose, r) for r in experiment.robot_ids}
@@ -118,6 +144,10 @@ def run(
             for robot, trajectory in trajectories.items():
                 bus.publish(topics.TRAJECTORY, trajectory, clock.now_ns(), robot)
             bus.watch_presence()
+            if web is not None:
+                post = Post(station.status, station.ask, station.answers)
+                served.enter_context(WebServer(Desk(experiment, trajectories, bus, clock, post, mode), web))
+                log.info("operator page: %s", web.url)
             bus.announce("groundstation")
             started_s = time.monotonic()
             (_lockstep_loop if lockstep else _wall_loop)(station, stop)

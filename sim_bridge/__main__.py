@@ -40,6 +40,13 @@ def sil(
     duration: Duration = None,
     out: OutFolder = Path("runs"),
     settings: Settings = None,
+    manual: Annotated[
+        bool, typer.Option("--manual", help="Wait for the operator: arm, start and end it on the page.")
+    ] = False,
+    web: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where the operator's page is; another port if that one is taken.")
+    ] = "127.0.0.1:8000",
+    no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page.")] = False,
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 
@@ -58,7 +65,12 @@ def sil(
     console.print(
         f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
     )
-    raise typer.Exit(software_in_the_loop.run(loaded, folder, lockstep=lockstep, stop=Stop(), console=console))
+    page = None if no_web else software_in_the_loop.page_address(web)
+    if page is not None:
+        console.print(f"operator page: http://{page}/", soft_wrap=True)
+    raise typer.Exit(
+        software_in_the_loop.run(loaded, folder, lockstep=lockstep, stop=Stop(), console=console, page=page, manual=manual)
+    )
 
 
 @cli.command()

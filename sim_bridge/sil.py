@@ -29,8 +29,18 @@ SAFE_WITHIN_S = 1.0
 SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 
 
-def run(experiment: Experiment, run_dir: Path, *, lockstep: bool, stop: Stop, console: Console) -> int:
-    """Run an experiment with all its processes. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+def run(
+    experiment: Experiment,
+    run_dir: Path,
+    *,
+    lockstep: bool,
+    stop: Stop,
+    console: Console,
+    page: str | None = None,
+    manual: bool = False,
+) -> int:
+    """Run an experiment with all its processes; `page` is where the operator's page is served (host:port), `manual` leaves
+    the mission to whoever sits there. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     run_dir.mkdir(parents=True, exist_ok=True)
     file = run_dir / "experiment.toml"
     file.write_text(dump_experiment(experiment), encoding="utf-8")
@@ -38,7 +48,9 @@ def run(experiment: Experiment, run_dir: Path, *, lockstep: bool, stop: Stop, co
     trouble: list[str] = []
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-        station = _start_all(children, experiment, file, address, ports, lockstep, stop)
+        options = ["--no-web"] if page is None else ["--web", page]
+        options += [] if manual else ["--auto"]
+        station = _start_all(children, experiment, file, address, ports, lockstep, stop, options)
         if station is not None:
             with Bus(ZenohTransport(Endpoint(address))) as bus:
                 trouble = _watch(children, station, Monitor(experiment, bus), lockstep, stop, console)
@@ -58,13 +70,20 @@ def run(experiment: Experiment, run_dir: Path, *, lockstep: bool, stop: Stop, co
 
 
 def _start_all(
-    children: Children, experiment: Experiment, file: Path, address: str, ports: int, lockstep: bool, stop: Stop
+    children: Children,
+    experiment: Experiment,
+    file: Path,
+    address: str,
+    ports: int,
+    lockstep: bool,
+    stop: Stop,
+    station_options: list[str],
 ) -> Child | None:
     """Station first: it is the router, and the others wait for it. None if it does not come up."""
     common = [str(file), *(["--lockstep"] if lockstep else [])]
     run_dir = str(file.parent)
     station = children.start(
-        "groundstation", "groundstation", ["run", *common, "--auto", "--run-dir", run_dir, "--listen", address]
+        "groundstation", "groundstation", ["run", *common, "--run-dir", run_dir, "--listen", address, *station_options]
     )
     if not _listens(address, station, stop):
         return None
@@ -167,6 +186,20 @@ def free_port() -> int:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
         return port
+
+
+def page_address(wanted: str) -> str:
+    """`wanted` (host:port), or the same host with another port if that one is taken: two runs may go on side by side."""
+    host, _, port = wanted.rpartition(":")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, int(port)))
+        except OSError:
+            return f"{host}:{free_port()}"
+        except ValueError:  # no number: the station says what is allowed
+            return wanted
+    return wanted
 
 
 def free_base_port(robots: tuple[int, ...]) -> int:

@@ -92,9 +92,12 @@ class ZenohTransport:
             self._images = zenoh.open(_config(replace(self._endpoint, router=False)))
         return self._images
 
+    @property
+    def _congestion(self) -> zenoh.CongestionControl:
+        return zenoh.CongestionControl.BLOCK if self._endpoint.lossless else zenoh.CongestionControl.DROP
+
     def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]:
-        congestion = zenoh.CongestionControl.BLOCK if self._endpoint.lossless else zenoh.CongestionControl.DROP
-        options = {"congestion_control": congestion, **_QOS[qos]}
+        options = {"congestion_control": self._congestion, **_QOS[qos]}
         session = self._session(qos)
         publisher: Any
         if qos is Qos.EVENT:
@@ -146,7 +149,7 @@ class ZenohTransport:
             attachment=header,
             timeout=timeout_s,
             priority=zenoh.Priority.REAL_TIME,
-            congestion_control=zenoh.CongestionControl.DROP,
+            congestion_control=self._congestion,
             express=True,
         )
         for reply in replies:

@@ -23,7 +23,9 @@ class Lab:
         self.start("agent-1", "robot_agent", "run", "pool", "--robot", "1", "--link", f"udp:127.0.0.1:{ports + 1}")  # first
         self.start("sim-bridge", "sim_bridge", "pool", "pool", "--ports", str(ports))
         self.children.start(
-            "groundstation", "groundstation", ["run", "pool", "--listen", self.station, "--run-dir", str(folder / "run")]
+            "groundstation",
+            "groundstation",
+            ["run", "pool", "--no-web", "--listen", self.station, "--run-dir", str(folder / "run")],
         )
         self.start("localizer", "localizer", "run", "pool")
         self.start("agent-2", "robot_agent", "run", "pool", "--robot", "2", "--link", f"udp:127.0.0.1:{ports + 2}")

@@ -1,0 +1,199 @@
+"""SHELL: the live fleet as the page sees it: reads the bus through inboxes of its own, gives orders as a terminal would.
+
+Nothing here waits for the station's cycle, and the cycle never waits for anything here.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from groundstation.fleet import preflight, view
+from groundstation.mission import WISHES, Answer, Phase
+from groundstation.web import editor
+from groundstation.web.alarms import alarms
+from groundstation.web.requests import Edit
+from groundstation.web.scene import scene
+from groundstation.web.snapshot import NEVER_MS, Aged, FleetNews, RobotNews, snapshot
+from wire import topics
+from wire.bus import Bus, Inbox, Received
+from wire.codec import DecodeError, Header, decode
+from wire.experiment import Experiment
+from wire.messages import Event, LocalizerStatus, Obstacles, Order, Plan, Pose, Preview, RobotState, Trajectory
+from wire.runtime import Clock
+from wire.topics import Topic
+
+MOST_EVENTS = 256  # between two looks
+
+
+class Source(Protocol):
+    """Where the page's server gets everything from: the live fleet, or a recorded run. Used from one thread, but for `order`,
+    `attempt` and `save`, which may take their time in another."""
+
+    def scene(self) -> dict[str, Any]: ...
+    def changed(self) -> bool: ...
+    def snapshot(self) -> dict[str, Any]: ...
+    def picture(self) -> dict[str, Any] | None: ...
+    def notes(self) -> list[dict[str, Any]]: ...
+    def order(self, order: Order) -> str: ...
+    def attempt(self, edit: Edit) -> dict[str, Any]: ...
+    def save(self, edit: Edit, name: str) -> dict[str, Any]: ...
+    def seek(self, time_s: float | None, rate: float | None) -> None: ...
+
+
+@dataclass(frozen=True)
+class Status:
+    """What the station says of itself."""
+
+    phase: Phase
+    reason: str
+    recorder_error: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Post:
+    """What the desk needs of the station."""
+
+    status: Callable[[], Status]
+    order: Callable[[Order], str]  # what a person wishes for the whole fleet; why not, or nothing
+    answers: deque[Answer]  # what became of orders to single robots; taken from its left
+
+
+class Desk:
+    """The live fleet. Its inboxes decode in the thread that asks, which is the page's."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        trajectories: Mapping[int, Trajectory],
+        bus: Bus,
+        clock: Clock,
+        station: Post,
+        mode: str,
+    ) -> None:
+        self._experiment, self._trajectories, self._bus, self._clock = experiment, trajectories, bus, clock
+        self._station, self._mode = station, mode
+        robots = experiment.robot_ids
+        self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in robots}
+        self._poses = {r: bus.inbox(topics.POSE, Pose, r) for r in robots}
+        self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in robots}
+        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
+        self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
+        self._previews = bus.inbox(topics.PREVIEW, Preview)
+        self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
+        self._seen: list[Header | None] = []
+        self._shown: Header | None = None
+        bus.subscribe(topics.EVENT, None, self._event)
+
+    def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        self._events.append((header, payload))
+
+    def scene(self) -> dict[str, Any]:
+        """What does not change while the station runs."""
+        return scene(self._experiment, self._trajectories, self._mode)
+
+    def changed(self) -> bool:
+        """Whether any robot has said something since the last call."""
+        seen = [inbox.newest_header() for inbox in self._states.values()]
+        changed, self._seen = seen != self._seen, seen
+        return changed
+
+    def snapshot(self) -> dict[str, Any]:
+        """The fleet now."""
+        status = self._station.status()
+        states = {r: inbox.newest() for r, inbox in self._states.items()}
+        poses = {r: inbox.newest() for r, inbox in self._poses.items()}
+        fleet = {r: view(states[r], poses[r], self._clock) for r in states}
+        localizer = _aged(self._localizer)
+        return snapshot(
+            FleetNews(
+                time_s=self._clock.now_ns() * 1e-9,
+                robots={r: RobotNews(_age(states[r]), _age(poses[r]), _aged(self._plans[r])) for r in states},
+                localizer=localizer,
+                obstacles=_aged(self._obstacles),
+                phase=status.phase.name,
+                phase_text=status.phase.value,
+                reason=status.reason,
+                allowed=[
+                    order.name.lower().replace("_", "-") for order, (phases, _) in WISHES.items() if status.phase in phases
+                ],
+                preflight=preflight(self._experiment, fleet),
+                emergency_stop=status.phase is Phase.STOPPED,
+                alarms=alarms(
+                    self._experiment, fleet, localizer.message, self._localizer_age_s(localizer), status.recorder_error
+                ),
+                present=sorted(self._bus.present),
+            )
+        )
+
+    def _localizer_age_s(self, found: Aged) -> float:
+        """In lockstep a slow machine is no silence: what counts there is whether the robots get poses."""
+        return found.age_ms * 1e-3 if self._mode == "real-time" else 0.0
+
+    def picture(self) -> dict[str, Any] | None:
+        """The camera's newest picture, once."""
+        header = self._previews.newest_header()
+        if header is None or header == self._shown:
+            return None
+        self._shown = header
+        found = self._previews.newest()
+        return None if found is None else {"age_ms": _age(found).age_ms, "jpeg": found.message.jpeg}
+
+    def notes(self) -> list[dict[str, Any]]:
+        """What happened since the last call, in order: lines of the log, answers of robots."""
+        found = []
+        while self._events:
+            header, payload = self._events.popleft()
+            try:
+                event = decode(Event, payload, f"session {header.session:x}", topics.EVENT.name)
+            except DecodeError:
+                continue
+            found.append(
+                {
+                    "k": "event",
+                    "time_s": header.stamp_ns * 1e-9,
+                    "level": event.level,
+                    "source": event.source,
+                    "text": event.message,
+                }
+            )
+        while self._station.answers:
+            answer = self._station.answers.popleft()
+            found.append(
+                {
+                    "k": "answer",
+                    "robot": answer.command.robot,
+                    "order": answer.command.order.name.lower().replace("_", "-"),
+                    "ok": answer.reply.accepted,
+                    "reason": answer.reply.reason,
+                    "mode": answer.reply.mode.name,
+                }
+            )
+        return found
+
+    def order(self, order: Order) -> str:
+        """Why not, or nothing when it is under way."""
+        return self._station.order(order)
+
+    def attempt(self, edit: Edit) -> dict[str, Any]:
+        """What would come of an edit."""
+        return editor.attempt(self._experiment, edit)
+
+    def save(self, edit: Edit, name: str) -> dict[str, Any]:
+        """Keep an edit for a later run."""
+        return editor.save(self._experiment, edit, name)
+
+    def seek(self, time_s: float | None, rate: float | None) -> None:
+        """Only a recorded run can be at another time."""
+
+
+def _aged(inbox: Inbox[Any]) -> Aged:
+    return _age(inbox.newest())
+
+
+def _age(received: Received[Any] | None) -> Aged:
+    """By the machine's own clock, also in lockstep: nothing that has stopped coming may look alive."""
+    if received is None:
+        return Aged()
+    return Aged(received.message, min((time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6, NEVER_MS))

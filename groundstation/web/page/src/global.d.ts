@@ -1,0 +1,4 @@
+/** What measurements hook into (benchmarks/page.py); absent in use. */
+interface Window {
+  shoal?: { drawn?: (stateStampMs: number, pictureStampMs: number) => void };
+}

@@ -1,0 +1,51 @@
+/** The operator's page. */
+
+import { render } from "preact";
+import { startTheme } from "./colours";
+import { Editor } from "./editor/Editor";
+import "./keys";
+import { KEYS } from "./keys";
+import { connect } from "./link";
+import { Alarms, Log } from "./panels/Alarms";
+import { Header } from "./panels/Header";
+import { Mission } from "./panels/Mission";
+import { Plots } from "./panels/Plots";
+import { Replay } from "./panels/Replay";
+import { Tiles } from "./panels/Tiles";
+import { Pool } from "./pool/Pool";
+import { connected, editing, scene } from "./store";
+import "./style.css";
+
+function Page() {
+  return (
+    <div class={connected.value || scene.value === null ? "page" : "page lost"}>
+      <Header />
+      <main>
+        <Pool />
+        <aside>
+          {editing.value ? <Editor /> : <Mission />}
+          <Alarms />
+          <Tiles />
+          <Log />
+          <details class="keys">
+            <summary>Keys</summary>
+            <dl>
+              {KEYS.map(([keys, what]) => (
+                <div key={keys}>
+                  <dt>{keys}</dt>
+                  <dd>{what}</dd>
+                </div>
+              ))}
+            </dl>
+          </details>
+        </aside>
+        <Replay />
+        <Plots />
+      </main>
+    </div>
+  );
+}
+
+startTheme();
+render(<Page />, document.getElementById("page")!);
+connect();

@@ -1,0 +1,110 @@
+/** The top line: what is flown, where the mission stands, who has control, and the emergency stop. */
+
+import { isLight, setTheme } from "../colours";
+import { order, releaseControl, takeControl } from "../link";
+import { soundOn, toggleSound } from "../sound";
+import { connected, drawSoon, editing, inControl, refusal, roundTripMs, scene, shown } from "../store";
+import { themeSerial } from "./Plots";
+
+function Control() {
+  const s = shown.value;
+  if (s === null || !connected.value || scene.value?.mode === "replay") return null;
+  if (inControl.value) {
+    return (
+      <button type="button" class="control mine" onClick={releaseControl} title="Give control back, so that another page may take it">
+        You have control
+      </button>
+    );
+  }
+  const taken = s.holder !== 0;
+  return (
+    <button
+      type="button"
+      class="control"
+      onClick={() => (!taken || confirm("Another page has control. Take it over?")) && takeControl(taken)}
+      title={taken ? "Another page has control; you watch" : "Nobody has control"}
+    >
+      {taken ? "Watching - take over" : "Take control"}
+    </button>
+  );
+}
+
+function Link() {
+  if (refusal.value) return <span class="link bad">not let in: {refusal.value}</span>;
+  if (!connected.value) return <span class="link bad">no connection</span>;
+  return (
+    <span class="link" title="From the station to this page, drawn, and back">
+      link {roundTripMs.value.toFixed(0)} ms
+    </span>
+  );
+}
+
+export function StopButton() {
+  const latched = shown.value?.stop ?? false;
+  if (scene.value?.mode === "replay") return null;
+  return (
+    <button type="button" class={latched ? "stop latched" : "stop"} onClick={() => order("stop")} aria-keyshortcuts="Escape">
+      {latched ? "STOPPED" : "EMERGENCY STOP"}
+      <small>Esc</small>
+    </button>
+  );
+}
+
+export function Header() {
+  const s = scene.value;
+  const state = shown.value;
+  const phase = connected.value ? (state?.phase ?? "") : "LOST";
+  return (
+    <header>
+      <h1>{s?.title ?? "Shoal"}</h1>
+      {state !== null && (
+        <span class={`phase ${phase.toLowerCase()}`} role="status">
+          {connected.value ? state.phase_text : "last known: " + state.phase_text}
+        </span>
+      )}
+      {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}
+      <span class="gap" />
+      <Link />
+      {state !== null && state.watchers > 1 && <span class="link">{state.watchers} pages</span>}
+      <Control />
+      {s !== null && s.mode !== "replay" && (
+        <button
+          type="button"
+          aria-pressed={editing.value}
+          onClick={() => {
+            editing.value = !editing.value;
+            drawSoon();
+          }}
+          title="Edit path and formation for the next run"
+        >
+          Edit
+        </button>
+      )}
+      <button type="button" aria-pressed={soundOn.value} onClick={toggleSound} title="Alarm sounds">
+        {soundOn.value ? "Sound on" : "Sound off"}
+      </button>
+      <button
+        type="button"
+        onClick={() => {
+          setTheme(isLight() ? "dark" : "light");
+          themeSerial.value += 1;
+          drawSoon();
+        }}
+        title="Dark or light"
+      >
+        {themeSerial.value >= 0 && isLight() ? "Dark" : "Light"}
+      </button>
+      <StopButton />
+    </header>
+  );
+}
+
+function flown(state: NonNullable<typeof shown.value>): number {
+  if (state.replay) return state.replay.time_s;
+  return Math.max(0, ...state.robots.map((robot) => robot.state?.t_s ?? 0));
+}
+
+export function clock(seconds: number): string {
+  const whole = Math.floor(seconds);
+  return `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}`;
+}

@@ -1,0 +1,134 @@
+/** Preflight, orders and what became of them. */
+
+import { order } from "../link";
+import { connected, given, inControl, scene, shown } from "../store";
+import type { OrderName, Snapshot } from "../wire";
+
+const BUTTONS: { order: OrderName; text: string; keys: string; checked?: boolean }[] = [
+  { order: "arm", text: "Arm", keys: "Shift+A", checked: true },
+  { order: "start", text: "Start", keys: "Shift+S", checked: true },
+  { order: "hold", text: "Hold", keys: "H" },
+  { order: "resume", text: "Resume", keys: "Shift+R" },
+  { order: "disarm", text: "Disarm", keys: "Shift+D" },
+];
+
+function whyNot(state: Snapshot, button: (typeof BUTTONS)[number]): string {
+  if (!connected.value) return "no connection to the station";
+  if (!inControl.value) return "you are watching: take control first";
+  if (!state.allowed.includes(button.order)) return `not possible while ${state.phase_text}`;
+  if (button.checked && state.preflight.length > 0) return "preflight is not complete";
+  return "";
+}
+
+function Preflight({ state }: { state: Snapshot }) {
+  const robots = scene.value?.robots ?? [];
+  const needed = ["WAITING", "LOADING", "ARMING", "DONE", "FAILED", "STOPPED"].includes(state.phase);
+  if (!needed) return null;
+  const reasons = new Map<number, string[]>();
+  for (const line of state.preflight) {
+    const match = /^robot (\d+): (.*)$/.exec(line);
+    if (match) reasons.set(Number(match[1]), [...(reasons.get(Number(match[1])) ?? []), match[2]!]);
+  }
+  const ready = robots.length - reasons.size;
+  return (
+    <div class="preflight">
+      <h3>
+        Preflight: {ready} of {robots.length} ready
+      </h3>
+      <ul>
+        {robots
+          .filter(({ id }) => robots.length <= 6 || reasons.has(id))
+          .map(({ id }) => (
+            <li key={id} class={reasons.has(id) ? "no" : "yes"}>
+              <b>{reasons.has(id) ? "✕" : "✓"}</b> robot {id} {reasons.get(id)?.join("; ") ?? "ready"}
+            </li>
+          ))}
+      </ul>
+    </div>
+  );
+}
+
+function Given() {
+  if (given.value.length === 0) return null;
+  return (
+    <ol class="given" aria-label="Orders given from here" aria-live="polite">
+      {given.value.slice(0, 4).map((g) => (
+        <li key={g.n} class={g.outcome.replace(" ", "-")}>
+          <b>{g.order}</b> {g.outcome}
+          {g.reason && `: ${g.reason}`}
+          {g.answers.length > 0 && (
+            <span class="answers">
+              {g.answers.map((a) => (
+                <span key={a.robot} class={a.ok ? "yes" : "no"} title={a.reason}>
+                  {a.ok ? "✓" : "✕"} {a.robot}
+                  {!a.ok && ` ${a.reason}`}
+                </span>
+              ))}
+            </span>
+          )}
+        </li>
+      ))}
+    </ol>
+  );
+}
+
+/** After a stop: who has confirmed, by name. Stays until the stop is cleared. */
+function Stopped({ state }: { state: Snapshot }) {
+  if (!state.stop) return null;
+  const waiting = state.robots.filter((r) => r.state?.mode !== "STOPPED");
+  return (
+    <div class="stopped" role="alert">
+      <h3>Emergency stop</h3>
+      <ul>
+        {state.robots.map((robot) => {
+          const done = robot.state?.mode === "STOPPED";
+          return (
+            <li key={robot.id} class={done ? "yes" : "no"}>
+              <b>{done ? "✓" : "…"}</b> robot {robot.id} {done ? "confirms: stopped" : "has not confirmed"}
+            </li>
+          );
+        })}
+      </ul>
+      <button
+        type="button"
+        disabled={!inControl.value || !connected.value}
+        title={inControl.value ? "" : "take control first"}
+        onClick={() => confirm("Clear the emergency stop? Robots stay disarmed until they are armed again.") && order("clear-stop")}
+      >
+        Clear stop{waiting.length > 0 ? ` (${waiting.length} not confirmed)` : ""}
+      </button>
+    </div>
+  );
+}
+
+export function Mission() {
+  const state = shown.value;
+  if (state === null || scene.value?.mode === "replay") return null;
+  return (
+    <section class="mission" aria-label="Mission">
+      <h2>Mission</h2>
+      <Stopped state={state} />
+      {state.reason && state.phase !== "WAITING" && <p class="reason">{state.reason}</p>}
+      <Preflight state={state} />
+      <div class="orders">
+        {BUTTONS.map((button) => {
+          const reason = whyNot(state, button);
+          return (
+            <button
+              type="button"
+              key={button.order}
+              class={`order ${button.order}`}
+              disabled={reason !== ""}
+              onClick={() => order(button.order)}
+              title={reason || button.keys}
+              aria-keyshortcuts={button.keys}
+            >
+              {button.text}
+            </button>
+          );
+        })}
+      </div>
+      <Given />
+    </section>
+  );
+}

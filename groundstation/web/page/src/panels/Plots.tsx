@@ -1,0 +1,133 @@
+/** Four plots, each of what its heading says; drag to zoom, double click to see all, pause to look in peace. */
+
+import { signal } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import { css, robotColour } from "../colours";
+import { type Chart, charts, column, times } from "../history";
+import { placeOf } from "../pool/draw";
+import { scene, selected } from "../store";
+import type { Scene } from "../wire";
+import { moment } from "./Alarms";
+
+const DRAW_EVERY_MS = 200;
+const FALLBACK = [0, 1, 2, 3, 4, 5, 6, 7];
+
+export const themeSerial = signal(0);
+export const paused = signal(false);
+const slots = signal<string[]>(JSON.parse(localStorage.getItem("plots") ?? '["tracking", "formation", "inputs", "latency"]') as string[]);
+
+function options(s: Scene, chart: Chart, width: number, height: number): uPlot.Options {
+  const axis = { stroke: css("--dim"), grid: { stroke: css("--grid"), width: 1 }, ticks: { show: false }, font: "11px system-ui" };
+  return {
+    width,
+    height,
+    cursor: { sync: { key: "run" }, drag: { x: true, y: false } },
+    legend: { live: true, isolate: true },
+    scales: { x: { time: false }, y: { range: (_, low, high) => range(chart, low, high) } },
+    axes: [
+      { ...axis, size: 22, gap: 2, values: (_, ticks) => ticks.map(moment) },
+      { ...axis, size: 44, gap: 2 },
+    ],
+    series: [
+      { label: "t", value: (_, t) => (t === null ? "" : moment(t)) },
+      ...chart.curves.map((curve, k) => ({
+        label: curve.name,
+        stroke: robotColour(curve.robot === undefined ? FALLBACK[k % 8]! : placeOf(s, curve.robot)),
+        width: 1.5,
+        ...(curve.dash ? { dash: curve.dash } : {}),
+        points: { show: false },
+        value: (_: uPlot, v: number | null) => (v === null ? "-" : v.toFixed(Math.abs(v) < 10 ? 2 : 0)),
+      })),
+    ],
+    hooks: { draw: [(plot) => drawLimit(plot, chart)] },
+  };
+}
+
+function range(chart: Chart, low: number | null, high: number | null): [number, number] {
+  if (low === null || high === null) return chart.both ? [-1, 1] : [0, 1];
+  const [from, to] = chart.both || chart.id === "disturbance" || chart.id === "battery" ? [low, high] : [0, high];
+  const room = 0.08 * Math.max(to - from, chart.id === "battery" ? 0.2 : 1e-3 + 0.2 * Math.abs(to));
+  return [from === 0 && low >= 0 ? 0 : from - room, to + room];
+}
+
+function drawLimit(plot: uPlot, chart: Chart): void {
+  if (chart.limit === undefined) return;
+  const pen = plot.ctx;
+  pen.save();
+  pen.strokeStyle = css("--critical");
+  pen.setLineDash([4, 4]);
+  pen.lineWidth = devicePixelRatio;
+  for (const value of chart.both ? [chart.limit, -chart.limit] : [chart.limit]) {
+    const y = plot.valToPos(value, "y", true);
+    if (y < plot.bbox.top || y > plot.bbox.top + plot.bbox.height) continue;
+    pen.beginPath();
+    pen.moveTo(plot.bbox.left, y);
+    pen.lineTo(plot.bbox.left + plot.bbox.width, y);
+    pen.stroke();
+  }
+  pen.restore();
+}
+
+function Plot({ slot }: { slot: number }) {
+  const ref = useRef<HTMLDivElement>(null);
+  const s = scene.value;
+  const chosen = selected.value || (s?.robots[0]?.id ?? 0);
+  const all = s === null ? [] : charts(s, chosen);
+  const chart = all.find(({ id }) => id === slots.value[slot]) ?? all[0];
+  useEffect(() => {
+    const box = ref.current;
+    if (s === null || chart === undefined || box === null) return;
+    let zoomed = false;
+    const data = (): uPlot.AlignedData => [times, ...chart.curves.map((curve) => column(chart, curve, chosen))];
+    const many = chart.curves.length > 8;
+    const size = () => ({ width: box.clientWidth, height: Math.max(80, box.clientHeight - (many ? 2 : 24)) });
+    const plot = new uPlot({ ...options(s, chart, size().width, size().height), ...(many ? { legend: { show: false } } : {}) }, data(), box);
+    plot.over.addEventListener("mouseup", () => (zoomed = plot.select.width > 2 || zoomed));
+    plot.over.addEventListener("dblclick", () => (zoomed = false));
+    const timer = setInterval(() => {
+      if (!paused.peek() && !document.hidden) plot.setData(data(), !zoomed);
+    }, DRAW_EVERY_MS);
+    const watch = new ResizeObserver(() => plot.setSize(size()));
+    watch.observe(box);
+    return () => {
+      clearInterval(timer);
+      watch.disconnect();
+      plot.destroy();
+    };
+  }, [s, chart?.id, chosen, themeSerial.value]);
+  if (chart === undefined) return null;
+  const choose = (id: string) => {
+    slots.value = slots.value.map((old, k) => (k === slot ? id : old));
+    localStorage.setItem("plots", JSON.stringify(slots.value));
+  };
+  return (
+    <figure class="plot">
+      <figcaption>
+        <select aria-label={`What plot ${slot + 1} shows`} value={chart.id} onChange={(event) => choose(event.currentTarget.value)}>
+          {all.map(({ id, title }) => (
+            <option key={id} value={id}>
+              {title}
+            </option>
+          ))}
+        </select>
+        <span class="unit">{chart.unit}</span>
+      </figcaption>
+      <div class="canvas" ref={ref} />
+    </figure>
+  );
+}
+
+export function Plots() {
+  return (
+    <section class="plots" aria-label="Plots">
+      <button type="button" class="pause" aria-pressed={paused.value} onClick={() => (paused.value = !paused.value)}>
+        {paused.value ? "Paused" : "Pause"}
+      </button>
+      {[0, 1, 2, 3].map((slot) => (
+        <Plot key={slot} slot={slot} />
+      ))}
+    </section>
+  );
+}

@@ -1,0 +1,215 @@
+/** The map: the canvas, and the mouse, fingers and keys on it. */
+
+import { signal } from "@preact/signals";
+import { useEffect, useRef } from "preact/hooks";
+import { css } from "../colours";
+import { drawEdit, editDrag, editDrop, editGrab } from "../editor/canvas";
+import { drawSoon, drawWith, editing, live, now, scene, selected } from "../store";
+import { drawPool } from "./draw";
+import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
+import { View } from "./view";
+
+const view = new View();
+const cursor = signal<[number, number] | null>(null);
+let sceneFitted = "";
+
+/** Fit the pool, and follow nothing. */
+export function fitView(): void {
+  const s = scene.peek();
+  if (s === null) return;
+  follow.value = false;
+  view.touched = false;
+  view.fit(s.pool_m[0], s.pool_m[1]);
+  drawSoon();
+}
+
+export function zoomBy(factor: number): void {
+  view.zoom(factor, view.width / 2, view.height / 2);
+  drawSoon();
+}
+
+function place(canvas: HTMLCanvasElement): void {
+  const ratio = devicePixelRatio;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const pixels: [number, number] = [Math.round(width * ratio), Math.round(height * ratio)];
+  if (canvas.width !== pixels[0] || canvas.height !== pixels[1]) [canvas.width, canvas.height] = pixels;
+  const s = scene.peek();
+  const resized = view.width !== width || view.height !== height;
+  view.width = width;
+  view.height = height;
+  if (s !== null && (s.hash !== sceneFitted || (resized && !view.touched))) {
+    sceneFitted = s.hash;
+    view.fit(s.pool_m[0], s.pool_m[1]);
+  }
+}
+
+function followSelected(): void {
+  const chosen = live.robots.get(selected.peek());
+  const robots = chosen !== undefined ? [chosen] : [...live.robots.values()];
+  if (!follow.peek() || robots.length === 0) return;
+  view.x = robots.reduce((sum, robot) => sum + robot.eta[0]!, 0) / robots.length;
+  view.y = robots.reduce((sum, robot) => sum + robot.eta[1]!, 0) / robots.length;
+}
+
+function pick(px: number, py: number): number {
+  const s = scene.peek();
+  if (s === null) return 0;
+  for (const [id, robot] of live.robots) {
+    const [x, y] = view.toScreen(robot.eta[0]!, robot.eta[1]!);
+    if (robot.news.state && Math.hypot(px - x, py - y) < Math.max(14, s.hull_m * view.scale)) return id;
+  }
+  return 0;
+}
+
+/** Dragging, pinching and picking. Pointers cover mouse, pen and fingers alike. */
+function handle(canvas: HTMLCanvasElement): () => void {
+  const down = new Map<number, [number, number]>();
+  let moved = 0;
+  const at = (event: PointerEvent | WheelEvent): [number, number] => [event.offsetX, event.offsetY];
+  const listeners = new AbortController();
+  const on = <K extends keyof HTMLElementEventMap>(name: K, listener: (event: HTMLElementEventMap[K]) => void) =>
+    canvas.addEventListener(name, listener, { signal: listeners.signal, passive: false });
+  on("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    down.set(event.pointerId, at(event));
+    moved = 0;
+    if (editing.peek() && down.size === 1) editGrab(view, ...at(event));
+  });
+  on("pointermove", (event) => {
+    const [px, py] = at(event);
+    cursor.value = view.toPool(px, py);
+    const before = down.get(event.pointerId);
+    if (before === undefined) return;
+    down.set(event.pointerId, [px, py]);
+    if (editing.peek() && down.size === 1 && editDrag(view, px, py)) {
+      drawSoon();
+      return;
+    }
+    const [dx, dy] = [px - before[0], py - before[1]];
+    moved += Math.hypot(dx, dy);
+    if (down.size === 1) view.pan(dx, dy);
+    else pinch(down, event.pointerId, before);
+    if (moved > 4) follow.value = false;
+    drawSoon();
+  });
+  const up = (event: PointerEvent) => {
+    if (!down.delete(event.pointerId)) return;
+    if (editing.peek() && editDrop()) return;
+    if (moved < 4 && event.type === "pointerup" && !editing.peek()) {
+      const found = pick(...at(event));
+      selected.value = found === selected.peek() ? 0 : found;
+      drawSoon();
+    }
+  };
+  on("pointerup", up);
+  on("pointercancel", up);
+  on("pointerleave", () => (cursor.value = null));
+  on("wheel", (event) => {
+    event.preventDefault();
+    view.zoom(Math.exp(-event.deltaY * (event.ctrlKey ? 0.01 : 0.0015)), ...at(event));
+    drawSoon();
+  });
+  on("dblclick", fitView);
+  return () => listeners.abort();
+}
+
+function pinch(down: Map<number, [number, number]>, id: number, before: [number, number]): void {
+  const current = down.get(id);
+  const other = [...down].find(([key]) => key !== id)?.[1];
+  if (current === undefined || other === undefined) return;
+  const was = Math.hypot(before[0] - other[0], before[1] - other[1]);
+  const is = Math.hypot(current[0] - other[0], current[1] - other[1]);
+  if (was > 1) view.zoom(is / was, (current[0] + other[0]) / 2, (current[1] + other[1]) / 2);
+}
+
+function LayerMenu() {
+  return (
+    <details class="layers">
+      <summary title="What the map shows">Layers</summary>
+      <div class="menu">
+        {(Object.keys(LAYERS) as Layer[]).map((name) => (
+          <label key={name}>
+            <input
+              type="checkbox"
+              checked={layers.value[name]}
+              onChange={() => {
+                toggle(name);
+                drawSoon();
+              }}
+            />
+            {LAYERS[name]}
+          </label>
+        ))}
+      </div>
+    </details>
+  );
+}
+
+function PictureAge() {
+  now.value; // re-read the clock
+  const s = scene.value;
+  if (s === null || live.pictureSerial === 0) return <span class="picture-age old">no camera picture</span>;
+  const age = live.pictureAgeMs + performance.now() - live.pictureArrivedMs;
+  const old = age > s.picture_stale_s * 1e3;
+  return <span class={old ? "picture-age old" : "picture-age"}>picture {(age / 1e3).toFixed(1)} s{old ? " old" : ""}</span>;
+}
+
+function Cursor() {
+  const at = cursor.value;
+  return <span class="cursor">{at === null ? "" : `x ${at[0].toFixed(2)}  y ${at[1].toFixed(2)} m`}</span>;
+}
+
+export function Pool({ above }: { above?: preact.ComponentChildren }) {
+  const ref = useRef<HTMLCanvasElement>(null);
+  useEffect(() => {
+    const canvas = ref.current!;
+    const pen = canvas.getContext("2d", { alpha: false })!;
+    drawWith(() => {
+      place(canvas);
+      followSelected();
+      pen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+      drawPool(pen, view);
+      if (editing.peek()) drawEdit(pen, view);
+      if (live.snapshot !== null) {
+        live.drawnStampMs = live.snapshot.stamp_ms;
+        window.shoal?.drawn?.(live.snapshot.stamp_ms, live.pictureStampMs);
+      }
+    });
+    const watch = new ResizeObserver(() => drawSoon());
+    watch.observe(canvas);
+    const stop = handle(canvas);
+    drawSoon();
+    return () => {
+      watch.disconnect();
+      stop();
+    };
+  }, []);
+  useEffect(() => drawSoon(), [scene.value, css("--water")]);
+  return (
+    <section class="pool" aria-label="Map of the pool">
+      <canvas ref={ref} role="img" aria-label="The pool seen from above, with every robot; the same is told in the list of robots" />
+      <div class="map-tools">
+        <LayerMenu />
+        <button type="button" onClick={() => zoomBy(1.25)} aria-label="zoom in" title="zoom in (+)">+</button>
+        <button type="button" onClick={() => zoomBy(0.8)} aria-label="zoom out" title="zoom out (-)">−</button>
+        <button type="button" onClick={fitView} title="show the whole pool (F)">Fit</button>
+        <button
+          type="button"
+          aria-pressed={follow.value}
+          onClick={() => {
+            follow.value = !follow.value;
+            drawSoon();
+          }}
+          title="keep the chosen robot, or the fleet, in the middle (G)"
+        >
+          Follow
+        </button>
+        {above}
+      </div>
+      <div class="map-foot">
+        <PictureAge />
+        <Cursor />
+      </div>
+    </section>
+  );
+}

@@ -1,0 +1,60 @@
+/** Alarms that are heard. Made of two tones each; nothing is loaded. */
+
+import { effect, signal } from "@preact/signals";
+import { alarms } from "./store";
+
+const AGAIN_MS = 3000;
+
+export const soundOn = signal(localStorage.getItem("sound") !== "off");
+export const silenced = signal<ReadonlySet<string>>(new Set()); // acknowledged causes
+
+let audio: AudioContext | null = null;
+
+/** Browsers let a page sound only after a click or a key. */
+addEventListener("pointerdown", () => (audio ??= new AudioContext()), { once: true });
+addEventListener("keydown", () => (audio ??= new AudioContext()), { once: true });
+
+export function toggleSound(): void {
+  soundOn.value = !soundOn.value;
+  localStorage.setItem("sound", soundOn.value ? "on" : "off");
+}
+
+function tone(frequency: number, atS: number, lastsS: number): void {
+  if (audio === null) return;
+  const [source, gain] = [audio.createOscillator(), audio.createGain()];
+  const start = audio.currentTime + atS;
+  source.frequency.value = frequency;
+  gain.gain.setValueAtTime(0, start);
+  gain.gain.linearRampToValueAtTime(0.15, start + 0.02);
+  gain.gain.linearRampToValueAtTime(0, start + lastsS);
+  source.connect(gain).connect(audio.destination);
+  source.start(start);
+  source.stop(start + lastsS);
+}
+
+const TONES = { critical: [880, 660, 880], warning: [660, 520], notice: [] };
+
+const known = new Set<string>();
+
+effect(() => {
+  const current = alarms.value;
+  const causes = new Set(current.map((alarm) => alarm.key));
+  for (const key of known) if (!causes.has(key)) known.delete(key);
+  const fresh = current.filter((alarm) => !known.has(alarm.key));
+  for (const alarm of fresh) known.add(alarm.key);
+  const worst = fresh.find((alarm) => alarm.level === "critical") ?? fresh[0];
+  if (worst !== undefined) sound(worst.level);
+});
+
+function sound(level: keyof typeof TONES): void {
+  if (soundOn.peek()) TONES[level].forEach((frequency, k) => tone(frequency, 0.16 * k, 0.15));
+}
+
+/** A critical cause sounds again until it is acknowledged or gone. */
+setInterval(() => {
+  if (alarms.peek().some((alarm) => alarm.level === "critical" && !silenced.peek().has(alarm.key))) sound("critical");
+}, AGAIN_MS);
+
+export function acknowledgeAlarms(): void {
+  silenced.value = new Set(alarms.peek().map((alarm) => alarm.key));
+}

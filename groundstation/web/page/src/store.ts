@@ -1,0 +1,200 @@
+/** Everything the page knows, in one place. What the canvas draws is plain data; what text shows are signals. */
+
+import { computed, signal } from "@preact/signals";
+import type { Alarm, Frame, RobotNews, Scene, Snapshot, Tried } from "./wire";
+import { floats } from "./wire";
+
+export const MOST_LINES = 200;
+const SHOW_EVERY_MS = 200; // people cannot read faster; the canvas draws every state
+
+/** One robot, unpacked for drawing. */
+export interface Robot {
+  news: RobotNews;
+  eta: Float32Array; // x, y, z, yaw
+  nu: Float32Array;
+  reference: Float32Array;
+  disturbance: Float32Array;
+  wrench: Float32Array;
+  horizon: Float32Array; // rows of x, y, z
+  arrivedMs: number;
+}
+
+export interface Line {
+  time_s: number;
+  level: number;
+  source: string;
+  text: string;
+}
+
+/** What became of an order that this page gave. */
+export interface Given {
+  n: number;
+  order: string;
+  outcome: "sent" | "under way" | "refused" | "not sent";
+  reason: string;
+  answers: { robot: number; ok: boolean; reason: string }[];
+}
+
+export const scene = signal<Scene | null>(null);
+export const me = signal(0);
+export const shown = signal<Snapshot | null>(null); // at a pace for reading
+export const connected = signal(false);
+export const refusal = signal(""); // why the station does not let us in
+export const roundTripMs = signal(0);
+export const now = signal(performance.now());
+export const lines = signal<Line[]>([]);
+export const given = signal<Given[]>([]);
+export const selected = signal(0); // robot; 0 is none
+export const tried = signal<Tried | null>(null);
+export const saved = signal<{ ok: boolean; problems: string[]; path?: string } | null>(null);
+export const editing = signal(false);
+
+export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
+export const alarms = computed<Alarm[]>(() => {
+  const known = shown.value?.alarms ?? [];
+  if (connected.value || scene.value === null) return known;
+  return [{ level: "critical", key: "page", text: "no connection to the station: what you see is old" }, ...known];
+});
+
+/** The newest state as it is drawn, and when it came. */
+export const live = {
+  snapshot: null as Snapshot | null,
+  arrivedMs: 0,
+  robots: new Map<number, Robot>(),
+  picture: null as ImageBitmap | null,
+  pictureStampMs: 0,
+  pictureAgeMs: 0,
+  pictureArrivedMs: 0,
+  pictureSerial: 0,
+  drawnStampMs: 0,
+};
+
+type Listener = (snapshot: Snapshot) => void;
+const listeners: Listener[] = [];
+let shownAtMs = 0;
+
+/** Call for every state, at the pace at which they come. */
+export function onState(listener: Listener): void {
+  listeners.push(listener);
+}
+
+const NONE = new Float32Array(4);
+
+function takeState(state: Snapshot): void {
+  const at = performance.now();
+  live.snapshot = state;
+  live.arrivedMs = at;
+  for (const news of state.robots) {
+    const s = news.state;
+    live.robots.set(news.id, {
+      news,
+      arrivedMs: at,
+      eta: s ? floats(s.eta) : NONE,
+      nu: s ? floats(s.nu) : NONE,
+      reference: s ? floats(s.reference) : NONE,
+      disturbance: s ? floats(s.disturbance) : NONE,
+      wrench: s ? floats(s.wrench) : NONE,
+      horizon: news.plan && news.plan.age_ms < 500 ? floats(news.plan.xyz) : new Float32Array(0),
+    });
+  }
+  for (const listener of listeners) listener(state);
+  const before = shown.peek();
+  const changed = !before || before.phase !== state.phase || before.holder !== state.holder || before.stop !== state.stop;
+  if (changed || at - shownAtMs >= SHOW_EVERY_MS) {
+    shownAtMs = at;
+    shown.value = state;
+    now.value = at;
+  }
+}
+
+function takePicture(jpeg: Uint8Array<ArrayBuffer>, ageMs: number, stampMs: number): void {
+  const arrived = performance.now();
+  createImageBitmap(new Blob([jpeg], { type: "image/jpeg" })).then(
+    (bitmap) => {
+      live.picture?.close();
+      Object.assign(live, { picture: bitmap, pictureAgeMs: ageMs, pictureArrivedMs: arrived, pictureStampMs: stampMs });
+      live.pictureSerial += 1;
+      drawSoon();
+    },
+    () => undefined, // a broken picture: the age of the last one tells
+  );
+}
+
+/** Take in a frame from the station. */
+export function take(frame: Frame): void {
+  switch (frame.k) {
+    case "hello":
+      if (scene.peek()?.hash !== frame.scene.hash) live.robots.clear();
+      me.value = frame.you;
+      scene.value = frame.scene;
+      lines.value = [];
+      document.title = `${frame.scene.name} - Shoal`;
+      break;
+    case "state":
+      takeState(frame);
+      drawSoon();
+      break;
+    case "picture":
+      takePicture(frame.jpeg, frame.age_ms, frame.stamp_ms);
+      break;
+    case "event":
+      lines.value = [...lines.value, frame].slice(-MOST_LINES);
+      break;
+    case "reply":
+      given.value = given.value.map((g) =>
+        g.n === frame.n ? { ...g, outcome: frame.ok ? "under way" : "refused", reason: frame.reason } : g,
+      );
+      break;
+    case "answer":
+      takeAnswer(frame);
+      break;
+    case "tried":
+      tried.value = frame;
+      break;
+    case "saved":
+      saved.value = frame;
+      break;
+  }
+}
+
+/** The answers of robots belong to the newest order under way: it alone may still have some to come. */
+function takeAnswer(answer: { robot: number; order: string; ok: boolean; reason: string }): void {
+  const [newest, ...older] = given.value;
+  if (newest === undefined) return;
+  const mine = newest.answers.filter((a) => a.robot !== answer.robot);
+  given.value = [{ ...newest, answers: [...mine, answer].sort((a, b) => a.robot - b.robot) }, ...older];
+}
+
+/** Age of a robot's state now, in ms. */
+export function ageMs(robot: RobotNews, arrivedMs: number): number {
+  return robot.age_ms + performance.now() - arrivedMs;
+}
+
+/** Whether what a robot last said is too old to be shown as if it were now. */
+export function isStale(robot: RobotNews | undefined, arrivedMs: number): boolean {
+  const limit = scene.peek()?.stale_s ?? 0;
+  return robot?.state === undefined || ageMs(robot, arrivedMs) > limit * 1e3;
+}
+
+let draw: () => void = () => undefined;
+let asked = false;
+
+/** Whoever draws the pool says so here. */
+export function drawWith(drawing: () => void): void {
+  draw = drawing;
+}
+
+/** Draw the pool at the screen's next chance. */
+export function drawSoon(): void {
+  if (asked) return;
+  asked = true;
+  requestAnimationFrame(() => {
+    asked = false;
+    draw();
+  });
+}
+
+setInterval(() => {
+  now.value = performance.now();
+  drawSoon();
+}, 250); // ages go on when nothing comes: that is when they matter

@@ -1,0 +1,209 @@
+/** What the station sends (groundstation/web/scene.py, snapshot.py, hub.py) and what the page may say (requests.py). */
+
+import { decode } from "@msgpack/msgpack";
+
+/** float32 values as they lie in a message; `floats` makes them readable. */
+export type Packed = Uint8Array;
+
+export interface PathSamples {
+  robot: number;
+  id: string;
+  every_s: number;
+  eta: Packed; // rows of [x, y, z, yaw]
+}
+
+export interface CirclePath {
+  kind: "circle";
+  diameter_m: number;
+  lap_s: number;
+  depth_m: number;
+}
+
+export interface WaypointPath {
+  kind: "waypoints";
+  points_m: [number, number][];
+  speed_mps: number;
+  depth_m: number;
+}
+
+export interface Scene {
+  name: string;
+  title: string;
+  mode: "real-time" | "lockstep" | "replay";
+  hash: string;
+  duration_s: number;
+  period_s: number;
+  stale_s: number;
+  picture_stale_s: number;
+  pool_m: [number, number, number];
+  walls: boolean;
+  hull_m: number;
+  safety_m: number;
+  margin_m: number;
+  limits: {
+    wrench: [number, number, number];
+    speed_mps: number;
+    thrust_n: number;
+    pulse_us: [number, number, number]; // full reverse, neutral, full ahead
+    battery_v: [number, number, number, number]; // neutral, no arming, warning, full
+  };
+  legs_m: [number, number][];
+  robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
+  path: CirclePath | WaypointPath;
+  formation: { mode: "translate" | "rotate"; scale: number };
+  paths: PathSamples[];
+  underlay: { columns: number; pool: Packed; picture: Packed } | null;
+  replay?: { end_s: number; runs: string[] };
+}
+
+export type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT";
+export type Track = "LOST" | "COAST" | "KCF" | "MARKER";
+
+export interface RobotState {
+  mode: Mode;
+  fault: string;
+  t_s: number;
+  loaded: string;
+  eta: Packed;
+  nu: Packed;
+  disturbance: Packed;
+  reference: Packed;
+  command: Packed;
+  wrench: Packed;
+  delivered: Packed;
+  pulse_us: number[];
+  echo_us: number[];
+  track: Track;
+  pose_age_ms: number;
+  to_pwm_ms: number;
+  depth_m: number;
+  battery_v: number;
+  armed: boolean;
+  board_age_ms: number;
+  loss: number;
+  solve: "NONE" | "SOLVED" | "SHIFTED" | "FAILED";
+  iterations: number;
+  step_us: number;
+  missed: number;
+  slack_m: number;
+  heard: number[];
+}
+
+export interface RobotNews {
+  id: number;
+  age_ms: number;
+  state?: RobotState;
+  pose?: {
+    age_ms: number;
+    x_m: number;
+    y_m: number;
+    yaw_rad: number;
+    ellipse: [number, number, number];
+    yaw_sigma_rad: number;
+    track: Track;
+    verified: boolean;
+    peak: number;
+  };
+  plan?: { age_ms: number; period_s: number; xyz: Packed };
+}
+
+export type Level = "critical" | "warning" | "notice";
+export interface Alarm {
+  level: Level;
+  key: string;
+  text: string;
+}
+
+export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop";
+
+export interface Snapshot {
+  k: "state";
+  stamp_ms: number;
+  holder: number;
+  watchers: number;
+  time_s: number;
+  phase: string;
+  phase_text: string;
+  reason: string;
+  allowed: OrderName[];
+  preflight: string[];
+  stop: boolean;
+  alarms: Alarm[];
+  present: string[];
+  localizer: {
+    age_ms: number;
+    camera: string;
+    frames: number;
+    dropped: number;
+    frame_ms: number;
+    to_pose_ms: number;
+    message: string;
+  } | null;
+  obstacles: { age_ms: number; ids: number[]; outline: Packed; velocity: Packed } | null;
+  robots: RobotNews[];
+  replay?: { time_s: number; rate: number };
+}
+
+export interface Tried {
+  k: "tried";
+  n: number;
+  ok: boolean;
+  problems: string[];
+  paths?: PathSamples[];
+  duration_s?: number;
+  clearance_m?: number;
+  needed_m?: number;
+  fastest_mps?: number;
+}
+
+export type Frame =
+  | { k: "hello"; you: number; scene: Scene }
+  | Snapshot
+  | { k: "picture"; stamp_ms: number; age_ms: number; jpeg: Uint8Array<ArrayBuffer> }
+  | { k: "event"; time_s: number; level: number; source: string; text: string }
+  | { k: "answer"; robot: number; order: OrderName; ok: boolean; reason: string; mode: Mode }
+  | { k: "reply"; n: number; order: OrderName; ok: boolean; reason: string }
+  | Tried
+  | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
+
+export interface Edit {
+  points_m?: [number, number][];
+  speed_mps?: number;
+  diameter_m?: number;
+  lap_s?: number;
+  depth_m?: number;
+  duration_s?: number;
+  mode?: "translate" | "rotate";
+  scale?: number;
+  nodes_m?: Record<string, [number, number, number]>;
+}
+
+export type Request =
+  | { kind: "hello"; token: string }
+  | { kind: "ack"; n: number }
+  | { kind: "take"; over?: boolean }
+  | { kind: "release" }
+  | { kind: "order"; n: number; order: OrderName }
+  | { kind: "try"; n: number; edit: Edit }
+  | { kind: "save"; n: number; edit: Edit; name: string }
+  | { kind: "seek"; time_s?: number; rate?: number };
+
+const HEAD_BYTES = 8;
+
+export interface Received {
+  n: number;
+  roundTripMs: number;
+  frame: Frame;
+}
+
+/** A frame off the wire: u32 number, f32 round trip in ms, MessagePack. */
+export function read(data: ArrayBuffer): Received {
+  const head = new DataView(data, 0, HEAD_BYTES);
+  const frame = decode(new Uint8Array(data, HEAD_BYTES)) as Frame;
+  return { n: head.getUint32(0, true), roundTripMs: head.getFloat32(4, true), frame };
+}
+
+/** Packed numbers as an array. Copied: in a message they lie where float32 may not be read. */
+export function floats(packed: Packed): Float32Array {
+  return new Float32Array(packed.slice().buffer);
+}

@@ -1,0 +1,97 @@
+"""What the page may say to the station: small JSON texts, checked field by field. Pure. What does not fit is refused."""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints is 12 kB
+
+Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
+Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
+Vec2 = tuple[Metres, Metres]
+Vec3 = tuple[Metres, Metres, Metres]
+OrderName = Literal["load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop"]
+
+
+class Hello(msgspec.Struct, tag_field="kind", tag="hello", forbid_unknown_fields=True, frozen=True):
+    """The first text of a connection. The token is empty on loopback."""
+
+    token: Annotated[str, msgspec.Meta(max_length=256)] = ""
+
+
+class Ack(msgspec.Struct, tag_field="kind", tag="ack", forbid_unknown_fields=True, frozen=True):
+    """Frame `n` and all before it have been taken in."""
+
+    n: Count
+
+
+class Take(msgspec.Struct, tag_field="kind", tag="take", forbid_unknown_fields=True, frozen=True):
+    """Ask for control. With `over`, from whoever has it."""
+
+    over: bool = False
+
+
+class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fields=True, frozen=True):
+    """Give control back."""
+
+
+class Wish(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
+    """An order for the whole fleet; `n` comes back with the answer."""
+
+    n: Count
+    order: OrderName
+
+
+class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Changes of path and formation. What is None stays as it is."""
+
+    points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None
+    speed_mps: Metres | None = None
+    diameter_m: Metres | None = None
+    lap_s: Annotated[float, msgspec.Meta(gt=0, le=1e5)] | None = None
+    depth_m: Metres | None = None
+    duration_s: Annotated[float, msgspec.Meta(gt=0, le=36000)] | None = None
+    mode: Literal["translate", "rotate"] | None = None
+    scale: Metres | None = None
+    nodes_m: Annotated[dict[Annotated[int, msgspec.Meta(ge=1, le=49)], Vec3], msgspec.Meta(max_length=49)] | None = None
+
+
+class Try(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):
+    """Plan an edit with the real planner and tell what comes of it; nothing flies."""
+
+    n: Count
+    edit: Edit
+
+
+class Save(msgspec.Struct, tag_field="kind", tag="save", forbid_unknown_fields=True, frozen=True):
+    """Write an edit that can be flown into an experiment file of this name."""
+
+    n: Count
+    edit: Edit
+    name: Annotated[str, msgspec.Meta(pattern=r"\A[a-z0-9][a-z0-9-]{0,63}\Z")]
+
+
+class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=True, frozen=True):
+    """Replay: go to this time of the run, at this pace; 0 is a pause."""
+
+    time_s: Annotated[float, msgspec.Meta(ge=0, le=1e6)] | None = None
+    rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
+
+
+Request = Hello | Ack | Take | Release | Wish | Try | Save | Seek
+_DECODER = msgspec.json.Decoder(Request)
+
+
+class BadRequest(Exception):
+    """A text that is no request; says what is wrong with it."""
+
+
+def read_request(text: str | bytes) -> Request:
+    """The request in a text. Raises BadRequest, and nothing else, for any text."""
+    if len(text) > LONGEST_BYTES:
+        raise BadRequest(f"{len(text)} bytes, more than the allowed {LONGEST_BYTES}")
+    try:
+        request: Request = _DECODER.decode(text)
+        return request
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
+        raise BadRequest(str(error)) from None

@@ -1,0 +1,80 @@
+"""What the page is told once: pool, robots, limits, planned paths, and how the camera's picture lies under them. Pure."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from groundstation.web.underlay import mesh
+from wire import topics
+from wire.experiment import Experiment
+from wire.frames import Array
+from wire.messages import Trajectory
+
+MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pixel
+LOCKSTEP_STALE_S = 1.0  # there a slow machine is no fault; periods are the simulator's
+
+
+def floats(values: npt.ArrayLike) -> bytes:
+    """Numbers as little-endian float32, which the page reads without parsing. Enough: 24 bits are 1 um in 10 m."""
+    return np.ascontiguousarray(values, dtype="<f4").tobytes()
+
+
+def paths(trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, Any]]:
+    """Each robot's path up to sample `flown`, thinned: every `every_s` seconds [x, y, z, yaw]."""
+    step = max(1, -(-flown // MOST_POINTS))
+    return [
+        {"robot": robot, "id": t.id, "every_s": t.period_s * step, "eta": floats(t.eta[:flown:step])}
+        for robot, t in trajectories.items()
+    ]
+
+
+def flown_samples(experiment: Experiment) -> int:
+    """How many samples of a trajectory belong to the run; the rest is horizon."""
+    return round(experiment.duration_s / experiment.controller.period_s) + 1
+
+
+def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: str) -> dict[str, Any]:
+    """The whole scene. `mode`: `real-time`, `lockstep` or `replay`."""
+    vehicle, controller, safety = experiment.vehicle, experiment.controller, experiment.safety
+    return {
+        "name": experiment.name,
+        "title": experiment.title or experiment.name,
+        "mode": mode,
+        "hash": experiment.hash,
+        "duration_s": experiment.duration_s,
+        "period_s": controller.period_s,
+        "stale_s": 3.0 * controller.period_s if mode == "real-time" else LOCKSTEP_STALE_S,
+        "picture_stale_s": topics.PREVIEW.max_age_s,
+        "pool_m": list(experiment.pool.size_m),
+        "walls": experiment.sim.plant.walls,
+        "hull_m": vehicle.radius_m,
+        "safety_m": safety.radius_m,
+        "margin_m": safety.margin_m,
+        "limits": {
+            "wrench": list(vehicle.limits.wrench),
+            "speed_mps": vehicle.limits.speed_mps,
+            "thrust_n": vehicle.thruster.max_thrust_n,
+            "pulse_us": [vehicle.thruster.curve[0][0], vehicle.thruster.neutral_us, vehicle.thruster.curve[-1][0]],
+            "battery_v": [vehicle.battery.neutral_v, vehicle.battery.no_arm_v, vehicle.battery.warn_v, vehicle.battery.full_v],
+        },
+        "legs_m": [list(leg) for leg in vehicle.legs.position_m],
+        "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
+        "path": experiment.path.model_dump(mode="json"),
+        "formation": experiment.formation.model_dump(mode="json"),
+        "paths": paths(trajectories, flown_samples(experiment)),
+        "underlay": _underlay(experiment),
+    }
+
+
+def _underlay(experiment: Experiment) -> dict[str, Any] | None:
+    """None where the camera moves: where it looks is then known only for each picture."""
+    if experiment.landmarks:
+        return None
+    points, places = mesh(experiment)
+    return {"columns": points.shape[1], "pool": floats(points), "picture": floats(_finite(places))}
+
+
+def _finite(places: Array) -> Array:
+    return np.where(np.isfinite(places), places, -1e3)

@@ -1,0 +1,145 @@
+"""SHELL: serves the operator's page from a thread of its own, with its own event loop.
+
+with WebServer(desk, options): ...                  # binds at once, or says why not
+"""
+
+import asyncio
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Awaitable, Callable, MutableMapping
+from pathlib import Path
+from typing import Any
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.responses import FileResponse, PlainTextResponse
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+
+from groundstation.web import requests
+from groundstation.web.desk import Source
+from groundstation.web.guard import HEADERS, WebOptions, host_allowed
+from groundstation.web.hub import Hub
+from wire.runtime import log
+from wire.toml_file import ConfigError
+
+STATIC = Path(__file__).parent / "static"
+START_WITHIN_S = 10.0
+
+Scope = MutableMapping[str, Any]
+Channel = Callable[..., Awaitable[Any]]
+
+
+class Guarded:
+    """Answers only to names that are ours, and puts the security headers on everything."""
+
+    def __init__(self, app: Any, options: WebOptions) -> None:
+        self._app, self._options = app, options
+
+    async def __call__(self, scope: Scope, receive: Channel, send: Channel) -> None:
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        if not host_allowed(self._options, Headers(scope=scope).get("host", "")):
+            await PlainTextResponse("this station has another name", 421)(scope, receive, send)
+            return
+
+        async def send_guarded(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers[name] = value
+                hashed = scope["path"].startswith("/assets/")
+                headers["cache-control"] = "public, max-age=31536000, immutable" if hashed else "no-cache"
+            await send(message)
+
+        await self._app(scope, receive, send_guarded)
+
+
+def make_app(source: Source, options: WebOptions) -> Any:
+    """The ASGI application."""
+    hub = Hub(source, options)
+
+    @contextlib.asynccontextmanager
+    async def lifespan(app: Starlette) -> Any:
+        pump = asyncio.create_task(hub.pump())
+        pump.add_done_callback(_told_why)
+        try:
+            yield
+        finally:
+            pump.cancel()
+
+    async def index(request: Any) -> FileResponse:
+        return FileResponse(STATIC / "index.html")
+
+    routes = [
+        Route("/", index),
+        WebSocketRoute("/live", hub.watch),
+        Mount("/", StaticFiles(directory=STATIC)),
+    ]
+    return Guarded(Starlette(routes=routes, lifespan=lifespan), options)
+
+
+def _told_why(pump: asyncio.Task[None]) -> None:
+    if not pump.cancelled() and pump.exception() is not None:
+        log.error("page: stopped: %r", pump.exception())
+
+
+class WebServer:
+    """The page's thread. A page that fails says so in the log and is gone; the station flies on."""
+
+    def __init__(self, source: Source, options: WebOptions) -> None:
+        """Bind at once. Raises ConfigError if the address cannot be had."""
+        family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
+        self._socket = socket.socket(family, socket.SOCK_STREAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            self._socket.bind((options.host, options.port))
+        except OSError as error:
+            self._socket.close()
+            raise ConfigError(
+                f"--web {options.host}:{options.port}: {error.strerror} (another address, or --no-web)"
+            ) from None
+        config = uvicorn.Config(
+            make_app(source, options),
+            loop="asyncio",
+            http="h11",
+            ws="websockets-sansio",
+            ws_max_size=requests.LONGEST_BYTES,
+            ws_per_message_deflate=False,  # costs more time than a local network's bytes
+            ws_ping_interval=5.0,
+            ws_ping_timeout=20.0,
+            lifespan="on",
+            log_config=None,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            date_header=False,
+            limit_concurrency=64,
+            timeout_graceful_shutdown=1,
+            ssl_certfile=options.certificate,
+            ssl_keyfile=options.key,
+        )
+        self._server = uvicorn.Server(config)
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+
+    def _run(self) -> None:
+        try:
+            self._server.run(sockets=[self._socket])
+        except Exception as error:  # the flight does not depend on the page
+            log.error("page: %s: %s", type(error).__name__, error)
+
+    def __enter__(self) -> "WebServer":
+        self._thread.start()
+        deadline = time.monotonic() + START_WITHIN_S
+        while not self._server.started and self._thread.is_alive() and time.monotonic() < deadline:
+            time.sleep(0.005)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._server.should_exit = True
+        self._thread.join(START_WITHIN_S)
+        self._socket.close()

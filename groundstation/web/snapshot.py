@@ -1,0 +1,161 @@
+"""One instant of the fleet as the page gets it: flat maps and float32 arrays, ready for MessagePack. Pure.
+
+MessagePack because names travel with the values (a page and a station that differ do not misread each other), numbers need no
+parsing, and arrays are bytes that the browser views as they are. Ages are in ms at the instant of the snapshot; the page adds
+what has gone by since it arrived, by its own clock.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from groundstation.web.alarms import Alarm
+from groundstation.web.scene import floats
+from wire.frames import Array
+from wire.messages import LocalizerStatus, Obstacles, Plan, Pose, RobotState
+
+NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
+
+
+@dataclass(frozen=True, eq=False)
+class Aged:
+    """The newest message of a kind, and how old it is; None is "never heard"."""
+
+    message: Any = None
+    age_ms: float = NEVER_MS
+
+
+@dataclass(frozen=True, eq=False)
+class RobotNews:
+    """The newest of one robot."""
+
+    state: Aged = field(default_factory=Aged)
+    pose: Aged = field(default_factory=Aged)
+    plan: Aged = field(default_factory=Aged)
+
+
+@dataclass(frozen=True, eq=False)
+class FleetNews:
+    """The newest of everything."""
+
+    time_s: float  # of the run, by the station's clock
+    robots: Mapping[int, RobotNews]
+    localizer: Aged = field(default_factory=Aged)
+    obstacles: Aged = field(default_factory=Aged)
+    phase: str = ""
+    phase_text: str = ""
+    reason: str = ""
+    allowed: Sequence[str] = ()  # orders that the mission takes now
+    preflight: Sequence[str] = ()
+    emergency_stop: bool = False
+    alarms: Sequence[Alarm] = ()
+    present: Sequence[str] = ()
+
+
+def snapshot(news: FleetNews) -> dict[str, Any]:
+    """The page's view of it all."""
+    return {
+        "time_s": news.time_s,
+        "phase": news.phase,
+        "phase_text": news.phase_text,
+        "reason": news.reason,
+        "allowed": list(news.allowed),
+        "preflight": list(news.preflight),
+        "stop": news.emergency_stop,
+        "alarms": [{"level": a.level, "key": a.key, "text": a.text} for a in news.alarms],
+        "present": list(news.present),
+        "localizer": _localizer(news.localizer),
+        "obstacles": _obstacles(news.obstacles),
+        "robots": [_robot(robot, found) for robot, found in news.robots.items()],
+    }
+
+
+def _robot(robot: int, news: RobotNews) -> dict[str, Any]:
+    found: dict[str, Any] = {"id": robot, "age_ms": news.state.age_ms}
+    if news.state.message is not None:
+        found["state"] = _state(news.state.message)
+    if news.pose.message is not None:
+        found["pose"] = _pose(news.pose.message, news.pose.age_ms)
+    plan: Plan | None = news.plan.message
+    if plan is not None:
+        found["plan"] = {"age_ms": news.plan.age_ms, "period_s": plan.period_s, "xyz": floats(plan.eta[:, :3])}
+    return found
+
+
+def _state(state: RobotState) -> dict[str, Any]:
+    return {
+        "mode": state.mode.name,
+        "fault": state.fault,
+        "t_s": state.trajectory_s,
+        "loaded": state.trajectory_id,
+        "eta": floats(state.eta),
+        "nu": floats(state.nu),
+        "disturbance": floats(state.disturbance),
+        "reference": floats(state.eta_reference),
+        "command": floats(state.eta_command),
+        "wrench": floats(state.wrench),
+        "delivered": floats(state.wrench_delivered),
+        "pulse_us": list(state.pulse_us),
+        "echo_us": list(state.echo_us),
+        "track": state.track.name,
+        "pose_age_ms": state.pose_age_ms,
+        "to_pwm_ms": state.exposure_to_pwm_ms,
+        "depth_m": state.depth_m,
+        "battery_v": state.battery_v,
+        "armed": state.board_armed,
+        "board_age_ms": state.board_age_ms,
+        "loss": state.board_loss,
+        "solve": state.solve.name,
+        "iterations": state.iterations,
+        "step_us": state.step_us,
+        "missed": state.missed_deadlines,
+        "slack_m": state.slack_m,
+        "heard": list(state.heard),
+    }
+
+
+def _pose(pose: Pose, age_ms: float) -> dict[str, Any]:
+    major_m, minor_m, angle_rad = ellipse(pose.covariance)
+    return {
+        "age_ms": age_ms,
+        "x_m": pose.x_m,
+        "y_m": pose.y_m,
+        "yaw_rad": pose.yaw_rad,
+        "ellipse": [major_m, minor_m, angle_rad],
+        "yaw_sigma_rad": float(np.sqrt(max(pose.covariance[2, 2], 0.0))),
+        "track": pose.track.name,
+        "verified": pose.identity_verified,
+        "peak": pose.peak,
+    }
+
+
+def ellipse(covariance: Array) -> tuple[float, float, float]:
+    """One-sigma half axes [m] of the position in a covariance (3, 3), the larger first, and the larger one's angle [rad]."""
+    xx, xy, yy = float(covariance[0, 0]), float(covariance[0, 1]), float(covariance[1, 1])
+    mean, spread = 0.5 * (xx + yy), float(np.hypot(0.5 * (xx - yy), xy))
+    angle = 0.5 * float(np.arctan2(2.0 * xy, xx - yy))
+    return float(np.sqrt(max(mean + spread, 0.0))), float(np.sqrt(max(mean - spread, 0.0))), angle
+
+
+def _localizer(found: Aged) -> dict[str, Any] | None:
+    status: LocalizerStatus | None = found.message
+    if status is None:
+        return None
+    return {
+        "age_ms": found.age_ms,
+        "camera": status.camera.name,
+        "frames": status.frames,
+        "dropped": status.dropped,
+        "frame_ms": status.frame_ms,
+        "to_pose_ms": status.frame_age_ms,
+        "message": status.message,
+    }
+
+
+def _obstacles(found: Aged) -> dict[str, Any] | None:
+    seen: Obstacles | None = found.message
+    if seen is None:
+        return None
+    return {"age_ms": found.age_ms, "ids": list(seen.ids), "outline": floats(seen.outline), "velocity": floats(seen.velocity)}

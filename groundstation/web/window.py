@@ -1,0 +1,48 @@
+"""What one watcher gets next: at most two frames on the way, the latest state and picture, and every note in order. Pure.
+
+A browser that stops acknowledging stops being sent to. What it costs is one state, one picture and MOST_NOTES notes, and the
+bytes of two frames in a socket; nobody waits for it.
+"""
+
+from collections import deque
+
+UNACKNOWLEDGED = 2
+MOST_NOTES = 256
+
+
+class Window:
+    """One watcher's side of the stream. Frames are bodies without a number; `next` numbers them."""
+
+    def __init__(self) -> None:
+        self.round_trip_s = 0.0  # of the last frame acknowledged: network and drawing together
+        self.lost_notes = 0
+        self._notes: deque[bytes] = deque()
+        self._latest: dict[str, bytes] = {}  # by kind, the one that waited longest first
+        self._sent_s: dict[int, float] = {}
+        self._n = 0
+
+    def note(self, body: bytes) -> None:
+        """Something that must arrive: an answer, an event. The oldest go when nobody takes them."""
+        if len(self._notes) >= MOST_NOTES:
+            self._notes.popleft()
+            self.lost_notes += 1
+        self._notes.append(body)
+
+    def offer(self, kind: str, body: bytes) -> None:
+        """Something of which only the latest counts."""
+        self._latest[kind] = body
+
+    def next(self, now_s: float) -> tuple[int, bytes] | None:
+        """Number and body of the frame to send now; None when there is nothing or too much is on its way."""
+        if len(self._sent_s) >= UNACKNOWLEDGED or not (self._notes or self._latest):
+            return None
+        body = self._notes.popleft() if self._notes else self._latest.pop(next(iter(self._latest)))
+        self._n += 1
+        self._sent_s[self._n] = now_s
+        return self._n, body
+
+    def acknowledge(self, n: int, now_s: float) -> None:
+        """Frame `n` and those before it have arrived. A number that was never sent changes nothing."""
+        if n in self._sent_s:
+            self.round_trip_s = now_s - self._sent_s[n]
+        self._sent_s = {sent: at for sent, at in self._sent_s.items() if sent > n}

@@ -1,0 +1,133 @@
+"""A browser, and the pool experiment flown for it with all its processes, in lockstep: slow machines are slow, not wrong."""
+
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import psutil
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
+FLAGS = [
+    "--headless",
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
+PATIENCE_MS = 60_000  # for anything that a loaded machine may take long over
+expect.set_options(timeout=PATIENCE_MS)
+
+
+@dataclass
+class Flight:
+    """`sim-bridge sil pool` under an operator's hands."""
+
+    folder: Path
+    port: int
+    process: subprocess.Popen[bytes] | None = None
+    starts: int = 0
+    stopped: list[psutil.Process] = field(default_factory=list)
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.port}/"
+
+    def start(self) -> None:
+        """Start all processes; returns when the page can be had."""
+        self.starts += 1
+        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--lockstep", "--manual", "--duration", "900"]
+        log = (self.folder / f"sil-{self.starts}.log").open("wb")
+        self.process = subprocess.Popen(
+            [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"], stdout=log, stderr=subprocess.STDOUT
+        )
+        deadline = time.monotonic() + PATIENCE_MS * 1e-3
+        while time.monotonic() < deadline and self.process.poll() is None:
+            try:
+                socket.create_connection(("127.0.0.1", self.port), 1.0).close()
+                return
+            except OSError:
+                time.sleep(0.05)
+        raise AssertionError(f"no page at {self.url}: {(self.folder / f'sil-{self.starts}.log').read_text()}")
+
+    def agent(self, robot: int) -> psutil.Process:
+        """The process of one robot's agent."""
+        assert self.process is not None
+        for child in psutil.Process(self.process.pid).children():
+            arguments = child.cmdline()
+            if "robot_agent" in arguments and arguments[arguments.index("--robot") + 1] == str(robot):
+                return child
+        raise AssertionError(f"no agent {robot}")
+
+    def stop(self) -> None:
+        """End all processes."""
+        if self.process is not None:
+            self.process.send_signal(signal.SIGTERM)
+            self.process.wait(60)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Browser]:
+    if CHROMIUM is None:
+        pytest.skip("needs Chromium, and none is installed")
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
+        yield found
+        found.close()
+
+
+@pytest.fixture(scope="session")
+def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    found = Flight(tmp_path_factory.mktemp("flight"), port)
+    found.start()
+    yield found
+    found.stop()
+
+
+@dataclass
+class Asked:
+    """Every address that a page asked for, and what it complained about."""
+
+    urls: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+
+
+def open_page(browser: Browser, flight: Flight, asked: Asked, width: int = 1440, height: int = 900) -> Page:
+    """A new browser window on the operator's page, past its first state."""
+    page = browser.new_context(viewport={"width": width, "height": height}).new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    page.on("request", lambda request: asked.urls.append(request.url))
+    page.on("websocket", lambda socket: asked.urls.append(socket.url))
+    page.on("pageerror", lambda error: asked.errors.append(str(error)))
+    page.on("dialog", lambda dialog: dialog.accept())
+    page.goto(flight.url)
+    page.wait_for_selector("[data-robot='1']:not(.stale)")
+    return page
+
+
+@pytest.fixture
+def asked() -> Asked:
+    return Asked()
+
+
+@pytest.fixture
+def page(browser: Browser, flight: Flight, asked: Asked) -> Iterator[Page]:
+    found = open_page(browser, flight, asked)
+    yield found
+    found.context.close()
+    assert asked.errors == []
+    hosts = {url.split("/")[2] for url in asked.urls if not url.startswith(("blob:", "data:"))}
+    assert hosts == {f"127.0.0.1:{flight.port}"}, "the page works without any other host"

@@ -1,0 +1,33 @@
+"""The built page belongs to its sources, and is small. No Node is needed to know."""
+
+import gzip
+import hashlib
+import json
+from pathlib import Path
+
+from groundstation.web.server import STATIC
+
+SOURCES = Path(__file__).parents[2] / "groundstation" / "web" / "page"
+BESIDE = ("index.html", "package-lock.json", "package.json", "tsconfig.json", "vite.config.ts")
+LARGEST_BYTES = 150_000
+
+
+def test_the_build_is_made_from_these_sources() -> None:
+    inside = [str(path.relative_to(SOURCES).as_posix()) for path in (SOURCES / "src").rglob("*") if path.is_file()]
+    digest = hashlib.sha256()
+    for name in sorted([*BESIDE, *inside]):
+        digest.update(f"{name}\0".encode() + (SOURCES / name).read_bytes() + b"\0")
+    assert json.loads((STATIC / "build.json").read_text())["sources"] == digest.hexdigest(), "run: make page"
+
+
+def test_the_page_is_small() -> None:
+    """Without what is loaded on demand: the 3-D view."""
+    sizes = {path.name: len(gzip.compress(path.read_bytes())) for path in STATIC.rglob("*") if path.is_file()}
+    at_once = sum(size for name, size in sizes.items() if not name.startswith("three"))
+    assert 10_000 < at_once <= LARGEST_BYTES, sizes
+
+
+def test_the_lock_names_no_host() -> None:
+    lock = (SOURCES / "package-lock.json").read_text()
+    assert '"resolved"' not in lock
+    assert "integrity" in lock

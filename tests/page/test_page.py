@@ -1,0 +1,135 @@
+"""The operator's page in a real browser, on a real run. The tests share the run, and leave it as they found it: disarmed."""
+
+import re
+import signal
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Locator, Page, expect
+
+from tests.page.conftest import Asked, Flight, open_page
+
+AXE = Path(__file__).parent / "vendor" / "axe.min.js"
+
+
+def tile(page: Page, robot: int) -> Locator:
+    return page.locator(f"[data-robot='{robot}']")
+
+
+def in_mode(page: Page, mode: str) -> None:
+    for robot in (1, 2):
+        expect(tile(page, robot)).to_have_attribute("data-mode", mode)
+
+
+def button(page: Page, name: str) -> Locator:
+    return page.get_by_role("button", name=name, exact=True)
+
+
+def clear_stop(page: Page) -> None:
+    page.get_by_role("button", name=re.compile("Clear stop")).click()
+    in_mode(page, "DISARMED")
+
+
+def test_an_operator_flies_a_mission(page: Page) -> None:
+    expect(page.get_by_text("Preflight: 2 of 2 ready")).to_be_visible(timeout=60_000)
+    expect(button(page, "Hold")).to_be_disabled()
+    button(page, "Arm").click()
+    in_mode(page, "ARMED")
+    answers = page.get_by_label("Orders given from here")
+    expect(answers).to_contain_text("arm under way")
+    expect(answers).to_contain_text("✓ 1")
+    expect(answers).to_contain_text("✓ 2")
+    button(page, "Start").click()
+    in_mode(page, "TRACKING")
+    expect(button(page, "Arm")).to_be_disabled()
+    page.keyboard.press("h")
+    in_mode(page, "HOLDING")
+    button(page, "Resume").click()
+    in_mode(page, "TRACKING")
+    button(page, "Disarm").click()
+    in_mode(page, "DISARMED")
+
+
+def test_the_emergency_stop_is_latched_and_confirmed_by_name(page: Page) -> None:
+    page.get_by_label("What plot 1 shows").focus()  # wherever the focus is
+    page.keyboard.press("Escape")
+    stopped = page.get_by_role("alert")
+    expect(stopped).to_contain_text("robot 1 confirms: stopped")
+    expect(stopped).to_contain_text("robot 2 confirms: stopped")
+    expect(page.get_by_role("button", name="STOPPED Esc")).to_be_visible()
+    for name in ("Arm", "Start", "Resume"):
+        expect(button(page, name)).to_be_disabled()
+    clear_stop(page)
+
+
+def test_a_second_page_only_watches_but_may_stop(page: Page, browser: Browser, flight: Flight, asked: Asked) -> None:
+    expect(page.get_by_role("button", name="You have control")).to_be_visible()
+    second = open_page(browser, flight, asked, width=390, height=844)
+    expect(second.get_by_role("button", name=re.compile("Watching"))).to_be_visible()
+    for name in ("Arm", "Start", "Disarm"):
+        expect(button(second, name)).to_be_disabled()
+    second.get_by_role("button", name=re.compile("EMERGENCY STOP")).click()
+    expect(page.get_by_role("alert")).to_contain_text("robot 2 confirms: stopped")
+    second.get_by_role("button", name=re.compile("Watching")).click()  # take over, confirmed
+    expect(second.get_by_role("button", name="You have control")).to_be_visible()
+    expect(page.get_by_role("button", name=re.compile("Watching"))).to_be_visible()
+    clear_stop(second)
+    second.context.close()
+    page.get_by_role("button", name="Take control").click()
+    expect(page.get_by_role("button", name="You have control")).to_be_visible()
+
+
+def test_what_is_old_does_not_look_live(page: Page, flight: Flight) -> None:
+    """In lockstep one robot that hangs stops all."""
+    agent = flight.agent(2)
+    agent.send_signal(signal.SIGSTOP)
+    try:
+        for robot in (1, 2):
+            expect(tile(page, robot)).to_have_class(re.compile("stale"))
+            expect(tile(page, robot)).to_contain_text("last heard")
+    finally:
+        agent.send_signal(signal.SIGCONT)
+    for robot in (1, 2):
+        expect(tile(page, robot)).not_to_have_class(re.compile("stale"))
+
+
+def test_a_formation_is_dragged_judged_and_saved(page: Page, tmp_path: Path) -> None:
+    button(page, "Edit").click()
+    verdict = page.locator(".verdict")
+    expect(verdict).to_contain_text("can be flown: closest 0.80 m")
+    canvas = page.locator(".pool canvas").bounding_box()
+    assert canvas is not None
+    scale = min((canvas["width"] - 56) / 3.5, (canvas["height"] - 56) / 2.5)
+    middle = (canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2)
+    place = (middle[0] + (0.45 / 2 + 0.4) * scale, middle[1])  # robot 1's place when the run begins
+
+    page.mouse.move(*place)
+    page.mouse.down()
+    page.mouse.move(place[0] - 0.3 * scale, place[1], steps=4)
+    expect(verdict).to_contain_text("cannot be flown")
+    expect(verdict).to_contain_text("robots 1 and 2: 0.500 m apart")
+    page.mouse.move(place[0] + 0.2 * scale, place[1], steps=4)
+    page.mouse.up()
+    expect(verdict).to_contain_text("can be flown: closest 1.00 m")
+    page.get_by_label("Name of the new experiment").fill("Not A Name")
+    expect(button(page, "Save")).to_be_disabled()
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_nothing_serious_for_who_sees_or_hears_badly(page: Page, theme: str) -> None:
+    if page.evaluate("document.documentElement.dataset.theme") != theme:
+        page.get_by_title("Dark or light").click()
+    page.evaluate(AXE.read_text(encoding="utf-8"))  # not a script tag: the page's own policy forbids what is not its own
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    serious = [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in found if v["impact"] in ("serious", "critical")]
+    assert serious == []
+
+
+def test_it_comes_back_by_itself_when_the_station_is_started_again(page: Page, flight: Flight) -> None:
+    flight.stop()
+    expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+    expect(page.get_by_label("Alarms")).to_contain_text("what you see is old")
+    expect(tile(page, 1)).to_have_class(re.compile("stale"))
+    flight.start()
+    expect(tile(page, 1)).not_to_have_class(re.compile("stale"))
+    expect(page.get_by_text("Preflight: 2 of 2 ready")).to_be_visible(timeout=60_000)
