@@ -11,6 +11,7 @@ from wire.options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
+    FaultLines,
     FleetName,
     LockstepMode,
     Settings,
@@ -40,6 +41,7 @@ def sil(
     duration: Duration = None,
     out: OutFolder = Path("runs"),
     settings: Settings = None,
+    faults: FaultLines = None,
     manual: Annotated[
         bool, typer.Option("--manual", help="Wait for the operator: arm, start and end it on the page.")
     ] = False,
@@ -53,12 +55,13 @@ def sil(
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
+               sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
     """
     from rich.console import Console
 
     from sim_bridge import sil as software_in_the_loop
 
-    loaded = _load(experiment, seed, duration, settings)
+    loaded = _load(experiment, seed, duration, settings, faults)
     folder = _new_folder(out, loaded.name)
     console = Console()
     mode = "lockstep" if lockstep else "real time"
@@ -80,6 +83,7 @@ def numeric(
     duration: Duration = None,
     out: OutFolder = Path("runs"),
     settings: Settings = None,
+    faults: FaultLines = None,
 ) -> None:
     """Fly an experiment with agents and plant in one process, as fast as it goes; write log and report.
 
@@ -92,18 +96,20 @@ def numeric(
 
     from sim_bridge import numeric_run
 
-    loaded = _load(experiment, seed, duration, settings)
+    loaded = _load(experiment, seed, duration, settings, faults)
     folder = _new_folder(out, loaded.name)
     console = Console()
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
     raise typer.Exit(numeric_run.run(loaded, folder, stop=Stop(), console=console))
 
 
-def _load(name: str, seed: int | None, duration_s: float | None, settings: list[str] | None) -> Experiment:
+def _load(
+    name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
+) -> Experiment:
     changes = list(settings or ())
     changes += [f"seed={seed}"] if seed is not None else []
     changes += [f"duration_s={duration_s}"] if duration_s is not None else []
-    return load_experiment(name, changes)
+    return load_experiment(name, changes, faults or ())
 
 
 def _new_folder(out: Path, name: str) -> Path:

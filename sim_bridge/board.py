@@ -63,7 +63,7 @@ class Board:
         vehicle, sensors = experiment.vehicle, experiment.sim.sensors
         self._vehicle, self._rules, self._supply_v = vehicle, experiment.sim.board, sensors.battery_v
         self._link = BoardLink(robot_id)
-        self._sensors = BoardSensors(sensors, robot_id, seed)
+        self.sensors = BoardSensors(sensors, robot_id, seed)
         self._battery = BatteryWatch(vehicle.battery)
         self._burst_ns = round(S_NS / sensors.rate_hz)
         self._outbox: list[bytes] = []
@@ -119,11 +119,11 @@ class Board:
             self._disarm(WARNING, f"disarmed: no override for {self._rules.neutral_after_s * 1000:.0f} ms")
         voltage = None
         if self.measures(now_ns):
-            voltage = self._sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())
+            voltage = self.sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())
             self._watch(voltage, _seconds(self._last_burst_ns, now_ns))
         self._move(_seconds(self._last_step_ns, now_ns))
         if voltage is not None:
-            self._burst(now_ns, self._sensors.read(eta, nu, acceleration, tilt), voltage)
+            self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt), voltage)
             self._last_burst_ns = now_ns
         self._last_step_ns = now_ns
         data = b"".join(self._outbox)

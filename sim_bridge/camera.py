@@ -4,6 +4,8 @@ Reads in the order light travels: backdrop (floor, walls, water), landmarks, sha
 to the nearest, noise. A camera under a drone (sim.camera_motion) is still during an exposure.
 """
 
+from collections.abc import Collection
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -40,10 +42,15 @@ class Renderer:
             for robot, shade in zip(experiment.robots, shades, strict=True)
         ]
         self._balls = [(drifter, Sprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
+        self._whole = self._sprites
         px_per_m = max(experiment.camera.focal_px) / -experiment.camera.position_m[2]
         self._plates = [Plate(landmark.id, landmark.side_m, px_per_m) for landmark in self._landmarks]
         random = np.random.default_rng([seed, CAMERA_STREAM, 2])
         self._noise = ImageNoise(experiment.camera.size_px, self._picture.noise, random)
+
+    def lose_markers(self, bare: Collection[int]) -> None:
+        """From now on draw these robots, by index, without their markers, and the others with."""
+        self._sprites = [sprite.unmarked() if i in bare else sprite for i, sprite in enumerate(self._whole)]
 
     def render(self, eta: Array, nu: Array, time_s: float, frame_index: int) -> NDArray[np.uint8]:
         """Raw RGGB picture (height, width): COLOR_BayerRGGB2BGR gives right colours.

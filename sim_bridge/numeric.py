@@ -22,13 +22,14 @@ import numpy as np
 from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen
 from robot_agent.orders import StationView
 from sim_bridge.dynamics import Plant
+from sim_bridge.faults import Faults
 from sim_bridge.sensors import BoardSensors
 from wire import topics
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.frames import Array, pose_error
 from wire.mavlink import Telemetry
-from wire.messages import Command, Message, Order, Pose, Reply, RobotState, Track, Trajectory, Truth
+from wire.messages import Command, Event, Message, Order, Pose, Reply, RobotState, Track, Trajectory, Truth
 from wire.toml_file import ConfigError
 from wire.topics import Topic
 
@@ -36,6 +37,7 @@ NS = 1_000_000_000
 POSE_STREAM = 3  # keeps this use of the seed apart from the others
 STATION_SESSION = 1
 READY_NS = NS // 2  # robots are held this long before they start: their estimates are at rest
+INFO = 2  # an event's level
 SEEN_KEPT = 64  # poses on their way: more than the longest latency of the fastest loop
 
 Sent = tuple[Topic, int | None, Message, int]  # topic, robot, message, stamp in ns
@@ -69,6 +71,8 @@ class BareWater:
         self._sensors = [BoardSensors(experiment.sim.sensors, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
+        self._faults = Faults(experiment)
+        self.happened: list[str] = []  # what broke or is whole again, until somebody takes it
 
     @property
     def now_ns(self) -> int:
@@ -87,7 +91,15 @@ class BareWater:
     def advance(self, to_ns: int) -> None:
         """Move on to the first plant step at or after `to_ns`."""
         while self.now_ns < to_ns:
-            self._state = self._plant.step(self._state, self._pulses_us)
+            self.happened += self._break_things()
+            self._state = self._plant.step(self._state, self._faults.pulses(self._pulses_us), self._faults.harm)
+
+    def _break_things(self) -> list[str]:
+        """Let the timeline of faults catch up: here the trajectories begin at time 0."""
+        changes = self._faults.at(self.now_ns / NS)
+        for sensors, error in zip(self._sensors, self._faults.imu_error.tolist() if changes else (), strict=False):
+            sensors.error = (error[0], error[1])
+        return changes
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
         """What a board would say of the i-th robot, `now_ns` on the agent's clock."""
@@ -99,7 +111,7 @@ class BareWater:
             heading_rad=reading.heading_rad,
             yaw_rate_radps=reading.yaw_rate_radps,
             depth_m=reading.depth_m,
-            battery_v=float(self._plant.rest_v(state)[i]),
+            battery_v=float(self._plant.rest_v(state, self._faults.harm)[i]),
             armed=self._armed[i],
         )
 
@@ -249,7 +261,10 @@ def fly(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:
 
 
 def _heard(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:
-    """Truth, poses and states of the last step."""
+    """Truth, poses, states and events of the last step."""
+    for text in water.happened:
+        yield topics.EVENT, None, Event(INFO, "sim-bridge", text), fleet.now_ns
+    water.happened.clear()
     yield topics.TRUTH, None, water.truth(), fleet.now_ns
     stamp_ns, poses = fleet.seen[-1]
     for robot, pose, member in zip(fleet.experiment.robot_ids, poses, fleet.robots, strict=True):

@@ -5,8 +5,6 @@ lockstep the simulator owns time: it stops at every control step until each robo
 """
 
 import queue
-import select
-import socket
 import threading
 import time
 from dataclasses import dataclass
@@ -15,61 +13,16 @@ import cv2
 import numpy as np
 
 from sim_bridge.camera import Renderer
+from sim_bridge.camera_faults import CameraTrouble
+from sim_bridge.sockets import Sockets
 from sim_bridge.world import World
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import Experiment
+from wire.faults import Break
 from wire.frames import Array
-from wire.messages import Frame, Tick, Trajectory
+from wire.messages import Frame, RobotState, Tick, Trajectory
 from wire.runtime import LOCKSTEP_PATIENCE_S, SLICE_S, Clock, LockstepClock, Stop, WallClock, log, log_to_bus, wait
-
-READ_BYTES = 65536
-
-
-class Sockets:
-    """One UDP port per thruster board. A board answers to where it was last spoken to from."""
-
-    def __init__(self, base_port: int, robots: tuple[int, ...]) -> None:
-        self._sockets = []
-        self._peers: list[tuple[str, int] | None] = [None] * len(robots)
-        for robot in robots:
-            board = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            board.bind(("127.0.0.1", base_port + robot))
-            board.setblocking(False)
-            self._sockets.append(board)
-
-    def exchange(self, world: World) -> None:
-        """Give the boards what has arrived."""
-        for i, board in enumerate(self._sockets):
-            while True:
-                try:
-                    data, self._peers[i] = board.recvfrom(READ_BYTES)
-                except (BlockingIOError, ConnectionRefusedError):
-                    break
-                world.receive(i, data)
-
-    @property
-    def all_heard(self) -> bool:
-        """Whether every board knows whom to answer."""
-        return None not in self._peers
-
-    def send(self, i: int, data: bytes) -> None:
-        """Send a board's bytes, if somebody has spoken to it."""
-        peer = self._peers[i]
-        if data and peer is not None:
-            try:
-                self._sockets[i].sendto(data, peer)
-            except OSError:  # its computer is gone; the board times out by itself
-                return
-
-    def wait(self, timeout_s: float) -> None:
-        """Sleep until something arrives."""
-        select.select(self._sockets, [], [], max(timeout_s, 0.0))
-
-    def close(self) -> None:
-        """Free the ports."""
-        for board in self._sockets:
-            board.close()
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +34,8 @@ class Shot:
     time_s: float
     index: int
     stamp_ns: int
+    broken: tuple[Break, ...] = ()  # of the camera
+    bare: frozenset[int] = frozenset()  # robots without markers, by index
 
 
 class Pool:
@@ -90,9 +45,12 @@ class Pool:
         self._experiment, self._bus, self._stop = experiment, bus, stop
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
-        self._sockets = Sockets(base_port, experiment.robot_ids)
+        self._sockets = Sockets(base_port, experiment.robot_ids, experiment.seed)
+        self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids if experiment.sim.faults}
         cv2.setNumThreads(1)  # two cores, five processes: more threads only fight
         self._renderer = Renderer(experiment, experiment.seed)
+        self._camera_trouble = CameraTrouble()
+        self._bare: frozenset[int] = frozenset()
         self._frame_index = 0
         self._frame_ns = -1
         self._neutral = dict.fromkeys(experiment.robot_ids, True)
@@ -136,12 +94,27 @@ class Pool:
 
     def _move(self, world: World) -> None:
         """One step of the plant. What boards do with thrusters is worth a line in the log: it is what faults are judged by."""
-        for i, data in world.step():
-            self._sockets.send(i, data)
+        for text in world.break_things():
+            log.info(text)
+        sent = world.step()
+        for i, data in sent:
+            self._sockets.send(i, data, world)
             robot = self._experiment.robot_ids[i]
             if world.neutral(i) is not self._neutral[robot]:
                 self._neutral[robot] = world.neutral(i)
                 log.info("board of robot %d: %s", robot, "neutral" if self._neutral[robot] else "thrusting")
+        self._sockets.deliver(world)
+
+    def _look_for_start(self, world: World, begin_ns: int) -> None:
+        """Faults count from where the trajectories begin; a robot that flies tells when. Plant time 0 is `begin_ns`."""
+        if world.start_ns is not None:
+            return
+        for inbox in self._states.values():
+            received = inbox.newest()
+            if received is not None and received.message.trajectory_s > 0.0:
+                flown_ns = round(received.message.trajectory_s * 1e9)
+                world.start_ns = self._clock.instant_ns(received) - flown_ns - begin_ns
+                return
 
     # --- by the wall clock
 
@@ -155,6 +128,7 @@ class Pool:
                 self._sockets.exchange(world)
                 self._move(world)
                 if world.exposed:
+                    self._look_for_start(world, begin_ns)
                     self._expose(world, begin_ns, shots)
                 ahead_s = (begin_ns + world.now_ns - self._clock.now_ns()) * 1e-9
                 if ahead_s > 0:
@@ -169,22 +143,27 @@ class Pool:
     def _expose(self, world: World, begin_ns: int, shots: "queue.Queue[Shot | None]") -> None:
         stamp_ns = begin_ns + world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), stamp_ns)
-        shot = Shot(world.eta, world.nu, world.now_ns * 1e-9, self._next_frame(), stamp_ns)
+        shot = self._shot(world, stamp_ns)
         try:
             shots.put_nowait(shot)
         except queue.Full:
             log.debug("camera late: a frame is left out")
 
-    def _next_frame(self) -> int:
+    def _shot(self, world: World, stamp_ns: int) -> Shot:
         self._frame_index += 1
-        return self._frame_index
+        broken, bare = world.faults.camera, world.faults.bare
+        return Shot(world.eta, world.nu, world.now_ns * 1e-9, self._frame_index, stamp_ns, broken, bare)
 
     def _camera(self, shots: "queue.Queue[Shot | None]") -> None:
         while (shot := shots.get()) is not None:
             self._publish_frame(shot)
 
     def _publish_frame(self, shot: Shot) -> None:
+        if shot.bare != self._bare:
+            self._bare = shot.bare
+            self._renderer.lose_markers(shot.bare)
         pixels = self._renderer.render(shot.eta, shot.nu, shot.time_s, shot.index)
+        pixels = self._camera_trouble.apply(pixels, shot.broken)
         age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
         self._bus.publish(topics.FRAME, Frame(pixels), shot.stamp_ns, age_ns=age_ns)
 
@@ -215,19 +194,33 @@ class Pool:
     def _shoot(self, world: World) -> None:
         self._frame_ns = world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)
-        self._publish_frame(Shot(world.eta, world.nu, world.now_ns * 1e-9, self._next_frame(), world.now_ns))
+        self._publish_frame(self._shot(world, world.now_ns))
+
+    def _await_states(self, world: World, robots: tuple[int, ...], stamp_ns: int) -> None:
+        """Where faults wait for the start, see every robot's last state before time goes on: else chance would set it."""
+        if not self._states or world.start_ns is not None or stamp_ns < 0:
+            return
+        inboxes = [self._states[robot] for robot in robots]
+
+        def here() -> bool:
+            headers = [inbox.newest_header() for inbox in inboxes]
+            return all(header is not None and header.stamp_ns >= stamp_ns for header in headers)
+
+        wait(self._bus, self._stop, here, LOCKSTEP_PATIENCE_S)
+        self._look_for_start(world, 0)
 
     def _tick(self, world: World, tick_ns: int, previous_ns: int) -> None:
         """Stop time until every robot that is there has sent its pulses for this step."""
         robots = tuple(r for r in self._experiment.robot_ids if f"agent-{r}" in self._bus.present)
         indices = [self._experiment.robot_ids.index(r) for r in robots]
-        before = [world.overrides(i) for i in indices]
-        board_ms = tuple(world.board_ms(i) for i in indices)
+        self._await_states(world, robots, previous_ns)
+        before = [self._sockets.commands[i] for i in indices]
+        board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
         self._bus.publish(topics.TICK, Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms), tick_ns)
         deadline = time.monotonic() + 2 * LOCKSTEP_PATIENCE_S
         while not self._stop.requested:
             self._sockets.exchange(world)
-            late = [r for r, i, n in zip(robots, indices, before, strict=True) if world.overrides(i) <= n]
+            late = [r for r, i, n in zip(robots, indices, before, strict=True) if self._sockets.commands[i] <= n]
             late = [r for r in late if f"agent-{r}" in self._bus.present]
             if not late:
                 return

@@ -33,6 +33,7 @@ class BoardSensors:
         heading, gyro, pressure = (float(value) for value in self._random.uniform(-1.0, 1.0, 3))
         self.heading_bias_rad = heading * sensors.heading_bias_rad
         self.gyro_bias_radps = gyro * sensors.gyro_bias_radps
+        self.error = (0.0, 0.0)  # of heading (rad) and yaw rate (rad/s), when the sensor is broken
         self.depth_bias_m = pressure * sensors.pressure_bias_m
 
     def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = (0.0, 0.0)) -> Reading:
@@ -50,8 +51,8 @@ class BoardSensors:
         force = (cp * ahead - sp * down, cr * side + sr * bow, cr * bow - sr * side)
         fx, fy, fz = (f + ACCELEROMETER_NOISE_MPS2 * n for f, n in zip(force, noise[3:], strict=True))
         return Reading(
-            wrap(yaw + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
-            cr * cp * r + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
+            wrap(yaw + self.error[0] + self.heading_bias_rad + sensors.heading_noise_rad * noise[0]),
+            cr * cp * r + self.error[1] + self.gyro_bias_radps + sensors.gyro_noise_radps * noise[1],
             (fx, fy, fz),
             z + self.depth_bias_m + sensors.pressure_noise_m * noise[2],
         )

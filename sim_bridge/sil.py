@@ -15,10 +15,13 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
+from sim_bridge import faults
 from sim_bridge.monitor import Monitor
 from sim_bridge.processes import Child, Children
+from sim_bridge.saboteur import Saboteur
 from wire.bus import Bus
 from wire.experiment import Experiment, dump_experiment
+from wire.faults import KINDS
 from wire.runtime import Stop
 from wire.transport import Endpoint, ZenohTransport
 
@@ -44,6 +47,8 @@ def run(
     run_dir.mkdir(parents=True, exist_ok=True)
     file = run_dir / "experiment.toml"
     file.write_text(dump_experiment(experiment), encoding="utf-8")
+    if lockstep:
+        faults.only(experiment, tuple(kind for kind in KINDS if kind != "process"), "processes break by the wall clock")
     children = Children(run_dir / "logs")
     trouble: list[str] = []
     try:
@@ -53,7 +58,8 @@ def run(
         station = _start_all(children, experiment, file, address, ports, lockstep, stop, options)
         if station is not None:
             with Bus(ZenohTransport(Endpoint(address))) as bus:
-                trouble = _watch(children, station, Monitor(experiment, bus), lockstep, stop, console)
+                saboteur = Saboteur(experiment, children, bus)
+                trouble = _watch(children, station, Monitor(experiment, bus), saboteur, lockstep, stop, console)
         mission_failed = station is None or station.exit_code != 0
         if station is not None and station.exit_code not in (None, 0, 1):
             trouble.append(station.explain())
@@ -96,7 +102,15 @@ def _start_all(
     return station
 
 
-def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool, stop: Stop, console: Console) -> list[str]:
+def _watch(
+    children: Children,
+    station: Child,
+    monitor: Monitor,
+    saboteur: Saboteur,
+    lockstep: bool,
+    stop: Stop,
+    console: Console,
+) -> list[str]:
     """Show the run until the station has ended it. Returns what went wrong with processes."""
     trouble: dict[str, str] = {}
     said_s = moved_s = time.monotonic()
@@ -104,8 +118,9 @@ def _watch(children: Children, station: Child, monitor: Monitor, lockstep: bool,
     with Live(console=console, refresh_per_second=5, get_renderable=monitor.render, transient=True) as live:
         live.auto_refresh = console.is_terminal
         while station.exit_code is None and not stop.requested:
+            saboteur.act(monitor.flown_s)
             for child in children.ended():
-                if child.name not in trouble and child is not station:
+                if child.name not in trouble and child is not station and child.name not in saboteur.killed:
                     trouble[child.name] = child.explain()
                     console.print(f"[red]{trouble[child.name]}[/]", soft_wrap=True)
             if trouble and lockstep:

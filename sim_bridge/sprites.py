@@ -4,6 +4,7 @@ adrift is a sphere without one.
 Each pixel's line of sight is met with the sphere in closed form, so edges and texture lie where exact optics puts them.
 """
 
+import copy
 from dataclasses import dataclass
 
 import cv2
@@ -63,6 +64,12 @@ class Sprite:
     def ball(cls, radius_m: float) -> "Sprite":
         """A plain red ball."""
         return cls(radius_m, np.full((SHELL_PX, SHELL_PX, 3), RED, np.uint8))
+
+    def unmarked(self) -> "Sprite":
+        """The same robot, its marker plate lost."""
+        bare = copy.copy(self)
+        bare._plate = None
+        return bare
 
     def box(self, eta: Array) -> Array:
         """Corners (8, 3) of a box in the pool frame that holds the body at eta."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from sim_bridge.board import Board
 from sim_bridge.dynamics import Plant
+from sim_bridge.faults import BEFORE_S, Faults
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Truth
@@ -27,6 +28,8 @@ class World:
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
         self._no_acceleration = np.zeros_like(starts)  # nobody looks at it between bursts
         self._frames = 1  # the first is at time 0
+        self.faults = Faults(experiment)
+        self.start_ns: int | None = None  # plant time at which the trajectories begin; whoever knows sets it
         self.exposed = False  # whether the last step reached the middle of an exposure
 
     @property
@@ -52,10 +55,6 @@ class World:
         """Bytes from the computer of the i-th robot reach its board."""
         self._boards[i].receive(data, self.now_ns)
 
-    def overrides(self, i: int) -> int:
-        """How many sets of pulses the i-th board has taken or refused so far."""
-        return self._boards[i].overrides_received
-
     def board_ms(self, i: int) -> int:
         """Time of the i-th board's last burst."""
         return max(self._boards[i].burst_ms, 0)
@@ -64,14 +63,25 @@ class World:
         """Whether the i-th board's thruster outputs are all at neutral."""
         return all(pulse == self._neutral_us for pulse in self._boards[i].pulses[:4])
 
+    @property
+    def flown_s(self) -> float:
+        """Time along the trajectories."""
+        return BEFORE_S if self.start_ns is None else (self.now_ns - self.start_ns) * 1e-9
+
+    def break_things(self) -> list[str]:
+        """Let the timeline of faults catch up. Returns what broke or is whole again, in words."""
+        changes = self.faults.at(self.flown_s)
+        for board, error in zip(self._boards, self.faults.imu_error.tolist() if changes else (), strict=False):
+            board.sensors.error = (error[0], error[1])
+        return changes
+
     def step(self) -> list[tuple[int, bytes]]:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
         pulses = np.array([board.pulses for board in self._boards], dtype=np.float64)
-        self._state = state = self._plant.step(self._state, pulses)
-        acceleration = (
-            self._plant.acceleration(self._state) if self._boards[0].measures(self.now_ns) else self._no_acceleration
-        )
-        supply_v = self._plant.rest_v(self._state).tolist()
+        harm = self.faults.harm
+        self._state = state = self._plant.step(self._state, self.faults.pulses(pulses), harm)
+        acceleration = self._plant.acceleration(state) if self._boards[0].measures(self.now_ns) else self._no_acceleration
+        supply_v = self._plant.rest_v(state, harm).tolist()
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
         self._frames += self.exposed
         return [

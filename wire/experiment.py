@@ -15,6 +15,7 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
+from wire.faults import Fault, fault_table
 from wire.frames import Array
 from wire.laws import AdaptiveNn, Backstepping, Fuzzy, LawName, Lqr, Pid, SlidingMode
 from wire.sim_plant import Plant
@@ -324,6 +325,7 @@ class Sim(Section):
     latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03
     numeric: Numeric = Numeric()
     plant: Plant = Plant()
+    faults: tuple[Fault, ...] = ()
     picture: Picture = Picture()
     camera_motion: CameraMotion = CameraMotion()
     drifters: tuple[Drifter, ...] = ()
@@ -395,6 +397,17 @@ class Experiment(Section):
         return self
 
     @model_validator(mode="after")
+    def _faults_meet_something(self) -> Self:
+        processes = ("groundstation", "sim-bridge", "localizer", *(f"agent-{robot}" for robot in self.robot_ids))
+        for i, fault in enumerate(self.sim.faults):
+            broken, allowed = fault.broken, ", ".join(map(str, self.robot_ids))
+            if broken.robot and broken.robot not in self.robot_ids:
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no robot {broken.robot} (allowed: {allowed})")
+            if broken.process and broken.process not in processes:
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")
+        return self
+
+    @model_validator(mode="after")
     def _landmarks_can_be_told_apart(self) -> Self:
         ids = [landmark.id for landmark in self.landmarks]
         if 0 < len(ids) < LANDMARKS_NEEDED:
@@ -458,14 +471,18 @@ def experiment_path(name_or_path: str) -> Path:
     return path
 
 
-def load_experiment(name_or_path: str, settings: Sequence[str] = ()) -> Experiment:
-    """Load and check an experiment, with `--set key=value` settings laid over it. Raises ConfigError."""
+def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Sequence[str] = ()) -> Experiment:
+    """Load and check an experiment, with `--set key=value` settings laid over it and `--fault` lines added to its own. Raises
+    ConfigError."""
     path = experiment_path(name_or_path)
     table: dict[str, Any] = read_toml(path)
     _insert_files(table, path)
     for setting in settings:
         apply_setting(table, setting)
         _insert_files(table, path)
+    sim = table.setdefault("sim", {}) if faults else None
+    if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
+        sim["faults"] += map(fault_table, faults)
     return check(Experiment, table, str(path))
 
 

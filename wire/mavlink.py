@@ -12,7 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
-from wire.mavlink_frames import LOSS_WINDOW_NS, Receiver, Sender
+from wire.mavlink_frames import LOSS_WINDOW_NS, MARKER, Receiver, Sender
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -41,6 +41,12 @@ def depth_to_hpa(depth_m: float) -> float:
 def hpa_to_depth(pressure_hpa: float) -> float:
     """Depth in m in fresh water for an absolute pressure."""
     return (pressure_hpa - SURFACE_HPA) * 100.0 / (WATER_DENSITY_KGPM3 * GRAVITY_MPS2)
+
+
+def is_override(datagram: bytes) -> bool:
+    """Whether a datagram of an agent, one frame each, sets pulses; nothing else about it is checked."""
+    kind = int.from_bytes(datagram[7:10], "little")
+    return datagram[:1] == bytes([MARKER]) and kind == dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE
 
 
 @dataclass(frozen=True)

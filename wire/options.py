@@ -11,6 +11,12 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the experiment, e.g. --set duration_s=30. Repeatable."),
 ]
+FaultLines = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault", metavar="LINE", help='Break something: "t=20 [for=5] thruster 2/3 dead". Repeatable (docs/simulator.md).'
+    ),
+]
 StationAddress = Annotated[
     str, typer.Option("--station", metavar="ENDPOINT", help="Where the ground station's router listens (Zenoh endpoint).")
 ]
