@@ -1,0 +1,86 @@
+"""Flights in water that is not as the controller was told, or that streams. All errors are against the plant's truth.
+
+A sample is a flight: p50 is the middle one of the seeds, max the worst. Accuracy is the RMS of the worst axis of the worst
+robot after 20 s; smoothness the RMS of the worst input's change per step, in percent of the largest change allowed.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from benchmarks.harness import Row
+from groundstation import planner
+from sim_bridge.numeric import AgentFleet, BareWater, fly
+from wire.experiment import load_experiment
+from wire.frames import pose_error
+
+BENCHMARK = "robustness"
+SEEDS = (1, 2, 3)
+SETTLED_S = 20.0
+OPEN = "sim.plant.walls=false"
+SHORT = "duration_s=70"
+STILL = "controller.estimator.current_rate_radps=0"
+ARTICLE = ("controller.estimator.sway=false",)
+HARD = ("sim.latency_s=0.1", "sim.plant.thruster_lag_s=0.1", "sim.numeric.pose_noise_m=0.005")
+
+# Currents across a line, and on bends, up to half of the speed that is flown.
+CURRENTS: dict[str, tuple[str, ...]] = {
+    "pool, 0.007 m/s": ("pool", SHORT, OPEN, "sim.plant.current_mps=[0,0.007,0]"),
+    "pool, 0.05 m/s, 3.5 times its speed": ("pool", SHORT, OPEN, "sim.plant.current_mps=[0,0.05,0]"),
+    "figure-eight, 0.01 m/s": ("figure-eight", OPEN, "sim.plant.current_mps=[0,0.01,0]"),
+    "figure-eight, 0.05 m/s": ("figure-eight", OPEN, "sim.plant.current_mps=[0,0.05,0]"),
+    "straight at 0.02 m/s, 0.01 m/s": ("straight", "path.speed_mps=0.02", "sim.plant.current_mps=[0,0.01,0]"),
+    "straight at 0.1 m/s, 0.05 m/s": ("straight", "sim.plant.current_mps=[0,0.05,0]"),
+    "straight at 0.3 m/s, 0.15 m/s": ("straight", "path.speed_mps=0.3", "sim.plant.current_mps=[0,0.15,0]"),
+    "straight at 0.4 m/s, 0.2 m/s": ("straight", "path.speed_mps=0.4", "sim.plant.current_mps=[0,0.2,0]"),
+}
+VARIANTS: dict[str, tuple[str, ...]] = {"ours": (), "no current in the estimate": (STILL,), "no sway either": ARTICLE}
+# Both ways wrong, late and noisy at once.
+ERRORS: dict[str, tuple[str, ...]] = {
+    f"{scene}, mass {mass:+.0%}, drag {drag:+.0%}, 100 ms, 5 mm": (
+        *((scene, SHORT) if scene == "pool" else (scene,)),
+        *HARD,
+        f"sim.plant.mass_error={mass}",
+        f"sim.plant.drag_error={drag}",
+    )
+    for scene in ("pool", "figure-eight")
+    for mass in (-0.3, 0.3)
+    for drag in (-0.3, 0.3)
+}
+
+
+def flight(name: str, settings: Sequence[str], seed: int) -> tuple[float, float]:
+    """Accuracy in mm and smoothness in percent of one flight."""
+    experiment = load_experiment(name, [*settings, f"seed={seed}"])
+    trajectories = planner.plan(experiment)
+    starts = planner.start_poses(experiment, trajectories)
+    water = BareWater(experiment, seed, np.array([starts[r] for r in experiment.robot_ids]))
+    fleet = AgentFleet(experiment, trajectories, water, seed)
+    fleet.start()
+    held = len(fleet.truth) - 1
+    for _ in fly(fleet, water):
+        pass
+    begin = held + round(SETTLED_S / experiment.controller.period_s)
+    truth = np.array(fleet.truth[begin:])
+    reference = np.array([t.eta[begin - held :][: len(truth)] for t in trajectories.values()]).transpose(1, 0, 2)
+    error = pose_error(truth[: len(reference)], reference)
+    change = np.array([[s.wrench_step for s in robot.states[begin:]] for robot in fleet.robots])
+    rms = np.sqrt(np.mean(error[:, :, :3] ** 2, axis=0)).max()
+    smooth = (np.sqrt(np.mean(change**2, axis=1)) / experiment.vehicle.limits.wrench_step).max()
+    return 1e3 * float(rms), 100.0 * float(smooth)
+
+
+def rows(case: str, subject: str, name: str, settings: Sequence[str]) -> list[Row]:
+    """Both figures over all seeds."""
+    flown = [flight(name, settings, seed) for seed in SEEDS]
+    units = ("mm RMS after 20 s", "% of the largest input change, RMS")
+    return [Row.of(BENCHMARK, case, subject, unit, [f[i] for f in flown]) for i, unit in enumerate(units)]
+
+
+def run() -> Iterator[Row]:
+    """Currents with and without the estimator's means against them; then errors of model, timing and localisation at once."""
+    for case, (name, *settings) in CURRENTS.items():
+        for subject, more in VARIANTS.items():
+            yield from rows(case, subject, name, [*settings, *more])
+    for case, (name, *settings) in ERRORS.items():
+        yield from rows(case, "ours", name, settings)
