@@ -65,9 +65,11 @@ def follow(task: Task, subject: str, begin: Begin) -> list[Row]:
         if error_px > task.window_px / 2.0:
             failures += 1
             step = begin(picture, place)
+    mean_ms = sum(updates_ms) / len(updates_ms)  # a tracker that learns from every fourth picture has two kinds of updates
     rate = 1000.0 * failures / len(updates_ms)
     return [
         Row.of("localizer", task.case, subject, "ms per update", updates_ms),
+        Row("localizer", task.case, subject, "ms per update, mean", mean_ms, mean_ms, mean_ms, len(updates_ms)),
         Row.of("localizer", task.case, subject, "px off", errors_px),
         Row("localizer", task.case, subject, "failures per 1,000", rate, rate, rate, len(updates_ms)),
     ]

@@ -38,11 +38,17 @@ class CorrelationFilter:
 
     def __init__(self, count: int, shape: FilterShape) -> None:
         self._shape = shape
+        self._size = (shape.rows, shape.columns)
+        samples = shape.rows * shape.columns
         bins = shape.columns // 2 + 1
-        self._dual = np.zeros((count, shape.rows, bins), np.complex64)  # alpha-hat
-        self._model = np.zeros((count, shape.channels, shape.rows, bins), np.complex64)  # x-hat
+        self._dual = np.zeros((count, shape.rows, bins), np.float32)  # alpha-hat: real, as target and self-kernel are even
+        self._model = np.zeros((count, shape.channels, shape.rows, bins), np.complex64)  # x-hat, conjugate
+        self._model_energy = np.zeros(count, np.float32)  # ||x||^2
         self._window = _window(shape)
-        self._target = scipy.fft.rfft2(_target(shape))
+        self._target = scipy.fft.rfft2(_target(shape)).real
+        self._peaks = _Peaks(shape.rows, shape.columns)
+        self._mean = np.full(samples, 1.0 / samples, np.float32)
+        self._kernel_scale = np.float32(-1.0 / (shape.kernel_width**2 * samples * shape.channels))
 
     def detect(self, robots: NDArray[np.intp], patches: Real) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Where the learnt pattern of `robots` (n,) lies in `patches` (n, channels, rows, columns), grey levels.
@@ -50,34 +56,47 @@ class CorrelationFilter:
         Returns shifts (n, 2) in samples [columns, rows], sub-sample, in +- half a patch, and peaks (n,), 1 for the very
         patch that was learnt.
         """
-        spectrum = self._spectrum(patches)
-        kernel = self._kernel(self._model[robots], spectrum)
-        response = scipy.fft.irfft2(kernel * self._dual[robots], s=(self._shape.rows, self._shape.columns))  # equation 22
-        return _peaks(response)
+        spectrum, energy = self._features(patches)
+        spectrum *= self._model[robots]
+        kernel = self._kernel(spectrum.sum(axis=1), energy + self._model_energy[robots])
+        kernel *= self._dual[robots]
+        return self._peaks.find(scipy.fft.irfft2(kernel, s=self._size, overwrite_x=True))  # equation 22
 
     def learn(self, robots: NDArray[np.intp], patches: Real, rates: Real) -> None:
         """Blend `patches` (n, channels, rows, columns), robot at the centre, into the filters; rate 1 starts anew."""
-        spectrum = self._spectrum(patches)
-        dual = self._target / (self._kernel(spectrum, spectrum) + np.float32(self._shape.regularisation))  # equation 17
+        spectrum, energy = self._features(patches)
+        power = (spectrum.real**2 + spectrum.imag**2).sum(axis=1)
+        kernel = self._kernel(power, np.float32(2.0) * energy).real
+        dual = self._target / (kernel + np.float32(self._shape.regularisation))  # equation 17
         blend = rates.astype(np.float32)[:, None, None]
         self._dual[robots] += blend * (dual - self._dual[robots])
-        self._model[robots] += blend[..., None] * (spectrum - self._model[robots])
+        model = self._model[robots]
+        np.conj(spectrum, out=spectrum)
+        spectrum -= model
+        spectrum *= blend[..., None]
+        model += spectrum
+        self._model[robots], self._model_energy[robots] = model, _energy(model, self._shape)
 
-    def _spectrum(self, patches: Real) -> Complex:
-        """Features: each patch to zero mean per channel and unit contrast over all (the light changes), windowed."""
-        features = patches - patches.mean(axis=(-2, -1), keepdims=True)
-        contrast = np.sqrt(np.mean(features**2, axis=(-3, -2, -1), keepdims=True))
-        return np.asarray(scipy.fft.rfft2(features / np.maximum(contrast, np.float32(_FLAT)) * self._window))
+    def _features(self, patches: Real) -> tuple[Complex, Real]:
+        """Each patch to zero mean per channel and unit contrast over all (the light changes), windowed: its spectrum, and its
+        squared norm (n,)."""
+        count, channels = patches.shape[:2]
+        means = patches.reshape(count * channels, -1) @ self._mean
+        features = np.subtract(patches, means.reshape(count, channels, 1, 1), order="C")
+        flat = features.reshape(count, -1)  # a view: of other orders reshape would make a copy
+        contrast = np.sqrt(np.einsum("ij,ij->i", flat, flat) / np.float32(flat.shape[1]))
+        features *= self._window / np.maximum(contrast, np.float32(_FLAT))[:, None, None, None]
+        energy = np.einsum("ij,ij->i", flat, flat)
+        return np.asarray(scipy.fft.rfft2(features, overwrite_x=True)), energy
 
-    def _kernel(self, model: Complex, spectrum: Complex) -> Complex:
-        """Spectrum of the Gaussian kernel of all circular shifts (equation 31), (n, rows, bins)."""
-        shape = self._shape
-        size = (shape.rows, shape.columns)
-        cross = scipy.fft.irfft2(np.sum(np.conj(model) * spectrum, axis=1), s=size)
-        distance = _energy(model, shape)[:, None, None] + _energy(spectrum, shape)[:, None, None] - 2.0 * cross
-        numel = np.float32(shape.rows * shape.columns * shape.channels)
-        scale = np.float32(-1.0 / (shape.kernel_width**2)) / numel
-        return np.asarray(scipy.fft.rfft2(np.exp(scale * np.maximum(distance, np.float32(0.0)))))
+    def _kernel(self, products: Complex | Real, energies: Real) -> Complex:
+        """Spectrum of the Gaussian kernel of all circular shifts (equation 31), (n, rows, bins), of two patches: the products
+        of their spectra, one conjugate, summed over channels, and the sum of their squared norms."""
+        exponent = scipy.fft.irfft2(products, s=self._size, overwrite_x=True)
+        exponent *= np.float32(-2.0) * self._kernel_scale
+        exponent += (energies * self._kernel_scale)[:, None, None]
+        np.minimum(exponent, np.float32(0.0), out=exponent)
+        return np.asarray(scipy.fft.rfft2(np.exp(exponent, out=exponent)))
 
 
 def _window(shape: FilterShape) -> Real:
@@ -103,29 +122,28 @@ def _energy(spectrum: Complex, shape: FilterShape) -> Real:
     return np.asarray(total / np.float32(shape.rows * shape.columns), dtype=np.float32)
 
 
-def _peaks(response: Real) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Sub-sample position and height of each response's maximum.
+class _Peaks:
+    """Sub-sample position and height of the maximum of responses (n, rows, columns).
 
     A parabola through the logarithm of three samples: exact for the Gaussian that the target makes of the response, where a
-    parabola through the samples themselves is pulled towards the middle one.
+    parabola through the samples themselves is pulled towards the middle one. At a maximum it moves half a sample at most.
     """
-    count, rows, columns = response.shape
-    n = np.arange(count)
-    best = response.reshape(count, -1).argmax(axis=1)
-    row, column = best // columns, best % columns
-    height = response[n, row, column].astype(np.float64)
-    shifts = np.zeros((count, 2))
-    for axis, (size, index) in enumerate(((columns, column), (rows, row))):
-        if size == 1:
-            continue
-        before, after = (index - 1) % size, (index + 1) % size
-        sides = (
-            (response[n, row, before], response[n, row, after])
-            if axis == 0
-            else (response[n, before, column], response[n, after, column])
-        )
-        low, middle, high = (np.log(np.maximum(v, 1e-6).astype(np.float64)) for v in (sides[0], height, sides[1]))
-        bend = low - 2.0 * middle + high
-        step = np.where(bend < -1e-9, 0.5 * (low - high) / np.where(bend < -1e-9, bend, -1.0), 0.0)
-        shifts[:, axis] = (index + np.clip(step, -0.5, 0.5) + size / 2) % size - size / 2
-    return shifts, height
+
+    def __init__(self, rows: int, columns: int) -> None:
+        index = np.arange(rows * columns).reshape(rows, columns)
+        around = [index, *(np.roll(index, step, axis) for axis in (1, 0) for step in (1, -1))]
+        self._around = np.stack(around, axis=-1).reshape(-1, 5)  # of each sample: itself, before, after, above, below
+        self._size = np.array([columns, rows])
+        self._place = np.stack(np.divmod(index.ravel(), columns)[::-1], axis=-1)
+
+    def find(self, responses: Real) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions (n, 2) in samples [columns, rows] from sample (0, 0), and heights (n,)."""
+        flat = responses.reshape(len(responses), -1)
+        best = flat.argmax(axis=1)
+        samples = flat[np.arange(len(flat))[:, None], self._around[best]].astype(np.float64)
+        logarithms = np.log(np.maximum(samples, 1e-6))
+        low, high = logarithms[:, 1::2], logarithms[:, 2::2]
+        bend = np.minimum(low + high - 2.0 * logarithms[:, :1], -1e-9)
+        place = self._place[best] + 0.5 * (low - high) / bend
+        half = self._size / 2
+        return (place + half) % self._size - half, samples[:, 0]

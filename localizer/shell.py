@@ -1,7 +1,7 @@
 """SHELL: the localizer's process: the newest picture in, a pose per robot out, and what else is in the water.
 
-Obstacles are looked for when the poses are out: 6 ms on every other frame, in which no pose waits unless the camera is faster
-than 60 Hz.
+Obstacles are looked for when the poses are out: 2 ms on every other frame, in which no pose waits unless the camera is faster
+than 100 Hz.
 """
 
 import time
