@@ -28,6 +28,9 @@ cli = typer.Typer(
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
+Poses = Annotated[
+    bool, typer.Option("--poses", help="No camera, no localizer: true poses with the noise of sim.numeric instead.")
+]
 OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder.")]
 
 
@@ -42,6 +45,7 @@ def sil(
     out: OutFolder = Path("runs"),
     settings: Settings = None,
     faults: FaultLines = None,
+    poses: Poses = False,
     manual: Annotated[
         bool, typer.Option("--manual", help="Wait for the operator: arm, start and end it on the page.")
     ] = False,
@@ -72,7 +76,9 @@ def sil(
     if page is not None:
         console.print(f"operator page: http://{page}/", soft_wrap=True)
     raise typer.Exit(
-        software_in_the_loop.run(loaded, folder, lockstep=lockstep, stop=Stop(), console=console, page=page, manual=manual)
+        software_in_the_loop.run(
+            loaded, folder, lockstep=lockstep, stop=Stop(), console=console, page=page, manual=manual, poses=poses
+        )
     )
 
 
@@ -133,6 +139,7 @@ def pool(
     ports: Annotated[int, typer.Option(help="The board of robot N is at UDP port PORTS + N.")] = 14550,
     settings: Settings = None,
     lockstep: LockstepMode = False,
+    poses: Poses = False,
     verbose: Verbose = False,
 ) -> None:
     """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water."""
@@ -144,7 +151,7 @@ def pool(
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
     with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
-        Pool(loaded, bus, ports, stop, lockstep).run()
+        Pool(loaded, bus, ports, stop, lockstep, poses).run()
 
 
 def app() -> None:

@@ -23,18 +23,18 @@ from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen
 from robot_agent.orders import StationView
 from sim_bridge.dynamics import Plant
 from sim_bridge.faults import Faults
+from sim_bridge.located import Located
 from sim_bridge.sensors import BoardSensors
 from wire import topics
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.frames import Array, pose_error
 from wire.mavlink import Telemetry
-from wire.messages import Command, Event, Message, Order, Pose, Reply, RobotState, Track, Trajectory, Truth
+from wire.messages import Command, Event, Message, Order, Pose, Reply, RobotState, Trajectory, Truth
 from wire.toml_file import ConfigError
 from wire.topics import Topic
 
 NS = 1_000_000_000
-POSE_STREAM = 3  # keeps this use of the seed apart from the others
 STATION_SESSION = 1
 READY_NS = NS // 2  # robots are held this long before they start: their estimates are at rest
 INFO = 2  # an event's level
@@ -142,7 +142,6 @@ class AgentFleet:
         clock_ns: Callable[[], int] = lambda: 0,
     ) -> None:
         """`clock_ns` times the control steps for the report; nothing depends on it."""
-        numeric = experiment.sim.numeric
         self.experiment, self.trajectories = experiment, trajectories
         self.robots = [Robot(Agent(experiment, robot)) for robot in experiment.robot_ids]
         self.period_ns = round(experiment.controller.period_s * NS)
@@ -152,9 +151,7 @@ class AgentFleet:
         self._start_ns = 0
         self._water, self._clock_ns = water, clock_ns
         self._latency_ns = round(experiment.sim.latency_s * NS)
-        self._noise = np.array([numeric.pose_noise_m, numeric.pose_noise_m, 0.0, numeric.yaw_noise_rad])
-        self._covariance = np.diag(self._noise[[0, 1, 3]] ** 2)
-        self._random = np.random.default_rng([seed, POSE_STREAM])
+        self._located = Located(experiment, seed)
         self.seen: deque[tuple[int, list[Pose]]] = deque(maxlen=SEEN_KEPT)  # instant on the agents' clock, pose of each robot
         self._orders = 0
 
@@ -221,9 +218,7 @@ class AgentFleet:
 
     def expose(self, stamp_ns: int) -> None:
         """Locate every robot."""
-        seen = self._water.eta + self._random.standard_normal((len(self.robots), 4)) * self._noise
-        poses = [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
-        self.seen.append((stamp_ns, poses))
+        self.seen.append((stamp_ns, self._located.poses(self._water.eta)))
 
     def think(self, i: int, plans: Mapping[int, Heard | None]) -> None:
         """One control step of the i-th robot."""

@@ -14,6 +14,7 @@ import numpy as np
 
 from sim_bridge.camera import Renderer
 from sim_bridge.camera_faults import CameraTrouble
+from sim_bridge.located import Located
 from sim_bridge.sockets import Sockets
 from sim_bridge.world import World
 from wire import topics
@@ -41,14 +42,19 @@ class Shot:
 class Pool:
     """The pool's shell: world, sockets, camera, bus."""
 
-    def __init__(self, experiment: Experiment, bus: Bus, base_port: int, stop: Stop, lockstep: bool) -> None:
+    def __init__(
+        self, experiment: Experiment, bus: Bus, base_port: int, stop: Stop, lockstep: bool, poses: bool = False
+    ) -> None:
+        """With `poses` there is no camera: poses go out in the localizer's place."""
         self._experiment, self._bus, self._stop = experiment, bus, stop
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = Sockets(base_port, experiment.robot_ids, experiment.seed)
         self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids if experiment.sim.faults}
         cv2.setNumThreads(1)  # two cores, five processes: more threads only fight
-        self._renderer = Renderer(experiment, experiment.seed)
+        self._eye: Renderer | Located = (
+            Located(experiment, experiment.seed) if poses else Renderer(experiment, experiment.seed)
+        )
         self._camera_trouble = CameraTrouble()
         self._bare: frozenset[int] = frozenset()
         self._frame_index = 0
@@ -156,13 +162,24 @@ class Pool:
 
     def _camera(self, shots: "queue.Queue[Shot | None]") -> None:
         while (shot := shots.get()) is not None:
-            self._publish_frame(shot)
+            self._see(shot)
 
-    def _publish_frame(self, shot: Shot) -> None:
+    def _see(self, shot: Shot) -> None:
+        """Publish what comes of an exposure: a picture, or poses as late as the localizer's."""
+        if isinstance(self._eye, Renderer):
+            self._publish_frame(self._eye, shot)
+            return
+        if self._lockstep is None:
+            time.sleep(max(self._experiment.sim.latency_s - (self._clock.now_ns() - shot.stamp_ns) * 1e-9, 0.0))
+        age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
+        for robot, pose in zip(self._experiment.robot_ids, self._eye.poses(shot.eta), strict=True):
+            self._bus.publish(topics.POSE, pose, shot.stamp_ns, robot, age_ns=age_ns)
+
+    def _publish_frame(self, renderer: Renderer, shot: Shot) -> None:
         if shot.bare != self._bare:
             self._bare = shot.bare
-            self._renderer.lose_markers(shot.bare)
-        pixels = self._renderer.render(shot.eta, shot.nu, shot.time_s, shot.index)
+            renderer.lose_markers(shot.bare)
+        pixels = renderer.render(shot.eta, shot.nu, shot.time_s, shot.index)
         pixels = self._camera_trouble.apply(pixels, shot.broken)
         age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
         self._bus.publish(topics.FRAME, Frame(pixels), shot.stamp_ns, age_ns=age_ns)
@@ -170,7 +187,8 @@ class Pool:
     # --- in lockstep
 
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
-        everyone = {"groundstation", "localizer", *(f"agent-{r}" for r in self._experiment.robot_ids)}
+        everyone = {"groundstation", *(f"agent-{r}" for r in self._experiment.robot_ids)}
+        everyone |= {"localizer"} if isinstance(self._eye, Renderer) else set()
         while not wait(self._bus, self._stop, lambda: everyone <= self._bus.present, LOCKSTEP_PATIENCE_S):
             if self._stop.requested:
                 return
@@ -194,7 +212,7 @@ class Pool:
     def _shoot(self, world: World) -> None:
         self._frame_ns = world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)
-        self._publish_frame(self._shot(world, world.now_ns))
+        self._see(self._shot(world, world.now_ns))
 
     def _await_states(self, world: World, robots: tuple[int, ...], stamp_ns: int) -> None:
         """Where faults wait for the start, see every robot's last state before time goes on: else chance would set it."""

@@ -41,21 +41,25 @@ def run(
     console: Console,
     page: str | None = None,
     manual: bool = False,
+    poses: bool = False,
 ) -> int:
     """Run an experiment with all its processes; `page` is where the operator's page is served (host:port), `manual` leaves
-    the mission to whoever sits there. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+    the mission to whoever sits there, and with `poses` the simulator stands for camera and localizer. Returns the exit code:
+    0 passed, 1 failed, 130 interrupted."""
     run_dir.mkdir(parents=True, exist_ok=True)
     file = run_dir / "experiment.toml"
     file.write_text(dump_experiment(experiment), encoding="utf-8")
     if lockstep:
         faults.only(experiment, tuple(kind for kind in KINDS if kind != "process"), "processes break by the wall clock")
+    if poses:
+        faults.only(experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera")
     children = Children(run_dir / "logs")
     trouble: list[str] = []
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         options = ["--no-web"] if page is None else ["--web", page]
         options += [] if manual else ["--auto"]
-        station = _start_all(children, experiment, file, address, ports, lockstep, stop, options)
+        station = _start_all(children, experiment, file, address, ports, lockstep, stop, options, poses)
         if station is not None:
             with Bus(ZenohTransport(Endpoint(address))) as bus:
                 saboteur = Saboteur(experiment, children, bus)
@@ -84,6 +88,7 @@ def _start_all(
     lockstep: bool,
     stop: Stop,
     station_options: list[str],
+    poses: bool,
 ) -> Child | None:
     """Station first: it is the router, and the others wait for it. None if it does not come up."""
     common = [str(file), *(["--lockstep"] if lockstep else [])]
@@ -94,8 +99,9 @@ def _start_all(
     if not _listens(address, station, stop):
         return None
     client = [*common, "--station", address]
-    children.start("sim-bridge", "sim_bridge", ["pool", *client, "--ports", str(ports)])
-    children.start("localizer", "localizer", ["run", *client])
+    children.start("sim-bridge", "sim_bridge", ["pool", *client, "--ports", str(ports), *(["--poses"] if poses else [])])
+    if not poses:
+        children.start("localizer", "localizer", ["run", *client])
     for robot in experiment.robot_ids:
         link = f"udp:127.0.0.1:{ports + robot}"
         children.start(f"agent-{robot}", "robot_agent", ["run", *client, "--robot", str(robot), "--link", link])
