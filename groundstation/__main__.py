@@ -20,7 +20,7 @@ from wire.options import (
     StationAddress,
     Verbose,
 )
-from wire.runtime import Stop, run_app, start_log
+from wire.runtime import SLICE_S, Stop, run_app, start_log
 
 cli = typer.Typer(
     help="Ground station: plans trajectories, commands the fleet, records everything, writes the report.",
@@ -126,6 +126,28 @@ def plan(experiment: ExperimentName, settings: Settings = None) -> None:
         for robot, t in trajectories.items()
     }
     typer.echo(json.dumps({"experiment": loaded.name, "hash": loaded.hash, "robots": robots}))
+
+
+@cli.command()
+def replay(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    against: Annotated[
+        Path | None, typer.Option(metavar="RUN", help="Another run of the same robots, drawn beside it.")
+    ] = None,
+    web: WebAddress = DEFAULT_WEB,
+) -> None:
+    """Show a recorded run on the operator's page, with a time slider. Ends with Ctrl-C."""
+    from groundstation.web.guard import web_options
+    from groundstation.web.replay import Replay
+    from groundstation.web.server import WebServer
+
+    options = web_options(web)
+    start_log("groundstation")
+    stop = Stop()
+    with Replay(run_folder, against) as source, WebServer(source, options):
+        typer.echo(f"{source.experiment.title or source.experiment.name}: {options.url}")
+        while not stop.requested:
+            time.sleep(SLICE_S)
 
 
 @cli.command()

@@ -17,7 +17,7 @@ M = TypeVar("M")
 
 READ = (topics.TRUTH, topics.POSE, topics.LOCALIZER, topics.STATE, topics.TRAJECTORY, topics.EVENT)
 # below any fleet's name: "shoal/robot/3/pose" is topic POSE of robot 3
-_PATTERNS = tuple((re.compile(r"(?:.*/)?" + topic.name.replace("{robot}", r"(\d+)")), topic) for topic in READ)
+_PATTERNS = tuple((re.compile(r"(?:.*/)?" + topic.name.replace("{robot}", r"(\d+)")), topic) for topic in topics.TOPICS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,8 @@ def read_log(path: Path) -> RunLog:
     channels: dict[int, tuple[Topic, int]] = {}
     for record in valid_records(path):
         if isinstance(record, Channel):
-            found = _topic(record.topic)
-            if found is not None:
+            found = key_topic(record.topic)
+            if found is not None and found[0] in READ:
                 channels[record.id] = found
         elif isinstance(record, Message) and record.channel_id in channels:
             topic, robot = channels[record.channel_id]
@@ -86,7 +86,8 @@ def read_log(path: Path) -> RunLog:
     )
 
 
-def _topic(key: str) -> tuple[Topic, int] | None:
+def key_topic(key: str) -> tuple[Topic, int] | None:
+    """Topic and robot (0: it has none) of a recorded key; None for what is none of ours."""
     for pattern, topic in _PATTERNS:
         match = pattern.fullmatch(key)
         if match:

@@ -2,11 +2,16 @@
 
 import re
 import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
+from sim_bridge.sil import free_port
 from tests.page.conftest import Asked, Flight, open_page
 
 AXE = Path(__file__).parent / "vendor" / "axe.min.js"
@@ -133,3 +138,39 @@ def test_it_comes_back_by_itself_when_the_station_is_started_again(page: Page, f
     flight.start()
     expect(tile(page, 1)).not_to_have_class(re.compile("stale"))
     expect(page.get_by_text("Preflight: 2 of 2 ready")).to_be_visible(timeout=60_000)
+
+
+def test_a_recorded_run_is_replayed(browser: Browser, flight: Flight) -> None:
+    """The first run of these tests, which the restart above has ended."""
+    recorded = min(folder for folder in flight.folder.iterdir() if folder.is_dir())
+    with replayed(recorded) as url:
+        page = browser.new_page()
+        page.goto(url)
+        expect(tile(page, 2)).not_to_have_class(re.compile("stale"))
+        in_mode(page, "TRACKING")  # it waits where the robots began to fly
+        slider = page.get_by_label("Time in the run, seconds")
+        before = float(slider.input_value())
+        button(page, "Play").click()
+        expect(page.locator(".replay").get_by_role("button")).to_have_text("Pause")
+        page.wait_for_function("before => document.querySelector('.replay input').valueAsNumber > before + 1", arg=before)
+        page.locator(".replay").get_by_role("button").click()
+        slider.fill("1")
+        in_mode(page, "DISARMED")
+        expect(page.get_by_role("button", name=re.compile("STOP"))).to_have_count(0)  # there is nothing to stop
+        page.get_by_role("button", name="3-D").click()
+        expect(page.locator(".deep canvas")).to_have_count(2)
+        page.close()
+
+
+@contextmanager
+def replayed(run: Path) -> Iterator[str]:
+    """`groundstation replay` at work; where its page is."""
+    port = free_port()
+    command = [sys.executable, "-m", "groundstation", "replay", str(run), "--web", f"127.0.0.1:{port}"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        yield process.stdout.readline().split()[-1]  # said when it serves
+    finally:
+        process.terminate()
+        process.wait(30)

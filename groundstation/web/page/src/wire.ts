@@ -53,7 +53,7 @@ export interface Scene {
   formation: { mode: "translate" | "rotate"; scale: number };
   paths: PathSamples[];
   underlay: { columns: number; pool: Packed; picture: Packed } | null;
-  replay?: { end_s: number; runs: string[] };
+  replay?: { end_s: number };
 }
 
 export type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT";
@@ -142,6 +142,7 @@ export interface Snapshot {
   obstacles: { age_ms: number; ids: number[]; outline: Packed; velocity: Packed } | null;
   robots: RobotNews[];
   replay?: { time_s: number; rate: number };
+  ghosts?: { id: number; eta: Packed }[]; // of the run beside which this one is replayed
 }
 
 export interface Tried {

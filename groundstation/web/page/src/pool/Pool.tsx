@@ -8,10 +8,15 @@ import { drawSoon, drawWith, editing, live, now, scene, selected } from "../stor
 import { drawPool } from "./draw";
 import { follow, LAYERS, type Layer, layers, toggle } from "./layers";
 import { View } from "./view";
+import type { Deep } from "../three/three";
 
 const view = new View();
+const deepOpen = signal(false);
 const cursor = signal<[number, number] | null>(null);
 let sceneFitted = "";
+
+/** The 3-D view while it is open. Its code is fetched when it is first asked for. */
+const deep = signal<Deep | null>(null);
 
 /** Fit the pool, and follow nothing. */
 export function fitView(): void {
@@ -122,6 +127,23 @@ function pinch(down: Map<number, [number, number]>, id: number, before: [number,
   if (was > 1) view.zoom(is / was, (current[0] + other[0]) / 2, (current[1] + other[1]) / 2);
 }
 
+function DeepView() {
+  const ref = useRef<HTMLDivElement>(null);
+  useEffect(() => {
+    let gone = false;
+    import("../three/three").then(({ openDeep }) => {
+      if (!gone && ref.current !== null) deep.value = openDeep(ref.current);
+      drawSoon();
+    });
+    return () => {
+      gone = true;
+      deep.value?.close();
+      deep.value = null;
+    };
+  }, []);
+  return <div class="deep" ref={ref} role="img" aria-label="The pool in three dimensions; drag turns it" />;
+}
+
 function LayerMenu() {
   return (
     <details class="layers">
@@ -159,7 +181,7 @@ function Cursor() {
   return <span class="cursor">{at === null ? "" : `x ${at[0].toFixed(2)}  y ${at[1].toFixed(2)} m`}</span>;
 }
 
-export function Pool({ above }: { above?: preact.ComponentChildren }) {
+export function Pool() {
   const ref = useRef<HTMLCanvasElement>(null);
   useEffect(() => {
     const canvas = ref.current!;
@@ -170,6 +192,7 @@ export function Pool({ above }: { above?: preact.ComponentChildren }) {
       pen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
       drawPool(pen, view);
       if (editing.peek()) drawEdit(pen, view);
+      deep.peek()?.draw();
       if (live.snapshot !== null) {
         live.drawnStampMs = live.snapshot.stamp_ms;
         window.shoal?.drawn?.(live.snapshot.stamp_ms, live.pictureStampMs);
@@ -188,6 +211,7 @@ export function Pool({ above }: { above?: preact.ComponentChildren }) {
   return (
     <section class="pool" aria-label="Map of the pool">
       <canvas ref={ref} role="img" aria-label="The pool seen from above, with every robot; the same is told in the list of robots" />
+      {deepOpen.value && <DeepView />}
       <div class="map-tools">
         <LayerMenu />
         <button type="button" onClick={() => zoomBy(1.25)} aria-label="zoom in" title="zoom in (+)">+</button>
@@ -204,7 +228,9 @@ export function Pool({ above }: { above?: preact.ComponentChildren }) {
         >
           Follow
         </button>
-        {above}
+        <button type="button" aria-pressed={deepOpen.value} onClick={() => (deepOpen.value = !deepOpen.value)} title="see depth (3)">
+          3-D
+        </button>
       </div>
       <div class="map-foot">
         <PictureAge />

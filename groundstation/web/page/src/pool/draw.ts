@@ -1,6 +1,6 @@
 /** Draws the pool as seen from above, back to front. Plain Canvas 2D; positions in metres, line widths in CSS pixels. */
 
-import { css, robotColour } from "../colours";
+import { css, isLight, robotColour } from "../colours";
 import type { Robot } from "../store";
 import { ageMs, isStale, live, scene, selected } from "../store";
 import type { PathSamples, Scene } from "../wire";
@@ -34,7 +34,7 @@ export function drawPool(pen: Pen, view: View): void {
   drawBasin(pen, view, s);
   if (on.camera) drawPicture(pen, view, s);
   drawGrid(pen, view, s);
-  if (on.reference) for (const path of s.paths) drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 0.35);
+  if (on.reference) for (const path of s.paths) drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 0.7);
   if (on.obstacles) drawObstacles(pen, view);
   if (on.formation) drawLinks(pen, view, s);
   if (on.constraints) drawConstraints(pen, view, s);
@@ -42,7 +42,24 @@ export function drawPool(pen: Pen, view: View): void {
     const robot = live.robots.get(id);
     if (robot?.news.state !== undefined) drawRobot(pen, view, s, robot, place);
   });
+  for (const ghost of live.snapshot?.ghosts ?? []) drawGhost(pen, view, s, ghost.id, floats(ghost.eta));
   drawRulers(pen, view);
+}
+
+/** A robot of the run beside: only an outline, so that nobody takes it for one that is there. */
+function drawGhost(pen: Pen, view: View, s: Scene, id: number, eta: Float32Array): void {
+  const [px, py] = view.toScreen(eta[0]!, eta[1]!);
+  const radius = s.hull_m * view.scale;
+  pen.save();
+  pen.strokeStyle = robotColour(placeOf(s, id));
+  pen.lineWidth = 1.5;
+  pen.setLineDash([2, 3]);
+  pen.beginPath();
+  pen.arc(px, py, radius, 0, 2 * Math.PI);
+  pen.moveTo(px, py);
+  pen.lineTo(px + 1.25 * radius * Math.cos(eta[3]!), py + 1.25 * radius * Math.sin(eta[3]!));
+  pen.stroke();
+  pen.restore();
 }
 
 export function placeOf(s: Scene, robot: number): number {
@@ -64,7 +81,7 @@ function drawPicture(pen: Pen, view: View, s: Scene): void {
   const [left, top] = view.toScreen(x, y);
   const old = live.pictureAgeMs + performance.now() - live.pictureArrivedMs > s.picture_stale_s * 1e3;
   pen.save();
-  pen.globalAlpha = old ? 0.25 : 0.9;
+  pen.globalAlpha = old ? 0.25 : isLight() ? 0.75 : 0.62; // what is drawn on it must be seen
   if (old) pen.filter = "grayscale(1)";
   pen.imageSmoothingQuality = "low";
   pen.drawImage(found.image, left, top, width * view.scale, height * view.scale);
@@ -166,6 +183,12 @@ export function drawPath(pen: Pen, view: View, path: PathSamples, colour: string
     else pen.lineTo(px, py);
     [lastX, lastY] = [px, py];
   }
+  pen.save();
+  pen.strokeStyle = css("--halo");
+  pen.globalAlpha = alpha * 0.6;
+  pen.lineWidth = 3.5;
+  pen.stroke();
+  pen.restore();
   pen.stroke();
   pen.restore();
 }
@@ -293,7 +316,7 @@ function drawRobot(pen: Pen, view: View, s: Scene, robot: Robot, place: number):
   if (on.covariance && robot.news.pose !== undefined && !stale) drawEllipse(pen, view, robot.news.pose);
   if (on.disturbance && !stale) drawDisturbance(pen, view, robot, px, py);
   const text = stale ? `${robot.news.id}  ${(ageMs(robot.news, robot.arrivedMs) / 1e3).toFixed(1)} s old` : `${robot.news.id}`;
-  label(pen, text, px, py - s.hull_m * view.scale - 12, colour);
+  label(pen, text, px, py + s.hull_m * view.scale + 13, colour); // above it the localizer writes into the picture
   if (selected.peek() === robot.news.id) {
     pen.strokeStyle = css("--ink");
     pen.lineWidth = 2;

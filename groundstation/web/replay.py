@@ -1,0 +1,241 @@
+"""SHELL: a recorded run as the page sees it, at any time of it and at any pace. The log is read a second at a time."""
+
+import time
+from bisect import bisect_right
+from collections import OrderedDict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, TypeVar
+
+from mcap.reader import McapReader, make_reader
+
+from groundstation.fleet import RobotView
+from groundstation.mission import Phase
+from groundstation.recorder import recover
+from groundstation.runlog import key_topic
+from groundstation.web import editor
+from groundstation.web.alarms import alarms
+from groundstation.web.requests import Edit
+from groundstation.web.scene import floats, scene
+from groundstation.web.snapshot import Aged, FleetNews, RobotNews, snapshot
+from wire import topics
+from wire.codec import DecodeError, decode
+from wire.experiment import Experiment, load_experiment
+from wire.messages import Event, LocalizerStatus, Order, Preview, RobotState, StationHeartbeat, Trajectory
+from wire.toml_file import ConfigError
+from wire.topics import Topic
+
+BLOCK_NS = 1_000_000_000
+KEPT_BLOCKS = 8
+LOOK_BACK = 2  # blocks: what was last said before that is long stale
+FRAME_S = 0.05  # a new state this often while it plays
+
+M = TypeVar("M")
+Said = tuple[list[int], list[bytes]]  # arrivals, ascending, and payloads
+Block = dict[tuple[str, int], Said]
+
+
+class Tape:
+    """One recorded run: the newest message of a topic at a time, in ns from its first."""
+
+    def __init__(self, run: Path) -> None:
+        """Raises ConfigError for what is no run. A log that was cut off is mended first."""
+        log = run / "run.mcap"
+        try:
+            recover(log)
+            self._file = log.open("rb")
+        except OSError as error:
+            raise ConfigError(f"{log}: {error.strerror}") from None
+        self._reader: McapReader = make_reader(self._file)
+        summary = self._reader.get_summary()
+        if summary is None or summary.statistics is None or not summary.channels:
+            raise ConfigError(f"{log}: holds no messages")
+        self.experiment = load_experiment(str(run / "experiment.toml"))
+        self.start_ns = summary.statistics.message_start_time
+        self.end_ns = summary.statistics.message_end_time - self.start_ns
+        self._keys = {c.topic: found for c in summary.channels.values() if (found := key_topic(c.topic)) is not None}
+        self._blocks: OrderedDict[int, Block] = OrderedDict()
+        self.trajectories = self._trajectories()
+        self.flown_ns = self._first_flown_ns()
+
+    def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
+        wanted = [key for key, (t, r) in self._keys.items() if t is topic and robot in (None, r)]
+        for _, channel, message in self._reader.iter_messages(topics=wanted) if wanted else ():
+            found = _read(kind, message.data)
+            if found is not None:
+                yield self._keys[channel.topic][1], message.log_time - self.start_ns, found
+
+    def _trajectories(self) -> dict[int, Trajectory]:
+        found = {robot: message for robot, _, message in self._each(topics.TRAJECTORY, Trajectory)}
+        return {robot: found[robot] for robot in self.experiment.robot_ids if robot in found}
+
+    def _first_flown_ns(self) -> int:
+        """When the first robot began to follow its trajectory; 0 if it never did."""
+        first = self.experiment.robot_ids[0]
+        flown = (at for _, at, state in self._each(topics.STATE, RobotState, first) if state.trajectory_s > 0.0)
+        return next(flown, 0)
+
+    def _block(self, index: int) -> Block:
+        if index not in self._blocks:
+            begin = self.start_ns + index * BLOCK_NS
+            block: Block = {}
+            for _, channel, message in self._reader.iter_messages(starting_at=begin, ending_before=begin + BLOCK_NS):
+                if channel.topic in self._keys:
+                    topic, robot = self._keys[channel.topic]
+                    arrivals, payloads = block.setdefault((topic.name, robot), ([], []))
+                    arrivals.append(message.log_time - self.start_ns)
+                    payloads.append(message.data)
+            self._blocks[index] = block
+        self._blocks.move_to_end(index)
+        while len(self._blocks) > KEPT_BLOCKS:
+            self._blocks.popitem(last=False)
+        return self._blocks[index]
+
+    def newest(self, topic: Topic, kind: type[M], at_ns: int, robot: int = 0) -> tuple[int, M] | None:
+        """Arrival and message of the newest at a time; None if there is none, or none that can be read."""
+        for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LOOK_BACK, -1), -1):
+            arrivals, payloads = self._block(index).get((topic.name, robot), ([], []))
+            k = bisect_right(arrivals, at_ns)
+            if k > 0:
+                found = _read(kind, payloads[k - 1])
+                return None if found is None else (arrivals[k - 1], found)
+        return None
+
+    def between(self, topic: Topic, kind: type[M], after_ns: int, until_ns: int) -> list[tuple[int, M]]:
+        """All messages of a topic in a time of some blocks, in order."""
+        found: list[tuple[int, M]] = []
+        for index in range(max(after_ns, 0) // BLOCK_NS, until_ns // BLOCK_NS + 1):
+            for arrived, payload in zip(*self._block(index).get((topic.name, 0), ([], [])), strict=True):
+                message = _read(kind, payload) if after_ns < arrived <= until_ns else None
+                if message is not None:
+                    found.append((arrived, message))
+        return found
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def _read(kind: type[M], payload: bytes) -> M | None:
+    """A recorded message; None if it is damaged, or of a version with other fields."""
+    try:
+        return decode(kind, payload, "log", kind.__name__)
+    except DecodeError:
+        return None
+
+
+class Replay:
+    """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
+
+    def __init__(self, run: Path, against: Path | None = None) -> None:
+        self._tape = Tape(run)
+        self._against = Tape(against) if against is not None else None
+        self._at_ns, self._rate, self._since_s = self._tape.flown_ns, 0.0, time.monotonic()
+        self._changed = True
+        self._shown_s = 0.0
+        self._noted_ns = self._at_ns
+        self._picture_ns = -1
+
+    def __enter__(self) -> "Replay":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._tape.close()
+        if self._against is not None:
+            self._against.close()
+
+    @property
+    def experiment(self) -> Experiment:
+        """What was flown."""
+        return self._tape.experiment
+
+    def _now_ns(self) -> int:
+        played = round((time.monotonic() - self._since_s) * self._rate * 1e9)
+        return min(self._at_ns + played, self._tape.end_ns)
+
+    def scene(self) -> dict[str, Any]:
+        """The recorded scene, and how long it is."""
+        return scene(self.experiment, self._tape.trajectories, "replay") | {"replay": {"end_s": self._tape.end_ns * 1e-9}}
+
+    def changed(self) -> bool:
+        """Whether there is another state to show."""
+        playing = self._rate > 0.0 and time.monotonic() - self._shown_s >= FRAME_S
+        changed, self._changed = self._changed or playing, False
+        return changed
+
+    def seek(self, time_s: float | None, rate: float | None) -> None:
+        """Go to a time of the run, or on at another pace."""
+        at_ns = self._now_ns() if time_s is None else min(round(time_s * 1e9), self._tape.end_ns)
+        if time_s is not None:
+            self._noted_ns = at_ns
+        self._at_ns, self._since_s, self._changed = at_ns, time.monotonic(), True
+        self._rate = self._rate if rate is None else rate
+
+    def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> Aged:
+        found = self._tape.newest(topic, kind, at_ns, robot)
+        return Aged() if found is None else Aged(found[1], (at_ns - found[0]) * 1e-6)
+
+    def snapshot(self) -> dict[str, Any]:
+        """The fleet at the present time of the replay."""
+        self._shown_s = time.monotonic()
+        now = self._now_ns()
+        robots = {
+            r: RobotNews(*(self._aged(topic, topic.type, now, r) for topic in (topics.STATE, topics.POSE, topics.PLAN)))
+            for r in self.experiment.robot_ids
+        }
+        views = {
+            r: RobotView(n.state.message, n.state.age_ms * 1e-3, n.pose.message, n.pose.age_ms * 1e-3)
+            for r, n in robots.items()
+        }
+        localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
+        beat = self._tape.newest(topics.HEARTBEAT, StationHeartbeat, now)
+        phase = beat[1].mission if beat is not None and beat[1].mission in Phase.__members__ else "WAITING"
+        news = FleetNews(
+            time_s=now * 1e-9,
+            robots=robots,
+            localizer=localizer,
+            obstacles=self._aged(topics.OBSTACLES, topics.OBSTACLES.type, now),
+            phase=phase,
+            phase_text=Phase[phase].value,
+            emergency_stop=beat is not None and beat[1].emergency_stop,
+            alarms=alarms(self.experiment, views, localizer.message, localizer.age_ms * 1e-3, ""),
+        )
+        return snapshot(news) | {"replay": {"time_s": now * 1e-9, "rate": self._rate}, "ghosts": self._ghosts(now)}
+
+    def _ghosts(self, now_ns: int) -> list[dict[str, Any]]:
+        """The other run's robots, as long after its start as this one is after its own."""
+        if self._against is None:
+            return []
+        then_ns = max(now_ns - self._tape.flown_ns + self._against.flown_ns, 0)
+        found = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
+        return [{"id": r, "eta": floats(state[1].eta)} for r, state in found if state is not None]
+
+    def picture(self) -> dict[str, Any] | None:
+        """The picture of that time, once."""
+        found = self._tape.newest(topics.PREVIEW, Preview, self._now_ns())
+        if found is None or found[0] == self._picture_ns:
+            return None
+        self._picture_ns = found[0]
+        return {"age_ms": (self._now_ns() - found[0]) * 1e-6, "jpeg": found[1].jpeg}
+
+    def notes(self) -> list[dict[str, Any]]:
+        """The log's lines that have come by since the last call."""
+        now, after = self._now_ns(), self._noted_ns
+        if now <= after:
+            return []
+        self._noted_ns = now
+        return [
+            {"k": "event", "time_s": at * 1e-9, "level": event.level, "source": event.source, "text": event.message}
+            for at, event in self._tape.between(topics.EVENT, Event, after, now)
+        ]
+
+    def order(self, order: Order) -> str:
+        """Nobody hears it."""
+        return "this is a recorded run"
+
+    def attempt(self, edit: Edit) -> dict[str, Any]:
+        """What would come of an edit of the recorded experiment."""
+        return editor.attempt(self.experiment, edit)
+
+    def save(self, edit: Edit, name: str) -> dict[str, Any]:
+        """Keep an edit for a later run."""
+        return editor.save(self.experiment, edit, name)

@@ -1,0 +1,101 @@
+"""A recorded run on the operator's page: what was logged at a time is what is shown for it, however one gets there."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from groundstation.web.replay import Replay
+from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
+from wire.frames import Array
+from wire.messages import Order
+from wire.toml_file import ConfigError
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    write_run(folder, Script(duration_s=30.0))
+    return folder
+
+
+@pytest.fixture
+def replay(run: Path) -> Iterator[Replay]:
+    with Replay(run) as found:
+        yield found
+
+
+def at(replay: Replay, time_s: float) -> dict[str, Any]:
+    replay.seek(time_s, 0.0)
+    return replay.snapshot()
+
+
+def error_m(robot: dict[str, Any]) -> Array:
+    eta, reference = (np.frombuffer(robot["state"][name], "<f4").astype(np.float64) for name in ("eta", "reference"))
+    return np.asarray((eta - reference)[:2])
+
+
+def test_it_waits_where_the_robots_begin_to_fly(replay: Replay) -> None:
+    first = replay.snapshot()
+    assert first["replay"] == {"time_s": pytest.approx(START_S + 0.05, abs=0.01), "rate": 0.0}
+    assert first["robots"][0]["state"]["t_s"] == pytest.approx(0.05, abs=0.01)
+    assert replay.scene()["replay"]["end_s"] == pytest.approx(START_S + 30.5, abs=0.1)
+    assert [path["robot"] for path in replay.scene()["paths"]] == [1, 2]
+
+
+@pytest.mark.parametrize("order", [(3.0, 12.5, 25.0), (25.0, 3.0, 12.5)])
+def test_any_time_shows_what_was_logged_then(replay: Replay, order: tuple[float, ...]) -> None:
+    for flown_s in order:
+        shown = at(replay, START_S + flown_s + 0.001)
+        for robot in shown["robots"]:
+            assert robot["state"]["t_s"] == pytest.approx(flown_s, abs=1e-6)
+            assert robot["age_ms"] == pytest.approx(1.0, abs=0.2)
+            expected = np.add(tracking_error(robot["id"], flown_s)[:2], POSE_OFFSET_M)  # the estimate's own offset
+            np.testing.assert_allclose(error_m(robot), expected, atol=1e-6)
+
+
+def test_what_was_never_said_or_long_ago_is_not_shown_as_now(run: Path, tmp_path: Path) -> None:
+    write_run(tmp_path, Script(duration_s=30.0, until_s=10.0))
+    with Replay(tmp_path) as cut:
+        before = at(cut, 0.5)
+        assert "state" not in before["robots"][0]
+        assert at(cut, 1e6)["robots"][0]["age_ms"] < 100.0  # the end is the last message
+    with Replay(run) as whole:
+        assert not any("silent" in alarm["text"] for alarm in at(whole, START_S + 10.0)["alarms"])
+
+
+def test_lines_of_the_log_come_by_once(replay: Replay) -> None:
+    replay.seek(START_S - 1.0, 0.0)
+    assert replay.notes() == []
+    replay._at_ns = round((START_S + 1.0) * 1e9)  # as if it had played on
+    assert [note["text"] for note in replay.notes()] == ["mission: running"]
+    assert replay.notes() == []
+
+
+def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) -> None:
+    write_run(tmp_path, Script(duration_s=30.0, clock=lambda since_s: since_s - 2.0))  # its robots set off 2 s later
+    with Replay(run, tmp_path) as both:
+        shown = at(both, START_S + 10.05)
+        ghosts = {ghost["id"]: np.frombuffer(ghost["eta"], "<f4") for ghost in shown["ghosts"]}
+        for robot in shown["robots"]:
+            here = np.frombuffer(robot["state"]["eta"], "<f4")
+            np.testing.assert_allclose(ghosts[robot["id"]][:2], here[:2], atol=1e-3)
+
+
+def test_a_recorded_run_takes_no_orders(replay: Replay) -> None:
+    assert replay.order(Order.STOP)
+
+
+def test_what_is_no_run_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"run\.mcap"):
+        Replay(tmp_path)
+
+
+def test_a_run_that_was_cut_off_is_mended(run: Path, tmp_path: Path) -> None:
+    whole = (run / "run.mcap").read_bytes()
+    (tmp_path / "run.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    (tmp_path / "experiment.toml").write_bytes((run / "experiment.toml").read_bytes())
+    with Replay(tmp_path) as found:
+        assert at(found, START_S + 3.0)["robots"][0]["state"]["t_s"] == pytest.approx(3.0, abs=0.06)
