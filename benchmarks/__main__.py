@@ -24,6 +24,7 @@ BENCHMARKS = {
     "robustness": "flights in currents, and with mass, drag, timing and localisation wrong at once (8 minutes)",
     "optimum": "the numeric scenes' whole run beside the best that is possible (1 minute)",
     "localizer": "the localizer per frame for 1 to 20 robots; its filter alone (2 minutes)",
+    "encounters": "robots in one another's way: 200 random starts of each scene (30 minutes)",
     "accuracy": "the localizer against the truth of rendered frames (10 minutes)",
 }
 

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from groundstation.runlog import Entry, RunLog
 from groundstation.series import CHANNELS, Happening, RobotSeries, Series, States
 from wire import topics
-from wire.experiment import Circle, Experiment
+from wire.experiment import Circle, Experiment, Waypoints
 from wire.frames import Array, pose_error
 from wire.messages import Event, LocalizerStatus, Mode, Pose, RobotState, Track, Trajectory, Truth
 
@@ -79,7 +79,7 @@ def align(experiment: Experiment, log: RunLog) -> Series:
         started=bool(flown),
         reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
         time_s=time_s,
-        robots={robot: _robot_series(experiment, r, time_s, start_ns, known) for robot, r in recorded.items()},
+        robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, known) for robot, r in recorded.items()},
         errors_against=None if not flown or not located else "truth" if known else "localizer",
         frame_ms=_frame_times(log, start_ns),
         happenings=_happenings(log, recorded, start_ns),
@@ -154,7 +154,7 @@ def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns:
     return max(0.0, (float(min([max(ends, default=start_ns), *known_until])) - start_ns) * 1e-9)
 
 
-def _robot_series(experiment: Experiment, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
+def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
     stamps = start_ns + time_s * 1e9
     states = _states(r.states, start_ns)
     state_stamps = np.array([e.stamp_ns for e in r.states], dtype=np.float64)
@@ -166,7 +166,7 @@ def _robot_series(experiment: Experiment, r: _Recorded, time_s: Array, start_ns:
     return RobotSeries(
         truth=r.truth.at(stamps),
         reference=_reference(r, stamps),
-        still=_middle(experiment, r.trajectory),
+        still=_middle(experiment.path_of(experiment.robot(robot)), experiment.duration_s, r.trajectory),
         states=states,
         truth_at_states=r.truth.at(state_stamps),
         disturbance_at_states=r.disturbance.at(state_stamps),
@@ -186,14 +186,14 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     return np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
 
 
-def _middle(experiment: Experiment, trajectory: Trajectory | None) -> Array | None:
+def _middle(path: Circle | Waypoints, duration_s: float, trajectory: Trajectory | None) -> Array | None:
     """The middle of a reference (4,): a circle's centre, else the mean over the run."""
     if trajectory is None or len(trajectory.eta) == 0:
         return None
-    if isinstance(experiment.path, Circle):
-        rate_radps = 2.0 * np.pi / experiment.path.lap_s
+    if isinstance(path, Circle):
+        rate_radps = 2.0 * np.pi / path.lap_s
         return np.asarray(trajectory.eta[0] + trajectory.acceleration[0] / rate_radps**2)  # a = -rate^2 (p - centre)
-    return np.asarray(trajectory.eta[: round(experiment.duration_s / trajectory.period_s) + 1].mean(axis=0))
+    return np.asarray(trajectory.eta[: round(duration_s / trajectory.period_s) + 1].mean(axis=0))
 
 
 def _states(entries: Sequence[Entry[RobotState]], start_ns: int) -> States:

@@ -251,6 +251,11 @@ def _checks(result: Result, series: Series) -> Iterator[Check]:
         known = {subject: value for subject, value in turned.items() if value is not None}
         where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
         yield _at_most("rms_yaw_after_20s_rad", where, known.get(where), limits.rms_yaw_after_20s_rad)
+    if limits.arrived_m is not None:
+        ends = {robot: r.error[-1, :2] for robot, r in series.robots.items() if _went_all_the_way(series)}
+        away = {robot: float(np.hypot(*end)) for robot, end in ends.items() if np.isfinite(end).all()}
+        last = max(away, key=lambda robot: away[robot]) if len(away) == len(series.robots) else None
+        yield _at_most("from its place at the end, m", f"robot {last}", away.get(last) if last else None, limits.arrived_m)
     if limits.pose_rms_m is not None:
         rms = result.pose_error_m.rms if result.pose_error_m else None
         yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)

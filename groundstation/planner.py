@@ -6,7 +6,7 @@ starts = start_poses(experiment, trajectories)      # where each robot is put in
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -16,7 +16,7 @@ from groundstation.formation import NodeMotion, node_motion
 from groundstation.pace import slowed
 from groundstation.spline import Path, make_path
 from wire.codec import MAX_MESSAGE_BYTES
-from wire.experiment import Experiment
+from wire.experiment import Circle, Experiment, Robot, Waypoints
 from wire.frames import Array
 from wire.messages import Trajectory
 from wire.toml_file import ConfigError
@@ -42,7 +42,8 @@ def plan(experiment: Experiment) -> dict[int, Trajectory]:
     """Each robot's trajectory: samples every controller period from 0 to the run's end, and a controller's horizon more.
 
     Raises PlanError if a robot would exceed its speed, heave, yaw-rate or thrust limits (with `path.slow` only if slowing
-    down does not help), touch a wall, floor or surface, or come closer than 2 R (36) to another.
+    down does not help), touch a wall, floor or surface, or come closer than 2 R (36) to another on the same path. Those on
+    different paths need to be apart at the end only: on the way they give way to one another.
     """
     period_s = experiment.controller.period_s
     flown = round(experiment.duration_s / period_s) + 1
@@ -50,15 +51,13 @@ def plan(experiment: Experiment) -> dict[int, Trajectory]:
     if samples * BYTES_PER_SAMPLE > MAX_MESSAGE_BYTES - 1024:
         longest = (MAX_MESSAGE_BYTES - 1024) // BYTES_PER_SAMPLE * period_s
         raise PlanError(f"duration_s = {experiment.duration_s:g}: a trajectory message holds {longest:.0f} s")
-    try:
-        path: Path = make_path(experiment.path)
-    except ValueError as error:
-        raise PlanError(str(error)) from None
-    if experiment.path.slow:
-        path = slowed(path, lambda slower: _too_fast(experiment, _motions(experiment, slower, samples)), samples, period_s)
-    if experiment.duration_s > path.end_s + period_s:
-        raise PlanError(f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s")
-    motions = _motions(experiment, path, samples)
+    paths = [experiment.path_of(robot) for robot in experiment.robots]
+    motions: dict[int, NodeMotion] = {}
+    for k, path in enumerate(paths):
+        if path not in paths[:k]:
+            group = [robot for robot, flies in zip(experiment.robots, paths, strict=True) if flies == path]
+            motions.update(_flown(experiment, path, group, samples))
+    motions = {robot: motions[robot] for robot in experiment.robot_ids}
     problems = [*_robot_problems(experiment, motions, flown), *_pair_problems(experiment, motions, flown)]
     if problems:
         raise PlanError("\n".join(problems))
@@ -95,13 +94,29 @@ def starts_json(starts: Mapping[int, Array]) -> str:
     return json.dumps({str(robot): starts[robot].tolist() for robot in sorted(starts)}, indent=1) + "\n"
 
 
-def _motions(experiment: Experiment, path: Path, samples: int) -> dict[int, NodeMotion]:
-    """Each robot's motion at `samples` control periods from 0 on."""
+def _flown(experiment: Experiment, given: Circle | Waypoints, group: Sequence[Robot], samples: int) -> dict[int, NodeMotion]:
+    """The motion of the robots on a path, at `samples` control periods from 0 on; slower than it says if they could not."""
     period_s = experiment.controller.period_s
+    try:
+        path: Path = make_path(given)
+    except ValueError as error:
+        raise PlanError(str(error)) from None
+    if given.slow:
+
+        def too_fast(slower: Path) -> Array:
+            return _too_fast(experiment, _motions(experiment, slower, group, samples))
+
+        path = slowed(path, too_fast, samples, period_s)
+    if experiment.duration_s > path.end_s + period_s:
+        raise PlanError(f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s")
+    return _motions(experiment, path, group, samples)
+
+
+def _motions(experiment: Experiment, path: Path, group: Sequence[Robot], samples: int) -> dict[int, NodeMotion]:
+    period_s, formation = experiment.controller.period_s, experiment.formation
     centre = path.at(np.arange(samples, dtype=np.float64) * period_s)
     return {
-        robot.id: node_motion(centre, node_m, experiment.formation.mode, period_s)
-        for robot, node_m in zip(experiment.robots, experiment.nodes_m(), strict=True)
+        robot.id: node_motion(centre, formation.scale * np.array(robot.node_m), formation.mode, period_s) for robot in group
     }
 
 
@@ -151,7 +166,10 @@ def _robot_problems(experiment: Experiment, motions: Mapping[int, NodeMotion], f
 def _pair_problems(experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int) -> Iterator[str]:
     closest_m = 2.0 * experiment.safety.radius_m
     for a, b in combinations(sorted(motions), 2):
-        apart = np.linalg.norm(motions[a].eta[:flown, :3] - motions[b].eta[:flown, :3], axis=1)
+        together = experiment.path_of(experiment.robot(a)) == experiment.path_of(experiment.robot(b))
+        counts = slice(flown) if together else slice(flown - 1, flown)
+        apart = np.full(flown, np.inf)
+        apart[counts] = np.linalg.norm(motions[a].eta[counts, :3] - motions[b].eta[counts, :3], axis=1)
         index = int(np.argmin(apart))
         if apart[index] < closest_m - TOLERANCE:
             short = f"{apart[index]:.3f} m apart, {closest_m - apart[index]:.3f} less than 2 safety.radius_m = {closest_m:g}"

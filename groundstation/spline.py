@@ -4,7 +4,7 @@ A waypoint path is a natural cubic spline over chord length, then re-parametrise
 length the speed would be wrong by up to 21 % (ambiguity A8). Pool frame: z is depth, yaw grows from x to y.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -71,7 +71,7 @@ class CirclePath:
 class SplinePath:
     """A natural cubic spline through waypoints at constant horizontal speed; time 0 is at waypoint `start_index`.
 
-    Past its last waypoint the path goes straight on: natural ends have no curvature, so nothing jumps there.
+    Past its last waypoint the path goes straight on (natural ends have no curvature, so nothing jumps there), or stops.
     """
 
     def __init__(self, waypoints: Waypoints) -> None:
@@ -95,7 +95,9 @@ class SplinePath:
         self._start_m = float(self._arc[waypoints.start_index * PIECES])
         self._speed, self._dive, self._depth = waypoints.speed_mps, waypoints.dive_mps, waypoints.depth_m
         self.length_m = float(self._arc[-1])
-        self.end_s = (self.length_m - self._start_m) / self._speed
+        self._way_s = (self.length_m - self._start_m) / self._speed
+        self._stops = waypoints.stop
+        self.end_s = float("inf") if self._stops else self._way_s
 
     def _length(self, start: Array, width: Array) -> Array:
         """Arc length of the curve over [start, start + width] of the chord parameter, shape (n,)."""
@@ -119,6 +121,21 @@ class SplinePath:
         return np.asarray(q)
 
     def at(self, time_s: Array) -> PathState:
+        return self._stopped(time_s) if self._stops else self._under_way(time_s)
+
+    def _stopped(self, time_s: Array) -> PathState:
+        """At rest from the last waypoint on."""
+        at = self._under_way(np.minimum(time_s, self._way_s))
+        moves = (time_s < self._way_s).astype(np.float64)
+        return replace(
+            at,
+            velocity_mps=at.velocity_mps * moves[:, None],
+            acceleration_mps2=at.acceleration_mps2 * moves[:, None],
+            yaw_rate_radps=at.yaw_rate_radps * moves,
+            yaw_acceleration_radps2=at.yaw_acceleration_radps2 * moves,
+        )
+
+    def _under_way(self, time_s: Array) -> PathState:
         arc = self._start_m + self._speed * time_s
         inside = np.clip(arc, 0.0, self.length_m)
         q = self.chord_parameter(inside)

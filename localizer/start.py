@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wire.experiment import Circle, Experiment
+from wire.experiment import Circle, Experiment, Waypoints
 from wire.frames import Array
 
 
@@ -13,20 +13,19 @@ def start_poses(experiment: Experiment) -> Array:
     The path's first point and tangent (equations 12, 13), the formation's node (14-16), then the robot's own offset; an
     explicit `start` replaces all of that.
     """
-    centre, tangent_rad = _path_start(experiment)
-    turn = tangent_rad - np.pi / 2 if experiment.formation.mode == "rotate" else 0.0
-    c, s = np.cos(turn), np.sin(turn)
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     poses = []
     for robot, node in zip(experiment.robots, experiment.nodes_m(), strict=True):
+        centre, tangent_rad = _path_start(experiment.path_of(robot))
+        turn = tangent_rad - np.pi / 2 if experiment.formation.mode == "rotate" else 0.0
+        c, s = np.cos(turn), np.sin(turn)
+        rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         reference = np.append(centre + rotation @ node, tangent_rad)
         poses.append(np.array(robot.start) if robot.start is not None else reference + np.array(robot.start_offset))
     return np.array(poses)
 
 
-def _path_start(experiment: Experiment) -> tuple[Array, float]:
-    """First point (3,) of the virtual centre's path, and the heading of its tangent."""
-    path = experiment.path
+def _path_start(path: Circle | Waypoints) -> tuple[Array, float]:
+    """First point (3,) of a path, and the heading of its tangent."""
     if isinstance(path, Circle):
         return np.array([path.diameter_m / 2.0, 0.0, path.depth_m]), np.pi / 2
     points = np.array(path.points_m)

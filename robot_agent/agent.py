@@ -69,7 +69,12 @@ class Agent:
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
         self._controller = Controller(
-            experiment.vehicle, experiment.controller, experiment.safety, self._me.urgent, follows=leader is not None
+            experiment.vehicle,
+            experiment.controller,
+            experiment.safety,
+            self._me.urgent,
+            follows=leader is not None,
+            room_m=experiment.pool.size_m[:2],
         )
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)

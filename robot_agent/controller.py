@@ -7,6 +7,7 @@ The data's way through `Controller.step`:
 
     measurement -> Estimator (eso.py)       state at the exposure, predicted to now and to when a new command can act
     goal        -> Reference (reference.py) path over the horizon, heading that lets surge thrust correct lateral errors
+                -> Passing (passing.py)         the same path, or one that leads round somebody who is in the way
     neighbours  -> Formation (formation.py) weighted reference, half-spaces that keep robots apart
                 -> Mpc (mpc.py, model.py, qp.py)    wrench over the horizon; or another law (law.py)
                 -> Allocator (allocation.py)        4 thrusters and 4 ankles, as pulse widths
@@ -28,6 +29,7 @@ from robot_agent.guidance import Guidance
 from robot_agent.law import guidance_config, make_law
 from robot_agent.model import Model
 from robot_agent.mpc import MpcPlan
+from robot_agent.passing import Passing, mover
 from robot_agent.reference import Follow, Goal, Hold, Path, Sampler
 from wire.experiment import Controller as ControllerConfig
 from wire.experiment import Safety
@@ -69,9 +71,16 @@ class Controller:
     """One robot's controller with its memory and workspaces."""
 
     def __init__(
-        self, vehicle: Vehicle, config: ControllerConfig, safety: Safety, urgent: bool = False, follows: bool = False
+        self,
+        vehicle: Vehicle,
+        config: ControllerConfig,
+        safety: Safety,
+        urgent: bool = False,
+        follows: bool = False,
+        room_m: tuple[float, float] | None = None,
     ) -> None:
-        """`follows`: its one neighbour in the formation is its leader."""
+        """`follows`: its one neighbour in the formation is its leader. `room_m` is the pool's length and width; None: there
+        are no walls to look out for."""
         horizon, period_s = config.mpc.horizon, config.period_s
         self._config, self._urgent, self._follows = config, urgent, follows
         self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
@@ -84,6 +93,7 @@ class Controller:
         self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
         whole = config.mpc.model_copy(update={"q_formation": (1.0, 1.0, 1.0, 1.0)})
         self._formation = Formation(whole if follows else config.mpc, safety, period_s)
+        self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m)
         self._law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
         self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
@@ -100,7 +110,8 @@ class Controller:
         self._take_up(goal)
         path = self._sampler.path(goal)
         company = self._formation.company(neighbours, now_ns + self._dead_ns)
-        weight, command = self._command(goal, path, company, estimate)
+        lead = path if isinstance(goal, Hold) else self._lead(path, company, estimate, now_ns)
+        weight, command = self._command(goal, lead, company, estimate)
         expected = self._law.expected(estimate.action)
         keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns)
         plan = self._law.plan(
@@ -113,6 +124,13 @@ class Controller:
         before, self._goal = self._goal, goal
         if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
             self._guidance.reset()
+            self._passing.reset()
+
+    def _lead(self, path: Path, company: Company, estimate: Estimate, now_ns: int) -> Path:
+        """The path itself, or one that leads round the others."""
+        x, y, z, _ = estimate.eta.tolist()
+        others = [mover(n, self._formation.keep_m(n, now_ns), z, self._urgent, now_ns) for n in company.others]
+        return self._passing.lead(path, complex(x, y), [other for other in others if other is not None])
 
     def _command(self, goal: Goal, path: Path, company: Company, estimate: Estimate) -> tuple[Array, Array]:
         """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""
@@ -178,6 +196,7 @@ class Controller:
         """Thrusters off, plan forgotten. The plan that is told to others: it stays where it is."""
         self._law.reset()
         self._guidance.reset()
+        self._passing.reset()
         self._goal = None
         wrench_step, self._wrench = -self._wrench, np.zeros(3)
         self._estimator.applied((0.0, 0.0, 0.0), now_ns)

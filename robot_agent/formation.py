@@ -23,7 +23,8 @@ LONGEST_PLAN = 1000  # rows of a plan that is resampled
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
-SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal: the two robots see each other's figure a step late
+SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal,
+ERROR_RATE_MPS = 0.5  # and so do those that may have been since one was told: no robot moves faster
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,19 +40,21 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class Rank:
-    """What the article ranks robots by (section 3.3): urgent task, small tracking error, hears others. Higher goes first."""
+    """What the article ranks robots by (section 3.3): urgent task, then small tracking error. Higher goes first. Its third
+    mark, who hears others, comes first of all here and the other way round: one that hears nobody cannot yield."""
 
     urgent: bool
     tracking_error_m: float
     heard: int
 
-    def above(self, other: "Rank") -> bool:
-        """True if the other must yield to this one."""
+    def above(self, other: "Rank", age_s: float = 0.0) -> bool:
+        """True if the other, told so long ago, must yield to this one. Two robots never both are above one another, however
+        late they hear of each other: what may have changed meanwhile does not count."""
+        if other.heard == 0:
+            return False
         if self.urgent != other.urgent:
             return self.urgent
-        if abs(self.tracking_error_m - other.tracking_error_m) > SAME_ERROR_M:
-            return self.tracking_error_m < other.tracking_error_m
-        return (self.heard > 0) > (other.heard > 0)
+        return other.tracking_error_m - self.tracking_error_m > SAME_ERROR_M + ERROR_RATE_MPS * max(age_s, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,14 +151,20 @@ class Formation:
         pull *= self._weights
         return pull.reshape(-1, 4), members * self._weight
 
-    def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
-        """How far to stay away, or None if that robot yields. Nobody yields to what cannot be heard."""
+    def keep_m(self, neighbour: Neighbour, now_ns: int) -> float:
+        """How far to stay away from it: the longer it is silent, the farther."""
         keep = 2.0 * self._safety.radius_m
         if neighbour.fresh:
-            plan = neighbour.plan
-            return None if own.above(Rank(plan.urgent, plan.tracking_error_m, plan.heard)) else keep
+            return keep
         silent_s = max(0.0, (now_ns - neighbour.stamp_ns) / NS)
         return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
+
+    def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
+        """The same, or None if that robot yields. Nobody yields that cannot be heard."""
+        plan, age_s = neighbour.plan, (now_ns - neighbour.stamp_ns) / NS
+        if neighbour.fresh and own.above(Rank(plan.urgent, plan.tracking_error_m, plan.heard), age_s):
+            return None
+        return self.keep_m(neighbour, now_ns)
 
     def half_spaces(self, company: Company, own: Array, rank: Rank, now_ns: int) -> HalfSpaces:
         """Half-spaces across the lines between predicted positions, where we come close (A6). `own` (2, horizon + 1, 2) is

@@ -61,6 +61,7 @@ class Waypoints(Section):
     depth_m: NotNegative = 0.0
     dive_mps: float = 0.0
     slow: bool = False  # slow down where a robot would exceed its limits, instead of refusing the plan
+    stop: bool = False  # at the last waypoint, and stay; otherwise the run must end before the path does
 
     @model_validator(mode="after")
     def _starts_on_the_path(self) -> Self:
@@ -84,13 +85,15 @@ class Formation(Section):
 
 
 class Robot(Section):
-    """One robot: its node in the formation, and where it starts.
+    """One robot: its node in the formation, or a path of its own, and where it starts.
 
-    `start_offset` is [x m, y m, z m, yaw rad] from the first reference; `start` is a pose in the pool frame instead.
+    `start_offset` is [x m, y m, z m, yaw rad] from the first reference; `start` is a pose in the pool frame instead. Robots
+    on one path are planned to stay apart; on different paths they may be planned through one another, and give way there.
     """
 
     id: Annotated[int, Field(ge=1, le=49)]
     node_m: Vec3
+    path: Annotated[Circle | Waypoints, Field(discriminator="kind")] | None = None  # default: the formation's
     start_offset: Vec4 = (0.0, 0.0, 0.0, 0.0)
     start: Vec4 | None = None
     neighbours: tuple[int, ...] = ()
@@ -349,6 +352,7 @@ class Limit(Section):
     rms_after_20s_m: Positive | None = None
     rms_yaw_after_20s_rad: Positive | None = None  # to the path's tangent
     max_after_20s_m: Positive | None = None
+    arrived_m: Positive | None = None  # each robot from its last reference, horizontally, at the end of the run
     pose_rms_m: Positive | None = None
     wrench_step_rms: Fraction | None = None  # after 20 s: RMS of the inputs' change per step, as a fraction of its bound
     exposure_to_pwm_p99_ms: Positive | None = None
@@ -443,6 +447,10 @@ class Experiment(Section):
         """Whom a robot follows instead of its own node; None if nobody."""
         leader = self.robot_ids[0] if self.formation.leader is None else self.formation.leader
         return leader if self.formation.kind == "leader-follower" and leader != robot_id else None
+
+    def path_of(self, robot: Robot) -> Circle | Waypoints:
+        """The path whose node that robot is on."""
+        return self.path if robot.path is None else robot.path
 
     def nodes_m(self) -> Array:
         """Formation nodes from the virtual centre, shape (robots, 3), scaled by L = l I (15)."""

@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from robot_agent.formation import NEAREST, Formation, HalfSpaces, Neighbour, Rank
 from wire.experiment import Mpc as MpcConfig
@@ -78,11 +80,31 @@ def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() ->
     [
         (Rank(True, 1.0, 0), Rank(False, 0.0, 3)),
         (Rank(False, 0.1, 0), Rank(False, 0.2, 3)),
-        (Rank(False, 0.1, 1), Rank(False, 0.11, 0)),
     ],
 )
 def test_ranks(high: Rank, low: Rank) -> None:
     assert high.above(low) and not low.above(high) and not high.above(high)
+
+
+@pytest.mark.parametrize("high", [Rank(True, 0.0, 3), Rank(False, 0.0, 3)])
+def test_nobody_is_above_a_robot_that_hears_nobody_and_so_cannot_yield(high: Rank) -> None:
+    assert not high.above(Rank(False, 1.0, 0))
+
+
+@settings(max_examples=300)
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.5), st.floats(0.0, 0.5))
+def test_two_robots_are_never_both_above_one_another(seed: int, age_a_s: float, age_b_s: float) -> None:
+    """However late each hears of the other: tracking errors change by 0.5 m/s at most."""
+    random = np.random.default_rng(seed)
+    step_s = 0.01
+    errors = np.abs(np.cumsum(random.choice([-1.0, 1.0], (2, 100)) * 0.5 * step_s, axis=1) + random.uniform(0.0, 0.2, (2, 1)))
+
+    def rank(robot: int, age_s: float) -> Rank:
+        return Rank(False, float(errors[robot, 99 - int(age_s / step_s)]), 1)
+
+    a_first = rank(0, 0.0).above(rank(1, age_b_s), age_b_s)
+    b_first = rank(1, 0.0).above(rank(0, age_a_s), age_a_s)
+    assert not (a_first and b_first)
 
 
 def test_the_higher_ignores_the_lower_which_yields_and_equals_both_act() -> None:

@@ -1,0 +1,118 @@
+"""`python -m benchmarks encounters`: 200 random starts of every scene in which robots are in one another's way (30 minutes).
+
+Each seed draws where, in which direction and how late each robot starts, its sensors' noise and biases and the strength of its
+thrusters. Controllers and plant run in one process; separation is measured on the plant's truth.
+"""
+
+import dataclasses
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from benchmarks.harness import Row
+from groundstation import planner
+from sim_bridge.numeric import AgentFleet, BareWater
+from wire.experiment import Experiment, load_experiment
+from wire.frames import Array
+from wire.messages import Trajectory
+
+SCENES = ("swap", "crossing-2", "crossing-4", "overtake")
+STARTS = 200
+PLACE_M, YAW_RAD, LATE_S = 0.15, 0.8, 2.0  # how far off, turned away and late a robot starts at most
+NEAREST_M = 0.6  # twice safety.radius_m in all scenes: how near centres may come
+THERE_M = 0.1  # a robot this near its goal has arrived
+SETTLED_S = 3.0  # a flight ends when everyone has been there for so long
+STREAM = 41  # keeps this use of the seed apart from the others
+
+
+@dataclass(frozen=True, eq=False)
+class Encounter:
+    """What happened."""
+
+    seed: int
+    nearest_m: float  # centres of any two robots; infinite if there is one only
+    slack_m: float  # most that a plan entered the space of another
+    arrived_s: tuple[float, ...]  # each robot, to stay; infinite if it did not
+    track: Array  # (steps, robots, 4) true poses
+
+    @property
+    def deadlock(self) -> bool:
+        """Somebody did not get where it was to go."""
+        return max(self.arrived_s) == float("inf")
+
+
+def meet(experiment: Experiment, seed: int) -> Encounter:
+    """Fly a scene from starts that a seed draws."""
+    random = np.random.default_rng([seed, STREAM])
+    trajectories = planner.plan(experiment)
+    planned = planner.start_poses(experiment, trajectories)
+    starts = np.array([planned[robot] for robot in experiment.robot_ids])
+    starts += random.uniform(-1.0, 1.0, starts.shape) * [PLACE_M, PLACE_M, 0.0, YAW_RAD]
+    late = {robot: _late(trajectory, random.uniform(0.0, LATE_S)) for robot, trajectory in trajectories.items()}
+    water = BareWater(experiment, seed, starts)
+    fleet = AgentFleet(experiment, late, water, seed)
+    fleet.start()
+    held = len(fleet.truth) - 1
+    goals = np.array([late[robot].eta[-1] for robot in experiment.robot_ids])
+    there_s = 0.0
+    while fleet.time_s < experiment.duration_s - 1e-9 and there_s < SETTLED_S:
+        fleet.step()
+        there = np.hypot(*(fleet.truth[-1] - goals)[:, :2].T).max() < THERE_M
+        there_s = there_s + experiment.controller.period_s if there else 0.0
+    track = np.array(fleet.truth[held:])
+    away = np.hypot(*(track - goals)[:, :, :2].T)
+    return Encounter(
+        seed,
+        min((_apart(track, a, b) for a, b in combinations(range(len(starts)), 2)), default=float("inf")),
+        max(state.slack_m for robot in fleet.robots for state in robot.states),
+        tuple(_arrival(each, experiment.controller.period_s) for each in away),
+        track,
+    )
+
+
+def _late(trajectory: Trajectory, delay_s: float) -> Trajectory:
+    """The same, after a wait at its start."""
+    wait = round(delay_s / trajectory.period_s)
+    rows = np.maximum(np.arange(len(trajectory.eta)) - wait, 0)
+    moves = (np.arange(len(rows)) >= wait)[:, None]
+    velocity, acceleration = trajectory.velocity[rows] * moves, trajectory.acceleration[rows] * moves
+    return dataclasses.replace(trajectory, eta=trajectory.eta[rows], velocity=velocity, acceleration=acceleration)
+
+
+def _apart(track: Array, a: int, b: int) -> float:
+    return float(np.hypot(*(track[:, a, :2] - track[:, b, :2]).T).min())
+
+
+def _arrival(away_m: Array, period_s: float) -> float:
+    outside = np.flatnonzero(away_m > THERE_M)
+    last = int(outside[-1]) if len(outside) else -1
+    return (last + 1) * period_s if last + 1 < len(away_m) else float("inf")
+
+
+def _flown(task: tuple[str, int]) -> Encounter:
+    name, seed = task
+    return dataclasses.replace(meet(load_experiment(name), seed), track=np.zeros(0))
+
+
+def campaign(scenes: Sequence[str] = SCENES, seeds: Iterable[int] = range(STARTS)) -> Iterator[tuple[str, list[Encounter]]]:
+    """All flights of each scene, on all cores."""
+    with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
+        for name in scenes:
+            yield name, list(pool.map(_flown, [(name, seed) for seed in seeds]))
+
+
+def run() -> Iterable[Row]:
+    """Separation, deadlocks, time to the goal."""
+    for name, flights in campaign():
+        worst = min(flights, key=lambda flight: flight.nearest_m)
+        stuck = [flight.seed for flight in flights if flight.deadlock]
+        print(f"{name}: nearest {worst.nearest_m:.3f} m with seed {worst.seed}; deadlocks: {stuck or 'none'}")
+        nearer = [NEAREST_M - flight.nearest_m for flight in flights]
+        yield Row.of("encounters", name, "ours", f"m nearer than {NEAREST_M:g} m", nearer)
+        yield Row.of("encounters", name, "ours", "m of slack", [flight.slack_m for flight in flights])
+        yield Row.of("encounters", name, "ours", "s to the goal", [max(flight.arrived_s) for flight in flights])
+        yield Row("encounters", name, "ours", "deadlocks", len(stuck), len(stuck), len(stuck), len(flights))

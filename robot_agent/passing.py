@@ -1,0 +1,266 @@
+"""Round one another: the reference itself gives way, where it would lead a robot into another or into an obstacle.
+
+Half-spaces (36) keep robots apart but cannot part two that want to run through one another: head on they stop 2R apart and
+push for ever, and no plan shows a way out (a robot that stands does not move sideways by turning, to first order). So what
+the robot follows is a point that is on its reference as long as that is free, and takes another velocity while it is not:
+
+* Free is what passes everyone by 2R + ROOM_M within LOOK_AHEAD_S, if they go on as they have told.
+* Two robots that meet leave one another to port (they keep to starboard), unless they are already well on the other side.
+  The side is that of the relative motion, which both see alike whoever turns first. Round obstacles the shorter way counts.
+* Who is overtaken goes on as before; so does who has an urgent task, among those who have none.
+* Of the velocities that are free, the one nearest to the velocity wanted is taken, changing steadily.
+
+Then the point returns to the reference, at a rate that falls with the distance: no overshoot. Robots in formation have the
+same velocity, never meet, and are given back the very path they came with.
+"""
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_agent.formation import Neighbour
+from robot_agent.reference import Path
+from wire.frames import Array, wrap
+from wire.vehicle import Vehicle
+
+LOOK_AHEAD_S = 8.0  # two robots at 0.1 m/s begin to turn 1.6 m before they would touch
+LOOK_STEP_S = 0.25
+MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
+SURE_STEPS = 4  # before the reference is left: mates that start a step earlier than they tell are nobody to avoid
+ROOM_M = 0.10  # beyond what the half-spaces keep, so that these need not act: tracking in a bend is good to 5 cm
+SLIGHTEST_MPS = 0.01  # who closes in slower does not meet anybody: formations sway about so
+PARTING = 0.999  # of the distance there is: nearer than they should be, robots may go any way that leads no nearer
+WELL_CLEAR = 0.5  # of the distance to keep: whoever passes so far on the other side stays on it
+ABAFT = -0.38  # cosine of 112.5 degrees from ahead: who comes from there overtakes, and has to keep clear
+RETURN_PER_S = 0.3
+CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with; at least
+CATCH_UP_MPS = 0.06
+CHANGE_MPS2 = 0.1  # of the point's velocity: a robot at 0.1 m/s turns by 60 degrees in a second
+LEASH_M = 0.25  # the point waits for a robot that is held up
+HOLD_COURSE_MPS = 0.02  # slower, a direction of motion means nothing
+TURN_RADPS = 0.8
+ARRIVED_M, ARRIVED_MPS, ARRIVED_RAD = 0.002, 0.004, 0.02
+WALL_S = 3.0  # a velocity is not taken if in this time it leads closer to a wall than WALL_M beyond the hull
+WALL_M = 0.05
+
+_STEPS_S = np.arange(1, round(LOOK_AHEAD_S / LOOK_STEP_S) + 1) * LOOK_STEP_S
+_ANGLES = np.radians(np.arange(-150.0, 151.0, 7.5))
+_PACES = np.array([1.0, 0.7, 0.4])
+_TURNS = np.append(np.outer(_PACES, np.exp(1j * _ANGLES)), 0.0)
+# Standing still is as bad as a turn by 115 degrees: if robots would rather wait than turn, four of them wait for one another.
+# Of two ways equally long, the one to starboard.
+_PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_ANGLES < 0.0), 2.0)
+
+
+@dataclass(frozen=True)
+class Mover:
+    """Somebody or something that may be met: what one needs to know now, as complex numbers x + iy."""
+
+    place: complex  # m
+    velocity: complex  # m/s, that it means to have
+    keep_m: float  # distance to stay away
+    sided: bool  # a robot that keeps to starboard too
+    yields: bool = False  # it has to keep clear of us
+
+
+def mover(neighbour: Neighbour, keep_m: float, depth_m: float, urgent: bool, now_ns: int) -> Mover | None:
+    """Another robot as its plan tells; None if it is as far below or above `depth_m` as it should be beside."""
+    plan, last = neighbour.plan, len(neighbour.plan.eta) - 1
+    step = min(max(round((now_ns - neighbour.stamp_ns) / 1e9 / plan.period_s), 0), last)
+    then = min(step + max(round(MEANT_S / plan.period_s), 1), last)
+    x, y, z, _ = plan.eta[step].tolist()
+    if abs(z - depth_m) >= keep_m:
+        return None
+    from_x, from_y, _, _ = plan.eta_reference[step].tolist()
+    to_x, to_y, _, _ = plan.eta_reference[then].tolist()
+    velocity = complex(to_x - from_x, to_y - from_y) / (max(then - step, 1) * plan.period_s)
+    yields = urgent and neighbour.fresh and not plan.urgent and plan.heard > 0
+    return Mover(complex(x, y), velocity, keep_m + ROOM_M, True, yields)
+
+
+class Passing:
+    """One robot's point that is followed, with its memory."""
+
+    def __init__(self, vehicle: Vehicle, times_s: Array, period_s: float, room_m: tuple[float, float] | None = None) -> None:
+        """`times_s` (rows,) are the instants of a path's rows from now, `room_m` the pool's length and width."""
+        self._times_s, self._period_s = times_s, period_s
+        self._fastest_mps = 0.8 * vehicle.limits.speed_mps
+        self._steps = np.diff(times_s).tolist()
+        half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
+        self._room_x, self._room_y = (half - vehicle.radius_m - WALL_M).tolist()
+        self._second = int(np.searchsorted(times_s, MEANT_S - 1e-9))
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the reference at once."""
+        self._point: complex | None = None  # None: on the reference
+        self._velocity = 0j
+        self._turn = 0.0  # of the heading, away from the reference's
+        self._met = 0  # steps for which somebody has been in the way
+
+    def lead(self, path: Path, place: complex, movers: Sequence[Mover]) -> Path:
+        """The path to follow instead of `path` by a robot at `place`; `path` itself if there is no reason to leave it."""
+        if self._point is None:
+            self._met = self._met + 1 if self._meets(path, place, movers) else 0
+            if self._met < SURE_STEPS:
+                return path
+        begin, speed = complex(path.eta[0, 0], path.eta[0, 1]), complex(path.velocity[0, 0], path.velocity[0, 1])
+        if self._point is None:
+            self._point, self._velocity, self._turn = begin, speed, 0.0
+        wanted = self._towards(begin, speed, self._point)
+        course = self._way_round(path, place, wanted, movers)
+        if course is not None:  # do not run away from a robot that cannot follow
+            away = self._point - place
+            self._point = place + away * min(1.0, LEASH_M / max(abs(away), LEASH_M))
+        led = self._follow(path, course)
+        if course is None and self._is_back(path):
+            self.reset()
+        return led
+
+    # --- is there anybody
+
+    def _meets(self, path: Path, place: complex, movers: Sequence[Mover]) -> bool:
+        """Whether the straight line of the coming second, carried on, leads too close to anybody."""
+        if not movers:
+            return False
+        rows = path.eta[:: self._second][:2, :2].tolist()
+        velocity = complex(rows[1][0] - rows[0][0], rows[1][1] - rows[0][1]) / float(self._times_s[self._second])
+        return abs(velocity) >= SLIGHTEST_MPS and any(_closes_in(place, velocity, mover) for mover in movers)
+
+    def _towards(self, goal: complex, speed: complex, point: complex) -> complex:
+        """The velocity that leads a point back to its goal, which moves at `speed`."""
+        back = RETURN_PER_S * (goal - point)
+        limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
+        velocity = speed + back * min(1.0, limit / max(abs(back), limit))
+        return velocity * min(1.0, self._fastest_mps / max(abs(velocity), self._fastest_mps))
+
+    def _way_round(self, path: Path, place: complex, wanted: complex, movers: Sequence[Mover]) -> complex | None:
+        """The velocity to take because somebody is in the way; None if nobody is."""
+        heeded = [mover for mover in movers if not mover.yields and not _overtakes(place, wanted, mover)]
+        if not heeded or abs(wanted) < SLIGHTEST_MPS:
+            return None
+        away = np.array([mover.place for mover in heeded]) - place
+        velocity = np.array([mover.velocity for mover in heeded])
+        keep = np.minimum([mover.keep_m for mover in heeded], PARTING * np.abs(away))
+        shift = self._ahead(path)[:, None] - velocity * _STEPS_S[:, None]
+        meets = (np.abs(away - shift) < keep).any(axis=0)
+        if not meets.any():
+            return None
+        sided = meets & np.array([mover.sided for mover in heeded])
+        return self._nearest_free(place, wanted, away, velocity, keep, sided)
+
+    def _ahead(self, path: Path) -> NDArray[np.complex128]:
+        """How far the point would move if it returned to the reference, (steps,) LOOK_STEP_S apart."""
+        assert self._point is not None
+        last, times_s = self._times_s[-1], self._times_s
+        beyond = np.maximum(_STEPS_S - last, 0.0)
+        x, y = (np.interp(_STEPS_S, times_s, path.eta[:, k]) + beyond * path.velocity[-1, k] for k in (0, 1))
+        goals = (x + 1j * y).tolist()
+        point, before, ahead = self._point, complex(path.eta[0, 0], path.eta[0, 1]), []
+        for goal in goals:
+            point += LOOK_STEP_S * self._towards(before, (goal - before) / LOOK_STEP_S, point)
+            before = goal
+            ahead.append(point - self._point)
+        return np.array(ahead)
+
+    def _nearest_free(
+        self,
+        place: complex,
+        wanted: complex,
+        away: NDArray[np.complex128],
+        velocity: NDArray[np.complex128],
+        keep: Array,
+        sided: NDArray[np.bool_],
+    ) -> complex:
+        """Of a fan of velocities the one nearest to `wanted` that passes everyone (k,) at their distance, robots on their
+        side; if none does, the one that keeps farthest away."""
+        now = self._velocity - velocity
+        side = np.where(_across(now, away) > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)  # 1: leaves it to starboard
+        ways = wanted * _TURNS
+        closing = ways[:, None] - velocity
+        towards = away.real * closing.real + away.imag * closing.imag
+        time_s = np.clip(towards / np.maximum(np.abs(closing) ** 2, 1e-12), 0.0, LOOK_AHEAD_S)
+        nearest = np.abs(away - closing * time_s)
+        comes = towards > 0.0
+        bad = np.where(comes & (nearest < keep), 1.0 - nearest / keep, 0.0)
+        wrong = sided & comes & (time_s < LOOK_AHEAD_S) & (_across(closing, away) * side < 0.0)
+        worst = np.maximum(np.where(wrong, 1.0, bad).max(axis=1), self._into_wall(place, ways))
+        price = _PRICE + 0.3 * np.abs(ways - self._velocity) / abs(wanted)
+        return complex(ways[np.argmin(100.0 * worst + price)])
+
+    def _into_wall(self, place: complex, ways: NDArray[np.complex128]) -> Array:
+        """1 for velocities that lead too close to a wall, (ways,)."""
+        ahead = place + ways * WALL_S
+        x, y = max(self._room_x, abs(place.real)), max(self._room_y, abs(place.imag))
+        return np.asarray((np.abs(ahead.real) > x) | (np.abs(ahead.imag) > y), dtype=np.float64)
+
+    # --- the path of the point
+
+    def _follow(self, path: Path, course: complex | None) -> Path:
+        """The point's way over the horizon, and one step of it taken."""
+        assert self._point is not None
+        goals, speeds = path.eta[:, 0] + 1j * path.eta[:, 1], path.velocity[:, 0] + 1j * path.velocity[:, 1]
+        point, velocity = self._point, self._velocity
+        places, velocities = [point], [velocity]
+        for goal, speed, step_s in zip(goals.tolist(), speeds.tolist(), self._steps, strict=False):
+            to = course if course is not None else self._towards(goal, speed, point)
+            velocity = _changed(velocity, to, CHANGE_MPS2 * step_s)
+            point += velocity * step_s
+            places.append(point)
+            velocities.append(velocity)
+        to = course if course is not None else self._towards(complex(goals[0]), complex(speeds[0]), self._point)
+        self._velocity = _changed(self._velocity, to, CHANGE_MPS2 * self._period_s)
+        self._point += self._velocity * self._period_s
+        self._steer(float(path.eta[0, 3]))
+        eta, rate, acceleration = path.eta.copy(), path.velocity.copy(), path.acceleration.copy()
+        way, going = np.array(places), np.array(velocities)
+        eta[:, 0], eta[:, 1], rate[:, 0], rate[:, 1] = way.real, way.imag, going.real, going.imag
+        eta[:, 3] += self._turn
+        acceleration[:, :2] = 0.0
+        return Path(eta, rate, acceleration)
+
+    def _steer(self, yaw_rad: float) -> None:
+        """Turn the heading towards the direction of motion, ahead or astern: a robot that comes back to its place does not
+        turn round for it."""
+        turn = 0.0
+        if abs(self._velocity) > HOLD_COURSE_MPS:
+            turn = self._turn + 0.5 * wrap(2.0 * (cmath.phase(self._velocity) - yaw_rad - self._turn))
+        most = TURN_RADPS * self._period_s
+        self._turn += min(max(turn - self._turn, -most), most)
+
+    def _is_back(self, path: Path) -> bool:
+        assert self._point is not None
+        off = abs(self._point - complex(path.eta[1, 0], path.eta[1, 1]))
+        drift = abs(self._velocity - complex(path.velocity[1, 0], path.velocity[1, 1]))
+        return off < ARRIVED_M + drift * self._period_s and drift < ARRIVED_MPS and abs(self._turn) < ARRIVED_RAD
+
+
+def _closes_in(place: complex, velocity: complex, mover: Mover) -> bool:
+    """Whether straight lines at these velocities lead nearer than they should."""
+    apart, closing = mover.place - place, velocity - mover.velocity
+    square = closing.real**2 + closing.imag**2
+    towards = apart.real * closing.real + apart.imag * closing.imag
+    if square < SLIGHTEST_MPS**2 or towards <= 0.0:
+        return False
+    return abs(apart - closing * min(towards / square, LOOK_AHEAD_S)) < min(mover.keep_m, PARTING * abs(apart))
+
+
+def _overtakes(place: complex, velocity: complex, mover: Mover) -> bool:
+    """A robot that comes from behind, on its own way forward."""
+    apart = mover.place - place
+    astern = (apart * velocity.conjugate()).real < ABAFT * abs(apart) * abs(velocity)
+    return mover.sided and astern and (mover.velocity * velocity.conjugate()).real > 0.0
+
+
+def _across(closing: NDArray[np.complex128], away: NDArray[np.complex128]) -> Array:
+    """Positive where `away` lies to starboard of the direction `closing`; |closing| times the distance of passing."""
+    return np.asarray(closing.real * away.imag - closing.imag * away.real)
+
+
+def _changed(velocity: complex, to: complex, most: float) -> complex:
+    difference = to - velocity
+    return to if abs(difference) <= most else velocity + difference * (most / abs(difference))
