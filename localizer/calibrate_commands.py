@@ -1,6 +1,6 @@
 """SHELL: the command line of `localizer calibrate` and `localizer check`."""
 
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Annotated
 
@@ -60,6 +60,8 @@ def check(
     experiment: ExperimentName,
     image: Annotated[Path | None, typer.Option(metavar="FILE", help="A picture of the experiment's camera.")] = None,
     live: Annotated[bool, typer.Option("--live", help="Take the newest frame from the bus instead.")] = False,
+    show: Annotated[bool, typer.Option("--show", help="Every new frame, in a browser of this machine, until Ctrl-C.")] = False,
+    show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8091,
     depth: Annotated[float, typer.Option(min=-1, max=20, help="Depth of the grid, m.")] = 0.3,
     out: Annotated[Path, typer.Option(help="The picture to write.")] = Path("check.png"),
     station: StationAddress = DEFAULT_STATION,
@@ -68,21 +70,30 @@ def check(
 ) -> None:
     """Draw the pool's grid where the calibration puts it, over a picture, or on black: does it lie on the pool?
 
-    Examples:  localizer check lab.toml --image pool.png          localizer check pool --live
+    Examples:  localizer check lab.toml --image pool.png          localizer check pool --show
     """
     from localizer.board_files import read_picture
-    from localizer.calibrate_shell import check_camera, live_picture
+    from localizer.check_shell import LivePictures, check_camera, show_live
+    from localizer.page import Page
     from wire.bus import Bus
-    from wire.runtime import Stop
+    from wire.runtime import Stop, start_log
     from wire.transport import Endpoint, ZenohTransport
 
     loaded = load_experiment(experiment, settings or ())
-    if live and image is not None:
-        raise typer.BadParameter("give --live or --image, not both")
-    with ExitStack() as stack:
+    if image is not None and (live or show):
+        raise typer.BadParameter("give --image, or --live or --show, not both")
+    if not (live or show):
         picture = None if image is None else read_picture(image)
-        if live:
-            typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
-            picture = live_picture(stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet)), Stop())
-    what = "the newest frame" if live else str(image)
-    typer.echo("\n".join(check_camera(loaded, picture, what, depth, out)))
+        typer.echo("\n".join(check_camera(loaded, picture, str(image), depth, out)))
+        return
+    start_log("localizer", False)
+    stop = Stop()
+    with ExitStack() as stack:
+        page = stack.enter_context(closing(Page(show_port))) if show else None
+        typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
+        pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet)))
+        picture = pictures.next(stop)
+        if picture is not None:
+            typer.echo("\n".join(check_camera(loaded, picture, "the newest frame", depth, out)))
+        if page is not None:
+            show_live(loaded, pictures, page, depth, stop)

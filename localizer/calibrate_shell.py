@@ -1,4 +1,4 @@
-"""SHELL: `localizer calibrate` and `localizer check`: files in, files and lines out.
+"""SHELL: `localizer calibrate`: files in, files and lines out.
 
 pictures -> board's corners -> lens --+
 points file (+ picture) --------------+-> pose over the pool -> camera.toml, picture, lines
@@ -16,19 +16,13 @@ import numpy as np
 from localizer.board_files import pictures, read_picture, write_picture
 from localizer.board_views import EXAMPLES, BoardView, parse_board
 from localizer.calibrate import LensFit, fit_lens
-from localizer.calibrate_report import figure_lines, lens_lines, lens_picture, pose_lines, pose_picture
-from localizer.patch import BAYER_TO_BGR, Pixels
-from localizer.pool_grid import GRID_M, draw_grid, figures
+from localizer.calibrate_report import lens_lines, lens_picture, pose_lines, pose_picture
+from localizer.patch import Pixels
 from localizer.pool_points import PoolPoints, seen_pixels
 from localizer.pool_pose import PoseFit, fit_pose
-from wire import topics
-from wire.bus import Bus
-from wire.experiment import Camera, CameraFile, Experiment
-from wire.messages import Frame
-from wire.runtime import Stop, wait
+from wire.experiment import Camera, CameraFile
 from wire.toml_file import ConfigError, check, read_toml
 
-LIVE_PATIENCE_S = 5.0
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
 _DEFAULTS = {"rate_hz": 20.0, "exposure_s": 0.008}
 _ANY_POSE = {"position_m": (0.0, 0.0, -1.0), "rotation_rad": (0.0, 0.0, 0.0)}
@@ -76,33 +70,6 @@ def calibrate(request: Request) -> list[str]:
     left_out = set() if points else set(_ANY_POSE)
     lines += ["", *_write(request.out, camera.model_dump(mode="json", exclude=left_out), "; ".join(summary), panels)]
     return [*lines, *([] if points else [_NO_POSE.format(out=request.out)])]
-
-
-def check_camera(experiment: Experiment, picture: Pixels | None, what: str, depth_m: float, out: Path) -> list[str]:
-    """Draw the experiment's pool over a BGR picture called `what` (on black without one) into `out`; returns the report's
-    lines. Raises ConfigError."""
-    width, height = experiment.camera.size_px
-    if picture is None:
-        picture = np.zeros((height, width, 3), np.uint8)
-    if picture.shape[:2] != (height, width):
-        found = f"{picture.shape[1]}x{picture.shape[0]}"
-        raise ConfigError(f"{what}: {found}, but camera.size_px of experiment {experiment.name!r} is {width}x{height}")
-    lines = figure_lines(figures(experiment.camera, experiment.pool, depth_m), depth_m)
-    drawn = picture.copy()
-    draw_grid(drawn, experiment.camera, experiment.pool, depth_m)
-    write_picture(out, drawn)
-    return [*lines, f"Wrote {out}: pink the grid ({GRID_M} m) at {depth_m:g} m, yellow the surface's edge, green the floor's."]
-
-
-def live_picture(bus: Bus, stop: Stop) -> Pixels:
-    """The newest frame on the bus, as BGR. Raises ConfigError when there is none."""
-    frames = bus.inbox(topics.FRAME, Frame)
-    wait(bus, stop, lambda: frames.newest_header() is not None, LIVE_PATIENCE_S)
-    received = frames.newest()
-    if received is None:
-        why = frames.last_error or "is the station up, and a camera or simulator running?"
-        raise ConfigError(f"--live: no frame on {frames.name} within {LIVE_PATIENCE_S:g} s: {why}")
-    return np.asarray(cv2.cvtColor(received.message.pixels, BAYER_TO_BGR), dtype=np.uint8)
 
 
 def _check_request(request: Request) -> None:

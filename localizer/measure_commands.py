@@ -47,7 +47,8 @@ def latency(
     with ExitStack() as stack:
         if source == BUS:
             log.info("looking for the station at %s", station)
-            pictures = open_bus(stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet)), clock, {})
+            bus = stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet))
+            pictures = open_bus(bus, clock, loaded.camera.rate_hz, {})
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))

@@ -16,7 +16,7 @@ from localizer.obstacles import ObstacleWatch
 from localizer.overlay import draw
 from localizer.page import Page
 from localizer.previews import Previews
-from localizer.shot import SILENT_AFTER_S, Shot, Source
+from localizer.shot import Shot, Source
 from localizer.sources import BUS, open_bus, open_own
 from wire import topics
 from wire.bus import Bus
@@ -68,7 +68,7 @@ class Shell:
         self._experiment, self._bus, self._stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames = page, publish_frames
         self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
-        self._source = own or open_bus(bus, clock, self._states)
+        self._source = own or open_bus(bus, clock, experiment.camera.rate_hz, self._states)
         self._locator = Locator(experiment)
         self._watch = _obstacle_watch(experiment)
         self._obstacles = Obstacles()
@@ -115,7 +115,7 @@ class Shell:
             self._bus.publish(topics.OBSTACLES, found, shot.stamp_ns, age_ns=max(self._clock.now_ns() - shot.instant_ns, 0))
 
     def _say_absent(self, previews: Previews) -> None:
-        why = f"no frame for {SILENT_AFTER_S} s" + (f": {self._source.trouble}" if self._source.trouble else "")
+        why = f"no frame for {self._source.silent_after_s:g} s" + (f": {self._source.trouble}" if self._source.trouble else "")
         now_ns = self._clock.now_ns()
         self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why), now_ns)
         previews.offer_nothing(why, now_ns)

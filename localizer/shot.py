@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from localizer.patch import Pixels
 from wire.runtime import Stop
 
-SILENT_AFTER_S = 0.5  # without a picture for so long, say that the camera is absent, again and again
+SILENT_FRAMES = 5  # periods without a picture: then the camera is absent, and that is said again and again
+_HICCUP_S = 0.1  # of a busy computer: nobody is absent for so short a time, however fast the camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +35,12 @@ class Shot:
 class Source(Protocol):
     """A camera, or what stands in for one."""
 
+    @property
+    def silent_after_s(self) -> float:
+        """Without a picture for so long, it says that there is none."""
+
     def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """The newest picture whenever there is a new one; None after each SILENT_AFTER_S without. Ends when told to stop, or
+        """The newest picture whenever there is a new one; None after each `silent_after_s` without. Ends when told to stop, or
         when no more can come. A source that fails recovers by itself and keeps yielding None meanwhile."""
 
     @property
@@ -44,6 +49,11 @@ class Source(Protocol):
 
     def close(self) -> None:
         """Let go of the camera."""
+
+
+def silent_after_s(rate_hz: float) -> float:
+    """When a camera of this rate is absent."""
+    return max(SILENT_FRAMES / rate_hz, _HICCUP_S)
 
 
 def as_bayer(picture: NDArray[Any]) -> Pixels | None:

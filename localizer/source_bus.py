@@ -1,9 +1,10 @@
 """SHELL: frames from the fleet's bus: of a camera process, or of the simulated pool."""
 
+import math
 import time
 from collections.abc import Iterator, Mapping
 
-from localizer.shot import SILENT_AFTER_S, Shot
+from localizer.shot import Shot, silent_after_s
 from wire import topics
 from wire.bus import Bus, Inbox, Received
 from wire.messages import Frame, RobotState
@@ -28,8 +29,8 @@ class _Sequence:
 class BusSource:
     """Frames that another process publishes, in real time. The newest wins; the sender's clock may be anything."""
 
-    def __init__(self, bus: Bus, clock: Clock) -> None:
-        self.trouble = ""
+    def __init__(self, bus: Bus, clock: Clock, rate_hz: float) -> None:
+        self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._bus, self._clock = bus, clock
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence = _Sequence()
@@ -39,7 +40,7 @@ class BusSource:
         seen = given = self._frames.newest_header()
         bad, silent_since = self._frames.bad, time.monotonic()
         while not stop.requested:
-            left_s = SILENT_AFTER_S - (time.monotonic() - silent_since)
+            left_s = self.silent_after_s - (time.monotonic() - silent_since)
             if left_s > 0.0 and wait(self._bus, stop, lambda seen=seen: self._frames.newest_header() is not seen, left_s):  # type: ignore[misc]
                 seen = self._frames.newest_header()
                 received = self._frames.newest()
@@ -67,7 +68,7 @@ class LockstepSource:
     """Frames of the simulator that owns the clock: each step waits for the frame and the robots' states that its tick
     names, and the instants are the simulator's."""
 
-    trouble = ""
+    trouble, silent_after_s = "", math.inf
 
     def __init__(self, bus: Bus, clock: LockstepClock, states: Mapping[int, Inbox[RobotState]]) -> None:
         self._bus, self._clock, self._states = bus, clock, states

@@ -4,6 +4,7 @@ Paced, they behave like a live camera: a picture is exposed when it is due, and 
 counted as dropped. As fast as possible (`max`), every picture comes and the stamps are one frame period apart.
 """
 
+import math
 import re
 import time
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 
 from localizer.patch import Pixels
-from localizer.shot import SILENT_AFTER_S, Shot, as_bayer
+from localizer.shot import Shot, as_bayer, silent_after_s
 from wire.runtime import SLICE_S, Clock, Stop, log
 from wire.toml_file import ConfigError
 
@@ -62,7 +63,7 @@ class Pace:
 class VideoSource:
     """A video file, once through."""
 
-    trouble = ""
+    trouble, silent_after_s = "", math.inf
 
     def __init__(self, path: Path, rate_hz: float | None, clock: Clock, as_fast_as_possible: bool = False) -> None:
         """`rate_hz` None: the file's own. Raises ConfigError if the file cannot be played."""
@@ -107,7 +108,7 @@ class FolderSource:
         """Raises ConfigError if there is no such folder."""
         if not path.is_dir():
             raise ConfigError(f"folder {path}: no such folder")
-        self.trouble = ""
+        self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._path, self._clock = path, clock
         self._pace = Pace(clock, rate_hz, as_fast_as_possible)
         self._shown: dict[str, int] = {}  # file name -> time of its last change
@@ -126,7 +127,7 @@ class FolderSource:
             elif not pending:
                 self._pace.rest()
                 sleep_until(self._clock, self._clock.now_ns() + _POLL_NS, stop)
-            if shot is None and time.monotonic() - silent_since < SILENT_AFTER_S:
+            if shot is None and time.monotonic() - silent_since < self.silent_after_s:
                 continue
             if shot is None and not stop.requested:
                 yield None

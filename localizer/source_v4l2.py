@@ -20,7 +20,7 @@ from typing import Any, Literal, Protocol
 import cv2
 
 from localizer.latest import Latest
-from localizer.shot import SILENT_AFTER_S, Shot, as_bayer
+from localizer.shot import Shot, as_bayer, silent_after_s
 from wire.experiment import Camera
 from wire.runtime import SLICE_S, Clock, Stop, log
 
@@ -102,7 +102,7 @@ class V4l2Source:
         open_device: Callable[[str], Capture] = open_capture,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        self.trouble = ""
+        self.trouble, self.silent_after_s = "", silent_after_s(camera.rate_hz)
         self._device, self._camera, self._clock = device, camera, clock
         self._open, self._monotonic_ns = open_device, monotonic_ns
         self._exposure_ns = round(camera.exposure_s * 1e9)
@@ -119,10 +119,11 @@ class V4l2Source:
             self._thread.start()
         silent_since = time.monotonic()
         while not stop.requested:
-            shot = self._newest.take(SLICE_S)
+            left_s = self.silent_after_s - (time.monotonic() - silent_since)
+            shot = self._newest.take(min(max(left_s, 0.0), SLICE_S))
             if shot is not None:
                 yield replace(shot, dropped=self._newest.overtaken)
-            elif time.monotonic() - silent_since < SILENT_AFTER_S:
+            elif left_s > 0.0:
                 continue
             elif not stop.requested:
                 yield None

@@ -19,9 +19,9 @@ ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
 FASTEST = math.inf
 
 
-def open_bus(bus: Bus, clock: Clock, states: Mapping[int, Inbox[RobotState]]) -> Source:
+def open_bus(bus: Bus, clock: Clock, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> Source:
     """Frames of the fleet's camera, by the clock that is given."""
-    return LockstepSource(bus, clock, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock)
+    return LockstepSource(bus, clock, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock, rate_hz)
 
 
 def open_own(name: str, camera: Camera, clock: Clock) -> Source:

@@ -3,6 +3,7 @@
 import sys
 import threading
 import tomllib
+from contextlib import closing
 from pathlib import Path
 
 import cv2
@@ -12,10 +13,12 @@ import tomli_w
 
 from localizer.__main__ import app
 from localizer.board_files import pictures, read_picture
-from localizer.calibrate_shell import live_picture
+from localizer.check_shell import LivePictures, show_live
+from localizer.page import Page
 from sim_bridge.optics import project, rays
 from tests.localizer.board_scene import Bench, charuco, marks
 from tests.localizer.scene import bayer
+from tests.localizer.stand_ins import eventually
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import EXPERIMENTS, Camera, load_experiment
@@ -280,7 +283,8 @@ def test_check_draws_the_pool_over_a_picture(
         ("--image large.png", r"large\.png: 960x720, but camera\.size_px of experiment 'pool' is 480x360"),
         ("--out check.xyz", r"check\.xyz: '\.xyz' is no kind of picture .allowed: .*\.png"),
         ("--out no/check.png", r"no/check\.png: cannot be written: No such file"),
-        ("--live --image {lab}/pool.png", "give --live or --image, not both"),
+        ("--show --image {lab}/pool.png", "give --image, or --live or --show, not both"),
+        ("--live --image {lab}/pool.png", "give --image, or --live or --show, not both"),
     ],
 )
 def test_check_refuses(
@@ -306,15 +310,42 @@ def test_the_newest_frame_of_the_bus_in_true_colours() -> None:
         frame = Frame(np.asarray(bayer(orange), dtype=np.uint8))
         later = threading.Timer(0.05, lambda: camera.publish(topics.FRAME, frame, 1))
         later.start()
-        picture = live_picture(viewer, Stop(install=False))
+        picture = LivePictures(viewer).next(Stop(install=False))
         later.join()
-    assert picture[20:40, 20:40].reshape(-1, 3).mean(axis=0) == pytest.approx([20, 120, 230], abs=1)
+    assert picture is not None and picture[20:40, 20:40].reshape(-1, 3).mean(axis=0) == pytest.approx([20, 120, 230], abs=1)
 
 
 def test_no_frame_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("localizer.calibrate_shell.LIVE_PATIENCE_S", 0.01)
+    monkeypatch.setattr("localizer.check_shell.LIVE_PATIENCE_S", 0.01)
     with (
         Bus(MemoryTransport(MemoryHub())) as bus,
         pytest.raises(ConfigError, match=r"--live: no frame on camera/frame within 0\.01 s"),
     ):
-        live_picture(bus, Stop(install=False))
+        LivePictures(bus).next(Stop(install=False))
+
+
+def test_the_live_grid_follows_the_camera_until_stopped_and_complains_of_another_size() -> None:
+    experiment, hub, stop, said = load_experiment("pool"), MemoryHub(), Stop(install=False), []
+    width, height = experiment.camera.size_px
+    with Bus(MemoryTransport(hub)) as camera, Bus(MemoryTransport(hub)) as viewer, closing(Page(0)) as page:
+        pictures, seen = LivePictures(viewer), 0
+
+        def show() -> None:
+            try:
+                show_live(experiment, pictures, page, 0.3, stop)
+            except ConfigError as error:
+                said.append(str(error))
+
+        thread = threading.Thread(target=show)
+        thread.start()
+        u, v = np.rint(project(experiment.camera, np.array([[0.5, 0.3, 0.3], [0.4, 0.4, 0.3]]))).astype(int).T
+        for grey in (60, 200):
+            camera.publish(topics.FRAME, Frame(np.full((height, width), grey, np.uint8)), grey)
+            assert eventually(lambda last=seen: (news := page.next(-1)) is not None and news[0] > last)  # type: ignore[misc]
+            news = page.next(-1)
+            assert news is not None
+            seen, shown = news[0], cv2.imdecode(np.frombuffer(news[1], np.uint8), cv2.IMREAD_COLOR)
+            assert shown is not None and (np.abs(shown[v, u].astype(int) - grey).max(axis=1) > 30).tolist() == [True, False]
+        camera.publish(topics.FRAME, Frame(np.full((480, 640), 60, np.uint8)), 300)
+        thread.join(timeout=10.0)
+    assert said == ["the newest frame: 640x480, but camera.size_px of experiment 'pool' is 1280x960"]

@@ -83,7 +83,7 @@ class StandIn:
 @pytest.fixture
 def plug(monkeypatch: pytest.MonkeyPatch) -> Iterator[Plug]:
     monkeypatch.setattr(source_v4l2, "RETRY_S", 0.01)
-    monkeypatch.setattr(source_v4l2, "SILENT_AFTER_S", 0.05)
+    monkeypatch.setattr(source_v4l2, "silent_after_s", lambda rate_hz: 0.05)
     monkeypatch.setattr(source_v4l2, "SLICE_S", 0.01)
     monkeypatch.setattr(source_v4l2, "JOIN_S", 0.02)
     camera = Plug()

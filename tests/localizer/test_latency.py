@@ -78,7 +78,7 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
     none = Located((), LocalizerStatus(), PoolView(load_experiment("pool").camera))
 
     class Camera:
-        trouble = ""
+        trouble, silent_after_s = "", 0.25
 
         def shots(self, stop: Stop) -> Iterator[Shot | None]:
             for k in range(100):

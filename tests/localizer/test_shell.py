@@ -67,14 +67,15 @@ class Localizer:
             part.rename(self.folder / f"{self.written}.bmp")
 
     def until(self, camera: CameraHealth) -> LocalizerStatus:
-        """Wait until it has looked at every picture and says this about its camera."""
+        """Wait until it has looked at every picture and has said this about its camera."""
 
-        def said() -> bool:
-            newest = self.statuses[-1] if self.statuses else LocalizerStatus()
-            return newest.frames == self.written and newest.camera is camera
+        def said() -> list[LocalizerStatus]:
+            return [status for status in self.statuses if status.frames == self.written and status.camera is camera]
 
-        assert eventually(said, PATIENCE_S), f"not {camera.name}: {self.statuses[-1:]}, process {self.process.poll()}"
-        return self.statuses[-1]
+        assert eventually(lambda: bool(said()), PATIENCE_S), (
+            f"not {camera.name}: {self.statuses[-1:]}, process {self.process.poll()}"
+        )
+        return said()[-1]
 
     def first(self, camera: CameraHealth) -> int:
         """Number of the first picture that it said this about."""

@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer import source_bus, source_files
+from localizer import source_files
 from localizer.patch import BAYER_TO_BGR, Pixels
 from localizer.shot import Shot, as_bayer
 from localizer.source_bus import BusSource
 from localizer.source_files import FolderSource, VideoSource
+from localizer.source_v4l2 import V4l2Source
 from localizer.sources import open_own
 from tests.localizer.stand_ins import MS, HandClock, flat, level
 from wire import topics
@@ -26,7 +27,7 @@ from wire.runtime import LockstepClock, Stop, WallClock
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
 
-PERIOD_MS = 50
+PERIOD_MS, RATE_HZ = 50, 20.0
 CAMERA = load_experiment("pool").camera
 
 
@@ -79,7 +80,7 @@ def test_raw_pictures_pass_alpha_is_dropped_and_other_depths_are_refused() -> No
 def test_the_newest_frame_wins_and_the_ones_it_overtook_are_counted() -> None:
     hub, stop = MemoryHub(), Stop(install=False)
     camera, mine = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    shots = BusSource(mine, WallClock()).shots(stop)
+    shots = BusSource(mine, WallClock(), RATE_HZ).shots(stop)
 
     def publish(*values: int) -> None:
         for value in values:
@@ -107,7 +108,7 @@ def test_the_newest_frame_wins_and_the_ones_it_overtook_are_counted() -> None:
 def test_instants_are_by_our_clock_and_the_stated_age_whatever_the_cameras_clock_says() -> None:
     hub, stop, ours = MemoryHub(), Stop(install=False), WallClock()
     camera, mine = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    shots = BusSource(mine, ours).shots(stop)
+    shots = BusSource(mine, ours, RATE_HZ).shots(stop)
     before_ns = ours.now_ns()
     stamp_ns = before_ns + 3600 * 1_000_000_000  # an hour ahead
     thread = threading.Timer(0.05, camera.publish, (topics.FRAME, Frame(flat(1)[..., 0]), stamp_ns), {"age_ns": 40 * MS})
@@ -119,13 +120,12 @@ def test_instants_are_by_our_clock_and_the_stated_age_whatever_the_cameras_clock
     assert shot.instant_ns == shot.arrived_ns - 40 * MS
 
 
-def test_what_cannot_be_read_is_no_picture_and_no_old_one_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source_bus, "SILENT_AFTER_S", 0.05)
+def test_what_cannot_be_read_is_no_picture_and_no_old_one_again() -> None:
     hub, stop = MemoryHub(), Stop(install=False)
     transport, mine = MemoryTransport(hub), Bus(MemoryTransport(hub))
     camera = Bus(transport)
     raw = transport.publisher(f"shoal/{topics.FRAME.name}", topics.FRAME.qos)
-    source = BusSource(mine, WallClock())
+    source = BusSource(mine, WallClock(), RATE_HZ)
     shots = source.shots(stop)
     thread = threading.Timer(0.02, camera.publish, (topics.FRAME, Frame(flat(1)[..., 0]), 1))
     thread.start()
@@ -154,10 +154,21 @@ def test_what_cannot_be_read_is_no_picture_and_no_old_one_again(monkeypatch: pyt
     thread.join()
 
 
-def test_a_bus_without_frames_says_so_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(source_bus, "SILENT_AFTER_S", 0.01)
+@pytest.mark.parametrize(("rate_hz", "silent_s"), [(20.0, 0.25), (1.0, 5.0), (240.0, 0.1)])
+def test_a_camera_is_absent_after_five_frames(rate_hz: float, silent_s: float, tmp_path: Path) -> None:
+    clock, camera = WallClock(), load_experiment("pool", [f"camera.rate_hz={rate_hz}"]).camera
+    bus = Bus(MemoryTransport(MemoryHub()))
+    for source in (
+        BusSource(bus, clock, rate_hz),
+        FolderSource(tmp_path, rate_hz, clock),
+        V4l2Source("/dev/video7", camera, clock),
+    ):
+        assert source.silent_after_s == pytest.approx(silent_s)
+
+
+def test_a_bus_without_frames_says_so_again_and_again() -> None:
     stop = Stop(install=False)
-    shots = BusSource(Bus(MemoryTransport(MemoryHub())), WallClock()).shots(stop)
+    shots = BusSource(Bus(MemoryTransport(MemoryHub())), WallClock(), RATE_HZ).shots(stop)
     assert [next(shots), next(shots)] == [None, None]
     stop.request()
     assert list(shots) == []
