@@ -13,7 +13,7 @@ from scipy.interpolate import CubicHermiteSpline
 from groundstation.runlog import Entry, RunLog
 from groundstation.series import CHANNELS, Happening, RobotSeries, Series, States
 from wire import topics
-from wire.experiment import Circle, Experiment, Waypoints
+from wire.experiment import Circle, Experiment, PathSpec
 from wire.frames import Array, pose_error
 from wire.messages import Event, LocalizerStatus, Mode, Pose, RobotState, Track, Trajectory, Truth
 
@@ -186,7 +186,7 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
     return np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
 
 
-def _middle(path: Circle | Waypoints, duration_s: float, trajectory: Trajectory | None) -> Array | None:
+def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) -> Array | None:
     """The middle of a reference (4,): a circle's centre, else the mean over the run."""
     if trajectory is None or len(trajectory.eta) == 0:
         return None

@@ -119,6 +119,8 @@ def paths(series: Series) -> Figure | None:
         place(figure)
         if series.experiment.sim.plant.walls:
             axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
+        for island in series.experiment.islands:
+            axes.add_patch(Disc(island.position_m, island.radius_m, facecolor=LIGHT, edgecolor=GREY, hatch="///"))
         for index, (robot, r) in enumerate(series.robots.items()):
             _path(axes, robot, r, colour(index), series.experiment.vehicle.radius_m)
         for row in _snapshots(series):

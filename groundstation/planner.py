@@ -12,11 +12,12 @@ from itertools import combinations
 
 import numpy as np
 
-from groundstation.formation import NodeMotion, node_motion
+from groundstation.formation import Course, NodeMotion, courses, node_motion
 from groundstation.pace import slowed
 from groundstation.spline import Path, make_path
+from groundstation.way import ways
 from wire.codec import MAX_MESSAGE_BYTES
-from wire.experiment import Circle, Experiment, Robot, Waypoints
+from wire.experiment import Experiment, PathSpec, Robot, Route
 from wire.frames import Array
 from wire.messages import Trajectory
 from wire.toml_file import ConfigError
@@ -94,29 +95,45 @@ def starts_json(starts: Mapping[int, Array]) -> str:
     return json.dumps({str(robot): starts[robot].tolist() for robot in sorted(starts)}, indent=1) + "\n"
 
 
-def _flown(experiment: Experiment, given: Circle | Waypoints, group: Sequence[Robot], samples: int) -> dict[int, NodeMotion]:
+def _flown(experiment: Experiment, given: PathSpec, group: Sequence[Robot], samples: int) -> dict[int, NodeMotion]:
     """The motion of the robots on a path, at `samples` control periods from 0 on; slower than it says if they could not."""
-    period_s = experiment.controller.period_s
-    try:
-        path: Path = make_path(given)
-    except ValueError as error:
-        raise PlanError(str(error)) from None
+    period_s, formation = experiment.controller.period_s, experiment.formation
+    time_s = period_s * np.arange(samples, dtype=np.float64)
+    nodes = courses(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
+    path = _path(experiment, given, group, nodes)
     if given.slow:
 
         def too_fast(slower: Path) -> Array:
-            return _too_fast(experiment, _motions(experiment, slower, group, samples))
+            return _too_fast(experiment, _motions(experiment, slower, group, nodes))
 
         path = slowed(path, too_fast, samples, period_s)
     if experiment.duration_s > path.end_s + period_s:
         raise PlanError(f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s")
-    return _motions(experiment, path, group, samples)
+    return _motions(experiment, path, group, nodes)
 
 
-def _motions(experiment: Experiment, path: Path, group: Sequence[Robot], samples: int) -> dict[int, NodeMotion]:
-    period_s, formation = experiment.controller.period_s, experiment.formation
-    centre = path.at(np.arange(samples, dtype=np.float64) * period_s)
+def _path(experiment: Experiment, given: PathSpec, group: Sequence[Robot], nodes: Sequence[Course]) -> Path:
+    """The centre's path; of a route the first way on which no node touches anything."""
+    try:
+        if not isinstance(given, Route):
+            return make_path(given)
+        for way in ways(experiment, given, nodes):
+            path = make_path(way)
+            motions = _motions(experiment, path, group, nodes).values()
+            beyond = (excess.max() for m in motions for excess in _outside(experiment, m.eta[:, :3]).values())
+            if max(beyond, default=0.0) <= TOLERANCE:
+                break
+        return path  # if none is clear, the last: the planner then says where it touches
+    except ValueError as error:
+        raise PlanError(str(error)) from None
+
+
+def _motions(experiment: Experiment, path: Path, group: Sequence[Robot], nodes: Sequence[Course]) -> dict[int, NodeMotion]:
+    period_s = experiment.controller.period_s
+    centre = path.at(np.arange(len(nodes[0].place_m), dtype=np.float64) * period_s)
     return {
-        robot.id: node_motion(centre, formation.scale * np.array(robot.node_m), formation.mode, period_s) for robot in group
+        robot.id: node_motion(centre, node, experiment.formation.mode, period_s)
+        for robot, node in zip(group, nodes, strict=True)
     }
 
 
@@ -177,21 +194,25 @@ def _pair_problems(experiment: Experiment, motions: Mapping[int, NodeMotion], fl
 
 
 def _outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
-    """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of each side of the basin, in m.
+    """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of islands and each side of the basin, in m.
 
     At the surface the centre counts, not the hull: a robot may float. Open water has no sides.
     """
-    if not experiment.sim.plant.walls:
-        return {}
     radius = experiment.vehicle.radius_m
-    length, width, depth = experiment.pool.size_m
     x, y, z = position_m.T
-    return {
-        "the wall's clearance in x": np.abs(x) + radius - length / 2.0,
-        "the wall's clearance in y": np.abs(y) + radius - width / 2.0,
-        "the floor's clearance": z + radius - depth,
-        "the surface": -z,
-    }
+    beyond = {}
+    for i, island in enumerate(experiment.islands, 1):
+        shore_m = np.hypot(x - island.position_m[0], y - island.position_m[1]) - island.radius_m
+        beyond[f"the clearance of island {i}"] = radius - shore_m
+    if experiment.sim.plant.walls:
+        length, width, depth = experiment.pool.size_m
+        beyond |= {
+            "the wall's clearance in x": np.abs(x) + radius - length / 2.0,
+            "the wall's clearance in y": np.abs(y) + radius - width / 2.0,
+            "the floor's clearance": z + radius - depth,
+            "the surface": -z,
+        }
+    return beyond
 
 
 def _worst(values: Array, limit: float) -> _Worst | None:

@@ -7,17 +7,19 @@ that looks at edges only when it comes to them. Walls shrink the rectangle that 
 """
 
 import heapq
-import itertools
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.ndimage import gaussian_filter1d
 
 from wire.frames import Array
 
 CORNERS = 24  # of the polygon around a disc: a way around it is 0.6 % longer than along it
-SPARE_M = (0.02, 0.05, 0.1, 0.2)  # the spline swings a little beyond its waypoints: tried in turn until it is clear
+SMOOTHER = (1.0, 0.7, 0.5, 0.3, 0.15, 0.05)  # of what was asked for: as smooth as it goes
+SPARE_M = (0.02, 0.1, 0.2, 0.4)  # smoothing cuts corners: how much further from islands the way is sought, tried in turn
 SPACING_M = 0.25  # of waypoints along the way: straight lines then stay straight under the spline
 CHECK_M = 0.02  # spacing of the points at which the spline is looked at
 TOUCHING = 1.0 - 1e-9
@@ -27,22 +29,34 @@ class NoRoute(ValueError):
     """There is no way, or an end of it is not free."""
 
 
-def route(via_m: Sequence[tuple[float, float]], discs: Array, half_m: tuple[float, float]) -> Array:
+def route(via_m: Sequence[tuple[float, float]], discs: Array, half_m: tuple[float, float], smooth_m: float = 0.5) -> Array:
     """Waypoints (n, 2) of a smooth way through `via_m`, clear of `discs` (k, 3: x, y, radius) and inside +-`half_m`, in m.
 
-    Raises NoRoute with the reason.
+    Corners, also at places on the way, are spread over some `smooth_m`, less where there is no room. Raises NoRoute with the
+    reason.
     """
     ends = np.array(via_m, dtype=np.float64)
     for place in ends:
         _must_be_free(place, discs, half_m)
-    for spare_m in SPARE_M:
-        wide = discs + np.array([0.0, 0.0, spare_m]) if len(discs) else discs
-        legs = [shortest(a, b, _but_free(wide, discs, a, b), half_m) for a, b in itertools.pairwise(ends)]
-        line = np.concatenate([legs[0], *[leg[1:] for leg in legs[1:]]])
-        points = _evenly(line)
-        if _clear(points, discs, half_m):
-            return points
+    lines: dict[float, Array] = {}
+    for share in SMOOTHER:
+        for spare_m in SPARE_M:
+            if spare_m not in lines:
+                lines[spare_m] = _line(ends, discs, spare_m, half_m)
+            points = _smoothed(lines[spare_m], share * smooth_m)
+            if _clear(points, discs, half_m):
+                return points
     raise NoRoute("there is a way, but it bends too sharply for a smooth path; move the waypoints or leave wider gaps")
+
+
+def _line(ends: Array, discs: Array, spare_m: float, half_m: tuple[float, float]) -> Array:
+    """Corners (n, 2) of the shortest way, `spare_m` further from the discs where there is room."""
+    wide = [_but_free(discs, spare_m, a, b) for a, b in pairwise(ends)]
+    try:
+        legs = [shortest(a, b, around, half_m) for (a, b), around in zip(pairwise(ends), wide, strict=True)]
+    except NoRoute:
+        legs = [shortest(a, b, discs, half_m) for a, b in pairwise(ends)]
+    return np.concatenate([legs[0], *[leg[1:] for leg in legs[1:]]])
 
 
 def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float]) -> Array:
@@ -107,21 +121,25 @@ def _must_be_free(place: Array, discs: Array, half_m: tuple[float, float]) -> No
             raise NoRoute(f"({x:.2f}, {y:.2f}) m: there the formation is {short.max():.2f} m too near an island")
 
 
-def _but_free(wide: Array, discs: Array, *ends: Array) -> Array:
-    """The wider discs, but no wider than leaves the ends free."""
+def _but_free(discs: Array, spare_m: float, *ends: Array) -> Array:
+    """Discs wider by `spare_m`, but no wider than leaves the ends free."""
     if len(discs) == 0:
         return discs
     room = np.min([np.hypot(*(discs[:, :2] - end).T) for end in ends], axis=0)
-    return np.column_stack([discs[:, :2], np.minimum(wide[:, 2], np.maximum(discs[:, 2], room))])
+    return np.column_stack([discs[:, :2], np.minimum(discs[:, 2] + spare_m, np.maximum(discs[:, 2], room))])
 
 
-def _evenly(line: Array) -> Array:
-    """Points about SPACING_M apart on a polygonal line (n, 2), its ends among them."""
+def _smoothed(line: Array, smooth_m: float) -> Array:
+    """Points about SPACING_M apart on a polygonal line (n, 2) whose corners are spread over some `smooth_m` (the standard
+    deviation of a Gaussian), its ends kept."""
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     keep = np.concatenate([[True], np.diff(arc) > 1e-9])
     arc, line = arc[keep], line[keep]
     places = np.linspace(0.0, arc[-1], max(2, math.ceil(arc[-1] / SPACING_M) + 1))
-    return np.column_stack([np.interp(places, arc, line[:, 0]), np.interp(places, arc, line[:, 1])])
+    points = np.column_stack([np.interp(places, arc, line[:, 0]), np.interp(places, arc, line[:, 1])])
+    n = len(points) - 1
+    mirrored = np.vstack([2.0 * points[0] - points[n:0:-1], points, 2.0 * points[n] - points[n - 1 :: -1]])
+    return np.asarray(gaussian_filter1d(mirrored, smooth_m / places[1], axis=0, mode="nearest")[n : 2 * n + 1])
 
 
 def _clear(points: Array, discs: Array, half_m: tuple[float, float]) -> bool:

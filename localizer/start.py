@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wire.experiment import Circle, Experiment, Waypoints
+from wire.experiment import Circle, Experiment, PathSpec, Route
 from wire.frames import Array
 
 
@@ -24,10 +24,13 @@ def start_poses(experiment: Experiment) -> Array:
     return np.array(poses)
 
 
-def _path_start(path: Circle | Waypoints) -> tuple[Array, float]:
+def _path_start(path: PathSpec) -> tuple[Array, float]:
     """First point (3,) of a path, and the heading of its tangent."""
     if isinstance(path, Circle):
         return np.array([path.diameter_m / 2.0, 0.0, path.depth_m]), np.pi / 2
+    if isinstance(path, Route):  # the planner may set out another way, around something; the place is right
+        (x, y), (next_x, next_y) = path.via_m[:2]
+        return np.array([x, y, path.depth_m]), float(np.arctan2(next_y - y, next_x - x))
     points = np.array(path.points_m)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     spline = CubicSpline(along, points, bc_type="natural")

@@ -6,8 +6,10 @@ included. Lengths are metres, angles radians, times seconds; pool frame (see wir
 
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -18,6 +20,7 @@ from pydantic import Field, model_validator
 from wire.faults import Fault, fault_table
 from wire.frames import Array
 from wire.laws import AdaptiveNn, Backstepping, Fuzzy, LawName, Lqr, Pid, SlidingMode
+from wire.shapes import SHAPES, Shape, shape_nodes
 from wire.sim_plant import Plant
 from wire.toml_file import ConfigError, Section, apply_setting, check, read_toml
 from wire.vehicle import NotNegative, Positive, Vehicle, load_vehicle
@@ -70,6 +73,33 @@ class Waypoints(Section):
         return self
 
 
+class Route(Section):
+    """The shortest way through places in order that the whole formation can take: around islands, within the walls."""
+
+    kind: Literal["route"]
+    via_m: Annotated[tuple[Vec2, ...], Field(min_length=2)]  # of the formation's centre: from the first, to the last
+    speed_mps: Positive
+    depth_m: NotNegative = 0.0
+    clearance_m: NotNegative = 0.1  # between hulls and whatever stands there
+    smooth_m: Positive = 0.5  # over how long bends are spread, also those at places on the way; less where there is no room
+    slow: bool = True  # as for waypoints
+    stop: bool = True  # as for waypoints
+
+
+PathSpec = Annotated[Circle | Waypoints | Route, Field(discriminator="kind")]
+
+
+class Change(Section):
+    """Another form on the way, taken smoothly: a named shape, or the same one larger and turned."""
+
+    at_s: NotNegative  # when it begins, in the run's time
+    over_s: Positive = 10.0
+    shape: Shape | None = None
+    spacing_m: Positive = 0.8  # of the new shape's nearest nodes, before `scale`
+    scale: Positive = 1.0
+    turn_rad: float = 0.0
+
+
 class Formation(Section):
     """Nodes around a virtual centre (14-16): `translate` keeps offsets constant in the pool frame, `rotate` turns them with
     the path's tangent (ambiguity A10).
@@ -82,6 +112,19 @@ class Formation(Section):
     leader: int | None = None  # its id; default: the first robot
     mode: Literal["translate", "rotate"] = "translate"
     scale: Positive = 1.0
+    shape: Shape | None = None  # for robots without a node_m, in the file's order
+    spacing_m: Positive = 0.8  # of the shape's nearest nodes, before `scale`
+    changes: tuple[Change, ...] = ()
+
+    @model_validator(mode="after")
+    def _changes_one_after_the_other(self) -> Self:
+        for before, after in pairwise(self.changes):
+            if after.at_s < before.at_s + before.over_s:
+                end_s = before.at_s + before.over_s
+                raise ValueError(
+                    f"changes: at_s = {after.at_s:g}: the one before ends at {end_s:g} s (allowed: that or later)"
+                )
+        return self
 
 
 class Robot(Section):
@@ -93,7 +136,7 @@ class Robot(Section):
 
     id: Annotated[int, Field(ge=1, le=49)]
     node_m: Vec3
-    path: Annotated[Circle | Waypoints, Field(discriminator="kind")] | None = None  # default: the formation's
+    path: PathSpec | None = None  # default: the formation's
     start_offset: Vec4 = (0.0, 0.0, 0.0, 0.0)
     start: Vec4 | None = None
     neighbours: tuple[int, ...] = ()
@@ -367,7 +410,7 @@ class Experiment(Section):
     duration_s: Annotated[float, Field(gt=0, le=36000)]
     vehicle: Vehicle
     pool: Pool
-    path: Annotated[Circle | Waypoints, Field(discriminator="kind")]
+    path: PathSpec
     formation: Formation = Formation()
     robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=49)]
     islands: tuple[Island, ...] = ()
@@ -448,7 +491,7 @@ class Experiment(Section):
         leader = self.robot_ids[0] if self.formation.leader is None else self.formation.leader
         return leader if self.formation.kind == "leader-follower" and leader != robot_id else None
 
-    def path_of(self, robot: Robot) -> Circle | Waypoints:
+    def path_of(self, robot: Robot) -> PathSpec:
         """The path whose node that robot is on."""
         return self.path if robot.path is None else robot.path
 
@@ -488,6 +531,7 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Seq
     for setting in settings:
         apply_setting(table, setting)
         _insert_files(table, path)
+    _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
     if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
         sim["faults"] += map(fault_table, faults)
@@ -510,6 +554,18 @@ def _insert_files(table: dict[str, Any], experiment: Path) -> None:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):
             _lay_over(table[key], {k: value for k, value in given.items() if k != "like"})
+
+
+def _insert_nodes(table: dict[str, Any]) -> None:
+    """Give the robots that have no node one of the formation's shape, in the file's order."""
+    formation, robots = table.get("formation"), table.get("robots")
+    if not (isinstance(formation, dict) and isinstance(robots, list)) or formation.get("shape") not in SHAPES:
+        return
+    spacing_m = formation.get("spacing_m", Formation.model_fields["spacing_m"].default)
+    if isinstance(spacing_m, int | float) and 0.0 < spacing_m < math.inf:
+        for robot, node in zip(robots, shape_nodes(formation["shape"], len(robots), spacing_m).tolist(), strict=True):
+            if isinstance(robot, dict):
+                robot.setdefault("node_m", node)
 
 
 def _lay_over(table: dict[str, Any], changes: dict[str, Any]) -> None:

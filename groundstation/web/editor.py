@@ -16,7 +16,11 @@ from wire.messages import Trajectory
 from wire.toml_file import ConfigError, check
 
 EDITED = Path("experiments")  # below where the station was started
-_PATH_KEYS = {"waypoints": ("points_m", "speed_mps", "depth_m"), "circle": ("diameter_m", "lap_s", "depth_m")}
+_PATH_KEYS = {
+    "waypoints": ("points_m", "speed_mps", "depth_m"),
+    "circle": ("diameter_m", "lap_s", "depth_m"),
+    "route": ("speed_mps", "depth_m"),
+}
 
 
 def edited(experiment: Experiment, edit: Edit) -> Experiment:

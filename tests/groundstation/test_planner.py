@@ -1,6 +1,8 @@
 """Plans: the shipped pool scene is flyable, the article's scene A9 too, and what is not flyable is refused with a reason."""
 
 import json
+import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,8 +10,9 @@ import pytest
 
 from groundstation.planner import PlanError, plan, start_poses, starts_json
 from wire.codec import decode, encode
-from wire.experiment import Experiment, load_experiment
+from wire.experiment import EXPERIMENTS, Experiment, load_experiment
 from wire.messages import Trajectory
+from wire.toml_file import ConfigError
 
 ARTICLE_POINTS = [[-4, 1.2], [-2, 0.6], [0, 0], [2, 1.5], [4, 3.8], [6, 5], [10, 3], [12, 2], [15, 2], [18, 1]]
 
@@ -165,3 +168,78 @@ def test_starts_in_a_wall_or_in_each_other_are_refused() -> None:
     experiment = pool(robots=robots)
     with pytest.raises(PlanError, match=r"robot 1 starts at .* 0\.100 m beyond the wall(.|\n)*robots 1 and 2 start 0\.200 m"):
         start_poses(experiment, plan(experiment))
+
+
+# --- routes around islands, and formations that change on the way
+
+ISLANDS = load_experiment("islands")
+
+
+def shores(experiment: Experiment, trajectories: dict[int, Trajectory]) -> float:
+    """The least room between a hull and an island."""
+    hull = experiment.vehicle.radius_m
+    return min(
+        float(np.hypot(*(t.eta[:, :2] - island.position_m).T).min()) - island.radius_m - hull
+        for t in trajectories.values()
+        for island in experiment.islands
+    )
+
+
+def test_a_turning_formation_finds_its_way_between_islands() -> None:
+    trajectories = plan(ISLANDS)
+    assert shores(ISLANDS, trajectories) >= 0.0
+    first = trajectories[1]
+    assert first.eta[0, :2] == pytest.approx([-5.7, -7.4], abs=1e-6)
+    assert first.eta[-1, :2] == pytest.approx([5.7, 7.4], abs=1e-6)
+    way_m = float(np.hypot(*np.diff(first.eta[:, :2], axis=0).T).sum())
+    assert math.dist((-5.7, -7.4), (5.7, 7.4)) < way_m < 1.1 * 19.4  # asked for: 1.1 times the shortest known
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_in_random_waters_a_plan_touches_nothing_or_is_refused(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    islands = [
+        {"position_m": random.uniform(-5, 5, 2).tolist(), "radius_m": float(random.uniform(0.3, 1.2))} for _ in range(4)
+    ]
+    mode = "rotate" if seed % 2 else "translate"
+    table = ISLANDS.model_dump() | {"islands": islands}
+    table["formation"] |= {"mode": mode, "changes": [{"at_s": 40.0, "shape": "triangle"}] if seed % 3 == 0 else []}
+    experiment = Experiment.model_validate(table)
+    try:
+        trajectories = plan(experiment)
+    except PlanError as error:
+        assert "island" in str(error) or "no way" in str(error) or "apart" in str(error)
+        return
+    assert shores(experiment, trajectories) >= -1e-6
+    pairs = [(trajectories[a], trajectories[b]) for a, b in ((1, 2), (1, 3), (2, 3))]
+    assert min(float(np.linalg.norm(a.eta[:, :3] - b.eta[:, :3], axis=1).min()) for a, b in pairs) >= 0.6 - 1e-6
+
+
+def test_a_formation_changes_its_shape_on_the_way() -> None:
+    settings = ['formation.changes=[{at_s=40, over_s=15, shape="triangle", spacing_m=1.2}]', "formation.mode=translate"]
+    experiment = load_experiment("islands", [*settings, "islands=[]"])
+    trajectories = plan(experiment)
+    before, after = (np.array([t.eta[round(s / 0.05), :2] for t in trajectories.values()]) for s in (39.0, 56.0))
+    apart = [sorted(math.dist(p[a], p[b]) for a, b in ((0, 1), (0, 2), (1, 2))) for p in (before, after)]
+    assert apart[0] == pytest.approx([1.2, 1.2, 2.4]) and apart[1] == pytest.approx([1.2, 1.2, 1.2])
+
+
+def test_a_route_that_cannot_be_is_refused_with_its_reason() -> None:
+    with pytest.raises(PlanError, match=r"\(-5\.70, -7\.40\) m: there the formation is .* m too near an island"):
+        plan(load_experiment("islands", ["islands=[{position_m=[-5.5,-7.0], radius_m=1.0}]"]))
+
+
+def test_robots_without_a_node_take_one_of_the_shape(tmp_path: Path) -> None:
+    text = (
+        (EXPERIMENTS / "pool.toml")
+        .read_text()
+        .replace("node_m = [0.4, 0.0, 0.0]", "")
+        .replace("node_m = [-0.4, 0.0, 0.0]", "")
+    )
+    path = tmp_path / "shaped.toml"
+    path.write_text(text.replace('mode = "translate"', 'mode = "translate"\nshape = "line"\nspacing_m = 0.9'))
+    experiment = load_experiment(str(path))
+    assert [robot.node_m for robot in experiment.robots] == [(-0.45, 0.0, 0.0), (0.45, 0.0, 0.0)]
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"robots\.0\.node_m"):
+        load_experiment(str(path))
