@@ -109,6 +109,35 @@ def numeric(
     raise typer.Exit(numeric_run.run(loaded, folder, stop=Stop(), console=console))
 
 
+@cli.command()
+def campaign(
+    file: Annotated[Path, typer.Argument(help="The campaign, a TOML file (docs/simulator.md).")],
+    out: Annotated[Path | None, typer.Option(help="Folder of the campaign; default: runs/campaign-NAME.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://10.0.0.1:8786.")
+    ] = None,
+) -> None:
+    """Fly an experiment many times, keys swept or drawn, on all cores or on a cluster; write Parquet and a report.
+
+    Exit code 0 if every flight was flown, well or badly; 1 if one was refused or failed.
+
+    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://10.0.0.1:8786
+    """
+    from rich.console import Console
+
+    from sim_bridge import campaign_run
+    from sim_bridge.campaign import Campaign
+    from wire.toml_file import check, read_toml
+
+    loaded = check(Campaign, read_toml(file), str(file))
+    folder = out or Path("runs") / f"campaign-{loaded.name}"
+    raise typer.Exit(
+        campaign_run.run(loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Console())
+    )
+
+
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
 ) -> Experiment:

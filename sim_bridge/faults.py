@@ -12,6 +12,7 @@ from wire.faults import THRUSTERS, Break, Fault
 from wire.frames import Array
 from wire.toml_file import ConfigError
 
+NUMERIC = ("thruster", "imu", "battery")  # what can break in a numeric flight
 BEFORE_S = -1.0  # any time at which the robots have not started
 
 

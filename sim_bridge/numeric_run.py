@@ -27,7 +27,7 @@ STATION = (sys.executable, "-m", "groundstation")
 
 def run(experiment: Experiment, run_dir: Path, *, stop: Stop, console: Console) -> int:
     """Fly an experiment with agents and plant in this process. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
-    faults.only(experiment, ("thruster", "imu", "battery"), "in a numeric flight there is none")
+    faults.only(experiment, faults.NUMERIC, "in a numeric flight there is none")
     (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     trajectories, starts = plan(run_dir / "experiment.toml")
     water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))

@@ -1,0 +1,194 @@
+"""Campaigns: what is flown, that it can be flown again, resumed, and what the statistics are worth."""
+
+import json
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from distributed import LocalCluster
+from rich.console import Console
+from scipy import stats
+
+from sim_bridge import campaign_run
+from sim_bridge.campaign import Campaign, flights
+from sim_bridge.summary import distribution, quantile, rate
+from wire.runtime import Stop
+from wire.toml_file import ConfigError, check
+
+TABLE: dict[str, Any] = {
+    "name": "small",
+    "experiment": "pool",
+    "settings": ["duration_s=2"],
+    "seeds": 2,
+    "sweep": {"sim.plant.mass_error": [-0.2, 0.2]},
+    "draw": {"sim.plant.current_mps": {"uniform": [[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]]}},
+}
+
+
+def campaign(**changes: Any) -> Campaign:
+    return check(Campaign, {**TABLE, **changes}, "small.toml")
+
+
+def fly(loaded: Campaign, folder: Path, **options: Any) -> int:
+    defaults: dict[str, Any] = {"workers": 1, "scheduler": None, "resume": False, "stop": Stop(install=False)}
+    return campaign_run.run(loaded, folder, **{**defaults, **options}, console=Console(quiet=True))
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = pq.read_table(folder / "results.parquet").to_pylist()
+    return found
+
+
+# --- what is flown
+
+
+def test_every_combination_with_every_seed() -> None:
+    all_of_them = list(flights(campaign(sweep={"a.b": [1, 2], "c": ["x", "y", "z"]}, draw={})))
+    assert [f.index for f in all_of_them] == list(range(12))
+    assert {(f.seed, f.values["a.b"], f.values["c"]) for f in all_of_them} == {
+        (seed, b, c) for seed in (1, 2) for b in (1, 2) for c in "xyz"
+    }
+
+
+def test_draws_are_from_their_distributions_and_repeat() -> None:
+    draws = {
+        "u": {"uniform": [2.0, 4.0]},
+        "n": {"normal": [1.0, 0.5]},
+        "c": {"choice": ["a", "b"]},
+        "v": {"uniform": [[0, 5], [1, 6]]},
+    }
+    loaded = campaign(seeds=2000, sweep={}, draw=draws)
+    drawn = [f.values for f in flights(loaded)]
+    assert stats.kstest([d["u"] for d in drawn], stats.uniform(2, 2).cdf).pvalue > 0.01
+    assert stats.kstest([d["n"] for d in drawn], stats.norm(1, 0.5).cdf).pvalue > 0.01
+    assert 900 < sum(d["c"] == "a" for d in drawn) < 1100
+    assert all(0 <= d["v"][0] <= 1 and 5 <= d["v"][1] <= 6 for d in drawn)
+    assert drawn == [f.values for f in flights(loaded)]
+    assert drawn[:50] == [f.values for f in flights(campaign(seeds=50, sweep={}, draw=draws))]  # a longer one begins the same
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"draw": {"a": {"uniform": [0.0, 1.0], "choice": [1]}}}, "draw.a: has uniform and choice (allowed: one of"),
+        ({"draw": {"a": {"normal": [[0.0, 1.0], 1.0]}}}, "draw.a: normal: the two must have as many components"),
+        ({"draw": {"sim.plant.mass_error": {"choice": [1]}}}, "sim.plant.mass_error: cannot be set twice"),
+        ({"sweep": {"seed": [1]}}, "seed: cannot be set twice"),
+        ({"sweep": {"a": []}}, "must be a list of at least 1"),
+        ({"seeds": 0}, "seeds = 0"),
+        ({"flights": 3}, "flights: unknown key"),
+    ],
+)
+def test_what_is_refused(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        campaign(**changes)
+    assert complaint in str(caught.value)
+
+
+def test_a_value_that_the_experiment_refuses_is_named_before_anything_flies(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"sim.plant.mass_error = -2.0: "):
+        fly(campaign(sweep={"sim.plant.mass_error": [0.0, -2.0]}), tmp_path / "c")
+    with pytest.raises(ConfigError, match=r"sim.plant.mas_error: unknown key"):
+        fly(campaign(sweep={"sim.plant.mas_error": [0.0]}), tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+# --- flying
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("campaign") / "small"
+    assert fly(campaign(), folder) == 0
+    return folder
+
+
+def test_results_hold_every_flight(flown: Path) -> None:
+    found = rows(flown)
+    assert [(row["index"], row["seed"], row["sim.plant.mass_error"]) for row in found] == [
+        (0, 1, -0.2), (1, 1, 0.2), (2, 2, -0.2), (3, 2, 0.2),
+    ]  # fmt: skip
+    assert all(row["status"] == "flown" and 0.1 < row["rms_m"] < 0.3 for row in found)
+    assert all(row["rms_after_20s_m"] is None and not row["passed"] for row in found)  # two seconds are not twenty
+    page = (flown / "report.html").read_text()
+    assert "<svg" in page and found[0]["command"].replace("'", "&#39;") in page
+
+
+def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
+    row = rows(flown)[1]
+    program, *arguments = shlex.split(row["command"])
+    assert program == "sim-bridge"
+    subprocess.run([sys.executable, "-m", "sim_bridge", *arguments, "--out", str(tmp_path)], capture_output=True, check=False)
+    (folder,) = tmp_path.iterdir()
+    result = json.loads((folder / "result.json").read_text())
+    per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
+    assert max(per_axis) == pytest.approx(row["rms_m"], rel=2e-3)  # the report begins one step later
+    assert result["min_separation_m"] == pytest.approx(row["min_separation_m"], rel=1e-6)
+
+
+def test_it_goes_on_where_it_was(flown: Path, tmp_path: Path) -> None:
+    """Half a journal, its last line torn, and one flight that is now wanted otherwise."""
+    lines = (flown / "journal.jsonl").read_text().splitlines()
+    (tmp_path / "journal.jsonl").write_text("\n".join([*lines[:2], lines[2][:40]]) + "\n")
+    with pytest.raises(ConfigError, match="--resume goes on with it"):
+        fly(campaign(), tmp_path)
+    assert fly(campaign(), tmp_path, resume=True) == 0
+    kept, fresh = rows(flown), rows(tmp_path)
+    for row in (*kept, *fresh):
+        row.pop("wall_s")
+    assert fresh == kept
+    assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 5
+
+
+def test_a_refused_plan_is_a_row(tmp_path: Path) -> None:
+    assert fly(campaign(seeds=1, sweep={"path.lap_s": [1.0]}, draw={}), tmp_path / "c") == 1
+    (row,) = rows(tmp_path / "c")
+    assert (
+        row["status"] == "refused"
+        and "robot 1" in row["reason"]
+        and "Not flown" in (tmp_path / "c" / "report.html").read_text()
+    )
+
+
+def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        assert fly(campaign(seeds=1), tmp_path / "c", scheduler=cluster.scheduler_address) == 0
+    found, expected = rows(tmp_path / "c"), rows(flown)[:2]
+    assert [row["rms_m"] for row in found] == [row["rms_m"] for row in expected]
+
+
+def test_a_cluster_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:1: "):
+        fly(campaign(seeds=1), tmp_path / "c", scheduler="tcp://127.0.0.1:1")
+
+
+# --- statistics
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    """In 2,000 samples of 40 skewed values each: the true mean and quantiles lie inside in 95 %, or more."""
+    random = np.random.default_rng(1)
+    samples = np.sort(random.gamma(4.0, 1.0, (2000, 40)), axis=1)
+    true = stats.gamma(4.0)
+    means = [distribution(s).mean for s in samples]
+    assert np.mean([(m.low or 0) <= 4.0 <= (m.high or 9e9) for m in means]) == pytest.approx(0.95, abs=0.03)
+    for share in (0.5, 0.95):
+        found = [quantile(s, share) for s in samples]
+        held = np.mean([(f.low or 0) <= true.ppf(share) <= (f.high or 9e9) for f in found])
+        assert 0.94 < held < 0.995
+
+
+def test_a_rate_s_interval_is_wilson_s() -> None:
+    found = rate(8, 10)
+    assert [found.value, found.low, found.high] == pytest.approx([0.8, 0.4902, 0.9433], abs=1e-4)
+    assert rate(0, 5).low == 0.0 and (rate(0, 5).high or 0) > 0.4
+
+
+def test_one_flight_is_no_distribution() -> None:
+    found = distribution([3.0])
+    assert found.mean.value == found.median.value == 3.0 and found.mean.low is None and found.high.high is None
