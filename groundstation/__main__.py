@@ -173,6 +173,18 @@ def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folde
     typer.echo(f"report: {run_folder / 'report.html'}")
 
 
+@cli.command()
+def comparison(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Where comparison.json is, as `sim-bridge compare` writes it.")
+    ],
+) -> None:
+    """Print the table of a comparison and write comparison.html beside it. Exit code 1 if a flight failed."""
+    from groundstation import compare_report
+
+    raise typer.Exit(0 if compare_report.write(folder) else 1)
+
+
 def app() -> None:
     """Entry point."""
     run_app(cli)

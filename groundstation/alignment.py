@@ -218,6 +218,7 @@ def _states(entries: Sequence[Entry[RobotState]], start_ns: int) -> States:
         disturbance=rows([m.disturbance for m in messages], 4),
         wrench=rows([m.wrench for m in messages], 3),
         wrench_step=rows([m.wrench_step for m in messages], 3),
+        wrench_wanted=rows([m.wrench_wanted for m in messages], 3),
         pulse_us=pulses,
         exposure_to_pwm_ms=column([m.exposure_to_pwm_ms for m in messages]),
         step_us=column([m.step_us for m in messages]),

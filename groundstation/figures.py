@@ -199,9 +199,10 @@ def yaw(series: Series) -> Figure | None:
 
 
 def inputs(series: Series) -> Figure | None:
-    """What the controllers asked for."""
+    """What the controllers asked for; where the law knows no limits, dotted what it would have asked for without."""
     bounds = series.experiment.vehicle.limits.wrench
-    return _wrench(series, lambda r: r.states.wrench, bounds, "")
+    wanted = None if series.experiment.controller.law == "eso-mpc" else lambda r: r.states.wrench_wanted
+    return _wrench(series, lambda r: r.states.wrench, bounds, "", wanted)
 
 
 def input_steps(series: Series) -> Figure | None:
@@ -210,11 +211,26 @@ def input_steps(series: Series) -> Figure | None:
     return _wrench(series, lambda r: r.states.wrench_step, bounds, "step of ")
 
 
-def _wrench(series: Series, values: Callable[[RobotSeries], Array], bounds: tuple[float, ...], prefix: str) -> Figure | None:
+def _wrench(
+    series: Series,
+    values: Callable[[RobotSeries], Array],
+    bounds: tuple[float, ...],
+    prefix: str,
+    dotted: Callable[[RobotSeries], Array] | None = None,
+) -> Figure | None:
+    def lines(axis: int) -> list[Line]:
+        each = list(enumerate(series.robots.items()))
+        under = [(dotted, ", wanted", ":")] if dotted is not None else []
+        return [
+            _flown(series, r, f"robot {n}{suffix}", of(r)[:, axis], i, style)
+            for of, suffix, style in [*under, (values, "", "-")]
+            for i, (n, r) in each
+        ]
+
     panels = [
         Panel(
             f"{prefix}{name} [{unit}]",
-            [_flown(series, r, f"robot {n}", values(r)[:, axis], i) for i, (n, r) in enumerate(series.robots.items())],
+            lines(axis),
             limit=bounds[axis],
             unit=unit,
         )

@@ -30,6 +30,7 @@ class States:
     disturbance: Array  # (m, 4) estimated
     wrench: Array  # (m, 3)
     wrench_step: Array  # (m, 3)
+    wrench_wanted: Array  # (m, 3) before it was limited
     pulse_us: Array  # (m, 8), NaN where none was sent
     exposure_to_pwm_ms: Array
     step_us: Array

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from sim_bridge.compare_commands import compare, tune
 from wire.experiment import Experiment, load_experiment
 from wire.options import (
     DEFAULT_FLEET,
@@ -181,6 +182,10 @@ def pool(
     loaded = load_experiment(experiment, settings or ())
     with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
         Pool(loaded, bus, ports, stop, lockstep, poses).run()
+
+
+cli.command()(compare)
+cli.command()(tune)
 
 
 def app() -> None:

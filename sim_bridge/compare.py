@@ -1,0 +1,90 @@
+"""SHELL: `sim-bridge compare`: flies variants of an experiment on the same seeds, in parallel; the station reports."""
+
+import multiprocessing
+import os
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from sim_bridge.numeric_run import STATION, plan
+from sim_bridge.variants import VARIANTS, Task, fly, scattered
+from wire.comparison import SETTLED_S, Comparison, Flight, Variant
+from wire.experiment import Experiment, dump_experiment, load_experiment
+from wire.toml_file import ConfigError
+
+
+def run(
+    name: str,
+    settings: Sequence[str],
+    variants: Sequence[str],
+    seeds: Sequence[int],
+    scatter: float,
+    jobs: int,
+    folder: Path,
+    console: Console,
+) -> int:
+    """Fly, write comparison.json and comparison.html into `folder`, print the table. Returns the exit code."""
+    plain = load_experiment(name, settings)
+    if plain.duration_s <= SETTLED_S:
+        raise ConfigError(
+            f"duration_s = {plain.duration_s:g}: must be more than {SETTLED_S:g} s, after which errors are compared"
+        )
+    experiments = _distinct({v: load_experiment(name, [*settings, *VARIANTS[v]]) for v in variants}, console)
+    tasks = [task for e in experiments.values() for task in tasks_of(e, seeds, scatter)]
+    with workers(jobs) as pool:
+        flights = list(_watched(pool.map(fly, tasks), len(tasks), console))
+    found = [Variant(v, list(VARIANTS[v]), flights[i * len(seeds) : (i + 1) * len(seeds)]) for i, v in enumerate(experiments)]
+    comparison = Comparison(
+        scene=plain.name,
+        title=plain.title or plain.name,
+        duration_s=plain.duration_s,
+        scatter=scatter,
+        settings=list(settings),
+        surge_limit_n=plain.vehicle.limits.wrench[0],
+        robots=list(plain.robot_ids),
+        variants=found,
+    )
+    (folder / "comparison.json").write_text(comparison.to_json(), encoding="utf-8")
+    return subprocess.run([*STATION, "comparison", str(folder)], check=False).returncode
+
+
+def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> list[Task]:
+    """The flights of one experiment, the first with traces. Raises ConfigError if it cannot be planned."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "experiment.toml"
+        path.write_text(dump_experiment(experiment), encoding="utf-8")
+        trajectories, starts = plan(path)
+    places = np.array([starts[robot] for robot in experiment.robot_ids])
+    return [Task(experiment, trajectories, scattered(places, scatter, seed), seed, seed == seeds[0]) for seed in seeds]
+
+
+def workers(jobs: int) -> ProcessPoolExecutor:
+    """Processes that fly, of which results never depend: they start afresh, and on one thread each."""
+    for library in ("OMP", "OPENBLAS"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
+
+
+def _watched(flights: Iterable[Flight], count: int, console: Console) -> Iterator[Flight]:
+    """The same, with a progress bar."""
+    columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        yield from progress.track(flights, total=count)
+
+
+def _distinct(experiments: dict[str, Experiment], console: Console) -> dict[str, Experiment]:
+    """Without those that are the same as one before: the numeric scenes know no sway anyway."""
+    kept: dict[str, Experiment] = {}
+    for name, experiment in experiments.items():
+        twin = next((other for other, known in kept.items() if known.hash == experiment.hash), None)
+        if twin is None:
+            kept[name] = experiment
+        else:
+            console.print(f"{name} is the same as {twin} here: left out", soft_wrap=True)
+    return kept
