@@ -31,9 +31,9 @@ def settled_rms(experiment: Experiment, error: Array) -> float:
 
 
 def clearance_m(experiment: Experiment, place_m: Array) -> float:
-    """Least distance of any hull from any island, for centres (..., 2)."""
+    """Least distance of any island from any centre (..., 2): R of equation (36) is meant from there."""
     gaps = [np.linalg.norm(place_m - island.position_m, axis=-1).min() - island.radius_m for island in experiment.islands]
-    return float(min(gaps)) - experiment.vehicle.radius_m
+    return float(min(gaps))
 
 
 def test_open_water_is_within_three_centimetres_after_20_s() -> None:

@@ -1,8 +1,8 @@
 """A second opinion: the same manoeuvres in MuJoCo, a physics engine that knows nothing of ours.
 
-MuJoCo is given a rigid body whose added mass is the same along every axis, so that a body in vacuum can have it; what an uneven
-one adds (Munk's moment) is compared in test_hull.py. Gravity, inertia, attitude and integration are MuJoCo's; drag, buoyancy
-and thrust are put on it as forces.
+MuJoCo is given a rigid body whose added mass is the same along every axis, so that a body in vacuum can have it; what an
+uneven one adds (Munk's moment) is compared in test_hull.py. Gravity, inertia, attitude and integration are MuJoCo's; drag,
+buoyancy and thrust are put on it as forces.
 """
 
 from collections.abc import Callable
