@@ -21,6 +21,7 @@ from wire.options import (
     Verbose,
 )
 from wire.runtime import SLICE_S, Stop, run_app, start_log
+from wire.toml_file import ConfigError
 
 cli = typer.Typer(
     help="Ground station: plans trajectories, commands the fleet, records everything, writes the report.",
@@ -165,12 +166,85 @@ def record(
 
 
 @cli.command()
-def report(run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]) -> None:
+def report(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    pdf: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write every figure there as a PDF, too.")] = None,
+) -> None:
     """Write result.json and report.html of a run again, from its log."""
     from groundstation import report as reporting
 
     reporting.write_report(run_folder)
     typer.echo(f"report: {run_folder / 'report.html'}")
+    for path in reporting.write_figures(run_folder, pdf) if pdf is not None else ():
+        typer.echo(path)
+
+
+@cli.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of two or more runs.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("compare.html"),
+) -> None:
+    """Put runs side by side: their figures, in what their experiments differ, and a page with their errors over time.
+
+    For example: groundstation compare runs/pool-20260101-120000 runs/pool-20260101-130000 --out why.html
+    """
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from groundstation import report as reporting
+    from groundstation.compare import Run, differences, figures_of
+
+    if len(runs) < 2:
+        raise ConfigError("compare: two runs or more are needed")
+    missing = [str(run) for run in runs if not (run / "run.mcap").is_file()]
+    if missing:
+        raise ConfigError(f"{missing[0]}: no run.mcap there")
+    names = [run.resolve().name for run in runs]
+    names = names if len(set(names)) == len(names) else [str(run) for run in runs]
+    read = []
+    for name, folder in zip(names, runs, strict=True):
+        series, _, result = reporting.evaluated(folder)
+        read.append(Run(name, series, result))
+    console = Console()
+    for title, rows in (
+        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in figures_of(read)]),
+        ("what was different", [(key, *values) for key, values in differences(read)]),
+    ):
+        table = Table(title=title)
+        for column in ("", *names):
+            table.add_column(column, overflow="fold")
+        for row in rows:
+            table.add_row(*(f"{v:.4g}" if isinstance(v, float) else "–" if v is None else escape(str(v)) for v in row))
+        console.print(table)
+    reporting.write_comparison(read, out)
+    console.print(f"page: {out}", soft_wrap=True)
+
+
+@cli.command()
+def export(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the tables go.")],
+    parquet: Annotated[bool, typer.Option("--parquet", help="Parquet instead of CSV.")] = False,
+) -> None:
+    """Write a run's messages as tables, one per topic and robot: a row per message, a column per number.
+
+    For example: groundstation export runs/pool-20260101-120000 --out tables
+    """
+    from groundstation import tables
+
+    for path, rows in tables.export(run_folder / "run.mcap", out, parquet):
+        typer.echo(f"{path}: {rows} rows")
+
+
+@cli.command()
+def recover(log_file: Annotated[Path, typer.Argument(metavar="FILE", help="A log that was cut off.")]) -> None:
+    """Make a cut log whole: everything up to the cut, and the index that readers want. Reports do this by themselves."""
+    from groundstation import recorder
+
+    if not log_file.is_file():
+        raise ConfigError(f"{log_file}: no such file")
+    typer.echo(f"{log_file}: {'mended up to the cut' if recorder.recover(log_file) else 'is whole, nothing to mend'}")
 
 
 @cli.command()

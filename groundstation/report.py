@@ -1,13 +1,16 @@
-"""SHELL: from a run's folder to result.json and one self-contained report.html."""
+"""SHELL: from a run's folder to result.json and one self-contained report.html; runs side by side; figures for a paper."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import matplotlib as mpl
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from groundstation.alignment import align
+from groundstation.compare import Run, differences, drawn, figures_of
 from groundstation.evaluation import evaluate
 from groundstation.figures import FIGURES
 from groundstation.plotting import to_svg
@@ -39,35 +42,68 @@ def write_report(run_dir: Path) -> Result:
     A log that was cut off is mended first, if there is room. A run of any length gives a report. Raises ConfigError if the
     experiment is neither in the folder nor in the log.
     """
-    recorded = _read(run_dir / "run.mcap")
-    experiment = _experiment(run_dir, recorded)
-    series = align(experiment, recorded)
-    result = evaluate(series, recorded)
+    series, recorded, result = evaluated(run_dir)
     _replace(run_dir / "result.json", result.to_json())
     _replace(run_dir / "report.html", render(series, recorded, result))
     return result
 
 
+def evaluated(run_dir: Path) -> tuple[Series, RunLog, Result]:
+    """A run's folder read and evaluated. Raises ConfigError as `write_report`."""
+    recorded = _read(run_dir / "run.mcap")
+    series = align(_experiment(run_dir, recorded), recorded)
+    return series, recorded, evaluate(series, recorded)
+
+
+def write_comparison(runs: Sequence[Run], path: Path) -> None:
+    """One self-contained page with all runs side by side."""
+    figures = [(title, caption, _svg(figure, f"compare-{title}")) for title, caption, figure in drawn(runs)]
+    page = _environment().get_template("compare.html")
+    _replace(path, page.render(runs=runs, rows=figures_of(runs), differences=differences(runs), drawn=figures))
+
+
+def write_figures(run_dir: Path, folder: Path) -> list[Path]:
+    """Every figure of a run's report as a PDF for a paper. Returns the files."""
+    series, _, _ = evaluated(run_dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for kind in FIGURES:
+        figure = kind.draw(series)
+        if figure is not None:
+            written.append(folder / f"{kind.name}.pdf")
+            with mpl.rc_context({"pdf.fonttype": 42}):  # text stays text, as journals want it
+                figure.savefig(written[-1], metadata={"CreationDate": None})
+    return written
+
+
 def render(series: Series, recorded: RunLog, result: Result) -> str:
     """The report as HTML."""
+    shown = _most_telling(series.happenings)
+    return (
+        _environment()
+        .get_template("report.html")
+        .render(
+            title=series.experiment.title or series.experiment.name,
+            result=result,
+            errors_against=ERRORS_AGAINST.get(result.errors_against or ""),
+            facts=_facts(recorded, result),
+            rows=_rows(result),
+            article_axes=_article_axes(series.experiment),
+            timings=[("control step [µs]", result.control_step_us), ("exposure to PWM [ms]", result.exposure_to_pwm_ms)],
+            figures=[_draw(series, index) for index in range(len(FIGURES))],
+            happenings=shown,
+            omitted=len(series.happenings) - len(shown),
+        )
+    )
+
+
+def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("groundstation"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters.update(fixed=_fixed, figure=_figure)
     environment.globals.update(compared=_compared, article_cell=_article_cell, article_yaw=_article_yaw)
-    shown = _most_telling(series.happenings)
-    return environment.get_template("report.html").render(
-        title=series.experiment.title or series.experiment.name,
-        result=result,
-        errors_against=ERRORS_AGAINST.get(result.errors_against or ""),
-        facts=_facts(recorded, result),
-        rows=_rows(result),
-        article_axes=_article_axes(series.experiment),
-        timings=[("control step [µs]", result.control_step_us), ("exposure to PWM [ms]", result.exposure_to_pwm_ms)],
-        figures=[_draw(series, index) for index in range(len(FIGURES))],
-        happenings=shown,
-        omitted=len(series.happenings) - len(shown),
-    )
+    return environment
 
 
 def _read(path: Path) -> RunLog:
@@ -100,9 +136,12 @@ def _replace(path: Path, text: str) -> None:
 
 def _draw(series: Series, index: int) -> Drawn:
     kind = FIGURES[index]
-    figure = kind.draw(series)
-    # our own figure, with texts that matplotlib has escaped
-    return Drawn(kind.name, kind.title, kind.caption, Markup(to_svg(figure, kind.name)) if figure is not None else None)
+    return Drawn(kind.name, kind.title, kind.caption, _svg(kind.draw(series), kind.name))
+
+
+def _svg(figure: Figure | None, name: str) -> Markup | None:
+    """Our own figure, with texts that matplotlib has escaped."""
+    return Markup(to_svg(figure, name)) if figure is not None else None
 
 
 def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
