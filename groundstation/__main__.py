@@ -193,7 +193,7 @@ def compare(
     from rich.table import Table
 
     from groundstation import report as reporting
-    from groundstation.compare import Run, differences, figures_of
+    from groundstation.side_by_side import Run, differences, figures_of
 
     if len(runs) < 2:
         raise ConfigError("compare: two runs or more are needed")

@@ -10,7 +10,6 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from groundstation.alignment import align
-from groundstation.compare import Run, differences, drawn, figures_of
 from groundstation.evaluation import evaluate
 from groundstation.figures import FIGURES
 from groundstation.plotting import to_svg
@@ -18,6 +17,7 @@ from groundstation.recorder import recover
 from groundstation.results import Errors, Result
 from groundstation.runlog import RunLog, read_log
 from groundstation.series import Happening, Series
+from groundstation.side_by_side import Run, differences, drawn, figures_of
 from wire.experiment import ArticleRow, Experiment, load_experiment
 from wire.runtime import log
 
@@ -58,7 +58,7 @@ def evaluated(run_dir: Path) -> tuple[Series, RunLog, Result]:
 def write_comparison(runs: Sequence[Run], path: Path) -> None:
     """One self-contained page with all runs side by side."""
     figures = [(title, caption, _svg(figure, f"compare-{title}")) for title, caption, figure in drawn(runs)]
-    page = _environment().get_template("compare.html")
+    page = _environment().get_template("side_by_side.html")
     _replace(path, page.render(runs=runs, rows=figures_of(runs), differences=differences(runs), drawn=figures))
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.compare import Run, differences, drawn, figures_of
 from groundstation.recorder import is_complete
 from groundstation.report import evaluated, write_figures
 from groundstation.runlog import read_log
+from groundstation.side_by_side import Run, differences, drawn, figures_of
 from groundstation.tables import export
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 from wire import topics
