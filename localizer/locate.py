@@ -31,6 +31,7 @@ from wire.frames import Array
 from wire.messages import CameraHealth, LocalizerStatus, Pose, Track
 
 _SCAN_EVERY = 5  # frames, while a robot is lost: a whole picture costs as much as many regions
+_STRANGE_SCANS = 2  # a marker misread once is not misread alike again
 _LEARN_EVERY = 4  # frames, robots taking turns: light changes slowly
 _LEARNING_RATE = 0.03  # per lesson: follows the light in 7 s, outlives an arm over the robot
 _SURE_PEAK = 0.6  # without markers, only a look this certain is learnt from
@@ -69,6 +70,8 @@ class Locator:
         plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
         hull = Hull(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
         self._looks = Appearance(len(self._ids), hull, settings.template_px)
+        self._landmark_ids = {landmark.id for landmark in landmarks}
+        self._strangers: dict[int, int] = {}  # markers of nobody here -> in how many scans running
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.placed(s[[0, 1, 3]]) for s in self._start]
         self._stamp_ns: int | None = None
         self._frames = 0
@@ -131,6 +134,9 @@ class Locator:
         scan = self._frames % _SCAN_EVERY == 1 and any(track.state is Track.LOST for track in self._tracks)
         regions = [whole(frame)] if scan else [sight.region for sight in sights.values()]
         readings = self._reader.read(self.view, regions, np.array([depth.plate_m for depth in depths]))
+        if scan:
+            strangers = sorted(self._reader.strangers - self._landmark_ids)
+            self._strangers = {i: self._strangers.get(i, 0) + 1 for i in strangers}
         strays = [i for i, r in readings.items() if i not in sights or sights[i].distance_m(r.pose) > self.radius_m]
         elsewhere = {i: readings[i].pose[:2] for i in strays}
         sights.update(self._sights(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
@@ -179,8 +185,13 @@ class Locator:
         pairs = list(zip(self._ids, self._tracks, strict=True))
         lost = [str(i) for i, track in pairs if track.state is Track.LOST]
         doubted = [str(i) for i, track in pairs if track.state is not Track.LOST and not track.verified]
-        parts = (("lost", lost), ("identity not verified", doubted))
-        said = [f"{what}: robot {', '.join(ids)}" for what, ids in parts if ids]
+        strange = [str(i) for i, scans in self._strangers.items() if lost and scans >= _STRANGE_SCANS]
+        parts = (
+            ("lost: robot", lost),
+            ("identity not verified: robot", doubted),
+            ("in view, but no robot's: marker", strange),
+        )
+        said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids]
         return "; ".join([self._eye.trouble, *said] if self._eye.trouble else said)
 
     # --- small questions

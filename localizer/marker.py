@@ -93,17 +93,23 @@ class MarkerReader:
 
     def __init__(self, side_m: float, robot_of_marker: Mapping[int, int]) -> None:
         self._side_m, self._robot_of_marker = side_m, dict(robot_of_marker)
+        self.strangers: frozenset[int] = (
+            frozenset()
+        )  # ids in the last regions that are no robot's, though squares of their size
         self._detector = marker_detector()
 
     def read(self, view: PoolView, regions: Iterable[Region], plates_m: NDArray[np.float64]) -> dict[int, MarkerPose]:
         """Poses by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their plates.
         Of two markers alike (a reflection) the better square counts."""
         best: dict[int, MarkerPose] = {}
+        strangers = set()
         for image in (image for region in regions for image in find_markers(self._detector, region)):
             robot = self._robot_of_marker.get(image.id)
+            depth_m = float(plates_m.mean() if robot is None else plates_m[robot])
+            reading = marker_pose(image, view, depth_m, self._side_m)
             if robot is None:
-                continue
-            reading = marker_pose(image, view, float(plates_m[robot]), self._side_m)
-            if reading.misfit < (best[robot].misfit if robot in best else _MAX_MISFIT):
+                strangers.update({image.id} if reading.misfit < _MAX_MISFIT else set())
+            elif reading.misfit < (best[robot].misfit if robot in best else _MAX_MISFIT):
                 best[robot] = reading
+        self.strangers = frozenset(strangers)
         return best

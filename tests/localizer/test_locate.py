@@ -260,6 +260,15 @@ def test_the_frame_is_only_read() -> None:
     assert len(locator.step(frame, 0, DEPTHS_M).poses) == 2
 
 
+def test_a_marker_of_nobody_is_named_until_the_right_one_is_on() -> None:
+    wrong, locator = Scene(load_experiment("pool", ["robots.1.marker_id=9"]), seed=3), Locator(EXPERIMENT)
+    said = [locator.step(wrong.frame(_circling(0.05 * k)), k * STEP_NS, DEPTHS_M).status.message for k in range(12)]
+    assert said[0] == "lost: robot 2", "one sight of it may be a misreading"
+    assert said[-1] == "lost: robot 2; in view, but no robot's: marker 9"
+    *_, step = _fly(locator, 8, first=12)
+    assert step.located.status.message == ""
+
+
 def test_overlay_marks_robots_where_they_are() -> None:
     locator = Locator(EXPERIMENT)
     *_, step = _fly(locator, 2)
