@@ -25,6 +25,7 @@ BENCHMARKS = {
     "optimum": "the numeric scenes' whole run beside the best that is possible (1 minute)",
     "localizer": "the localizer per frame for 1 to 20 robots; its filter alone (2 minutes)",
     "encounters": "robots in one another's way: 200 random starts of each scene (30 minutes)",
+    "simulation": "the plant, a frame, numeric flights, and lockstep with all processes (3 minutes)",
     "accuracy": "the localizer against the truth of rendered frames (10 minutes)",
 }
 

@@ -73,6 +73,11 @@ class Plant:
         still = np.zeros((n, 4))
         return PlantState(0, eta.copy(), still, self._thrusters.start(), still, self._supply.start(n))
 
+    @property
+    def dead_steps(self) -> int:
+        """For how many steps pulses that come now change nothing."""
+        return self._thrusters.dead_steps
+
     def time_s(self, state: PlantState) -> float:
         """Simulated time since the start."""
         return state.steps * self._step_s

@@ -4,6 +4,7 @@ The processes are the ones that run in the pool, started as a person would start
 """
 
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -224,8 +225,11 @@ def page_address(wanted: str) -> str:
 
 
 def free_base_port(robots: tuple[int, ...]) -> int:
-    """A UDP port p such that p + id is free for every robot."""
-    for base in range(14550, 60000, 100):
+    """A UDP port p such that p + id is free for every robot. Where the search begins depends on the process: of two runs that
+    start together, neither has bound its ports yet when the other looks."""
+    bases = list(range(14550, 60000, 100))
+    first = os.getpid() % len(bases)
+    for base in bases[first:] + bases[:first]:
         probes = []
         try:
             for robot in robots:

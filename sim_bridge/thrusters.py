@@ -43,6 +43,7 @@ class Thrusters:
         self._lag_s = vehicle.thruster.lag_s if plant.thruster_lag_s is None else plant.thruster_lag_s
         self._thruster_delay = round(vehicle.thruster.dead_time_s / plant.step_s)
         self._ankle_delay = round(vehicle.legs.ankle_dead_time_s / plant.step_s)
+        self.dead_steps = min(self._thruster_delay, self._ankle_delay)  # what is sent now moves nothing for so long
         ahead_m, side_m = np.array(vehicle.legs.position_m).T
         below_m = np.full(THRUSTERS, plant.tilt.legs_below_m)
         one, none = np.ones(THRUSTERS), np.zeros(THRUSTERS)

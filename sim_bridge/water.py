@@ -44,13 +44,13 @@ class Water:
         force: Array = -(self._linear + self._quadratic * speed) * relative
         return force
 
-    def lift(self, z_m: Array) -> Array:
+    def lift(self, z_m: Array) -> Array | float:
         """Vertical force on hulls at depths (n,), down positive: residual buoyancy, and above water the missing displacement
-        of the cap that stands out."""
-        down = np.full_like(z_m, self._buoyancy_n)
+        of the cap that stands out. One number if it is the same for all."""
+        down: Array | float = self._buoyancy_n
         if self._has_surface and z_m.min() < self._radius_m:
             height = np.clip(self._radius_m - z_m, 0.0, 2.0 * self._radius_m)
-            down += DENSITY_KGPM3 * GRAVITY_MPS2 * np.pi / 3.0 * height**2 * (3.0 * self._radius_m - height)
+            down = down + DENSITY_KGPM3 * GRAVITY_MPS2 * np.pi / 3.0 * height**2 * (3.0 * self._radius_m - height)
         return down
 
     def disturbance(self, time_s: float) -> Array:

@@ -38,6 +38,12 @@ class World:
         return self._state.steps * self._step_ns
 
     @property
+    def exposure_ns(self) -> int:
+        """Plant time of the next exposure: the first step at or after it is due."""
+        due = self._frames * self._frame_period_s - 1e-9
+        return -int(-due * 1e9 // self._step_ns) * self._step_ns
+
+    @property
     def eta(self) -> Array:
         """Poses now, (n, 4)."""
         return self._state.eta
@@ -75,11 +81,25 @@ class World:
             board.sensors.error = (error[0], error[1])
         return changes
 
+    def next_exposure(self) -> tuple[Array, Array] | None:
+        """Poses and velocities (n, 4) at the next exposure, if it is so near that no pulse sent from now on can change them.
+        What breaks meanwhile can: compare before use."""
+        steps = (self.exposure_ns - self.now_ns) // self._step_ns
+        if not 0 < steps <= self._plant.dead_steps:
+            return None
+        state, pulses = self._state, self.faults.pulses(self._pulses())
+        for _ in range(steps):
+            state = self._plant.step(state, pulses, self.faults.harm)
+        return state.eta, state.nu
+
+    def _pulses(self) -> Array:
+        """On the boards' outputs, (n, 8)."""
+        return np.array([board.pulses for board in self._boards], dtype=np.float64)
+
     def step(self) -> list[tuple[int, bytes]]:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
-        pulses = np.array([board.pulses for board in self._boards], dtype=np.float64)
         harm = self.faults.harm
-        self._state = state = self._plant.step(self._state, self.faults.pulses(pulses), harm)
+        self._state = state = self._plant.step(self._state, self.faults.pulses(self._pulses()), harm)
         acceleration = self._plant.acceleration(state) if self._boards[0].measures(self.now_ns) else self._no_acceleration
         supply_v = self._plant.rest_v(state, harm).tolist()
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9

@@ -1,0 +1,135 @@
+"""How fast the simulator is: the plant alone, a frame, numeric flights, and all processes in lockstep.
+
+Plant, frames and numeric flights are timed by this process's own processor time, so that other work on the machine does not
+count; lockstep and real time need the whole machine, and count the wall clock.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import Row
+from groundstation import planner
+from sim_bridge.camera import Renderer
+from sim_bridge.dynamics import Plant
+from sim_bridge.numeric import AgentFleet, BareWater, fly
+from wire.experiment import Experiment, Robot, load_experiment
+from wire.frames import Array
+
+BENCHMARK = "simulation"
+LOCKSTEP_S = 30.0
+FLOWN_S = 20.0
+FLIGHTS = 3
+
+
+def crowd(robots: int, *settings: str) -> Experiment:
+    """The pool experiment with any number of robots, one metre apart in water that is wide enough. (A file allows 49: there
+    are no more markers. The plant does not care.)"""
+    side = int(np.ceil(np.sqrt(robots)))
+    experiment = load_experiment("pool", (f"pool.size_m=[{side + 2},{side + 2},3]", *settings))
+    return experiment.model_copy(update={"robots": tuple(Robot(id=1, node_m=(0.0, 0.0, 0.0)) for _ in range(robots))})
+
+
+def places(robots: int) -> Array:
+    """Poses (robots, 4) on a grid."""
+    side = int(np.ceil(np.sqrt(robots)))
+    x, y = np.meshgrid(np.arange(side), np.arange(side))
+    flat = np.stack([x.ravel(), y.ravel()], axis=1)[:robots] - (side - 1) / 2
+    return np.column_stack([flat, np.full(robots, 1.0), np.linspace(0.0, 6.0, robots)])
+
+
+def cpu_ms(call: Callable[[], object], n: int) -> list[float]:
+    """Processor time of each of n calls, after one that is not counted."""
+    call()
+    samples = []
+    for _ in range(n):
+        begin_ns = time.process_time_ns()
+        call()
+        samples.append((time.process_time_ns() - begin_ns) * 1e-6)
+    return samples
+
+
+def plant_rows() -> Iterator[Row]:
+    """One step of the plant, and how much faster than real time that is."""
+    for robots in (1, 3, 20, 1000):
+        for subject, settings in (("six axes", ()), ("four axes", ("sim.plant.tilt.enabled=false",))):
+            experiment = crowd(robots, *settings)
+            fleet = Plant(experiment, 1)
+            state = fleet.start(places(robots))
+            pulses = np.tile([1600.0, 1550.0, 1600.0, 1550.0, *[1500.0] * 4], (robots, 1))
+            for _ in range(20):
+                state = fleet.step(state, pulses)
+            samples = cpu_ms(lambda fleet=fleet, state=state, pulses=pulses: fleet.step(state, pulses), 300)  # type: ignore[misc]
+            yield Row.of(BENCHMARK, f"plant, {robots} robots", subject, "ms a step", samples)
+            speed = [1000.0 * experiment.sim.plant.step_s / sample for sample in samples if sample > 0]
+            yield Row.of(BENCHMARK, f"plant, {robots} robots", subject, "x real time", speed)
+
+
+def frame_rows() -> Iterator[Row]:
+    """A 1280x960 frame with all effects."""
+    experiment = load_experiment("pool")
+    renderer = Renderer(experiment, 1)
+    eta = np.array([[-0.4, 0.1, 0.3, 0.3], [0.4, -0.1, 0.3, 2.0]])
+    nu = np.array([[0.3, 0.0, 0.0, 0.5], [0.2, 0.0, 0.0, -0.5]])
+    frames = iter(range(10**9))
+
+    def frame() -> None:
+        index = next(frames)
+        renderer.render(eta, nu, 0.05 * index, index)
+
+    yield Row.of(BENCHMARK, "frame, 1280x960, 2 robots moving", "ours", "ms", cpu_ms(frame, 100))
+
+
+def flight_rows() -> Iterator[Row]:
+    """Agents and plant in one process."""
+    for name in ("numeric", "pool", "open-water"):
+        experiment = load_experiment(name, [f"duration_s={FLOWN_S}"])
+        trajectories = planner.plan(experiment)
+        starts = planner.start_poses(experiment, trajectories)
+        speeds = []
+        for seed in range(1, FLIGHTS + 1):
+            water = BareWater(experiment, seed, np.array([starts[r] for r in experiment.robot_ids]))
+            fleet = AgentFleet(experiment, trajectories, water, seed)
+            fleet.start()
+            begin_s = time.process_time()
+            for _ in fly(fleet, water):
+                pass
+            speeds.append(fleet.time_s / (time.process_time() - begin_s))
+        yield Row.of(BENCHMARK, f"numeric flight, {name}, {len(experiment.robots)} robots", "ours", "x real time", speeds)
+
+
+def process_rows() -> Iterator[Row]:
+    """All processes: in lockstep as fast as it goes, and twenty robots in real time."""
+    runs = (
+        ("lockstep, pool, camera in the loop", "pool", ("--lockstep",)),
+        ("lockstep, pool, poses instead of frames", "pool", ("--lockstep", "--poses")),
+        ("lockstep, fleet-20, poses instead of frames", "fleet-20", ("--lockstep", "--poses")),
+        ("real time, fleet-20, poses instead of frames", "fleet-20", ("--poses",)),
+    )
+    for case, name, options in runs:
+        with tempfile.TemporaryDirectory() as folder:
+            command = [sys.executable, "-m", "sim_bridge", "sil", name, "--no-web", "--out", folder, *options]
+            done = subprocess.run([*command, "--duration", str(LOCKSTEP_S)], capture_output=True, text=True, check=False)
+            results = list(Path(folder).glob("*/result.json"))
+            if not results:
+                print(f"{case} not measured: {done.stdout}{done.stderr}", file=sys.stderr)
+                continue
+            result = json.loads(results[0].read_text(encoding="utf-8"))
+        if "--lockstep" in options and result["real_time_factor"] is not None:
+            yield Row.of(BENCHMARK, case, "ours", "x real time", [result["real_time_factor"]])
+        elif result["missed_deadlines_fraction"] is not None:
+            yield Row.of(BENCHMARK, case, "ours", "% of control steps late", [100.0 * result["missed_deadlines_fraction"]])
+
+
+def run() -> Iterator[Row]:
+    """From the plant to the whole."""
+    yield from plant_rows()
+    yield from frame_rows()
+    yield from flight_rows()
+    yield from process_rows()
