@@ -121,6 +121,9 @@ def process_rows() -> Iterator[Row]:
                 print(f"{case} not measured: {done.stdout}{done.stderr}", file=sys.stderr)
                 continue
             result = json.loads(results[0].read_text(encoding="utf-8"))
+        if result["duration_s"] < 0.9 * LOCKSTEP_S:
+            print(f"{case} not measured: the mission failed after {result['duration_s']:.0f} s", file=sys.stderr)
+            continue
         if "--lockstep" in options and result["real_time_factor"] is not None:
             yield Row.of(BENCHMARK, case, "ours", "x real time", [result["real_time_factor"]])
         elif result["missed_deadlines_fraction"] is not None:
