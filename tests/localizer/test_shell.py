@@ -296,6 +296,14 @@ def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, 
     assert np.linalg.norm(looks[-1][1].velocity[0] - [0.1, 0.0]) < 0.03
 
 
+@pytest.mark.parametrize(("scene", "settings"), [("pool", ["localizer.obstacle_min_m=0"]), ("drone", [])])
+def test_nobody_looks_for_obstacles_who_was_not_asked_or_moves(scene: str, settings: list[str]) -> None:
+    """Under a drone all of the background moves."""
+    bus = Bus(MemoryTransport(MemoryHub()))
+    assert Shell(load_experiment(scene, settings), bus, Stop(install=False), LockstepClock())._watch is None
+    assert Shell(EXPERIMENT, bus, Stop(install=False), LockstepClock())._watch is not None
+
+
 def test_previews_keep_their_rate_and_survive_a_clock_set_back() -> None:
     rate = Rate(5.0)
     stamps = [1000, 1100, 1190, 1200, 1390, 1400, 20, 100, 220]
