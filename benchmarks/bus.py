@@ -35,7 +35,8 @@ def _robot(topic: Topic) -> int | None:
     return 1 if "{robot}" in topic.name else None
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A TCP port that is free now."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -184,7 +185,7 @@ def run() -> Iterator[Row]:
     messages = {case: message for case, message in examples().items() if case in CASES}
     task = [{"case": case, "bytes": len(codec.encode(m)), "n": _count(case)} for case, m in messages.items()]
     peers = [row for name, requirements in PEERS.items() for row in run_peer(name, requirements, task)]
-    address = f"tcp/127.0.0.1:{_free_port()}"
+    address = f"tcp/127.0.0.1:{free_port()}"
     with ExitStack() as processes:
         processes.enter_context(_process("router", address))
         for case, message in messages.items():

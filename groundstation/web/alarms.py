@@ -29,17 +29,20 @@ def alarms(
     experiment: Experiment, fleet: Fleet, localizer: LocalizerStatus | None, localizer_age_s: float, recorder_error: str
 ) -> list[Alarm]:
     """All that is amiss, critical first."""
-    found = [*_system(localizer, localizer_age_s, recorder_error)]
+    found = [*_system(fleet, localizer, localizer_age_s, recorder_error)]
     for robot in experiment.robot_ids:
         found += _robot(experiment, fleet, robot)
     return sorted(found, key=lambda alarm: LEVELS.index(alarm.level))
 
 
-def _system(localizer: LocalizerStatus | None, age_s: float, recorder_error: str) -> Iterator[Alarm]:
+def _system(fleet: Fleet, localizer: LocalizerStatus | None, age_s: float, recorder_error: str) -> Iterator[Alarm]:
     if recorder_error:
         yield Alarm("critical", "recorder", f"the log is not being written: {recorder_error}")
-    if localizer is None or age_s > topics.LOCALIZER.max_age_s:
-        yield Alarm("critical", "localizer", "the localizer is silent" if localizer else "no localizer has been heard")
+    if localizer is None:
+        if not any(robot.pose_age_s <= topics.POSE.max_age_s for robot in fleet.values()):  # poses may come without one
+            yield Alarm("warning", "localizer", "no localizer has been heard")
+    elif age_s > topics.LOCALIZER.max_age_s:
+        yield Alarm("critical", "localizer", "the localizer is silent")
     elif localizer.camera is not CameraHealth.OK:
         why = f": {localizer.message}" if localizer.message else ""
         yield Alarm("critical", "camera", f"the camera is {localizer.camera.name.lower().replace('_', ' ')}{why}")

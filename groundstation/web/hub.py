@@ -25,6 +25,7 @@ from wire.messages import Order
 from wire.runtime import log
 
 LOOK_S = 0.02  # how often the inboxes are looked at; a state waits half of this on average
+MOST_SHARE = 0.25  # of the interpreter, which the control cycle needs too: large fleets are shown less often
 AT_LEAST_S = 0.25  # ages go on also when nothing comes
 MOST_WATCHERS = 16
 HELLO_WITHIN_S = 5.0
@@ -63,7 +64,7 @@ class Hub:
 
     async def pump(self) -> None:
         """Look at the source for ever, and offer what is new to every watcher."""
-        told_s = 0.0
+        told_s, took_s = 0.0, 0.0
         while True:
             await asyncio.sleep(LOOK_S if self._watchers else AT_LEAST_S)
             for note in self._source.notes():
@@ -75,9 +76,11 @@ class Hub:
             if picture is not None:
                 self._picture = msgspec.msgpack.encode({"k": "picture", "stamp_ms": time.time() * 1e3, **picture})
                 self._each(lambda w: w.window.offer("picture", self._picture))
-            if self._source.changed() or time.monotonic() - told_s >= AT_LEAST_S:
-                told_s = time.monotonic()
+            now_s = time.monotonic()
+            rested = now_s - told_s >= took_s / MOST_SHARE
+            if rested and (self._source.changed() or now_s - told_s >= AT_LEAST_S):
                 self.tell()
+                told_s, took_s = now_s, time.monotonic() - now_s
 
     def tell(self) -> None:
         """Offer the present state to everyone."""

@@ -60,6 +60,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
             "battery_v": [vehicle.battery.neutral_v, vehicle.battery.no_arm_v, vehicle.battery.warn_v, vehicle.battery.full_v],
         },
         "legs_m": [list(leg) for leg in vehicle.legs.position_m],
+        "islands": [[*island.position_m, island.radius_m] for island in experiment.islands],
         "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
         "path": experiment.path.model_dump(mode="json"),
         "formation": experiment.formation.model_dump(mode="json"),

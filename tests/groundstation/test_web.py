@@ -214,6 +214,15 @@ def test_each_trouble_is_named_and_the_worst_comes_first() -> None:
     assert _texts(RobotView(), _view()) == ["warning robot 1: not heard yet"]
 
 
+def test_a_localizer_is_missed_only_where_poses_are() -> None:
+    def texts(*views: RobotView) -> list[str]:
+        return [a.text for a in alarms(POOL, dict(zip((1, 2), views, strict=True)), None, math.inf, "")]
+
+    assert texts(_view(), _view()) == []
+    blind = RobotView(_view().state, 0.05)
+    assert "no localizer has been heard" in texts(blind, blind)
+
+
 # --- where the picture lies
 
 

@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,8 +12,17 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
+from groundstation import planner
+from groundstation.mission import Phase
+from groundstation.web.desk import Desk, Post, Status
+from groundstation.web.guard import WebOptions
+from groundstation.web.server import WebServer
 from sim_bridge.sil import free_port
 from tests.page.conftest import Asked, Flight, open_page
+from wire.bus import Bus
+from wire.experiment import load_experiment
+from wire.runtime import WallClock
+from wire.transport import MemoryHub, MemoryTransport
 
 AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 
@@ -98,14 +108,11 @@ def test_what_is_old_does_not_look_live(page: Page, flight: Flight) -> None:
         expect(tile(page, robot)).not_to_have_class(re.compile("stale"))
 
 
-def test_a_formation_is_dragged_judged_and_saved(page: Page, tmp_path: Path) -> None:
+def test_a_formation_is_dragged_and_judged(page: Page) -> None:
     button(page, "Edit").click()
     verdict = page.locator(".verdict")
     expect(verdict).to_contain_text("can be flown: closest 0.80 m")
-    canvas = page.locator(".pool canvas").bounding_box()
-    assert canvas is not None
-    scale = min((canvas["width"] - 56) / 3.5, (canvas["height"] - 56) / 2.5)
-    middle = (canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2)
+    middle, scale = map_of(page, 3.5, 2.5)
     place = (middle[0] + (0.45 / 2 + 0.4) * scale, middle[1])  # robot 1's place when the run begins
 
     page.mouse.move(*place)
@@ -118,6 +125,40 @@ def test_a_formation_is_dragged_judged_and_saved(page: Page, tmp_path: Path) -> 
     expect(verdict).to_contain_text("can be flown: closest 1.00 m")
     page.get_by_label("Name of the new experiment").fill("Not A Name")
     expect(button(page, "Save")).to_be_disabled()
+
+
+def test_a_waypoint_is_dragged_and_judged(browser: Browser) -> None:
+    """On a path of waypoints; the planner needs no robots for that."""
+    curve = load_experiment(
+        "figure-eight", ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.start_index=0", "duration_s=15"]
+    )
+    port = free_port()
+    post = Post(lambda: Status(Phase.WAITING, ""), lambda order: "", deque())
+    with Bus(MemoryTransport(MemoryHub())) as bus:
+        desk = Desk(curve, planner.plan(curve), bus, WallClock(), post, "real-time")
+        with WebServer(desk, WebOptions(port=port)):
+            page = browser.new_page(viewport={"width": 1440, "height": 900})
+            page.goto(f"http://127.0.0.1:{port}/")
+            button(page, "Edit").click()
+            verdict = page.locator(".verdict")
+            expect(verdict).to_contain_text("can be flown")
+            middle, scale = map_of(page, 3.5, 2.5)
+            page.mouse.move(middle[0], middle[1] + 0.3 * scale)
+            page.mouse.down()
+            page.mouse.move(middle[0], middle[1] + 1.2 * scale, steps=5)
+            expect(verdict).to_contain_text("the wall's clearance in y")
+            page.mouse.move(middle[0], middle[1], steps=5)  # straight: nothing in the way
+            page.mouse.up()
+            expect(verdict).to_contain_text("can be flown")
+            page.context.close()
+
+
+def map_of(page: Page, length_m: float, width_m: float) -> tuple[tuple[float, float], float]:
+    """The pool's middle on the screen, and pixels per metre, as long as nobody has zoomed."""
+    canvas = page.locator(".pool canvas").bounding_box()
+    assert canvas is not None
+    scale = min((canvas["width"] - 56) / length_m, (canvas["height"] - 56) / width_m)
+    return (canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2), scale
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

@@ -1,4 +1,4 @@
 /** What measurements hook into (benchmarks/page.py); absent in use. */
 interface Window {
-  shoal?: { drawn?: (stateStampMs: number, pictureStampMs: number) => void };
+  shoal?: { drawn?: (stateStampMs: number, pictureStampMs: number) => void; ready?: (drawSoon: () => void) => void };
 }

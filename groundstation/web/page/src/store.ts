@@ -6,6 +6,9 @@ import { floats } from "./wire";
 
 export const MOST_LINES = 200;
 const SHOW_EVERY_MS = 200; // people cannot read faster; the canvas draws every state
+const SHOW_MANY_EVERY_MS = 400; // nor so many
+const MANY = 16;
+const TICK_MS = 300;
 
 /** One robot, unpacked for drawing. */
 export interface Robot {
@@ -100,7 +103,7 @@ function takeState(state: Snapshot): void {
   for (const listener of listeners) listener(state);
   const before = shown.peek();
   const changed = !before || before.phase !== state.phase || before.holder !== state.holder || before.stop !== state.stop;
-  if (changed || at - shownAtMs >= SHOW_EVERY_MS) {
+  if (changed || at - shownAtMs >= (state.robots.length > MANY ? SHOW_MANY_EVERY_MS : SHOW_EVERY_MS)) {
     shownAtMs = at;
     shown.value = state;
     now.value = at;
@@ -184,6 +187,8 @@ export function drawWith(drawing: () => void): void {
   draw = drawing;
 }
 
+window.shoal?.ready?.(() => drawSoon());
+
 /** Draw the pool at the screen's next chance. */
 export function drawSoon(): void {
   if (asked) return;
@@ -195,6 +200,7 @@ export function drawSoon(): void {
 }
 
 setInterval(() => {
-  now.value = performance.now();
+  if (performance.now() - live.arrivedMs < TICK_MS) return;
+  now.value = performance.now(); // ages go on when nothing comes: that is when they matter
   drawSoon();
-}, 250); // ages go on when nothing comes: that is when they matter
+}, TICK_MS);

@@ -24,6 +24,7 @@ export interface WaypointPath {
   points_m: [number, number][];
   speed_mps: number;
   depth_m: number;
+  start_index: number;
 }
 
 export interface Scene {
@@ -48,6 +49,7 @@ export interface Scene {
     battery_v: [number, number, number, number]; // neutral, no arming, warning, full
   };
   legs_m: [number, number][];
+  islands: [number, number, number][]; // x, y, radius
   robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
   path: CirclePath | WaypointPath;
   formation: { mode: "translate" | "rotate"; scale: number };

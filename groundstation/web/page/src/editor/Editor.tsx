@@ -111,7 +111,7 @@ export function Editor() {
             <button type="button" onClick={() => change({ ...d, points: [...d.points, beyond(d.points)] })}>
               Add waypoint
             </button>
-            <button type="button" disabled={d.points.length < 3} onClick={() => change({ ...d, points: d.points.slice(0, -1) })}>
+            <button type="button" disabled={d.points.length < d.start + 3} onClick={() => change({ ...d, points: d.points.slice(0, -1) })}>
               Remove last
             </button>
           </div>

@@ -16,14 +16,14 @@ let held: Handle | null = null;
 
 /** Where the formation's centre is at the start: nodes are drawn around it. */
 function centre(d: Draft): [number, number] {
-  return d.kind === "circle" ? [d.diameter / 2, 0] : (d.points[0] ?? [0, 0]);
+  return d.kind === "circle" ? [d.diameter / 2, 0] : (d.points[d.start] ?? [0, 0]);
 }
 
 /** In mode `rotate` the formation's y points along the path: its axes in the pool at the start. */
 function axes(d: Draft): [number, number] {
   if (d.mode === "translate") return [1, 0];
-  const a: Point = d.points[0] ?? [0, 0];
-  const b: Point = d.points[1] ?? [0, 1];
+  const a: Point = d.points[d.start] ?? [0, 0];
+  const b: Point = d.points[d.start + 1] ?? [0, 1];
   const heading = d.kind === "circle" ? Math.PI / 2 : Math.atan2(b[1] - a[1], b[0] - a[0]);
   return [Math.cos(heading - Math.PI / 2), Math.sin(heading - Math.PI / 2)];
 }

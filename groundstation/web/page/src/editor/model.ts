@@ -8,6 +8,7 @@ import type { Edit, Scene } from "../wire";
 export interface Draft {
   kind: "circle" | "waypoints";
   points: [number, number][];
+  start: number; // index of the waypoint at which the run begins
   diameter: number;
   lap: number;
   speed: number;
@@ -26,6 +27,7 @@ function fromScene(s: Scene): Draft {
   return {
     kind: path.kind,
     points: path.kind === "waypoints" ? path.points_m.map(([x, y]) => [x, y]) : [],
+    start: path.kind === "waypoints" ? path.start_index : 0,
     diameter: path.kind === "circle" ? path.diameter_m : 0,
     lap: path.kind === "circle" ? path.lap_s : 0,
     speed: path.kind === "waypoints" ? path.speed_mps : 0,

@@ -22,7 +22,7 @@ function whyNot(state: Snapshot, button: (typeof BUTTONS)[number]): string {
 
 function Preflight({ state }: { state: Snapshot }) {
   const robots = scene.value?.robots ?? [];
-  const needed = ["WAITING", "LOADING", "ARMING", "DONE", "FAILED", "STOPPED"].includes(state.phase);
+  const needed = ["WAITING", "LOADING", "ARMING", "DONE", "FAILED"].includes(state.phase);
   if (!needed) return null;
   const reasons = new Map<number, string[]>();
   for (const line of state.preflight) {

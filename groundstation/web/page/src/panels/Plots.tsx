@@ -12,6 +12,7 @@ import type { Scene } from "../wire";
 import { moment } from "./Alarms";
 
 const DRAW_EVERY_MS = 200;
+const MANY_EVERY_MS = 500; // fifty curves cost as much as the map
 const FALLBACK = [0, 1, 2, 3, 4, 5, 6, 7];
 
 export const themeSerial = signal(0);
@@ -88,7 +89,7 @@ function Plot({ slot }: { slot: number }) {
     plot.over.addEventListener("dblclick", () => (zoomed = false));
     const timer = setInterval(() => {
       if (!paused.peek() && !document.hidden) plot.setData(data(), !zoomed);
-    }, DRAW_EVERY_MS);
+    }, many ? MANY_EVERY_MS : DRAW_EVERY_MS);
     const watch = new ResizeObserver(() => plot.setSize(size()));
     watch.observe(box);
     return () => {

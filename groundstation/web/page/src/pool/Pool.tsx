@@ -228,7 +228,7 @@ export function Pool() {
         >
           Follow
         </button>
-        <button type="button" aria-pressed={deepOpen.value} onClick={() => (deepOpen.value = !deepOpen.value)} title="see depth (3)">
+        <button type="button" aria-pressed={deepOpen.value} onClick={() => (deepOpen.value = !deepOpen.value)} title="see how deep they are">
           3-D
         </button>
       </div>

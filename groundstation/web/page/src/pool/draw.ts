@@ -27,14 +27,13 @@ export function samples(path: PathSamples): Float32Array {
 
 export function drawPool(pen: Pen, view: View): void {
   const s = scene.peek();
-  pen.fillStyle = css("--deck");
-  pen.fillRect(0, 0, view.width, view.height);
-  if (s === null) return;
+  if (s === null) {
+    pen.fillStyle = css("--deck");
+    pen.fillRect(0, 0, view.width, view.height);
+    return;
+  }
   const on = layers.peek();
-  drawBasin(pen, view, s);
-  if (on.camera) drawPicture(pen, view, s);
-  drawGrid(pen, view, s);
-  if (on.reference) for (const path of s.paths) drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 0.7);
+  pen.drawImage(ground(view, s), 0, 0, view.width, view.height);
   if (on.obstacles) drawObstacles(pen, view);
   if (on.formation) drawLinks(pen, view, s);
   if (on.constraints) drawConstraints(pen, view, s);
@@ -44,6 +43,34 @@ export function drawPool(pen: Pen, view: View): void {
   });
   for (const ghost of live.snapshot?.ghosts ?? []) drawGhost(pen, view, s, ghost.id, floats(ghost.eta));
   drawRulers(pen, view);
+}
+
+const groundCanvas = document.createElement("canvas");
+let groundOf = "";
+
+/** What lies under the robots. Drawn again only when it changes: without a graphics card it costs more than all robots. */
+function ground(view: View, s: Scene): HTMLCanvasElement {
+  const on = layers.peek();
+  const old = pictureIsOld(s);
+  const now = [s.hash, view.x, view.y, view.scale, view.width, view.height, devicePixelRatio, isLight(), live.pictureSerial, old, JSON.stringify(on)].join();
+  if (now === groundOf) return groundCanvas;
+  groundOf = now;
+  groundCanvas.width = Math.round(view.width * devicePixelRatio);
+  groundCanvas.height = Math.round(view.height * devicePixelRatio);
+  const pen = groundCanvas.getContext("2d", { alpha: false })!;
+  pen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
+  pen.fillStyle = css("--deck");
+  pen.fillRect(0, 0, view.width, view.height);
+  drawBasin(pen, view, s);
+  if (on.camera) drawPicture(pen, view, old);
+  drawGrid(pen, view, s);
+  if (on.reference) for (const path of s.paths) drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 0.7);
+  if (on.obstacles) drawIslands(pen, view, s);
+  return groundCanvas;
+}
+
+function pictureIsOld(s: Scene): boolean {
+  return live.pictureAgeMs + performance.now() - live.pictureArrivedMs > s.picture_stale_s * 1e3;
 }
 
 /** A robot of the run beside: only an outline, so that nobody takes it for one that is there. */
@@ -74,12 +101,11 @@ function drawBasin(pen: Pen, view: View, s: Scene): void {
   else pen.fillRect(0, 0, view.width, view.height);
 }
 
-function drawPicture(pen: Pen, view: View, s: Scene): void {
+function drawPicture(pen: Pen, view: View, old: boolean): void {
   const found = straightened();
   if (found === null) return;
   const [x, y, width, height] = found.at;
   const [left, top] = view.toScreen(x, y);
-  const old = live.pictureAgeMs + performance.now() - live.pictureArrivedMs > s.picture_stale_s * 1e3;
   pen.save();
   pen.globalAlpha = old ? 0.25 : isLight() ? 0.75 : 0.62; // what is drawn on it must be seen
   if (old) pen.filter = "grayscale(1)";
@@ -136,15 +162,21 @@ function drawRulers(pen: Pen, view: View): void {
   const [x0, y0] = view.toPool(0, 0);
   const [x1, y1] = view.toPool(view.width, view.height);
   pen.font = "11px system-ui, sans-serif";
-  pen.fillStyle = css("--dim");
+  pen.fillStyle = css("--ink");
   pen.textAlign = "center";
   pen.textBaseline = "top";
-  for (let x = Math.ceil(x0 / step) * step; x <= x1; x += step) pen.fillText((x + 0).toFixed(digits), view.toScreen(x, 0)[0], 4);
+  pen.strokeStyle = css("--halo");
+  pen.lineWidth = 3;
+  const mark = (text: string, x: number, y: number) => {
+    pen.strokeText(text, x, y);
+    pen.fillText(text, x, y);
+  };
+  for (let x = Math.ceil(x0 / step) * step; x <= x1; x += step) mark((x + 0).toFixed(digits), view.toScreen(x, 0)[0], 4);
   pen.textAlign = "left";
   pen.textBaseline = "middle";
   for (let y = Math.ceil(y0 / step) * step; y <= y1; y += step) {
     const py = view.toScreen(0, y)[1];
-    if (py > 24) pen.fillText((y + 0).toFixed(digits), 5, py);
+    if (py > 24) mark((y + 0).toFixed(digits), 5, py);
   }
   drawScaleBar(pen, view);
 }
@@ -191,6 +223,18 @@ export function drawPath(pen: Pen, view: View, path: PathSamples, colour: string
   pen.restore();
   pen.stroke();
   pen.restore();
+}
+
+function drawIslands(pen: Pen, view: View, s: Scene): void {
+  pen.fillStyle = css("--island");
+  pen.strokeStyle = css("--wall");
+  pen.lineWidth = 2;
+  for (const [x, y, radius] of s.islands) {
+    pen.beginPath();
+    pen.arc(...view.toScreen(x, y), radius * view.scale, 0, 2 * Math.PI);
+    pen.fill();
+    pen.stroke();
+  }
 }
 
 function drawObstacles(pen: Pen, view: View): void {

@@ -3,12 +3,14 @@
 import { live, scene } from "../store";
 import { floats } from "../wire";
 
-const PX_PER_M = 170; // of the straightened picture; the preview has about 140
+const MOST_PX_PER_M = 170; // of the straightened picture; the preview of the pool scene has about 140
+const MOST_PX = 800; // across: no preview has more
 const OVERLAP_PX = 0.6; // neighbouring pieces, or one sees the seams
 
 interface Mesh {
   columns: number;
   rows: number;
+  pxPerM: number;
   pool: Float32Array;
   picture: Float32Array;
 }
@@ -27,7 +29,8 @@ function theMesh(): Mesh | null {
     mesh = null;
   } else {
     const pool = floats(s.underlay.pool);
-    mesh = { columns: s.underlay.columns, rows: pool.length / 2 / s.underlay.columns, pool, picture: floats(s.underlay.picture) };
+    const pxPerM = Math.min(MOST_PX_PER_M, MOST_PX / (pool[pool.length - 2]! - pool[0]!));
+    mesh = { pxPerM, columns: s.underlay.columns, rows: pool.length / 2 / s.underlay.columns, pool, picture: floats(s.underlay.picture) };
   }
   return mesh;
 }
@@ -41,8 +44,8 @@ export function straightened(): { image: HTMLCanvasElement; at: [number, number,
   const [x0, y0, x1, y1] = [m.pool[0]!, m.pool[1]!, m.pool[last]!, m.pool[last + 1]!];
   if (flatSerial !== live.pictureSerial) {
     flatSerial = live.pictureSerial;
-    flat.width = Math.round((x1 - x0) * PX_PER_M);
-    flat.height = Math.round((y1 - y0) * PX_PER_M);
+    flat.width = Math.round((x1 - x0) * m.pxPerM);
+    flat.height = Math.round((y1 - y0) * m.pxPerM);
     straighten(m, image, flat.getContext("2d")!, x0, y0);
   }
   return { image: flat, at: [x0, y0, x1 - x0, y1 - y0] };
@@ -53,10 +56,10 @@ function straighten(m: Mesh, image: ImageBitmap, to: CanvasRenderingContext2D, x
     for (let column = 0; column + 1 < m.columns; column++) {
       const k = 2 * (row * m.columns + column);
       const below = k + 2 * m.columns;
-      const left = (m.pool[k]! - x0) * PX_PER_M;
-      const top = (m.pool[k + 1]! - y0) * PX_PER_M;
-      const width = (m.pool[k + 2]! - m.pool[k]!) * PX_PER_M;
-      const height = (m.pool[below + 1]! - m.pool[k + 1]!) * PX_PER_M;
+      const left = (m.pool[k]! - x0) * m.pxPerM;
+      const top = (m.pool[k + 1]! - y0) * m.pxPerM;
+      const width = (m.pool[k + 2]! - m.pool[k]!) * m.pxPerM;
+      const height = (m.pool[below + 1]! - m.pool[k + 1]!) * m.pxPerM;
       const [u, v] = [m.picture[k]! * image.width, m.picture[k + 1]! * image.height];
       const du = [m.picture[k + 2]! * image.width - u, m.picture[below]! * image.width - u] as const;
       const dv = [m.picture[k + 3]! * image.height - v, m.picture[below + 1]! * image.height - v] as const;

@@ -57,6 +57,18 @@ function surface(s: Scene): Float32Array {
   return new Float32Array([-x, -y, 0, x, -y, 0, x, y, 0, -x, -y, 0, x, y, 0, -x, y, 0]);
 }
 
+/** An island: its rim at the surface and at the floor, and uprights between. */
+function posts([x, y, radius]: [number, number, number], depth: number): Float32Array {
+  const around = 24;
+  const at = (k: number): [number, number] => [x + radius * Math.cos((2 * Math.PI * k) / around), y + radius * Math.sin((2 * Math.PI * k) / around)];
+  const out: number[] = [];
+  for (let k = 0; k < around; k++) {
+    const [a, b] = [at(k), at(k + 1)];
+    out.push(...a, 0, ...b, 0, ...a, depth, ...b, depth, ...a, 0, ...a, depth);
+  }
+  return new Float32Array(out);
+}
+
 class Orbit {
   azimuth = Math.PI / 2 - 0.5;
   elevation = 0.55;
@@ -107,6 +119,7 @@ function drawDeep(gl: Gl, canvas: HTMLCanvasElement, labels: HTMLCanvasElement, 
   gl.begin(width, height, rgba(css("--deck")), view);
   gl.segments(floorGrid(s), rgba(css("--faint"), 0.35));
   gl.segments(edges(s), rgba(css("--wall"), 0.8));
+  for (const island of s.islands) gl.segments(posts(island, s.pool_m[2]), rgba(css("--wall"), 0.9));
   const pen = labels.getContext("2d")!;
   pen.clearRect(0, 0, width, height);
   pen.font = `600 ${13 * devicePixelRatio}px system-ui, sans-serif`;

@@ -1,0 +1,112 @@
+"""SHELL: docs/images/page-*.jpg, the operator's page on real runs: `python docs/screenshots.py` (Chromium; four minutes)."""
+
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+from playwright.sync_api import Browser, Page, ViewportSize, sync_playwright
+
+from sim_bridge.sil import free_port
+
+IMAGES = Path(__file__).parent / "images"
+FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+PATIENCE_MS = 180_000
+DESK: ViewportSize = {"width": 1440, "height": 900}
+PHONE: ViewportSize = {"width": 390, "height": 844}
+
+
+@contextmanager
+def flight(out: str, *arguments: str) -> Iterator[str]:
+    """A run in lockstep; where its page is."""
+    port = free_port()
+    command = [sys.executable, "-m", "sim_bridge", "sil", *arguments, "--lockstep", "--out", out, "--web", f"127.0.0.1:{port}"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    try:
+        yield f"http://127.0.0.1:{port}/"
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def opened(browser: Browser, url: str, size: ViewportSize, scheme: Literal["dark", "light"] = "dark") -> Page:
+    """The page, as soon as it is served."""
+    page = browser.new_context(viewport=size, color_scheme=scheme).new_page()
+    page.set_default_timeout(PATIENCE_MS)
+    page.on("dialog", lambda dialog: dialog.accept())
+    deadline = time.monotonic() + PATIENCE_MS * 1e-3
+    while True:
+        try:
+            page.goto(url)
+            break
+        except Exception:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+    page.wait_for_selector("[data-robot='1']:not(.stale)")
+    return page
+
+
+def flown(page: Page, seconds: int) -> None:
+    """Wait until the run has got this far."""
+    page.wait_for_function(
+        "s => { const t = document.querySelector('header .clock').textContent.split(' ')[0].split(':'); "
+        "return 60 * Number(t[0]) + Number(t[1]) >= s; }",
+        arg=seconds,
+    )
+
+
+def keep(page: Page, name: str) -> None:
+    page.wait_for_timeout(600)
+    page.screenshot(path=IMAGES / f"page-{name}.jpg", type="jpeg", quality=86)
+    print(IMAGES / f"page-{name}.jpg")
+
+
+def of_the_pool(browser: Browser, out: str) -> None:
+    """Flying, editing, a phone, and the emergency stop."""
+    with flight(out, "pool", "--set", "sim.plant.current_mps=[0.02,0.01,0]") as url:
+        page = opened(browser, url, DESK)
+        page.locator("[data-robot='1'] .name").click()
+        flown(page, 24)
+        keep(page, "flight")
+        page.get_by_role("button", name="3-D").click()
+        keep(page, "depth")
+        phone = opened(browser, url, PHONE)
+        keep(phone, "phone")
+        phone.context.close()
+        light = opened(browser, url, DESK, "light")
+        light.get_by_role("button", name="Edit").click()
+        light.get_by_label("scale").fill("0.7")
+        keep(light, "editor")
+        light.context.close()
+        page.get_by_role("button", name="3-D").click()
+        page.keyboard.press("Escape")
+        page.get_by_text("robot 2 confirms: stopped").wait_for()
+        keep(page, "stop")
+        page.context.close()
+
+
+def of_a_fleet(browser: Browser, out: str) -> None:
+    """Twenty robots; one of them in trouble would come first."""
+    with flight(out, "fleet-20", "--poses") as url:
+        page = opened(browser, url, DESK)
+        flown(page, 12)
+        keep(page, "fleet")
+        page.context.close()
+
+
+def main() -> None:
+    with sync_playwright() as playwright, tempfile.TemporaryDirectory() as out:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        of_the_pool(browser, out)
+        of_a_fleet(browser, out)
+        browser.close()
+
+
+if __name__ == "__main__":
+    main()
