@@ -1,9 +1,12 @@
 """SHELL: a recorded run as the page sees it, at any time of it and at any pace. The log is read a second at a time."""
 
+import shutil
 import time
 from bisect import bisect_right
 from collections import OrderedDict
+from contextlib import ExitStack
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, TypeVar
 
@@ -11,7 +14,7 @@ from mcap.reader import McapReader, make_reader
 
 from groundstation.fleet import RobotView
 from groundstation.mission import Phase
-from groundstation.recorder import recover
+from groundstation.recorder import is_complete, recover
 from groundstation.runlog import key_topic
 from groundstation.web import editor
 from groundstation.web.alarms import alarms
@@ -39,10 +42,15 @@ class Tape:
     """One recorded run: the newest message of a topic at a time, in ns from its first."""
 
     def __init__(self, run: Path) -> None:
-        """Raises ConfigError for what is no run. A log that was cut off is mended first."""
+        """Raises ConfigError for what is no run. Of a log that was cut off a copy is mended: its run may still go on."""
         log = run / "run.mcap"
+        self._copies = ExitStack()
         try:
-            recover(log)
+            if not is_complete(log):
+                copy = Path(self._copies.enter_context(TemporaryDirectory())) / log.name
+                shutil.copyfile(log, copy)
+                recover(copy)
+                log = copy
             self._file = log.open("rb")
         except OSError as error:
             raise ConfigError(f"{log}: {error.strerror}") from None
@@ -70,10 +78,13 @@ class Tape:
         return {robot: found[robot] for robot in self.experiment.robot_ids if robot in found}
 
     def _first_flown_ns(self) -> int:
-        """When the first robot began to follow its trajectory; 0 if it never did."""
-        first = self.experiment.robot_ids[0]
-        flown = (at for _, at, state in self._each(topics.STATE, RobotState, first) if state.trajectory_s > 0.0)
-        return next(flown, 0)
+        """When the first robot set off along its trajectory; if it never did, when it first said anything."""
+        said_ns = None
+        for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
+            said_ns = at_ns if said_ns is None else said_ns
+            if state.trajectory_s > 0.0:
+                return int(at_ns)
+        return said_ns or 0
 
     def _block(self, index: int) -> Block:
         if index not in self._blocks:
@@ -113,6 +124,7 @@ class Tape:
 
     def close(self) -> None:
         self._file.close()
+        self._copies.close()
 
 
 def _read(kind: type[M], payload: bytes) -> M | None:

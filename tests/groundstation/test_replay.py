@@ -93,9 +93,17 @@ def test_what_is_no_run_is_refused_by_name(tmp_path: Path) -> None:
         Replay(tmp_path)
 
 
-def test_a_run_that_was_cut_off_is_mended(run: Path, tmp_path: Path) -> None:
+def test_of_a_run_that_was_cut_off_a_copy_is_mended(run: Path, tmp_path: Path) -> None:
     whole = (run / "run.mcap").read_bytes()
-    (tmp_path / "run.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    cut = whole[: len(whole) * 2 // 3]
+    (tmp_path / "run.mcap").write_bytes(cut)
     (tmp_path / "experiment.toml").write_bytes((run / "experiment.toml").read_bytes())
     with Replay(tmp_path) as found:
         assert at(found, START_S + 3.0)["robots"][0]["state"]["t_s"] == pytest.approx(3.0, abs=0.06)
+    assert (tmp_path / "run.mcap").read_bytes() == cut  # a recorder may still be writing it
+
+
+def test_a_run_that_never_flew_begins_with_the_first_word(tmp_path: Path) -> None:
+    write_run(tmp_path, Script(duration_s=5.0, started=False))
+    with Replay(tmp_path) as found:
+        assert found.snapshot()["robots"][0]["state"]["mode"] == "DISARMED"

@@ -25,7 +25,7 @@ FLAGS = [
     "--disable-component-update",
     "--disable-sync",
 ]
-PATIENCE_MS = 60_000  # for anything that a loaded machine may take long over
+PATIENCE_MS = 120_000  # for anything that a loaded machine may take long over
 expect.set_options(timeout=PATIENCE_MS)
 
 
@@ -73,7 +73,7 @@ class Flight:
         """End all processes."""
         if self.process is not None:
             self.process.send_signal(signal.SIGTERM)
-            self.process.wait(60)
+            self.process.wait(PATIENCE_MS * 1e-3)
 
 
 @pytest.fixture(scope="session")

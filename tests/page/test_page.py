@@ -24,6 +24,8 @@ from wire.experiment import load_experiment
 from wire.runtime import WallClock
 from wire.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.timeout(600)  # what waits for a browser waits for a loaded machine
+
 AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 
 
@@ -57,6 +59,7 @@ def test_an_operator_flies_a_mission(page: Page) -> None:
     button(page, "Start").click()
     in_mode(page, "TRACKING")
     expect(button(page, "Arm")).to_be_disabled()
+    expect(page.locator("header .clock")).to_have_text(re.compile("^0:0[1-9]"))
     page.keyboard.press("h")
     in_mode(page, "HOLDING")
     button(page, "Resume").click()
