@@ -8,18 +8,20 @@ The data's way through `Agent.step`:
 Nothing here knows whether it runs in a pool or in a simulator; robot_agent/shell.py has the sockets and the clock.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from robot_agent.controller import Controller, ControlOutput, Follow, Goal, Hold, Measurement, Neighbour, Sighting
 from robot_agent.mode import LIVE, ORDERS, Health, react, refusal
+from robot_agent.obstacles import Thing, islands, things_seen
 from robot_agent.orders import OrderGate, StationView
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
-from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
+from wire.messages import Command, Mode, Obstacles, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
+from wire.topics import OBSTACLES
 
 ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
 
@@ -41,6 +43,14 @@ class Heard:
 
 
 @dataclass(frozen=True, eq=False)
+class Watched:
+    """What the localizer sees in the pool that is no robot, and the instant on our clock at which it was so."""
+
+    obstacles: Obstacles
+    instant_ns: int
+
+
+@dataclass(frozen=True, eq=False)
 class Inputs:
     """The newest of everything at one control step."""
 
@@ -49,6 +59,7 @@ class Inputs:
     station: StationView = field(default_factory=StationView)
     emergency_stop: bool = False
     plans: Mapping[int, Heard] = field(default_factory=dict)
+    watched: Watched | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +89,7 @@ class Agent:
         )
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
+        self._islands = islands(experiment.islands, experiment.vehicle.radius_m)
         self._gate = OrderGate(robot, experiment.hash)
         self._fault = ""
         self._trajectory: Trajectory | None = None
@@ -167,7 +179,8 @@ class Agent:
         if mode is not self.mode:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
-        output = self._controller.step(_measurement(inputs), self._goal(now_ns), neighbours, now_ns)
+        things = self._things(inputs, now_ns)
+        output = self._controller.step(_measurement(inputs), self._goal(now_ns), neighbours, now_ns, things)
         self._last = output
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
@@ -215,6 +228,17 @@ class Agent:
             Neighbour(robot, heard.instant_ns, heard.plan, now_ns - heard.instant_ns <= limit_ns, robot in formation)
             for robot, heard in sorted(inputs.plans.items())
         )
+
+    def _things(self, inputs: Inputs, now_ns: int) -> Sequence[Thing]:
+        """Islands, and obstacles as long as the localizer tells of them."""
+        watched, radius_m = inputs.watched, self._experiment.vehicle.radius_m
+        if watched is None or not watched.obstacles.ids or now_ns - watched.instant_ns > OBSTACLES.max_age_s * 1e9:
+            return self._islands
+        seen = things_seen(watched.obstacles, watched.instant_ns, self._experiment.safety.radius_m)
+        if self._last is not None and self._last.estimated:
+            x, y, _, _ = self._last.eta.tolist()
+            seen = tuple(thing for thing in seen if not thing.overlaps(complex(x, y), radius_m, now_ns))
+        return self._islands + seen
 
     def _arming(self, inputs: Inputs, now_ns: int) -> bool | None:
         wanted = self.mode in LIVE

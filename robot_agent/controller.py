@@ -8,7 +8,7 @@ The data's way through `Controller.step`:
     measurement -> Estimator (eso.py)       state at the exposure, predicted to now and to when a new command can act
     goal        -> Reference (reference.py) path over the horizon, heading that lets surge thrust correct lateral errors
                 -> Passing (passing.py)         the same path, or one that leads round somebody who is in the way
-    neighbours  -> Formation (formation.py) weighted reference, half-spaces that keep robots apart
+    neighbours  -> Formation (formation.py) weighted reference, half-spaces that keep robots apart, and from obstacles
                 -> Mpc (mpc.py, model.py, qp.py)    wrench over the horizon; or another law (law.py)
                 -> Allocator (allocation.py)        4 thrusters and 4 ankles, as pulse widths
 
@@ -29,7 +29,8 @@ from robot_agent.guidance import Guidance
 from robot_agent.law import guidance_config, make_law
 from robot_agent.model import Model
 from robot_agent.mpc import MpcPlan
-from robot_agent.passing import Passing, mover
+from robot_agent.obstacles import Thing
+from robot_agent.passing import CATCH_UP_MPS, Passing, mover, pieces
 from robot_agent.reference import Follow, Goal, Hold, Path, Sampler
 from wire.experiment import Controller as ControllerConfig
 from wire.experiment import Safety
@@ -92,7 +93,7 @@ class Controller:
         self._sampler = Sampler(nodes_s)
         self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
         whole = config.mpc.model_copy(update={"q_formation": (1.0, 1.0, 1.0, 1.0)})
-        self._formation = Formation(whole if follows else config.mpc, safety, period_s)
+        self._formation = Formation(whole if follows else config.mpc, safety, period_s, vehicle.thruster.dead_time_s)
         self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m)
         self._law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
@@ -102,18 +103,26 @@ class Controller:
         self._goal: Goal | None = None
         self._turns = 0.0
 
-    def step(self, measurement: Measurement, goal: Goal | None, neighbours: Sequence[Neighbour], now_ns: int) -> ControlOutput:
-        """One control step at `now_ns`, whose pulses are taken to go out at once. See the module's docstring."""
+    def step(
+        self,
+        measurement: Measurement,
+        goal: Goal | None,
+        neighbours: Sequence[Neighbour],
+        now_ns: int,
+        things: Sequence[Thing] = (),
+    ) -> ControlOutput:
+        """One control step at `now_ns`, whose pulses are taken to go out at once. `things` are obstacles. See the module's
+        docstring."""
         estimate = self._estimator.update(measurement, now_ns)
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
         path = self._sampler.path(goal)
         company = self._formation.company(neighbours, now_ns + self._dead_ns)
-        lead = path if isinstance(goal, Hold) else self._lead(path, company, estimate, now_ns)
+        lead = path if isinstance(goal, Hold) else self._lead(path, company, things, estimate, now_ns)
         weight, command = self._command(goal, lead, company, estimate)
         expected = self._law.expected(estimate.action)
-        keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns)
+        keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns, things)
         plan = self._law.plan(
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current
         )
@@ -126,11 +135,14 @@ class Controller:
             self._guidance.reset()
             self._passing.reset()
 
-    def _lead(self, path: Path, company: Company, estimate: Estimate, now_ns: int) -> Path:
-        """The path itself, or one that leads round the others."""
+    def _lead(self, path: Path, company: Company, things: Sequence[Thing], estimate: Estimate, now_ns: int) -> Path:
+        """The path itself, or one that leads round the others and round things."""
         x, y, z, _ = estimate.eta.tolist()
         others = [mover(n, self._formation.keep_m(n, now_ns), z, self._urgent, now_ns) for n in company.others]
-        return self._passing.lead(path, complex(x, y), [other for other in others if other is not None])
+        movers = [other for other in others if other is not None]
+        for thing in things:
+            movers += pieces(thing, complex(x, y), math.hypot(*path.velocity[0, :2].tolist()) + CATCH_UP_MPS, now_ns)
+        return self._passing.lead(path, complex(x, y), movers)
 
     def _command(self, goal: Goal, path: Path, company: Company, estimate: Estimate) -> tuple[Array, Array]:
         """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""

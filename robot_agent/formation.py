@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_agent.obstacles import Thing, border
 from robot_agent.reference import interpolate
 from wire.experiment import Mpc as MpcConfig
 from wire.experiment import Safety
@@ -66,6 +67,10 @@ class HalfSpaces:
     offset: Array  # (rows,)
 
 
+# What is to be kept clear of: places and directions away from it, how far beyond the distance to keep we are, all (nodes,),
+# and that distance
+Body = tuple[NDArray[np.complex128], NDArray[np.complex128], Array, float]
+
 NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
 
 
@@ -84,12 +89,14 @@ class Company:
 class Formation:
     """Workspaces for one robot."""
 
-    def __init__(self, config: MpcConfig, safety: Safety, period_s: float) -> None:
+    def __init__(self, config: MpcConfig, safety: Safety, period_s: float, dead_s: float = 0.0) -> None:
+        """The horizon's node 0 lies `dead_s` ahead of now."""
         self._safety, self._period_s, self._horizon = safety, period_s, config.horizon
         self._weight = np.array(config.q_formation)
         self._weights = np.tile(self._weight, config.horizon + 1)
         self._ahead = np.arange(config.horizon + 2)
         self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
+        self._nodes_ns = np.rint(NS * (dead_s + period_s * self._nodes)).astype(np.int64).tolist()
         self._around_nodes = np.concatenate([self._nodes, self._nodes + 1])
         self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
         self._near_m = 2.0 * safety.radius_m + safety.margin_m
@@ -166,13 +173,22 @@ class Formation:
             return None
         return self.keep_m(neighbour, now_ns)
 
-    def half_spaces(self, company: Company, own: Array, rank: Rank, now_ns: int) -> HalfSpaces:
-        """Half-spaces across the lines between predicted positions, where we come close (A6). `own` (2, horizon + 1, 2) is
-        what we expect of ourselves: (x, y) and (z, yaw)."""
-        if not company.others:
+    def half_spaces(self, company: Company, own: Array, rank: Rank, now_ns: int, things: Sequence[Thing] = ()) -> HalfSpaces:
+        """Half-spaces across the lines between predicted positions, where we come close (A6): to other robots, and to things
+        in the water. `own` (2, horizon + 1, 2) is what we expect of ourselves: (x, y) and (z, yaw)."""
+        if not company.others and not things:
             return NOWHERE
-        nodes = self._nodes
-        apart = own[0].view(np.complex128)[nodes, 0] - company.place
+        here = own[0].view(np.complex128)[self._nodes, 0]
+        bodies = self._robots_near(company, own, here, rank, now_ns) if company.others else []
+        for thing in things:
+            there, away, apart_m = border(thing, here, [now_ns + ns for ns in self._nodes_ns])
+            if apart_m.min() < thing.keep_m + self._safety.margin_m:
+                bodies.append((there, away, apart_m - thing.keep_m, thing.keep_m))
+        return self._across(bodies) if bodies else NOWHERE
+
+    def _robots_near(self, company: Company, own: Array, here: NDArray[np.complex128], rank: Rank, now_ns: int) -> list[Body]:
+        """The robots to be kept clear of."""
+        apart = here - company.place
         distance = np.abs(apart)
         nearest = np.minimum.reduce(distance, axis=1).tolist()
         near_m = self._near_m if company.heard == len(company.others) else self._near_m + self._safety.bubble_max_m
@@ -181,27 +197,19 @@ class Formation:
             if there_m < near_m:
                 keep_m = self.distance_m(company.others[i], rank, now_ns)
                 if keep_m is not None:
-                    kept.append((i, keep_m))
-        return self._across(kept, company, own, apart, distance) if kept else NOWHERE
+                    level = np.abs(own[1, self._nodes, 0] - company.depth[i]) < keep_m
+                    if (level & (distance[i] < keep_m + self._safety.margin_m)).any():
+                        away = apart[i] / np.maximum(distance[i], TOUCHING_M)
+                        away[distance[i] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out
+                        kept.append((company.place[i], away, distance[i] - keep_m, keep_m))
+        return kept
 
-    def _across(
-        self, kept: list[tuple[int, float]], company: Company, own: Array, apart: NDArray[np.complex128], distance: Array
-    ) -> HalfSpaces:
-        """The same for those of the others, and the distance from each, that are to be kept clear of."""
-        near = np.array([i for i, _ in kept], dtype=np.intp)
-        keep = np.array([keep_m for _, keep_m in kept])[:, None]
-        level = np.abs(own[1, self._nodes, 0] - company.depth[near]) < keep
-        soon = (level & (distance[near] < keep + self._safety.margin_m)).any(axis=1)
-        near, keep = near[soon], keep[soon]
-        if len(near) == 0:
-            return NOWHERE
-        order = np.argsort(distance[near].min(axis=1), kind="stable")[:NEAREST]
-        near, keep = near[order], keep[order]
-        away = apart[near] / np.maximum(distance[near], TOUCHING_M)
-        away[distance[near] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out
-        there = company.place[near]
-        offset = away.real * there.real + away.imag * there.imag + keep
-        return HalfSpaces(np.tile(self._nodes, len(near)), away.ravel(), offset.ravel())
+    def _across(self, bodies: list[Body]) -> HalfSpaces:
+        """Half-spaces from the nearest bodies."""
+        bodies = sorted(bodies, key=lambda body: float(body[2].min()))[:NEAREST]
+        there, away = np.concatenate([body[0] for body in bodies]), np.concatenate([body[1] for body in bodies])
+        keep = np.repeat([body[3] for body in bodies], len(self._nodes))
+        return HalfSpaces(np.tile(self._nodes, len(bodies)), away, away.real * there.real + away.imag * there.imag + keep)
 
 
 def _readable(plan: Plan) -> bool:

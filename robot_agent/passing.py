@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_agent.formation import Neighbour
+from robot_agent.obstacles import Thing
 from robot_agent.reference import Path
 from wire.frames import Array, wrap
 from wire.vehicle import Vehicle
@@ -80,6 +81,15 @@ def mover(neighbour: Neighbour, keep_m: float, depth_m: float, urgent: bool, now
     velocity = complex(to_x - from_x, to_y - from_y) / (max(then - step, 1) * plan.period_s)
     yields = urgent and neighbour.fresh and not plan.urgent and plan.heard > 0
     return Mover(complex(x, y), velocity, keep_m + ROOM_M, True, yields)
+
+
+def pieces(thing: Thing, place: complex, speed_mps: float, now_ns: int) -> list[Mover]:
+    """An obstacle, piece by piece; nothing if it is too far away to be met by a robot at that speed."""
+    moved, keep_m = thing.ahead(now_ns), thing.keep_m + ROOM_M
+    reach_m = thing.reach_m + keep_m + LOOK_AHEAD_S * (abs(thing.velocity) + speed_mps)
+    if abs(thing.middle + moved - place) > reach_m:
+        return []
+    return [Mover(piece, thing.velocity, keep_m, False) for piece in (thing.pieces + moved).tolist()]
 
 
 class Passing:

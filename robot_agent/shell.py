@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen
+from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen, Watched
 from robot_agent.link import Link
 from robot_agent.orders import StationView
 from wire import topics
@@ -18,7 +18,7 @@ from wire.bus import Bus, Received
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import AgentLink
-from wire.messages import Command, Mode, Plan, Pose, Reply, StationHeartbeat, Tick
+from wire.messages import Command, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 
 EARLY = 0.25  # of a period: a step may come this much before its time, for a pose
@@ -39,6 +39,8 @@ class Shell:
         self._poses = bus.inbox(topics.POSE, Pose, robot)
         self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids if r != robot}
+        self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
+        self._obstacles_up_to_ns: int | None = None
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
         self._link_heartbeat_s = 0.0
         self._missed = 0
@@ -74,12 +76,14 @@ class Shell:
     def _read(self, now_ns: int, up_to_ns: int | None) -> Inputs:
         self._mavlink.receive(self._link.read(), now_ns)
         pose, heartbeat = self._poses.newest(), self._heartbeats.newest()
+        obstacles = self._obstacles.newest(self._obstacles_up_to_ns)
         plans = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
         return Inputs(
             pose=Seen(pose.message, self._clock.instant_ns(pose)) if pose is not None else None,
             telemetry=self._mavlink.telemetry,
             station=self._station(heartbeat, now_ns),
             emergency_stop=heartbeat is not None and heartbeat.message.emergency_stop,
+            watched=Watched(obstacles.message, self._clock.instant_ns(obstacles)) if obstacles is not None else None,
             plans={r: Heard(p.message, self._clock.instant_ns(p)) for r, p in plans.items() if p is not None},
         )
 
@@ -116,6 +120,8 @@ class Shell:
             others = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in tick.robots]
             lockstep.await_all([(self._poses, tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
             self._await_board(tick)
+            # What was seen in this tick's picture is told after its poses; in the one before, it was told before them.
+            self._obstacles_up_to_ns = tick.frame_ns - 1
             yield tick.now_ns, tick.previous_ns
 
     def _await_board(self, tick: Tick) -> None:

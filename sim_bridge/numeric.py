@@ -19,7 +19,7 @@ from typing import Protocol
 
 import numpy as np
 
-from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen
+from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen, Watched
 from robot_agent.orders import StationView
 from sim_bridge.dynamics import Plant
 from sim_bridge.faults import Faults
@@ -153,6 +153,7 @@ class AgentFleet:
         self._latency_ns = round(experiment.sim.latency_s * NS)
         self._located = Located(experiment, seed)
         self.seen: deque[tuple[int, list[Pose]]] = deque(maxlen=SEEN_KEPT)  # instant on the agents' clock, pose of each robot
+        self.watched: deque[Watched] = deque(maxlen=SEEN_KEPT)
         self._orders = 0
 
     @property
@@ -219,12 +220,15 @@ class AgentFleet:
     def expose(self, stamp_ns: int) -> None:
         """Locate every robot."""
         self.seen.append((stamp_ns, self._located.poses(self._water.eta)))
+        obstacles = self._located.obstacles(self._water.now_ns / NS)
+        if obstacles is not None:
+            self.watched.append(Watched(obstacles, stamp_ns))
 
     def think(self, i: int, plans: Mapping[int, Heard | None]) -> None:
         """One control step of the i-th robot."""
         robot, me = self.robots[i], self.experiment.robot_ids[i]
         heard = {r: plan for r, plan in plans.items() if plan is not None and r != me}
-        inputs = Inputs(self.pose(i), self._water.telemetry(i, self.now_ns), self.station(), False, heard)
+        inputs = Inputs(self.pose(i), self._water.telemetry(i, self.now_ns), self.station(), False, heard, self._seen_adrift())
         begin_ns = self._clock_ns()
         outputs = robot.agent.step(inputs, self.now_ns)
         took_ns = self._clock_ns() - begin_ns
@@ -238,6 +242,10 @@ class AgentFleet:
             if stamp_ns <= self.now_ns - self._latency_ns:
                 return Seen(poses[i], stamp_ns)
         return None
+
+    def _seen_adrift(self) -> Watched | None:
+        """The newest that is out of the localizer by now of what is no robot."""
+        return next((w for w in reversed(self.watched) if w.instant_ns <= self.now_ns - self._latency_ns), None)
 
     def station(self) -> StationView:
         """The station as the robots hear it."""
@@ -261,6 +269,8 @@ def _heard(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:
         yield topics.EVENT, None, Event(INFO, "sim-bridge", text), fleet.now_ns
     water.happened.clear()
     yield topics.TRUTH, None, water.truth(), fleet.now_ns
+    if fleet.watched:
+        yield topics.OBSTACLES, None, fleet.watched[-1].obstacles, fleet.watched[-1].instant_ns
     stamp_ns, poses = fleet.seen[-1]
     for robot, pose, member in zip(fleet.experiment.robot_ids, poses, fleet.robots, strict=True):
         yield topics.POSE, robot, pose, stamp_ns

@@ -176,6 +176,9 @@ class Pool:
         age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
         for robot, pose in zip(self._experiment.robot_ids, self._eye.poses(shot.eta), strict=True):
             self._bus.publish(topics.POSE, pose, shot.stamp_ns, robot, age_ns=age_ns)
+        obstacles = self._eye.obstacles(shot.time_s)
+        if obstacles is not None:
+            self._bus.publish(topics.OBSTACLES, obstacles, shot.stamp_ns, age_ns=age_ns)
 
     def _publish_frame(self, renderer: Renderer, shot: Shot) -> None:
         if shot.bare != self._bare:

@@ -334,6 +334,8 @@ class Numeric(Section):
 
     pose_noise_m: NotNegative = 0.0  # one standard deviation, x and y each
     yaw_noise_rad: NotNegative = 0.0
+    obstacle_noise_m: NotNegative = 0.01  # of sim.drifters
+    obstacle_noise_mps: NotNegative = 0.01
 
 
 class CameraMotion(Section):

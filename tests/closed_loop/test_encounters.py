@@ -12,3 +12,4 @@ def test_everyone_arrives_and_nobody_comes_near(name: str) -> None:
     flight = meet(experiment, 1)
     assert not flight.deadlock
     assert flight.nearest_m > 2.0 * experiment.safety.radius_m - 0.005
+    assert flight.clear_m > experiment.vehicle.radius_m + 0.05
