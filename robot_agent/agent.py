@@ -86,10 +86,10 @@ class Agent:
             self._me.urgent,
             follows=leader is not None,
             room_m=experiment.pool.size_m[:2],
+            islands=islands(experiment.islands, experiment.vehicle.radius_m),
         )
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
-        self._islands = islands(experiment.islands, experiment.vehicle.radius_m)
         self._gate = OrderGate(robot, experiment.hash)
         self._fault = ""
         self._trajectory: Trajectory | None = None
@@ -230,15 +230,15 @@ class Agent:
         )
 
     def _things(self, inputs: Inputs, now_ns: int) -> Sequence[Thing]:
-        """Islands, and obstacles as long as the localizer tells of them."""
+        """Obstacles, as long as the localizer tells of them."""
         watched, radius_m = inputs.watched, self._experiment.vehicle.radius_m
         if watched is None or not watched.obstacles.ids or now_ns - watched.instant_ns > OBSTACLES.max_age_s * 1e9:
-            return self._islands
+            return ()
         seen = things_seen(watched.obstacles, watched.instant_ns, self._experiment.safety.radius_m)
         if self._last is not None and self._last.estimated:
             x, y, _, _ = self._last.eta.tolist()
             seen = tuple(thing for thing in seen if not thing.overlaps(complex(x, y), radius_m, now_ns))
-        return self._islands + seen
+        return seen
 
     def _arming(self, inputs: Inputs, now_ns: int) -> bool | None:
         wanted = self.mode in LIVE

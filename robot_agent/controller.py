@@ -79,11 +79,12 @@ class Controller:
         urgent: bool = False,
         follows: bool = False,
         room_m: tuple[float, float] | None = None,
+        islands: tuple[Thing, ...] = (),
     ) -> None:
         """`follows`: its one neighbour in the formation is its leader. `room_m` is the pool's length and width; None: there
         are no walls to look out for."""
         horizon, period_s = config.mpc.horizon, config.period_s
-        self._config, self._urgent, self._follows = config, urgent, follows
+        self._config, self._urgent, self._follows, self._islands = config, urgent, follows, islands
         self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
         self._weight = np.array(config.mpc.q)
         model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
@@ -94,7 +95,7 @@ class Controller:
         self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
         whole = config.mpc.model_copy(update={"q_formation": (1.0, 1.0, 1.0, 1.0)})
         self._formation = Formation(whole if follows else config.mpc, safety, period_s, vehicle.thruster.dead_time_s)
-        self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m)
+        self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
         self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
@@ -122,7 +123,7 @@ class Controller:
         lead = path if isinstance(goal, Hold) else self._lead(path, company, things, estimate, now_ns)
         weight, command = self._command(goal, lead, company, estimate)
         expected = self._law.expected(estimate.action)
-        keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns, things)
+        keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns, (*self._islands, *things))
         plan = self._law.plan(
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current
         )

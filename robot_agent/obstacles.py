@@ -18,7 +18,6 @@ from wire.messages import Obstacles
 SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
 ABSURD_M, ABSURD_MPS = 1e3, 2.0  # limits of what can be an obstacle; nothing in a pool is faster
 TOUCHING_M = 1e-6
-SHORE_M = 0.05  # between an island and a hull
 MOST_PIECES = 200  # of one obstacle: an outline of 30 m
 
 
@@ -44,12 +43,12 @@ class Thing:
 
 
 def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
-    """The experiment's islands. Everyone knows where they are and routes are planned around them: like walls, they are kept
-    from by the hull and a little more."""
+    """The experiment's islands. Everyone knows where they are and routes are planned around them: like walls, they only stop
+    a hull."""
     found = []
     for island in known:
         middle = complex(*island.position_m)
-        found.append(Thing(np.array([middle]), island.radius_m + hull_m + SHORE_M, 0j, 0, middle, 0.0))
+        found.append(Thing(np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
     return tuple(found)
 
 

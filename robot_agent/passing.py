@@ -32,7 +32,7 @@ LOOK_AHEAD_S = 8.0  # two robots at 0.1 m/s begin to turn 1.6 m before they woul
 LOOK_STEP_S = 0.25
 MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
 SURE_STEPS = 4  # before the reference is left: mates that start a step earlier than they tell are nobody to avoid
-ROOM_M = 0.10  # beyond what the half-spaces keep, so that these need not act: tracking in a bend is good to 5 cm
+ROOM_M = 0.15  # beyond what the half-spaces keep, so that these need not act: four robots in a bend lose 13 cm on each other
 SLIGHTEST_MPS = 0.01  # who closes in slower does not meet anybody: formations sway about so
 PARTING = 0.999  # of the distance there is: nearer than they should be, robots may go any way that leads no nearer
 WELL_CLEAR = 0.5  # of the distance to keep: whoever passes so far on the other side stays on it
@@ -95,13 +95,21 @@ def pieces(thing: Thing, place: complex, speed_mps: float, now_ns: int) -> list[
 class Passing:
     """One robot's point that is followed, with its memory."""
 
-    def __init__(self, vehicle: Vehicle, times_s: Array, period_s: float, room_m: tuple[float, float] | None = None) -> None:
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        times_s: Array,
+        period_s: float,
+        room_m: tuple[float, float] | None = None,
+        islands: Sequence[Thing] = (),
+    ) -> None:
         """`times_s` (rows,) are the instants of a path's rows from now, `room_m` the pool's length and width."""
         self._times_s, self._period_s = times_s, period_s
         self._fastest_mps = 0.8 * vehicle.limits.speed_mps
         self._steps = np.diff(times_s).tolist()
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
         self._room_x, self._room_y = (half - vehicle.radius_m - WALL_M).tolist()
+        self._islands = [(island.middle, island.keep_m + WALL_M) for island in islands]
         self._second = int(np.searchsorted(times_s, MEANT_S - 1e-9))
         self.reset()
 
@@ -203,10 +211,15 @@ class Passing:
         return complex(ways[np.argmin(100.0 * worst + price)])
 
     def _into_wall(self, place: complex, ways: NDArray[np.complex128]) -> Array:
-        """1 for velocities that lead too close to a wall, (ways,)."""
+        """1 for velocities that lead too close to a wall or an island, (ways,)."""
         ahead = place + ways * WALL_S
         x, y = max(self._room_x, abs(place.real)), max(self._room_y, abs(place.imag))
-        return np.asarray((np.abs(ahead.real) > x) | (np.abs(ahead.imag) > y), dtype=np.float64)
+        bad = (np.abs(ahead.real) > x) | (np.abs(ahead.imag) > y)
+        for middle, keep_m in self._islands:
+            away = middle - place
+            towards = np.clip((away * ways.conj()).real / np.maximum(np.abs(ways) ** 2, 1e-12), 0.0, WALL_S)
+            bad |= np.abs(away - ways * towards) < min(keep_m, PARTING * abs(away))
+        return np.asarray(bad, dtype=np.float64)
 
     # --- the path of the point
 

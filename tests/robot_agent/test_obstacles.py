@@ -83,7 +83,7 @@ def test_islands_are_kept_from_by_the_hull() -> None:
     def rows_at(x: float) -> int:
         return len(formation.half_spaces(formation.company([], 0), expecting(x), ALONE, 0, known).node)
 
-    assert rows_at(0.3) == 0 and rows_at(0.36) == 5
+    assert rows_at(0.35) == 0 and rows_at(0.41) == 5
 
 
 def test_robots_and_things_share_the_rows_there_are() -> None:
