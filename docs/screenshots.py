@@ -92,12 +92,22 @@ def of_the_pool(browser: Browser, out: str) -> None:
 
 
 def of_a_fleet(browser: Browser, out: str) -> None:
-    """Twenty robots; one of them in trouble would come first."""
-    with flight(out, "fleet-20", "--poses") as url:
-        page = opened(browser, url, DESK)
+    """Twenty robots, flown numerically and replayed."""
+    folder = Path(out) / "fleet"
+    flying = [sys.executable, "-m", "sim_bridge", "numeric", "fleet-20", "--duration", "16", "--out", str(folder)]
+    subprocess.run(flying, stdout=subprocess.DEVNULL, check=False)  # it is too short to pass
+    port = free_port()
+    run = next(folder.iterdir())
+    showing = subprocess.Popen([sys.executable, "-m", "groundstation", "replay", str(run), "--web", f"127.0.0.1:{port}"])
+    try:
+        page = opened(browser, f"http://127.0.0.1:{port}/", DESK)
+        page.get_by_role("button", name="Play").click()
         flown(page, 12)
         keep(page, "fleet")
         page.context.close()
+    finally:
+        showing.terminate()
+        showing.wait()
 
 
 def main() -> None:

@@ -200,14 +200,14 @@ class Replay:
         }
         localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
         beat = self._tape.newest(topics.HEARTBEAT, StationHeartbeat, now)
-        phase = beat[1].mission if beat is not None and beat[1].mission in Phase.__members__ else "WAITING"
+        phase = beat[1].mission if beat is not None and beat[1].mission in Phase.__members__ else ""
         news = FleetNews(
             time_s=now * 1e-9,
             robots=robots,
             localizer=localizer,
             obstacles=self._aged(topics.OBSTACLES, topics.OBSTACLES.type, now),
             phase=phase,
-            phase_text=Phase[phase].value,
+            phase_text=Phase[phase].value if phase else "recorded",  # a numeric flight has no station
             emergency_stop=beat is not None and beat[1].emergency_stop,
             alarms=alarms(self.experiment, views, localizer.message, localizer.age_ms * 1e-3, ""),
         )

@@ -5,6 +5,7 @@ import { ageMs, alarms, drawSoon, isStale, live, now, scene, selected, shown } f
 import type { RobotNews, Scene } from "../wire";
 
 const MARK: Record<string, string> = { DISARMED: "○", ARMED: "◐", TRACKING: "▶", HOLDING: "❚❚", STOPPED: "■", FAULT: "✕" };
+const MANY = 6; // from here on a tile tells the mode, the error, the pose, and what is wrong
 const WEIGHT = { critical: 100, warning: 10, notice: 1 };
 
 function badness(robot: RobotNews): number {
@@ -60,7 +61,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
         <span class="id">{robot.id}</span>
         <span class="mode">
           {state ? `${MARK[state.mode]} ${state.mode.toLowerCase()}` : "not heard"}
-          {state && (state.armed ? ", board armed" : "")}
+          {state?.armed && <small>, board armed</small>}
         </span>
         <span class="age">{stale ? `${state ? "last heard " : ""}${state ? age(ageMs(robot, live.arrivedMs)) + " ago" : ""}` : age(ageMs(robot, live.arrivedMs))}</span>
       </button>
@@ -91,7 +92,7 @@ export function Tiles() {
   const places = new Map(s.robots.map(({ id }, place) => [id, place]));
   const order = [...state.robots].sort((a, b) => badness(b) - badness(a) || places.get(a.id)! - places.get(b.id)!);
   return (
-    <section class="tiles" aria-label="Robots">
+    <section class={order.length > MANY ? "tiles many" : "tiles"} aria-label="Robots">
       <h2>Robots</h2>
       <ul>
         {order.map((robot) => (
