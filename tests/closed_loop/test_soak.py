@@ -31,7 +31,7 @@ def soak(name: str, seed: int, duration_s: float) -> None:
         f"sim.plant.mass_error={random.uniform(-0.3, 0.3):.2f}",
         f"sim.plant.gust_mps={random.uniform(0, 0.03):.3f}",
         f"sim.plant.waves.height_m={random.uniform(0, 0.05):.3f}",
-        f"sim.sensors.battery_v={random.uniform(10.0, 12.6):.1f}",
+        f"sim.sensors.battery_v={random.uniform(11.0, 12.6):.1f}",
     ]
     robots = load_experiment(name).robot_ids
     experiment = load_experiment(name, settings, random_faults(random, robots, duration_s))
