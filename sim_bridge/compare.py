@@ -6,6 +6,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,7 +37,8 @@ def run(
             f"duration_s = {plain.duration_s:g}: must be more than {SETTLED_S:g} s, after which errors are compared"
         )
     experiments = _distinct({v: load_experiment(name, [*settings, *VARIANTS[v]]) for v in variants}, console)
-    tasks = [task for e in experiments.values() for task in tasks_of(e, seeds, scatter)]
+    planned = tasks_of(plain, seeds, scatter)  # the same for all: variants differ in what flies it
+    tasks = [replace(task, experiment=e) for e in experiments.values() for task in planned]
     with workers(jobs) as pool:
         flights = list(_watched(pool.map(fly, tasks), len(tasks), console))
     found = [Variant(v, list(VARIANTS[v]), flights[i * len(seeds) : (i + 1) * len(seeds)]) for i, v in enumerate(experiments)]
@@ -61,7 +63,8 @@ def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> li
         path.write_text(dump_experiment(experiment), encoding="utf-8")
         trajectories, starts = plan(path)
     places = np.array([starts[robot] for robot in experiment.robot_ids])
-    return [Task(experiment, trajectories, scattered(places, scatter, seed), seed, seed == seeds[0]) for seed in seeds]
+    apart_m = 2.0 * experiment.safety.radius_m
+    return [Task(experiment, trajectories, scattered(places, scatter, s, apart_m), s, s == seeds[0]) for s in seeds]
 
 
 def workers(jobs: int) -> ProcessPoolExecutor:

@@ -52,13 +52,12 @@ def run(
     unknown = [scene for scene in scenes if scene not in SCENES]
     if unknown:
         raise ConfigError(f"scene {unknown[0]!r}: nothing is known of its scatter (allowed: {', '.join(SCENES)})")
+    tasks: list[Task] = []
+    for scene in scenes:
+        scatter, own = SCENES[scene]
+        tasks += tasks_of(load_experiment(scene, [f"duration_s={DURATION_S}", *own, *settings]), seeds, scatter)
     with workers(jobs) as pool:
         for law in laws:
-            tasks = []
-            for scene in scenes:
-                scatter, own = SCENES[scene]
-                changes = [f"duration_s={DURATION_S}", *own, *settings, f"controller.law={law}"]
-                tasks += tasks_of(load_experiment(scene, changes), seeds, scatter)
             yield _tune(law, tasks, budget, pool, console)
 
 
@@ -66,25 +65,25 @@ def _tune(law: str, tasks: Sequence[Task], budget: int, pool: ProcessPoolExecuto
     first: FeedbackLaw = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
 
     def flown(gains: Array) -> float:
-        section = _with(first, gains)
+        section = with_gains(first, gains)
         changed = [replace(task, experiment=_under(task.experiment, law, section), look=False) for task in tasks]
         return cost([flight.figures for flight in pool.map(fly, changed)])
 
     trials: list[Trial] = []
-    for trial in search(np.array(_values(first)), budget, seed=1, fly=flown):
+    for trial in search(np.array(values(first)), budget, seed=1, fly=flown):
         best = min([*trials, trial], key=lambda t: t.cost)
         if best is trial:
             console.print(f"{law}, trial {len(trials) + 1} of {budget}: cost {trial.cost:.3f}", soft_wrap=True)
         trials.append(trial)
-    return Tuned(law, trials[0].cost, best.cost, _with(first, best.gains).model_dump())
+    return Tuned(law, trials[0].cost, best.cost, with_gains(first, best.gains).model_dump())
 
 
-def _values(section: FeedbackLaw) -> list[float]:
+def values(section: FeedbackLaw) -> list[float]:
     """All gains in the order of the section."""
     return [gain for value in section.model_dump().values() for gain in (value if isinstance(value, tuple) else (value,))]
 
 
-def _with(section: FeedbackLaw, gains: Array) -> FeedbackLaw:
+def with_gains(section: FeedbackLaw, gains: Array) -> FeedbackLaw:
     """The section with other gains."""
     rest = iter(gains.tolist())
     table = {
@@ -95,5 +94,5 @@ def _with(section: FeedbackLaw, gains: Array) -> FeedbackLaw:
 
 
 def _under(experiment: Experiment, law: str, section: FeedbackLaw) -> Experiment:
-    controller = experiment.controller.model_copy(update={law.replace("-", "_"): section})
+    controller = experiment.controller.model_copy(update={"law": law, law.replace("-", "_"): section})
     return experiment.model_copy(update={"controller": controller})

@@ -1,5 +1,6 @@
 """Variants of an experiment on the same seeds: who flies, where from, and what a flight comes to in numbers. Pure."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
@@ -13,10 +14,12 @@ from wire.experiment import Experiment
 from wire.frames import Array, pose_error
 from wire.laws import LawName
 from wire.messages import Mode, RobotState, Trajectory
+from wire.toml_file import ConfigError
 
 SCATTER_STREAM = 7  # keeps this use of the seed apart from the others
 ERROR_STRIDE = 10  # of control steps, in what is kept to look at
 SHOWN_S = 20.0  # of the inputs
+MOST_DRAWS = 1000  # of starts that keep robots apart
 
 ARTICLE = (  # as printed: one working point, no sway, no lag, heading along the path
     "controller.estimator.sway=false",
@@ -47,9 +50,16 @@ class Task:
     look: bool  # keep traces
 
 
-def scattered(starts: Array, scatter: float, seed: int) -> Array:
-    """Starts (n, 4) moved by up to `scatter` m and rad in each coordinate; the same for every variant of a seed."""
-    return starts + scatter * np.random.default_rng([seed, SCATTER_STREAM]).uniform(-1.0, 1.0, starts.shape)
+def scattered(starts: Array, scatter: float, seed: int, apart_m: float = 0.0) -> Array:
+    """Starts (n, 4) moved by up to `scatter` m and rad in each coordinate; the same for every variant of a seed. Drawn again
+    while two are nearer than `apart_m`, side by side and in depth. Raises ConfigError if that does not come about."""
+    random = np.random.default_rng([seed, SCATTER_STREAM])
+    for _ in range(MOST_DRAWS):
+        moved = starts + scatter * random.uniform(-1.0, 1.0, starts.shape)
+        gaps = [moved[a] - moved[b] for a, b in combinations(range(len(moved)), 2)]
+        if all(math.hypot(gap[0], gap[1]) >= apart_m or abs(gap[2]) >= apart_m for gap in gaps):
+            return moved
+    raise ConfigError(f"--scatter {scatter:g}: no starts of seed {seed} keep the robots {apart_m:g} m apart")
 
 
 def fly(task: Task) -> Flight:
@@ -57,12 +67,22 @@ def fly(task: Task) -> Flight:
     water = BareWater(task.experiment, task.seed, task.starts)
     fleet = AgentFleet(task.experiment, task.trajectories, water, task.seed)
     fleet.start()
+    begin = len(fleet.truth)  # time 0 is past
     while fleet.time_s < task.experiment.duration_s - 1e-9:
         fleet.step()
-    begin = next(k for k, state in enumerate(fleet.robots[0].states) if state.trajectory_s > 0.0)
-    states = [robot.states[begin:] for robot in fleet.robots]
-    truth, error = np.array(fleet.truth[begin:]), fleet.errors()
-    return Flight(task.seed, _figures(task.experiment, states, truth, error), _traces(states, error) if task.look else None)
+    states, truth = [robot.states[begin:] for robot in fleet.robots], np.array(fleet.truth[begin:])
+    # Not what the robots say of their reference: one that has given up says that it is where it should be.
+    time_s = np.array([task.experiment.controller.period_s * k for k in range(1, len(truth) + 1)])
+    reference = np.array([_poses(trajectory, time_s) for trajectory in fleet.trajectories.values()])
+    error = pose_error(truth, reference.transpose(1, 0, 2))
+    traces = _traces(task, states, error) if task.look else None
+    return Flight(task.seed, _figures(task.experiment, states, truth, error), traces)
+
+
+def _poses(trajectory: Trajectory, time_s: Array) -> Array:
+    """The reference (n, 4) at n instants."""
+    grid = trajectory.period_s * np.arange(len(trajectory.eta))
+    return np.array([np.interp(time_s, grid, column) for column in trajectory.eta.T]).T
 
 
 def _figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> Figures:
@@ -102,8 +122,8 @@ def _pairs(truth: Array, error: Array) -> tuple[Array, float | None]:
     return np.array(apart).T, min(float(np.linalg.norm((truth[:, a] - truth[:, b])[:, :3], axis=1).min()) for a, b in pairs)
 
 
-def _traces(states: list[list[RobotState]], error: Array) -> Traces:
-    period_s = states[0][1].trajectory_s - states[0][0].trajectory_s
+def _traces(task: Task, states: list[list[RobotState]], error: Array) -> Traces:
+    period_s = task.experiment.controller.period_s
     shown = round(SHOWN_S / period_s)
     root = np.sqrt(np.mean(np.sum(error[::ERROR_STRIDE, :, :3] ** 2, axis=2), axis=1))
     return Traces(

@@ -25,47 +25,53 @@ class Backstepping(FeedbackLaw):
     """How fast errors are to decay, then errors of the velocity that makes them decay, and what the one weighs in the
     Lyapunov function when the other weighs one."""
 
-    error_per_s: Gains = (0.4, 0.4, 1.0)
-    velocity_per_s: Gains = (1.0, 1.0, 2.0)
-    coupling_per_s2: Gains = (0.2, 0.2, 1.0)
+    guidance_per_s2: NotNegative = 0.0975
+    error_per_s: Gains = (0.102, 0.797, 2.41)
+    velocity_per_s: Gains = (0.801, 2.62, 0.448)
+    coupling_per_s2: Gains = (0.292, 0.169, 0.476)
 
 
 class Pid(FeedbackLaw):
     """One independent loop per axis."""
 
-    p: Gains = (12.0, 12.0, 0.4)  # N/m, N/m, N m/rad
-    i: Gains = (1.5, 1.5, 0.05)  # the same, per second
-    d: Gains = (20.0, 20.0, 0.25)  # N s/m, N s/m, N m s/rad
+    guidance_per_s2: NotNegative = 0.22
+    p: Gains = (7.63, 11.8, 0.781)  # N/m, N/m, N m/rad
+    i: Gains = (1.92, 1.75, 0.0227)  # the same, per second
+    d: Gains = (7.57, 7.22, 0.162)  # N s/m, N s/m, N m s/rad
 
 
 class Lqr(FeedbackLaw):
     """Weights of squared errors and of squared velocity errors; that of the wrench is 1 / limit^2 (Bryson's rule)."""
 
-    error: Gains = (4.0, 4.0, 4.0)
-    velocity: Gains = (1.0, 1.0, 1.0)
+    guidance_per_s2: NotNegative = 0.102
+    error: Gains = (3.88, 4.59, 4.02)
+    velocity: Gains = (1.0, 0.892, 1.08)
 
 
 class SlidingMode(FeedbackLaw):
     """s = velocity error + slope error. The switching term is `reach` m/s^2 strong, and linear for |s| < `layer` m/s."""
 
-    slope_per_s: Gains = (0.8, 0.8, 1.5)
-    reach: Gains = (0.3, 0.2, 2.0)
-    layer: Scales = (0.15, 0.1, 0.5)
+    guidance_per_s2: NotNegative = 0.0831
+    slope_per_s: Gains = (0.351, 1.35, 1.97)
+    reach: Gains = (0.377, 0.281, 1.0)
+    layer: Scales = (0.106, 0.0748, 0.0709)
 
 
 class Fuzzy(FeedbackLaw):
     """Errors and velocity errors that count as "big", and what the rules' verdict (-1 to 1) does, as a share of the limit: at
     once, and per second."""
 
-    error: Scales = (0.5, 0.3, 0.8)
-    velocity: Scales = (0.3, 0.2, 0.8)
-    proportional: Gains = (1.5, 1.5, 1.5)
-    integral: Gains = (0.3, 0.3, 0.3)
+    guidance_per_s2: NotNegative = 0.154
+    error: Scales = (0.62, 0.271, 0.552)
+    velocity: Scales = (0.149, 0.407, 0.957)
+    proportional: Gains = (1.13, 2.08, 1.1)
+    integral: Gains = (0.477, 0.342, 0.315)
 
 
 class AdaptiveNn(FeedbackLaw):
     """s = velocity error + slope error; wrench = gain s + network. The network learns `learning` N per m/s of s and second."""
 
-    slope_per_s: Gains = (0.6, 0.6, 1.0)
-    gain: Gains = (20.0, 20.0, 0.4)
-    learning: Gains = (20.0, 20.0, 0.4)
+    guidance_per_s2: NotNegative = 0.142
+    slope_per_s: Gains = (0.38, 0.749, 1.81)
+    gain: Gains = (51.6, 48.1, 0.422)
+    learning: Gains = (7.63, 5.54, 1.73)

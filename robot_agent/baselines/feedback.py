@@ -4,8 +4,9 @@
     wrench = wanted, limited            magnitude and rate (39, 40), as the thrusters must have it
     plan   = the model under the law    so that the others' formation and collision terms have something to work with
 
-The plan is the shared model flown with the limited law over the horizon, its memory (integrals, network) as it is now. What
-keeps robots apart is a constraint of the MPC: a feedback law has no place for it, and flies as if it were alone.
+The plan is the shared model flown with the limited law over the horizon, its memory (integrals, network) as it is now.
+Half-spaces that keep robots apart (36) are constraints of the MPC: a feedback law has no place for them, and stays clear of
+the others only as far as its reference does.
 """
 
 import math

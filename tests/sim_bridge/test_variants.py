@@ -15,6 +15,7 @@ from sim_bridge.variants import VARIANTS, Task, fly, scattered
 from tests.closed_loop.test_numeric import flown
 from wire.comparison import Comparison, Variant
 from wire.experiment import EXPERIMENTS, Experiment, load_experiment
+from wire.toml_file import ConfigError
 
 SHORT = ("duration_s=22",)
 
@@ -38,6 +39,16 @@ def test_a_seed_moves_the_starts_and_nothing_else_does() -> None:
     np.testing.assert_array_equal(one, again)
     assert np.abs(one).max() <= 0.3 and np.abs(one).max() > 0.2 and not np.array_equal(one, other)
     np.testing.assert_array_equal(scattered(starts, 0.0, 1), starts)
+
+
+def test_scattered_robots_begin_outside_of_one_another_s_space() -> None:
+    starts = np.array([[0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0], [0.0, 0.0, 0.7, 0.0]])
+    for seed in range(50):
+        one, two, below = scattered(starts, 0.5, seed, 0.6)[:, :3]
+        assert np.hypot(*(one - two)[:2]) >= 0.6 or abs((one - two)[2]) >= 0.6
+        assert np.hypot(*(one - below)[:2]) >= 0.6 or abs((one - below)[2]) >= 0.6
+    with pytest.raises(ConfigError, match=r"--scatter 0.01: no starts of seed 1 keep the robots 0.6 m apart"):
+        scattered(starts, 0.01, 1, 0.6)
 
 
 def test_figures_are_those_of_the_flight() -> None:
@@ -91,7 +102,7 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
     found = Comparison.from_json((tmp_path / "comparison.json").read_text(encoding="utf-8"))
     assert [v.name for v in found.variants] == ["eso-mpc", "pid"] and (tmp_path / "comparison.html").is_file()
     here = task(load_experiment("numeric", ["duration_s=21.0", "controller.law=pid"]))
-    assert [fly(replace(here, starts=scattered(here.starts, 0.2, 3), seed=3))] == found.variants[1].flights
+    assert [fly(replace(here, starts=scattered(here.starts, 0.2, 3, 0.6), seed=3))] == found.variants[1].flights
 
 
 @pytest.mark.parametrize(
