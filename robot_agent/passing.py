@@ -127,10 +127,14 @@ class Passing:
             if self._met < SURE_STEPS:
                 return path
         begin, speed = complex(path.eta[0, 0], path.eta[0, 1]), complex(path.velocity[0, 0], path.velocity[0, 1])
+        on_path = self._point is None
         if self._point is None:
             self._point, self._velocity, self._turn = begin, speed, 0.0
         wanted = self._towards(begin, speed, self._point)
         course = self._way_round(path, place, wanted, movers)
+        if on_path and course is None:  # the path itself bends away
+            self.reset()
+            return path
         if course is not None:  # do not run away from a robot that cannot follow
             away = self._point - place
             self._point = place + away * min(1.0, LEASH_M / max(abs(away), LEASH_M))
@@ -205,7 +209,7 @@ class Passing:
         nearest = np.abs(away - closing * time_s)
         comes = towards > 0.0
         bad = np.where(comes & (nearest < keep), 1.0 - nearest / keep, 0.0)
-        wrong = sided & comes & (time_s < LOOK_AHEAD_S) & (_across(closing, away) * side < 0.0)
+        wrong = sided & comes & (_across(closing, away) * side < 0.0)
         worst = np.maximum(np.where(wrong, 1.0, bad).max(axis=1), self._into_wall(place, ways))
         price = _PRICE + 0.3 * np.abs(ways - self._velocity) / abs(wanted)
         return complex(ways[np.argmin(100.0 * worst + price)])
