@@ -22,9 +22,10 @@ from localizer.kcf import CorrelationFilter, FilterShape
 from localizer.locate import Locator
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project
-from wire.experiment import Experiment, Robot, load_experiment
+from wire.experiment import Experiment, load_experiment
 from wire.frames import Array, pool_to_body, wrap
 from wire.messages import Pose, Track
+from wire.scene import Robot
 
 SEEDS = range(1, 6)
 PERIOD_S = 0.05

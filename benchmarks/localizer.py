@@ -25,9 +25,10 @@ from localizer.obstacles import ObstacleWatch
 from localizer.truth_files import read_idtracker
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project
-from wire.experiment import Experiment, Robot, load_experiment
+from wire.experiment import Experiment, load_experiment
 from wire.frames import Array, wrap
 from wire.messages import Track
+from wire.scene import Robot
 
 FLEETS = (1, 3, 10, 20)
 FRAMES = 300

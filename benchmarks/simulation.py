@@ -19,8 +19,9 @@ from groundstation import planner
 from sim_bridge.camera import Renderer
 from sim_bridge.dynamics import Plant
 from sim_bridge.numeric import AgentFleet, BareWater, fly
-from wire.experiment import Experiment, Robot, load_experiment
+from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
+from wire.scene import Robot
 
 BENCHMARK = "simulation"
 LOCKSTEP_S = 30.0

@@ -13,9 +13,10 @@ from scipy.interpolate import CubicHermiteSpline
 from groundstation.runlog import Entry, RunLog
 from groundstation.series import CHANNELS, Happening, RobotSeries, Series, States
 from wire import topics
-from wire.experiment import Circle, Experiment, PathSpec
+from wire.experiment import Experiment
 from wire.frames import Array, pose_error
 from wire.messages import Event, LocalizerStatus, Mode, Pose, RobotState, Track, Trajectory, Truth
+from wire.scene import Circle, PathSpec
 
 LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
 WARNING = 3  # level of an Event from which on something is wrong

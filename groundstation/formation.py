@@ -13,8 +13,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from groundstation.spline import PathState
-from wire.experiment import Change
 from wire.frames import Array
+from wire.scene import Change
 from wire.shapes import shape_nodes
 
 STANDSTILL_MPS = 1e-6  # below this a node's own direction of motion means nothing

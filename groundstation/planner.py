@@ -17,9 +17,10 @@ from groundstation.pace import slowed
 from groundstation.spline import Path, make_path
 from groundstation.way import ways
 from wire.codec import MAX_MESSAGE_BYTES
-from wire.experiment import Experiment, PathSpec, Robot, Route
+from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Trajectory
+from wire.scene import PathSpec, Robot, Route
 from wire.toml_file import ConfigError
 from wire.vehicle import Vehicle
 

@@ -7,8 +7,9 @@ import numpy as np
 
 from groundstation.formation import Course
 from groundstation.route import NoRoute, route
-from wire.experiment import Experiment, Route, Waypoints
+from wire.experiment import Experiment
 from wire.frames import Array
+from wire.scene import Route, Waypoints
 
 WIDTHS = 6  # from what a turning formation is across, as if the path were straight, to a disc that holds all of it
 

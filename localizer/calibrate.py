@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from localizer.board_views import BoardView
-from wire.experiment import Camera
 from wire.frames import Array
+from wire.sight import Camera
 from wire.toml_file import ConfigError, Section
 
 FEWEST_VIEWS = 5  # nine numbers need three; five leave something to judge a bad view by

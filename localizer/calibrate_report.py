@@ -10,8 +10,8 @@ from localizer.patch import Pixels
 from localizer.pool_grid import Figures, draw_grid, polyline, write
 from localizer.pool_points import FEWEST_POINTS, PoolPoint
 from localizer.pool_pose import PoseFit
-from wire.experiment import Pool
 from wire.frames import Array
+from wire.scene import Pool
 
 MAGNIFIED = 20.0  # how much longer arrows are than the errors they show
 _SHADES = "·-+*#"  # corners in a cell: 0, 1 or more, and more

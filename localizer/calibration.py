@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from wire.experiment import Camera
 from wire.frames import Array
+from wire.sight import Camera
 
 # Undistortion is a fixed-point iteration; OpenCV's default of 5 rounds stops 0.3 px short in the corners of a wide lens.
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)

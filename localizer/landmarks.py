@@ -16,8 +16,8 @@ import numpy as np
 from localizer.calibration import PoolView, Tangent
 from localizer.marker import find_markers, marker_detector, square
 from localizer.patch import Pixels, cut, whole
-from wire.experiment import LANDMARKS_NEEDED, Camera, Landmark
 from wire.frames import Array, body_to_pool
+from wire.sight import LANDMARKS_NEEDED, Camera, Landmark
 
 STALE_AFTER_S = 0.3  # a pose this old says nothing of where robots are
 _MARGIN_PX = 30.0  # around where a landmark is expected: a drone moves by 3 px a frame, a gust by ten

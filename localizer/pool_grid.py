@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from localizer.calibration import PoolView
 from localizer.patch import Pixels
-from wire.experiment import Camera, Pool
 from wire.frames import Array
+from wire.scene import Pool
+from wire.sight import Camera
 
 Colour = tuple[int, int, int]
 

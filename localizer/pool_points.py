@@ -9,8 +9,8 @@ from pydantic import Field, model_validator
 
 from localizer.board_views import marker_centres
 from localizer.patch import Pixels
-from wire.experiment import Pool, Vec2, Vec3
 from wire.frames import Array
+from wire.scene import Pool, Vec2, Vec3
 from wire.toml_file import ConfigError, Section
 
 FEWEST_POINTS = 4

@@ -14,8 +14,8 @@ from scipy.optimize import least_squares
 from localizer.calibrate import Lens
 from localizer.calibration import PoolView
 from localizer.pool_points import FEWEST_POINTS, PoolPoint, is_line
-from wire.experiment import Camera
 from wire.frames import Array
+from wire.sight import Camera
 from wire.toml_file import ConfigError
 
 _LEAST_SIGMA_PX = 0.2  # residuals of four points may be small by luck

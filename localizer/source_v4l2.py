@@ -21,8 +21,8 @@ import cv2
 
 from localizer.latest import Latest
 from localizer.shot import Shot, as_bayer, silent_after_s
-from wire.experiment import Camera
 from wire.runtime import SLICE_S, Clock, Stop, log
+from wire.sight import Camera
 
 RETRY_S = 1.0  # between attempts to open a camera that is gone
 OLDEST_STAMP_NS = 1_000_000_000  # a stamp farther in the past is of another clock

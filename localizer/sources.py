@@ -9,9 +9,9 @@ from localizer.source_bus import BusSource, LockstepSource
 from localizer.source_files import FolderSource, VideoSource
 from localizer.source_v4l2 import V4l2Source
 from wire.bus import Bus, Inbox
-from wire.experiment import Camera
 from wire.messages import RobotState
 from wire.runtime import Clock, LockstepClock
+from wire.sight import Camera
 from wire.toml_file import ConfigError
 
 BUS = "bus"

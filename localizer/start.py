@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from wire.experiment import Circle, Experiment, PathSpec, Route
+from wire.experiment import Experiment
 from wire.frames import Array
+from wire.scene import Circle, PathSpec, Route
 
 
 def start_poses(experiment: Experiment) -> Array:

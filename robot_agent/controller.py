@@ -32,10 +32,10 @@ from robot_agent.mpc import MpcPlan
 from robot_agent.obstacles import Thing
 from robot_agent.passing import CATCH_UP_MPS, Passing, mover, pieces
 from robot_agent.reference import Follow, Goal, Hold, Path, Sampler
-from wire.experiment import Controller as ControllerConfig
-from wire.experiment import Safety
 from wire.frames import Array
 from wire.messages import Solve
+from wire.tuning import Controller as ControllerConfig
+from wire.tuning import Safety
 from wire.vehicle import Vehicle
 
 __all__ = ["ControlOutput", "Controller", "Follow", "Goal", "Hold", "Measurement", "Neighbour", "Sighting"]

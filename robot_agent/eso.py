@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from robot_agent.model import Model, State
-from wire.experiment import Estimator as EstimatorConfig
 from wire.frames import Array, wrap
+from wire.tuning import Estimator as EstimatorConfig
 
 Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 

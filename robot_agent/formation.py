@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from robot_agent.obstacles import Thing, border
 from robot_agent.reference import interpolate
-from wire.experiment import Mpc as MpcConfig
-from wire.experiment import Safety
 from wire.frames import TURN, Array
 from wire.messages import Plan
+from wire.tuning import Mpc as MpcConfig
+from wire.tuning import Safety
 
 NS = 1e9
 NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the plane, without those it cannot run into first

@@ -18,8 +18,8 @@ import math
 import numpy as np
 
 from robot_agent.reference import Path
-from wire.experiment import Guidance as GuidanceConfig
 from wire.frames import Array, wrap
+from wire.tuning import Guidance as GuidanceConfig
 from wire.vehicle import Vehicle
 
 Vector = tuple[float, float]

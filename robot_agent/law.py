@@ -13,9 +13,9 @@ from robot_agent.baselines.sliding_mode import SlidingMode
 from robot_agent.formation import HalfSpaces
 from robot_agent.model import Model, State
 from robot_agent.mpc import Mpc, MpcPlan
-from wire.experiment import Controller as Config
-from wire.experiment import Guidance as GuidanceConfig
 from wire.frames import Array
+from wire.tuning import Controller as Config
+from wire.tuning import Guidance as GuidanceConfig
 from wire.vehicle import Vehicle
 
 

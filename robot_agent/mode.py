@@ -7,8 +7,8 @@ leads by itself back to thrust. docs/modes.md draws both (`robot-agent modes`).
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from wire.experiment import Safety
 from wire.messages import Mode, Order
+from wire.tuning import Safety
 from wire.vehicle import Battery
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got

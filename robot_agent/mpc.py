@@ -17,9 +17,9 @@ from robot_agent.formation import HalfSpaces
 from robot_agent.model import Model, State
 from robot_agent.prediction import Prediction
 from robot_agent.qp import NO_BOUND, Solution, Solver, make_solver
-from wire.experiment import Mpc as MpcConfig
 from wire.frames import Array
 from wire.messages import Solve
+from wire.tuning import Mpc as MpcConfig
 from wire.vehicle import Vehicle
 
 CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave

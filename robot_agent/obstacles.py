@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.experiment import Island
 from wire.frames import Array
 from wire.messages import Obstacles
+from wire.scene import Island
 
 SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
 ABSURD_M, ABSURD_MPS = 1e3, 2.0  # limits of what can be an obstacle; nothing in a pool is faster

@@ -13,8 +13,11 @@ from sim_bridge.scene import Scene, Waters, vignette
 from sim_bridge.scenery import Hit, still_scene, trace
 from sim_bridge.textures import Bytes, Float
 from sim_bridge.view import BLOCK, View
-from wire.experiment import Camera, CameraMotion, Experiment, Pool
+from wire.experiment import Experiment
 from wire.frames import Array
+from wire.scene import Pool
+from wire.sight import Camera
+from wire.sim_settings import CameraMotion
 
 SWINGS = 3  # sines per axis: no instant repeats within minutes
 DECK_M = 0.8  # of deck around the basin that is drawn; beyond, its edge is drawn on

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from wire.experiment import Camera
 from wire.frames import Array
+from wire.sight import Camera
 
 TOLERANCE_M = 1e-12  # of the refraction point; Newton gets there in 3 to 6 steps
 MAX_STEPS = 30

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from sim_bridge.textures import TILE_M, Bytes, Float, grain, texels_per_tile, tiles
 from sim_bridge.view import Lines
-from wire.experiment import Experiment, Pool
+from wire.experiment import Experiment
+from wire.scene import Pool
 
 # Per metre of water, blue, green, red: clear tap water swallows red first (Pope and Fry 1997: 0.01, 0.06, 0.34 at 450, 550,
 # 650 nm); a little more everywhere for what floats in it. Then what the water itself sends back.

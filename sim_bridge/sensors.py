@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sim_bridge.flow import GRAVITY_MPS2
-from wire.experiment import Sensors
 from wire.frames import Array, wrap
+from wire.sim_settings import Sensors
 
 SENSOR_STREAM = 2  # keeps this use of the seed apart from the others
 ACCELEROMETER_NOISE_MPS2 = 0.02  # an ordinary MEMS part at 50 Hz; the link rounds to 0.01

@@ -15,8 +15,9 @@ from sim_bridge.plates import LENS_SOFTNESS_PX, Plate, Sight
 from sim_bridge.scenery import through_water
 from sim_bridge.textures import RED, SHELL_PX, Bytes, Float, shell
 from sim_bridge.view import Lines, View, Window, mosaic
-from wire.experiment import Experiment, Robot
+from wire.experiment import Experiment
 from wire.frames import Array
+from wire.scene import Robot
 
 LAMP = np.array([-0.30, -0.22, 0.93])  # where most light comes from: pool x, y and up; the shadow falls the other way
 AMBIENT, DIFFUSE = 0.50, 0.56

@@ -7,8 +7,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.experiment import Camera, Picture, Pool
 from wire.frames import Array
+from wire.scene import Pool
+from wire.sight import Camera
+from wire.sim_settings import Picture
 
 Float = NDArray[np.float32]
 

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.optics import GRAZING, camera_slopes, project
-from wire.experiment import Camera
 from wire.frames import Array
+from wire.sight import Camera
 
 Float = NDArray[np.float32]
 

@@ -14,6 +14,7 @@ VEHICLES = Path(__file__).parent / "vehicles"
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
 Microseconds = Annotated[int, Field(ge=500, le=2500)]
 
 

@@ -6,8 +6,9 @@ without OpenCV, which the station does not install.
 
 import numpy as np
 
-from wire.experiment import Camera, Experiment
+from wire.experiment import Experiment
 from wire.frames import Array
+from wire.sight import Camera
 
 CELLS = 16  # along the longer side: straight edges between nodes are then within 1 mm of the lens's curves
 MARGIN_M = 0.2  # beyond the walls

@@ -13,10 +13,11 @@ from robot_agent.agent import Heard, Outputs
 from robot_agent.orders import StationView
 from sim_bridge.numeric import STATION_SESSION, AgentFleet
 from sim_bridge.world import World
-from wire.experiment import Experiment, Numeric
+from wire.experiment import Experiment
 from wire.frames import Array
 from wire.mavlink import AgentLink, Telemetry
 from wire.messages import Order
+from wire.sim_settings import Numeric
 
 
 class BoardWater:

@@ -8,8 +8,8 @@ import pytest
 
 from groundstation.formation import NodeMotion, courses, node_motion, structure_rotation
 from groundstation.spline import CirclePath, Path, PathState, SplinePath
-from wire.experiment import Change, Circle, Waypoints
 from wire.frames import Array
+from wire.scene import Change, Circle, Waypoints
 from wire.shapes import SHAPES, Shape, shape_nodes
 
 CURVE = Waypoints(

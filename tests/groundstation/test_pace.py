@@ -6,9 +6,10 @@ import pytest
 from groundstation.pace import SlowedPath
 from groundstation.planner import PlanError, plan
 from groundstation.spline import make_path
-from wire.experiment import Experiment, Waypoints, load_experiment
+from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages import Trajectory
+from wire.scene import Waypoints
 
 PERIOD_S = 0.05
 ROTATING = ("formation.mode=rotate",)  # its outer robots would fly 0.56 m/s

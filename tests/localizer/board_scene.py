@@ -15,8 +15,8 @@ from scipy.interpolate import RectBivariateSpline
 
 from localizer.board_views import BoardView
 from sim_bridge.optics import Rays, project, rays
-from wire.experiment import Camera
 from wire.frames import Array
+from wire.sight import Camera
 
 Pixels = NDArray[np.uint8]
 Float = NDArray[np.float32]

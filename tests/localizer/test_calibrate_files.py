@@ -21,10 +21,11 @@ from tests.localizer.scene import bayer
 from tests.localizer.stand_ins import eventually
 from wire import topics
 from wire.bus import Bus
-from wire.experiment import EXPERIMENTS, Camera, load_experiment
+from wire.experiment import EXPERIMENTS, load_experiment
 from wire.frames import Array
 from wire.messages import Frame
 from wire.runtime import Stop
+from wire.sight import Camera
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
 

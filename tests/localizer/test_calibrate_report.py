@@ -10,7 +10,8 @@ from localizer.calibrate_report import MAGNIFIED, lens_lines, lens_picture, pose
 from localizer.pool_points import PoolPoint
 from localizer.pool_pose import PoseFit
 from tests.localizer.board_scene import Bench, chessboard
-from wire.experiment import Pool, load_experiment
+from wire.experiment import load_experiment
+from wire.scene import Pool
 
 CAMERA = load_experiment("pool").camera
 BENCH, BOARD_M = Bench(CAMERA), chessboard(9, 6, 0.03)[2]

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from localizer.calibration import PoolView
-from wire.experiment import Camera, load_experiment
+from wire.experiment import load_experiment
 from wire.frames import Array
+from wire.sight import Camera
 
 CAMERA = load_experiment("pool").camera
 TILTED = CAMERA.model_copy(

@@ -12,9 +12,10 @@ from localizer.locate import Located, Locator
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project
 from tests.localizer.scene import Pixels
-from wire.experiment import Camera, load_experiment
+from wire.experiment import load_experiment
 from wire.frames import Array, wrap
 from wire.messages import Track
+from wire.sight import Camera
 from wire.toml_file import ConfigError
 
 DRONE = load_experiment("drone")

@@ -6,8 +6,10 @@ import pytest
 from localizer.calibration import PoolView
 from localizer.pool_grid import FLOOR, GRID, GRID_M, MARK, SURFACE, draw_grid, figures
 from sim_bridge.optics import project
-from wire.experiment import Camera, Pool, load_experiment
+from wire.experiment import load_experiment
 from wire.frames import Array
+from wire.scene import Pool
+from wire.sight import Camera
 
 EXPERIMENT = load_experiment("pool")
 TILTED = EXPERIMENT.camera.model_copy(

@@ -10,8 +10,9 @@ from localizer.pool_points import PoolPoint, PoolPoints, seen_pixels
 from localizer.pool_pose import PoseFit, fit_pose
 from sim_bridge.optics import project, rays
 from tests.localizer.board_scene import Bench, marks
-from wire.experiment import Camera, load_experiment
+from wire.experiment import load_experiment
 from wire.frames import Array
+from wire.sight import Camera
 from wire.toml_file import ConfigError, check
 
 POOL = load_experiment("pool").camera

@@ -21,9 +21,10 @@ from tests.localizer.stand_ins import MS, HandClock, flat, level
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header
-from wire.experiment import Camera, load_experiment
+from wire.experiment import load_experiment
 from wire.messages import Frame
 from wire.runtime import LockstepClock, Stop, WallClock
+from wire.sight import Camera
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from robot_agent.eso import COAST_NS, Estimate, Estimator, Measurement, Sighting, gains, gains_with_rate
 from robot_agent.model import Model
 from tests.robot_agent.water import integrate
-from wire.experiment import Estimator as EstimatorConfig
 from wire.frames import Array, wrap
+from wire.tuning import Estimator as EstimatorConfig
 from wire.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.formation import NEAREST, Formation, HalfSpaces, Neighbour, Rank
-from wire.experiment import Mpc as MpcConfig
-from wire.experiment import Safety
 from wire.frames import Array
 from wire.messages import Plan
+from wire.tuning import Mpc as MpcConfig
+from wire.tuning import Safety
 
 PERIOD_S, NS = 0.05, 1_000_000_000
 CONFIG, SAFETY = MpcConfig(), Safety()

@@ -8,9 +8,9 @@ from robot_agent.formation import NOWHERE, HalfSpaces
 from robot_agent.model import Model, State
 from robot_agent.mpc import MAX_SHIFTED, Mpc
 from robot_agent.qp import Solution
-from wire.experiment import Mpc as MpcConfig
 from wire.frames import Array
 from wire.messages import Solve
+from wire.tuning import Mpc as MpcConfig
 from wire.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")

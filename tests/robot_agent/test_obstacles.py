@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from robot_agent.formation import Formation, Rank
 from robot_agent.obstacles import SPACING_M, border, islands, things_seen
 from tests.robot_agent.test_formation import CONFIG, NS, PERIOD_S, SAFETY, expecting
-from wire.experiment import Island
 from wire.messages import Obstacles
+from wire.scene import Island
 
 ALONE = Rank(False, 0.0, 0)
 

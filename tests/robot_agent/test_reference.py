@@ -5,9 +5,9 @@ import pytest
 
 from robot_agent.guidance import HOLD_RADPS, Guidance
 from robot_agent.reference import Follow, Hold, Path, Sampler
-from wire.experiment import Guidance as GuidanceConfig
 from wire.frames import Array
 from wire.messages import Trajectory
+from wire.tuning import Guidance as GuidanceConfig
 from wire.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")

@@ -9,8 +9,10 @@ from sim_bridge.camera import Renderer
 from sim_bridge.hover import Motion
 from sim_bridge.optics import project
 from sim_bridge.view import View
-from wire.experiment import Camera, CameraMotion, Experiment, load_experiment
+from wire.experiment import Experiment, load_experiment
 from wire.frames import Array, body_to_pool
+from wire.sight import Camera
+from wire.sim_settings import CameraMotion
 
 STILL = tuple(f"sim.picture.{key}=0" for key in ("noise", "ripples_m", "caustics", "glare"))
 CLEAN = (*STILL, "sim.picture.shadows=false")

@@ -8,8 +8,9 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from sim_bridge.optics import optical_path_m, project, rays, refraction_points
-from wire.experiment import Camera, load_experiment
+from wire.experiment import load_experiment
 from wire.frames import Array
+from wire.sight import Camera
 
 CAMERA = load_experiment("pool").camera
 TILTED = CAMERA.model_copy(
