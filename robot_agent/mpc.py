@@ -51,7 +51,7 @@ class Mpc:
         self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step)
         self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
         self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)  # the last good plan, and what it changes
-        self._shifted = MAX_SHIFTED
+        self._shifted = 0
         self._fresh = True
         n, size = self._n, 3 * self._n
         ends = np.cumsum(config.blocks)
@@ -93,8 +93,9 @@ class Mpc:
         return alone, make_solver(name, p_beside, a_beside, scale_beside, row_scale_beside, bounds=size)
 
     def reset(self) -> None:
-        """Forget the last plan."""
-        self._fresh, self._shifted = True, MAX_SHIFTED
+        """Forget the last plan: until the next one stands, for some steps at most, the thrusters stay off."""
+        self._fresh, self._shifted = True, 0
+        self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)
 
     def expected(self, state: State) -> Array:
         """What the coming plan is linearised along, the last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all
@@ -195,6 +196,7 @@ class Mpc:
         eta = self._prediction.poses()
         if self._shifted >= MAX_SHIFTED:
             self.reset()
+            self._shifted = MAX_SHIFTED
             return MpcPlan(np.zeros(3), eta, Solve.FAILED, iterations, 0.0)
         self._shifted += 1
         self._prediction.shift()

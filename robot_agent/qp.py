@@ -98,8 +98,9 @@ class OsqpSolver:
             return Solution(np.zeros(len(q)), False, 0)
         solver.solve()
         x, info = solver.solution.x, solver.info
-        if not (self._close(info) and _finite(x)):
-            solver.warm_start(np.zeros(len(q)), np.zeros(len(lower)))
+        if not (_finite(x) and self._close(info, x)):
+            if info.status_val != OUT_OF_ITERATIONS or not _finite(x):  # else the next solve goes on from here
+                solver.warm_start(np.zeros(len(q)), np.zeros(len(lower)))
             return Solution(np.zeros(len(q)), False, info.iter)
         return Solution(x * self._scale, True, info.iter)
 
@@ -107,13 +108,15 @@ class OsqpSolver:
         """See `Solver`. The multipliers start at zero."""
         self._solver.warm_start(x / self._scale, np.zeros(len(self._low)))
 
-    def _close(self, info: Any) -> bool:
-        """Solved; or out of iterations so close to it that the plan is better than the last one (residuals are scaled)."""
+    def _close(self, info: Any, x: Array) -> bool:
+        """Solved; or out of iterations so close to it that the plan is better than the last one (residuals are scaled, and
+        count beside the largest number there is: 2 mm of slack are close where 0.2 m are needed)."""
         status = info.status_val
         if status in SOLVED:
             return True
-        enough = CLOSE * max(1.0, float(np.abs(self._q).max()))
-        return bool(status == OUT_OF_ITERATIONS and info.prim_res < CLOSE and info.dual_res < enough)
+        size = max(1.0, float(np.abs(x).max()))
+        largest = max(size, float(np.abs(self._q).max()))
+        return bool(status == OUT_OF_ITERATIONS and info.prim_res < CLOSE * size and info.dual_res < CLOSE * largest)
 
 
 class DaqpSolver:

@@ -1,9 +1,13 @@
 """Robots whose paths run through one another, in the real plant: they leave their paths, pass, arrive."""
 
+import numpy as np
 import pytest
 
 from benchmarks.encounters import SCENES, meet
+from groundstation import planner
+from sim_bridge.numeric import AgentFleet, BareWater
 from wire.experiment import load_experiment
+from wire.messages import Mode
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -13,3 +17,22 @@ def test_everyone_arrives_and_nobody_comes_near(name: str) -> None:
     assert not flight.deadlock
     assert flight.nearest_m > 2.0 * experiment.safety.radius_m - 0.005
     assert flight.clear_m > experiment.vehicle.radius_m + 0.05
+
+
+@pytest.mark.parametrize("apart_m", [0.31, 0.41])
+def test_robots_that_begin_inside_one_another_s_space_come_out_of_it(apart_m: float) -> None:
+    """The hardest first problem there is: no plan can fulfil it, and nothing is known to begin from."""
+    experiment = load_experiment("numeric", ["duration_s=10"])
+    trajectories = planner.plan(experiment)
+    planned = planner.start_poses(experiment, trajectories)
+    starts = np.array([planned[robot] for robot in experiment.robot_ids])
+    starts[1] = starts[0] + [apart_m, 0.0, 0.0, 0.5]
+    water = BareWater(experiment, 1, starts)
+    fleet = AgentFleet(experiment, trajectories, water, 1)
+    fleet.start()
+    while fleet.time_s < 10.0:
+        fleet.step()
+        assert all(robot.states[-1].mode is Mode.TRACKING for robot in fleet.robots)
+    place = np.array(fleet.truth)[:, :, :2]
+    separation = np.hypot(*(place[:, 0] - place[:, 1]).T)
+    assert separation.min() > apart_m - 0.02 and separation[-1] > 0.6

@@ -164,8 +164,9 @@ def test_the_bridge_is_the_rest_of_the_plan() -> None:
 def test_nothing_solved_yet_means_neutral() -> None:
     controller = mpc()
     Refusing(controller).refuse = True
-    plan = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE)
-    assert plan.solve is Solve.FAILED and not plan.wrench.any()
+    plans = [controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE) for _ in range(MAX_SHIFTED + 2)]
+    assert [plan.solve for plan in plans] == [Solve.SHIFTED] * MAX_SHIFTED + [Solve.FAILED] * 2
+    assert not any(plan.wrench.any() for plan in plans)
 
 
 def test_nonsense_in_the_reference_is_a_failure_not_an_output() -> None:
