@@ -7,6 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import resources
 from pathlib import Path
 
 import pytest
@@ -26,7 +27,7 @@ from wire.transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.timeout(600)  # what waits for a browser waits for a loaded machine
 
-AXE = Path(__file__).parent / "vendor" / "axe.min.js"
+AXE = resources.files("axe_playwright_python") / "axe.min.js"
 
 
 def tile(page: Page, robot: int) -> Locator:
