@@ -8,11 +8,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks.flights import Flight, flown
 from benchmarks.harness import Row, run_peer
-from groundstation import planner
-from sim_bridge.numeric import AgentFleet, BareWater, fly
-from wire.experiment import Experiment, load_experiment
-from wire.frames import pose_error
+from wire.experiment import load_experiment
 
 BENCHMARK = "optimum"
 UNIT = "RMS, m and rad"
@@ -20,31 +18,16 @@ SECONDS, PERIOD_S = 35.0, 0.05
 BOUND_S = 20.0  # what comes later costs the optimum nothing
 
 
-def ours(experiment: Experiment) -> list[float]:
-    """Integral of squared error, x, y, z in m and yaw in rad, per robot over SECONDS."""
-    trajectories = planner.plan(experiment)
-    starts = planner.start_poses(experiment, trajectories)
-    water = BareWater(experiment, experiment.seed, np.array([starts[r] for r in experiment.robot_ids]))
-    fleet = AgentFleet(experiment, trajectories, water, experiment.seed)
-    fleet.start()
-    held = len(fleet.truth) - 1
-    for _ in fly(fleet, water):
-        pass
-    truth = np.array(fleet.truth[held:])
-    reference = np.array([t.eta[: len(truth)] for t in trajectories.values()]).transpose(1, 0, 2)
-    cost = PERIOD_S * np.sum(pose_error(truth, reference) ** 2, axis=(0, 2))
-    return [float(c) for c in cost]
-
-
-def task(experiment: Experiment) -> dict[str, object]:
-    """What the peer needs to know."""
+def task(flight: Flight) -> dict[str, object]:
+    """What the peer needs to know of a flight to do it better."""
+    experiment = flight.experiment
     vehicle, plant = experiment.vehicle, experiment.sim.plant
-    trajectories = planner.plan(experiment)
-    starts = planner.start_poses(experiment, trajectories)
     steps = round(BOUND_S / PERIOD_S)
     hz = np.broadcast_to(np.array(plant.disturbance_hz), len(experiment.robots))
     return {
         "name": experiment.name,
+        "seconds": SECONDS,
+        "unit": UNIT,
         "period_s": PERIOD_S,
         "inertia": vehicle.inertia.tolist(),
         "linear": vehicle.drag_linear.tolist(),
@@ -53,12 +36,8 @@ def task(experiment: Experiment) -> dict[str, object]:
         "step": list(vehicle.limits.wrench_step),
         "wave": list(plant.disturbance_wrench),
         "robots": [
-            {
-                "start": np.asarray(starts[robot]).tolist(),
-                "reference": trajectories[robot].eta[: steps + 1].tolist(),
-                "hz": float(hz[i]),
-            }
-            for i, robot in enumerate(experiment.robot_ids)
+            {"start": start.tolist(), "reference": trajectory.eta[: steps + 1].tolist(), "hz": float(hz[i])}
+            for i, (start, trajectory) in enumerate(zip(flight.truth[0], flight.fleet.trajectories.values(), strict=True))
         ],
     }
 
@@ -66,9 +45,10 @@ def task(experiment: Experiment) -> dict[str, object]:
 def run() -> Iterator[Row]:
     """RMS over the whole run, ours and the bound, per robot."""
     for name in ("numeric", "numeric-disturbed"):
-        experiment = load_experiment(name, [f"duration_s={SECONDS}"])
-        bounds = run_peer("optimum", ["numpy", "casadi"], {**task(experiment), "seconds": SECONDS, "unit": UNIT})
-        for i, (robot, cost) in enumerate(zip(experiment.robot_ids, ours(experiment), strict=True)):
-            rms = float(np.sqrt(cost / SECONDS))
+        flight = flown(load_experiment(name, [f"duration_s={SECONDS}"]))
+        cost = PERIOD_S * np.sum(flight.error**2, axis=(0, 2))
+        bounds = run_peer("optimum", ["numpy", "casadi"], task(flight))
+        for i, robot in enumerate(flight.experiment.robot_ids):
+            rms = float(np.sqrt(cost[i] / SECONDS))
             yield Row(BENCHMARK, f"{name}, robot {robot}", "ours", UNIT, rms, rms, rms, 1)
             yield from bounds[i : i + 1]

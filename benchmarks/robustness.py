@@ -8,15 +8,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from benchmarks.flights import flown
 from benchmarks.harness import Row
-from groundstation import planner
-from sim_bridge.numeric import AgentFleet, BareWater, fly
 from wire.experiment import load_experiment
-from wire.frames import pose_error
 
 BENCHMARK = "robustness"
 SEEDS = (1, 2, 3)
-SETTLED_S = 20.0
 OPEN = "sim.plant.walls=false"
 SHORT = "duration_s=70"
 STILL = "controller.estimator.current_rate_radps=0"
@@ -52,29 +49,18 @@ ERRORS: dict[str, tuple[str, ...]] = {
 def flight(name: str, settings: Sequence[str], seed: int) -> tuple[float, float]:
     """Accuracy in mm and smoothness in percent of one flight."""
     experiment = load_experiment(name, [*settings, f"seed={seed}"])
-    trajectories = planner.plan(experiment)
-    starts = planner.start_poses(experiment, trajectories)
-    water = BareWater(experiment, seed, np.array([starts[r] for r in experiment.robot_ids]))
-    fleet = AgentFleet(experiment, trajectories, water, seed)
-    fleet.start()
-    held = len(fleet.truth) - 1
-    for _ in fly(fleet, water):
-        pass
-    begin = held + round(SETTLED_S / experiment.controller.period_s)
-    truth = np.array(fleet.truth[begin:])
-    reference = np.array([t.eta[begin - held :][: len(truth)] for t in trajectories.values()]).transpose(1, 0, 2)
-    error = pose_error(truth[: len(reference)], reference)
-    change = np.array([[s.wrench_step for s in robot.states[begin:]] for robot in fleet.robots])
-    rms = np.sqrt(np.mean(error[:, :, :3] ** 2, axis=0)).max()
+    flight = flown(experiment)
+    change = np.array([[state.wrench_step for state in states[flight.settled :]] for states in flight.states])
+    rms = np.sqrt(np.mean(flight.error[flight.settled :, :, :3] ** 2, axis=0)).max()
     smooth = (np.sqrt(np.mean(change**2, axis=1)) / experiment.vehicle.limits.wrench_step).max()
     return 1e3 * float(rms), 100.0 * float(smooth)
 
 
 def rows(case: str, subject: str, name: str, settings: Sequence[str]) -> list[Row]:
     """Both figures over all seeds."""
-    flown = [flight(name, settings, seed) for seed in SEEDS]
+    flights = [flight(name, settings, seed) for seed in SEEDS]
     units = ("mm RMS after 20 s", "% of the largest input change, RMS")
-    return [Row.of(BENCHMARK, case, subject, unit, [f[i] for f in flown]) for i, unit in enumerate(units)]
+    return [Row.of(BENCHMARK, case, subject, unit, [f[i] for f in flights]) for i, unit in enumerate(units)]
 
 
 def run() -> Iterator[Row]:

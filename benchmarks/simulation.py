@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.flights import prepared
 from benchmarks.harness import Row
-from groundstation import planner
 from sim_bridge.camera import Renderer
 from sim_bridge.dynamics import Plant
-from sim_bridge.numeric import AgentFleet, BareWater, fly
+from sim_bridge.numeric import fly
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.scene import Robot
@@ -90,13 +90,10 @@ def frame_rows() -> Iterator[Row]:
 def flight_rows() -> Iterator[Row]:
     """Agents and plant in one process."""
     for name in ("numeric", "pool", "open-water"):
-        experiment = load_experiment(name, [f"duration_s={FLOWN_S}"])
-        trajectories = planner.plan(experiment)
-        starts = planner.start_poses(experiment, trajectories)
         speeds = []
         for seed in range(1, FLIGHTS + 1):
-            water = BareWater(experiment, seed, np.array([starts[r] for r in experiment.robot_ids]))
-            fleet = AgentFleet(experiment, trajectories, water, seed)
+            experiment = load_experiment(name, [f"duration_s={FLOWN_S}", f"seed={seed}"])
+            fleet, water = prepared(experiment)
             fleet.start()
             begin_s = time.process_time()
             for _ in fly(fleet, water):

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from groundstation.spline import curve_through
 from wire.frames import Array
 
 CORNERS = 24  # of the polygon around a disc: a way around it is 0.6 % longer than along it
@@ -144,8 +144,8 @@ def _smoothed(line: Array, smooth_m: float) -> Array:
 
 def _clear(points: Array, discs: Array, half_m: tuple[float, float]) -> bool:
     """Whether the spline through these points stays clear."""
-    knots = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
-    fine = CubicSpline(knots, points, bc_type="natural")(np.linspace(0.0, knots[-1], math.ceil(knots[-1] / CHECK_M) + 1))
+    knots, curve = curve_through(points)
+    fine = curve(np.linspace(0.0, knots[-1], math.ceil(knots[-1] / CHECK_M) + 1))
     inside = bool(np.all(np.abs(fine) <= np.array(half_m) + 1e-9))
     if len(discs) == 0 or not inside:
         return inside

@@ -42,6 +42,12 @@ class Path(Protocol):
     def at(self, time_s: Array) -> PathState: ...
 
 
+def curve_through(points: Array) -> tuple[Array, CubicSpline]:
+    """The natural cubic spline through points (n, 2), no two in a row the same, over chord length; and its knots (n,)."""
+    knots = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
+    return knots, CubicSpline(knots, points, bc_type="natural")
+
+
 class CirclePath:
     """A circle around the origin with heading that grows: x = R cos wt, y = R sin wt, yaw = wt + pi/2."""
 
@@ -82,8 +88,7 @@ class SplinePath:
             raise ValueError(f"path.points_m: points {first} and {first + 1} are the same place")
         if waypoints.start_index >= len(points) - 1:
             raise ValueError(f"path.start_index = {waypoints.start_index}: allowed are 0 to {len(points) - 2}")
-        knots = np.concatenate([[0.0], np.cumsum(chords)])
-        self._curve = CubicSpline(knots, points, bc_type="natural")
+        knots, self._curve = curve_through(points)
         fine = [np.linspace(a, b, PIECES, endpoint=False) for a, b in pairwise(knots)]
         self._q = np.concatenate([*fine, [knots[-1]]])
         slowest = int(np.argmin(np.linalg.norm(self._curve(self._q, 1), axis=1)))

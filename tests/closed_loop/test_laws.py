@@ -5,7 +5,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from tests.closed_loop.test_numeric import Flight, flown
+from benchmarks.flights import Flight
+from tests.closed_loop.test_numeric import flown
 from wire.experiment import load_experiment
 from wire.frames import Array
 from wire.laws import LawName

@@ -3,19 +3,18 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
 from functools import cache
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from groundstation import planner
-from sim_bridge.numeric import AgentFleet, BareWater, fly
+from benchmarks import flights
+from benchmarks.flights import Flight, prepared
+from sim_bridge.numeric import fly
 from wire import topics
-from wire.experiment import Experiment, load_experiment
-from wire.frames import Array, pose_error
+from wire.experiment import load_experiment
+from wire.frames import Array
 from wire.messages import Mode, RobotState, Solve
 from wire.toml_file import ConfigError
 
@@ -24,46 +23,9 @@ from wire.toml_file import ConfigError
 OPTIMUM = {"numeric": (1.661, 5.591, 4.106), "numeric-disturbed": (15.95, 3.820, 18.69)}
 
 
-@dataclass
-class Flight:
-    """A scene that was flown. Row k is the control step at time k times the period."""
-
-    experiment: Experiment
-    fleet: AgentFleet
-    error: Array  # (steps, n, 4)
-    states: list[list[RobotState]]  # per robot
-
-    def subjects(self) -> dict[str, Array]:
-        """Tracking error of each robot and formation error of each pair, (steps, 4)."""
-        n = len(self.experiment.robots)
-        pairs = {f"{a + 1}-{b + 1}": pose_error(self.error[:, a], self.error[:, b]) for a, b in combinations(range(n), 2)}
-        return {**{str(i + 1): self.error[:, i] for i in range(n)}, **pairs}
-
-    def settled_rms(self) -> tuple[float, float]:
-        """Largest RMS after 20 s of any robot and pair: per axis in m, and yaw in rad."""
-        first = round(20.0 / self.experiment.controller.period_s)
-        rms = np.array([np.sqrt(np.mean(error[first:] ** 2, axis=0)) for error in self.subjects().values()])
-        return float(rms[:, :3].max()), float(rms[:, 3].max())
-
-
-def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
-    trajectories = planner.plan(experiment)
-    starts = planner.start_poses(experiment, trajectories)
-    water = BareWater(experiment, experiment.seed, np.array([starts[r] for r in experiment.robot_ids]))
-    return AgentFleet(experiment, trajectories, water, experiment.seed), water
-
-
 @cache
 def flown(name: str, *settings: str) -> Flight:
-    experiment = load_experiment(name, settings)
-    fleet, water = prepared(experiment)
-    fleet.start()
-    held = len(fleet.truth) - 1
-    for _ in fly(fleet, water):
-        pass
-    truth = np.array(fleet.truth[held:])
-    reference = np.array([t.eta[: len(truth)] for t in fleet.trajectories.values()]).transpose(1, 0, 2)
-    return Flight(experiment, fleet, pose_error(truth, reference), [robot.states[held:] for robot in fleet.robots])
+    return flights.flown(load_experiment(name, settings))
 
 
 # --- accuracy

@@ -3,31 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.flights import flown
 from groundstation import planner
-from sim_bridge.numeric import fly
-from tests.closed_loop.test_numeric import prepared
 from wire.experiment import Experiment, load_experiment
-from wire.frames import Array, pose_error
-
-
-def flown(name: str, *settings: str) -> tuple[Experiment, Array, Array]:
-    """Experiment, and poses and their errors (steps, n, 4) since the trajectories began."""
-    experiment = load_experiment(name, settings)
-    fleet, water = prepared(experiment)
-    fleet.start()
-    held = len(fleet.truth) - 1
-    for _ in fly(fleet, water):
-        pass
-    truth = np.array(fleet.truth[held:])
-    reference = np.array([t.eta[: len(truth)] for t in fleet.trajectories.values()]).transpose(1, 0, 2)
-    return experiment, truth, pose_error(truth, reference)
-
-
-def settled_rms(experiment: Experiment, error: Array) -> float:
-    """Largest RMS per axis after 20 s of any robot or pair, in m."""
-    late = error[round(20.0 / experiment.controller.period_s) :, :, :3]
-    pairs = late[:, :, None] - late[:, None]
-    return float(np.sqrt(np.mean(np.concatenate([late[:, None], pairs], axis=1) ** 2, axis=0)).max())
+from wire.frames import Array
 
 
 def clearance_m(experiment: Experiment, place_m: Array) -> float:
@@ -38,15 +17,16 @@ def clearance_m(experiment: Experiment, place_m: Array) -> float:
 
 def test_open_water_is_within_three_centimetres_after_20_s() -> None:
     """In a current with gusts and a swell."""
-    experiment, _, error = flown("open-water", "duration_s=32")
-    assert settled_rms(experiment, error) < 0.03
+    place_m, _ = flown(load_experiment("open-water", ["duration_s=32"])).settled_rms()
+    assert place_m < 0.03
 
 
 def test_a_line_forms_and_keeps_clear_of_the_islands() -> None:
-    experiment, truth, error = flown("islands", "duration_s=50")
-    assert settled_rms(experiment, error) < 0.05
-    assert clearance_m(experiment, truth[..., :2]) > experiment.safety.radius_m
-    formed = error[400:, :, :2] - error[400:, :1, :2]
+    experiment = load_experiment("islands", ["duration_s=50"])
+    flight = flown(experiment)
+    assert flight.settled_rms()[0] < 0.05
+    assert clearance_m(experiment, flight.truth[..., :2]) > experiment.safety.radius_m
+    formed = flight.error[400:, :, :2] - flight.error[400:, :1, :2]
     assert np.abs(formed).max() < 0.15  # 20 s after starts 3 m off
 
 
@@ -61,8 +41,10 @@ def test_the_whole_path_between_the_islands_is_clear() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["open-water", "islands", "fleet-20"])
 def test_the_whole_scene_keeps_its_limits(name: str) -> None:
-    experiment, truth, error = flown(name)
-    assert settled_rms(experiment, error) < (experiment.limits.rms_after_20s_m or 0.0)
+    experiment = load_experiment(name)
+    flight = flown(experiment)
+    truth = flight.truth
+    assert flight.settled_rms()[0] < (experiment.limits.rms_after_20s_m or 0.0)
     apart = np.linalg.norm(truth[:, :, None, :2] - truth[:, None, :, :2], axis=-1)
     assert (apart + 9.0 * np.eye(truth.shape[1])).min() > 2 * experiment.safety.radius_m
     if experiment.islands:

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from benchmarks.flights import prepared
 from sim_bridge.measures import measures
 from sim_bridge.numeric import fly
-from tests.closed_loop.test_numeric import prepared
 from wire.experiment import load_experiment
 from wire.messages import Event
 

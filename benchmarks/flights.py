@@ -1,0 +1,61 @@
+"""Numeric flights whole: planned, put into the water, flown, and held against their references. For benchmarks and tests."""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from groundstation import planner
+from sim_bridge.numeric import AgentFleet, BareWater, fly
+from wire.experiment import Experiment
+from wire.frames import Array, pose_error
+from wire.messages import RobotState
+
+SETTLED_S = 20.0
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """A scene that was flown. Row k is the control step at time k times the period."""
+
+    experiment: Experiment
+    fleet: AgentFleet
+    truth: Array  # (steps, n, 4)
+    error: Array  # (steps, n, 4) truth minus trajectory, yaw to the path's tangent
+    states: list[list[RobotState]]  # per robot
+
+    @property
+    def settled(self) -> int:
+        """The first row after 20 s."""
+        return round(SETTLED_S / self.experiment.controller.period_s)
+
+    def subjects(self) -> dict[str, Array]:
+        """Tracking error of each robot and formation error of each pair, (steps, 4)."""
+        n = len(self.experiment.robots)
+        pairs = {f"{a + 1}-{b + 1}": pose_error(self.error[:, a], self.error[:, b]) for a, b in combinations(range(n), 2)}
+        return {**{str(i + 1): self.error[:, i] for i in range(n)}, **pairs}
+
+    def settled_rms(self) -> tuple[float, float]:
+        """Largest RMS after 20 s of any robot and pair: per axis in m, and yaw in rad."""
+        rms = np.array([np.sqrt(np.mean(error[self.settled :] ** 2, axis=0)) for error in self.subjects().values()])
+        return float(rms[:, :3].max()), float(rms[:, 3].max())
+
+
+def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
+    """Robots where the experiment puts them, with the trajectories that the station plans, and the water they are in."""
+    trajectories = planner.plan(experiment)
+    starts = planner.start_poses(experiment, trajectories)
+    water = BareWater(experiment, experiment.seed, np.array([starts[r] for r in experiment.robot_ids]))
+    return AgentFleet(experiment, trajectories, water, experiment.seed), water
+
+
+def flown(experiment: Experiment) -> Flight:
+    """The whole experiment."""
+    fleet, water = prepared(experiment)
+    fleet.start()
+    held = len(fleet.truth) - 1
+    for _ in fly(fleet, water):
+        pass
+    truth = np.array(fleet.truth[held:])
+    reference = np.array([t.eta[: len(truth)] for t in fleet.trajectories.values()]).transpose(1, 0, 2)
+    return Flight(experiment, fleet, truth, pose_error(truth, reference), [robot.states[held:] for robot in fleet.robots])
