@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from groundstation.rerun_commands import rerun
 from wire.experiment import dump_experiment, load_experiment
 from wire.messages import Command, Order
 from wire.options import (
@@ -257,6 +258,9 @@ def comparison(
     from groundstation import compare_report
 
     raise typer.Exit(0 if compare_report.write(folder) else 1)
+
+
+cli.command()(rerun)
 
 
 def app() -> None:

@@ -1,5 +1,6 @@
 """SHELL: `robot-agent`: what runs on a robot's board."""
 
+import sys
 from typing import Annotated
 
 import typer
@@ -56,6 +57,24 @@ def run(
             Shell(loaded, robot, bus, wires, lockstep, stop).run()
     finally:
         wires.close()
+
+
+@cli.command(hidden=True)
+def rerun(
+    experiment: ExperimentName,
+    robot: Annotated[int, typer.Option(help="Which robot of the experiment this is.")],
+    settings: Settings = None,
+) -> None:
+    """Do a robot's control steps again on what comes through stdin, and say on stdout what came of them.
+
+    For `groundstation rerun`, which reads a log and compares.
+    """
+    from robot_agent.rerun import Rerun
+    from wire.pipe import PipeWriter, read_pipe
+
+    said = PipeWriter(sys.stdout.buffer, session=1)
+    for topic, message, stamp_ns in Rerun(load_experiment(experiment, settings or ()), robot).run(read_pipe(sys.stdin.buffer)):
+        said.publish(topic, message, stamp_ns, robot)
 
 
 @cli.command()

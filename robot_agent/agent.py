@@ -75,7 +75,8 @@ class Outputs:
 class Agent:
     """The robot's mind between control steps: mode, trajectory, controller."""
 
-    def __init__(self, experiment: Experiment, robot: int) -> None:
+    def __init__(self, experiment: Experiment, robot: int, gate: OrderGate | None = None) -> None:
+        """`gate` is what an earlier agent of this robot knew of orders."""
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
@@ -90,7 +91,7 @@ class Agent:
         )
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
-        self._gate = OrderGate(robot, experiment.hash)
+        self.gate = gate or OrderGate(robot, experiment.hash)
         self._fault = ""
         self._trajectory: Trajectory | None = None
         self._time_zero_ns = 0  # when the trajectory's time was, or will be, 0
@@ -108,17 +109,17 @@ class Agent:
 
     def order(self, header: Header, command: Command, station: StationView, now_ns: int) -> Reply:
         """Deal with an order. Refused ones say why; a repeated one gets the answer it got before."""
-        repeated = self._gate.repeated(header)
+        repeated = self.gate.repeated(header)
         if repeated is not None:
             return repeated
-        reason = self._gate.refusal(header, command, station)
+        reason = self.gate.refusal(header, command, station)
         if reason:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
         reason = refusal(command.order, self.mode) or self._objection(command, station, now_ns)
         if not reason:
             # Counted from when the order was given: robots that got it at different instants still start together.
             self._follow(command, now_ns - (station.clock_ns - header.stamp_ns))
-        return self._gate.take(header, not reason, reason, self.mode)
+        return self.gate.take(header, not reason, reason, self.mode)
 
     def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
         if command.order is Order.LOAD:
@@ -185,6 +186,10 @@ class Agent:
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
         return Outputs(output.pulse_us, self._arming(inputs, now_ns), plan, self._state(output, health, inputs, heard))
+
+    def acted(self, state: RobotState, now_ns: int) -> None:
+        """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
+        self._controller.acted(state.wrench, state.wrench_delivered, now_ns)
 
     @property
     def _located(self) -> bool:

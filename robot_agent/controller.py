@@ -129,6 +129,12 @@ class Controller:
         )
         return self._put_out(plan, estimate, path, command, company, now_ns)
 
+    def acted(self, wrench: Array, delivered: Array, now_ns: int) -> None:
+        """These went out at `now_ns`, (3,) each, in the place of what the step of that instant came to."""
+        surge, heave, yaw = delivered.tolist()
+        self._estimator.applied((surge, heave, yaw), now_ns)
+        self._wrench = wrench
+
     def _take_up(self, goal: Goal) -> None:
         """A goal of another kind starts with a fresh heading memory."""
         before, self._goal = self._goal, goal

@@ -83,8 +83,12 @@ class Estimator:
         self._contradictions = 0
 
     def applied(self, wrench: Wrench, now_ns: int) -> None:
-        """Take note of the wrench sent out now. It acts after the thrusters' dead time."""
-        self._inputs.append((now_ns + self._dead_ns, wrench))
+        """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the
+        last counts."""
+        acts_ns = now_ns + self._dead_ns
+        if self._inputs and self._inputs[-1][0] == acts_ns:
+            self._inputs.pop()
+        self._inputs.append((acts_ns, wrench))
 
     def update(self, measurement: Measurement, now_ns: int) -> Estimate | None:
         """Take in what is new; None before the first pose and after coasting for too long."""

@@ -10,15 +10,15 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen, Watched
+from robot_agent.agent import Agent, Outputs
+from robot_agent.journal import answered, inputs_of, noted, order_noted, station_view
 from robot_agent.link import Link
-from robot_agent.orders import StationView
 from wire import topics
 from wire.bus import Bus, Received
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import AgentLink
-from wire.messages import Command, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, Tick
+from wire.messages import Command, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, StepInputs, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 
 EARLY = 0.25  # of a period: a step may come this much before its time, for a pose
@@ -44,6 +44,8 @@ class Shell:
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
         self._link_heartbeat_s = 0.0
         self._missed = 0
+        self._steps = self._orders = 0  # of this agent, as the log counts them
+        self._station_session = 0
         self._told = (Mode.DISARMED, "")
 
     def run(self) -> None:
@@ -57,8 +59,9 @@ class Shell:
             started_ns = time.perf_counter_ns()
             now_ns = self._clock.now_ns()
             with self._turn:
-                outputs = self.agent.step(self._read(now_ns, up_to_ns), now_ns)
+                record, outputs = self._step(now_ns, up_to_ns)
             self._write(outputs, now_ns, due_ns, started_ns)
+            self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
 
     def _greet(self) -> None:
         """Let a board behind UDP learn where we are; it may not be there yet."""
@@ -67,31 +70,39 @@ class Shell:
     def _order(self, header: Header, command: Command) -> Reply:
         with self._turn:
             now_ns = self._clock.now_ns()
-            reply = self.agent.order(header, command, self._station(self._heartbeats.newest(), now_ns), now_ns)
+            heartbeat = self._station()
+            record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
+            reply = self.agent.order(header, command, station_view(record, now_ns), now_ns)
+            self._orders += 1
+        self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
         log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
         return reply
 
     # --- inputs
 
-    def _read(self, now_ns: int, up_to_ns: int | None) -> Inputs:
+    def _step(self, now_ns: int, up_to_ns: int | None) -> tuple[StepInputs, Outputs]:
+        """Note what there is to go by, and step on it."""
         self._mavlink.receive(self._link.read(), now_ns)
-        pose, heartbeat = self._poses.newest(), self._heartbeats.newest()
-        obstacles = self._obstacles.newest(self._obstacles_up_to_ns)
-        plans = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
-        return Inputs(
-            pose=Seen(pose.message, self._clock.instant_ns(pose)) if pose is not None else None,
-            telemetry=self._mavlink.telemetry,
-            station=self._station(heartbeat, now_ns),
-            emergency_stop=heartbeat is not None and heartbeat.message.emergency_stop,
-            watched=Watched(obstacles.message, self._clock.instant_ns(obstacles)) if obstacles is not None else None,
-            plans={r: Heard(p.message, self._clock.instant_ns(p)) for r, p in plans.items() if p is not None},
-        )
+        heartbeat, obstacles = self._station(), self._obstacles.newest(self._obstacles_up_to_ns)
+        heard = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
+        plans = {robot: plan for robot, plan in heard.items() if plan is not None}
+        telemetry = self._mavlink.telemetry
+        record = noted(self._steps, self._clock, self._poses.newest(), heartbeat, telemetry, plans, obstacles)
+        self._steps += 1
+        messages = {robot: plan.message for robot, plan in plans.items()}
+        seen = obstacles.message if obstacles is not None else None
+        return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
 
-    def _station(self, heartbeat: Received[StationHeartbeat] | None, now_ns: int) -> StationView:
-        if heartbeat is None:
-            return StationView()
-        age_ns = now_ns - self._clock.instant_ns(heartbeat)
-        return StationView(heartbeat.header.session, heartbeat.header.stamp_ns + age_ns, age_ns * 1e-9)
+    def _station(self) -> Received[StationHeartbeat] | None:
+        """The station as heard last. With one that it meets for the first time a robot that is disarmed begins anew: the log
+        that the station writes then has all that the agent remembers. Orders that were taken before are still known."""
+        heartbeat = self._heartbeats.newest()
+        if heartbeat is not None and heartbeat.header.session != self._station_session:
+            self._station_session = heartbeat.header.session
+            if self._steps and self.agent.mode is Mode.DISARMED:
+                self.agent = Agent(self._experiment, self._robot, self.agent.gate)
+                self._steps = self._orders = 0
+        return heartbeat
 
     # --- pace: when a step is due, and up to which stamp neighbours' plans count
 

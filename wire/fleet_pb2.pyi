@@ -291,3 +291,87 @@ class Reply(_message.Message):
     reason: str
     mode: Mode
     def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ...) -> None: ...
+
+class BoardReading(_message.Message):
+    __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss")
+    BOARD_MS_FIELD_NUMBER: _ClassVar[int]
+    ARRIVAL_NS_FIELD_NUMBER: _ClassVar[int]
+    HEADING_RAD_FIELD_NUMBER: _ClassVar[int]
+    YAW_RATE_RADPS_FIELD_NUMBER: _ClassVar[int]
+    ACCELERATION_MPS2_FIELD_NUMBER: _ClassVar[int]
+    DEPTH_M_FIELD_NUMBER: _ClassVar[int]
+    BATTERY_V_FIELD_NUMBER: _ClassVar[int]
+    ARMED_FIELD_NUMBER: _ClassVar[int]
+    ECHO_US_FIELD_NUMBER: _ClassVar[int]
+    LOSS_FIELD_NUMBER: _ClassVar[int]
+    board_ms: int
+    arrival_ns: int
+    heading_rad: float
+    yaw_rate_radps: float
+    acceleration_mps2: _containers.RepeatedScalarFieldContainer[float]
+    depth_m: float
+    battery_v: float
+    armed: bool
+    echo_us: _containers.RepeatedScalarFieldContainer[int]
+    loss: float
+    def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ...) -> None: ...
+
+class StepInputs(_message.Message):
+    __slots__ = ("step", "pose", "pose_instant_ns", "pose_told_age_ns", "heartbeat", "station_session", "station_stamp_ns", "station_instant_ns", "board", "plan_robots", "plan_sessions", "plan_sequences", "plan_instants_ns", "obstacles_session", "obstacles_sequence", "obstacles_instant_ns")
+    STEP_FIELD_NUMBER: _ClassVar[int]
+    POSE_FIELD_NUMBER: _ClassVar[int]
+    POSE_INSTANT_NS_FIELD_NUMBER: _ClassVar[int]
+    POSE_TOLD_AGE_NS_FIELD_NUMBER: _ClassVar[int]
+    HEARTBEAT_FIELD_NUMBER: _ClassVar[int]
+    STATION_SESSION_FIELD_NUMBER: _ClassVar[int]
+    STATION_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    STATION_INSTANT_NS_FIELD_NUMBER: _ClassVar[int]
+    BOARD_FIELD_NUMBER: _ClassVar[int]
+    PLAN_ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    PLAN_SESSIONS_FIELD_NUMBER: _ClassVar[int]
+    PLAN_SEQUENCES_FIELD_NUMBER: _ClassVar[int]
+    PLAN_INSTANTS_NS_FIELD_NUMBER: _ClassVar[int]
+    OBSTACLES_SESSION_FIELD_NUMBER: _ClassVar[int]
+    OBSTACLES_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    OBSTACLES_INSTANT_NS_FIELD_NUMBER: _ClassVar[int]
+    step: int
+    pose: Pose
+    pose_instant_ns: int
+    pose_told_age_ns: int
+    heartbeat: StationHeartbeat
+    station_session: int
+    station_stamp_ns: int
+    station_instant_ns: int
+    board: BoardReading
+    plan_robots: _containers.RepeatedScalarFieldContainer[int]
+    plan_sessions: _containers.RepeatedScalarFieldContainer[int]
+    plan_sequences: _containers.RepeatedScalarFieldContainer[int]
+    plan_instants_ns: _containers.RepeatedScalarFieldContainer[int]
+    obstacles_session: int
+    obstacles_sequence: int
+    obstacles_instant_ns: int
+    def __init__(self, step: _Optional[int] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., pose_instant_ns: _Optional[int] = ..., pose_told_age_ns: _Optional[int] = ..., heartbeat: _Optional[_Union[StationHeartbeat, _Mapping]] = ..., station_session: _Optional[int] = ..., station_stamp_ns: _Optional[int] = ..., station_instant_ns: _Optional[int] = ..., board: _Optional[_Union[BoardReading, _Mapping]] = ..., plan_robots: _Optional[_Iterable[int]] = ..., plan_sessions: _Optional[_Iterable[int]] = ..., plan_sequences: _Optional[_Iterable[int]] = ..., plan_instants_ns: _Optional[_Iterable[int]] = ..., obstacles_session: _Optional[int] = ..., obstacles_sequence: _Optional[int] = ..., obstacles_instant_ns: _Optional[int] = ...) -> None: ...
+
+class OrderTaken(_message.Message):
+    __slots__ = ("before_step", "number", "order_session", "order_sequence", "order_stamp_ns", "station_session", "station_stamp_ns", "station_instant_ns", "command", "reply")
+    BEFORE_STEP_FIELD_NUMBER: _ClassVar[int]
+    NUMBER_FIELD_NUMBER: _ClassVar[int]
+    ORDER_SESSION_FIELD_NUMBER: _ClassVar[int]
+    ORDER_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
+    ORDER_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    STATION_SESSION_FIELD_NUMBER: _ClassVar[int]
+    STATION_STAMP_NS_FIELD_NUMBER: _ClassVar[int]
+    STATION_INSTANT_NS_FIELD_NUMBER: _ClassVar[int]
+    COMMAND_FIELD_NUMBER: _ClassVar[int]
+    REPLY_FIELD_NUMBER: _ClassVar[int]
+    before_step: int
+    number: int
+    order_session: int
+    order_sequence: int
+    order_stamp_ns: int
+    station_session: int
+    station_stamp_ns: int
+    station_instant_ns: int
+    command: Command
+    reply: Reply
+    def __init__(self, before_step: _Optional[int] = ..., number: _Optional[int] = ..., order_session: _Optional[int] = ..., order_sequence: _Optional[int] = ..., order_stamp_ns: _Optional[int] = ..., station_session: _Optional[int] = ..., station_stamp_ns: _Optional[int] = ..., station_instant_ns: _Optional[int] = ..., command: _Optional[_Union[Command, _Mapping]] = ..., reply: _Optional[_Union[Reply, _Mapping]] = ...) -> None: ...

@@ -234,6 +234,62 @@ class Reply:
 
 
 @dataclass(frozen=True, eq=False)
+class BoardReading:
+    """What a thruster board said last, as far as its robot acts on it (wire/mavlink.py, Telemetry)."""
+
+    board_ms: int = -1  # the board's time of the last burst; -1: none yet
+    arrival_ns: int = 0  # of that burst, on the robot's clock
+    heading_rad: float = 0.0
+    yaw_rate_radps: float = 0.0
+    acceleration_mps2: Array = array(3)  # specific force, body frame
+    depth_m: float = 0.0
+    battery_v: float = 0.0
+    armed: bool = False
+    echo_us: tuple[int, ...] = ()
+    loss: float = 0.0  # fraction of the board's messages lost, last 5 s
+
+
+@dataclass(frozen=True, eq=False)
+class StepInputs:
+    """Everything that a robot's control step had to go by; the header's stamp is the step's instant. With the plans and the
+    obstacles that it names, and the orders, the step can be done again (`groundstation rerun`). Instants are on the robot's
+    clock."""
+
+    step: int  # 0, 1, 2 ... since the robot's program began, or met a new station
+    pose: Pose | None = None
+    pose_instant_ns: int = 0  # when it was true
+    pose_told_age_ns: int = 0  # how old the localizer says it was when it was sent
+    heartbeat: StationHeartbeat | None = None
+    station_session: int = 0
+    station_stamp_ns: int = 0  # of the heartbeat, on the station's clock,
+    station_instant_ns: int = 0  # and on the robot's
+    board: BoardReading | None = None
+    plan_robots: tuple[int, ...] = ()  # whose plans; the k-th of the next three belong to the k-th robot
+    plan_sessions: tuple[int, ...] = ()  # of the plan's header,
+    plan_sequences: tuple[int, ...] = ()  # as is this
+    plan_instants_ns: tuple[int, ...] = ()  # of the plan's first node
+    obstacles_session: int = 0  # of the message's header; 0: none has been heard
+    obstacles_sequence: int = 0
+    obstacles_instant_ns: int = 0  # when it was so
+
+
+@dataclass(frozen=True, eq=False)
+class OrderTaken:
+    """An order that has reached a robot, and its answer; for the log, nobody obeys it. The header's stamp is when."""
+
+    before_step: int  # the robot's next control step
+    number: int  # of the order: 0, 1, 2 ... with the same beginning as the steps
+    order_session: int  # of the order's header,
+    order_sequence: int  # as is this
+    order_stamp_ns: int  # and this
+    station_session: int = 0  # the heartbeat it was judged by, as in StepInputs
+    station_stamp_ns: int = 0
+    station_instant_ns: int = 0
+    command: Command | None = None
+    reply: Reply | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Frame:
     """A camera picture: (height, width) uint8 raw Bayer RGGB. On the wire a foxglove.RawImage `bayer_rggb8`."""
 
@@ -258,5 +314,5 @@ class Event:
 
 Message = (
     Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Command | Reply
-    | Frame | Preview | Event
+    | BoardReading | StepInputs | OrderTaken | Frame | Preview | Event
 )  # fmt: skip

@@ -1,5 +1,6 @@
 """Messages through a pipe, for a program that hands a whole run to another without a network: `sim-bridge numeric` flies,
-`groundstation record` writes the log. Both ends belong to one installation, so a topic is told by its row in the table.
+`groundstation record` writes the log; `groundstation rerun` reads one, `robot-agent rerun` does its steps again. Both ends
+belong to one installation, so a topic is told by its row in the table.
 """
 
 import struct
@@ -26,9 +27,12 @@ class PipeWriter:
         """Send a message about the instant `stamp_ns`."""
         key = topic.key(robot)
         sequence = self._sequences[key] = self._sequences.get(key, 0) + 1
-        payload = encode(message, stamp_ns)
-        header = Header(self._session, sequence, stamp_ns).encode()
-        self._stream.write(_FRAME.pack(TOPICS.index(topic), robot or 0, len(payload)) + header + payload)
+        write_raw(self._stream, topic, robot or 0, Header(self._session, sequence, stamp_ns), encode(message, stamp_ns))
+
+
+def write_raw(stream: IO[bytes], topic: Topic, robot: int, header: Header, payload: bytes) -> None:
+    """Send a message as it was on the wire; robot 0: it has none."""
+    stream.write(_FRAME.pack(TOPICS.index(topic), robot, len(payload)) + header.encode() + payload)
 
 
 def read_pipe(stream: IO[bytes]) -> Iterator[tuple[Topic, int | None, Header, bytes]]:

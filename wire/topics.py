@@ -15,6 +15,7 @@ class Qos(Enum):
     CONTROL = "first in line, no batching, dropped rather than queued: only the newest counts"
     STATE = "as CONTROL, behind it"
     IMAGE = "last in line: a picture may be late or missing, a command may not"
+    JOURNAL = "as EVENT, but who comes later hears nothing of what was: it is for the log of the run that is on"
     EVENT = "cached by the publisher and recovered by the subscriber after an outage: each one counts"
 
 
@@ -46,9 +47,13 @@ PLAN = Topic("robot/{robot}/plan", messages.Plan, 20, 0.5, Qos.CONTROL, True, "r
 STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, "robot_agent")
 HEARTBEAT = Topic("station/heartbeat", messages.StationHeartbeat, 20, 1.0, Qos.CONTROL, True, "groundstation")
 TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, "groundstation")
+INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, "robot_agent")
+ORDERS = Topic("robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, "robot_agent")
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, "everyone")
 
-TOPICS = (TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, EVENT)
+TOPICS = (
+    TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, INPUTS, ORDERS, EVENT
+)  # fmt: skip
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
 PRESENCE_KEY = "presence/{process}"  # a liveliness token: there, not necessarily well

@@ -20,6 +20,7 @@ Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the re
 Presence = Callable[[str, bool], None]  # key, is it there
 
 EVENT_CACHE = 1000  # messages a publisher of events keeps for late or returning subscribers
+JOURNAL_CACHE = 400  # 20 s of control steps: longer than a link is down in a run that goes on
 PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
 
@@ -49,8 +50,10 @@ _QOS: dict[Qos, dict[str, Any]] = {
     Qos.CONTROL: {"priority": zenoh.Priority.REAL_TIME, "express": True},
     Qos.STATE: {"priority": zenoh.Priority.DATA_HIGH, "express": True},
     Qos.IMAGE: {"priority": zenoh.Priority.DATA_LOW, "express": False},
+    Qos.JOURNAL: {"priority": zenoh.Priority.DATA, "express": False},
     Qos.EVENT: {"priority": zenoh.Priority.DATA, "express": False},
 }
+_CACHED = {Qos.EVENT: EVENT_CACHE, Qos.JOURNAL: JOURNAL_CACHE}
 
 
 def _config(endpoint: Endpoint) -> zenoh.Config:
@@ -100,11 +103,11 @@ class ZenohTransport:
         options = {"congestion_control": self._congestion, **_QOS[qos]}
         session = self._session(qos)
         publisher: Any
-        if qos is Qos.EVENT:
+        if qos in _CACHED:
             publisher = zenoh.ext.declare_advanced_publisher(
                 session,
                 key,
-                cache=zenoh.ext.CacheConfig(max_samples=EVENT_CACHE),
+                cache=zenoh.ext.CacheConfig(max_samples=_CACHED[qos]),
                 sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
                 publisher_detection=True,
                 **options,
@@ -120,12 +123,12 @@ class ZenohTransport:
             deliver(str(sample.key_expr), sample.payload.to_bytes(), header)
 
         session = self._session(qos)
-        if qos is Qos.EVENT:
+        if qos in _CACHED:
             subscriber: Any = zenoh.ext.declare_advanced_subscriber(
                 session,
                 key,
                 on_sample,
-                history=zenoh.ext.HistoryConfig(detect_late_publishers=True),
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True) if qos is Qos.EVENT else None,
                 recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
                 subscriber_detection=True,
             )

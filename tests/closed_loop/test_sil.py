@@ -84,6 +84,29 @@ def test_its_result_is_within_the_figures_to_reach(lockstep_run: tuple[Path, int
     assert result["faults"] == []
 
 
+def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
+    """What `groundstation rerun --json` says of a run."""
+    command = [sys.executable, "-m", "groundstation", "rerun", str(folder), "--json", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout, done.stderr
+    robots: list[dict[str, Any]] = json.loads(done.stdout)
+    assert done.returncode == (0 if arguments or all(robot["exact"] for robot in robots) else 1)
+    return robots
+
+
+def test_its_steps_done_again_come_out_the_same_to_the_last_bit(lockstep_run: tuple[Path, int, str]) -> None:
+    for robot in rerun(lockstep_run[0]):
+        assert robot["exact"], robot
+        assert robot["compared"] >= 600  # the whole 30 s
+
+
+def test_another_weight_would_have_asked_for_other_thrust(lockstep_run: tuple[Path, int, str]) -> None:
+    (robot,) = rerun(lockstep_run[0], "--robot", "2", "--set", "controller.mpc.q=[1,2,1,4]")
+    differing = {difference["field"]: difference for difference in robot["differences"]}
+    assert differing["wrench"]["largest"] > 1e-3
+    assert "eta" not in differing  # what was estimated rests on what was sent, not on what would have been
+
+
 def test_its_processes_are_gone(lockstep_run: tuple[Path, int, str]) -> None:
     left = [p for p in psutil.process_iter(["cmdline"]) if str(lockstep_run[0]) in " ".join(p.info["cmdline"] or [])]
     assert left == []
@@ -127,6 +150,8 @@ def test_a_process_killed_in_flight_leaves_neutral_boards_and_is_named(victim: s
     stopping = (1, 2) if victim != "agent-1" else (1,)
     for robot in stopping:
         assert _neutral_at(logs / "sim-bridge.log", robot, killed_at) <= 0.5
+    if victim == "localizer":  # in real time, too, and with a fault in it
+        assert [robot["exact"] for robot in rerun(run_dir(tmp_path))] == [True, True]
 
 
 def _name(cmdline: list[str]) -> str:

@@ -1,0 +1,123 @@
+"""A robot's control steps done again from what the log says of them. Pure; `groundstation rerun` brings the log.
+
+What comes in is in the order of use: each plan and each obstacles' message before the first step that names it. Nothing here
+flies: the pulses of a step act on nothing, and the next step's inputs are again those of the log. Where the log's own states
+come along, each behind its step, the agent takes it that their pulses went out: then a changed agent is asked at each step
+what it would do there and then, and does not take the thrust that it never gave for a disturbance.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+from robot_agent.agent import Agent
+from robot_agent.journal import inputs_of, station_view
+from wire import topics
+from wire.codec import DecodeError, Header, decode
+from wire.experiment import Experiment
+from wire.messages import Event, Message, Obstacles, OrderTaken, Plan, RobotState, StepInputs
+from wire.topics import Topic
+
+Logged = tuple[Topic, int | None, Header, bytes]
+Again = tuple[Topic, Message, int]  # topic, message, stamp in ns
+
+KEPT = 8  # messages of one sender: a step names one of the last few
+WARNING = 3  # an event's level
+
+
+@dataclass(frozen=True)
+class _Kept:
+    """A message of another that steps may name."""
+
+    session: int
+    sequence: int
+    message: Any
+
+
+class Rerun:
+    """One robot's agent, led through its log once more."""
+
+    def __init__(self, experiment: Experiment, robot: int) -> None:
+        self._experiment, self._robot = experiment, robot
+        self._agent = Agent(experiment, robot)
+        self._session, self._next = 0, 0
+        self._orders: deque[tuple[int, OrderTaken]] = deque()
+        self._kept: dict[tuple[Topic, int | None], deque[_Kept]] = {}
+
+    def run(self, messages: Iterable[Logged]) -> Iterator[Again]:
+        """States and plans as they would have been, and an event wherever the log leaves something out."""
+        for topic, robot, header, payload in messages:
+            try:
+                message: Any = decode(topic.type, payload, "log", topic.name)
+                _check(message)
+            except DecodeError as error:
+                yield self._missing(str(error), header.stamp_ns)
+                continue
+            if isinstance(message, OrderTaken):
+                self._orders.append((header.stamp_ns, message))
+            elif isinstance(message, StepInputs):
+                yield from self._begin(message, header)
+                yield from self._step(message, header.stamp_ns)
+            elif isinstance(message, RobotState):
+                self._agent.acted(message, header.stamp_ns)
+            else:
+                kept = self._kept.setdefault((topic, robot), deque(maxlen=KEPT))
+                kept.append(_Kept(header.session, header.sequence, message))
+
+    def _begin(self, record: StepInputs, header: Header) -> Iterator[Again]:
+        """A new agent where the robot's program had one."""
+        if header.session != self._session or record.step < self._next:
+            gate = self._agent.gate if header.session == self._session else None
+            self._agent = Agent(self._experiment, self._robot, gate)
+            self._session, self._next = header.session, 0
+            self._orders = deque(order for order in self._orders if order[1].before_step <= record.step)
+        if record.step != self._next:
+            yield self._missing(f"steps {self._next} to {record.step - 1} are not in the log", header.stamp_ns)
+        self._next = record.step + 1
+
+    def _step(self, record: StepInputs, now_ns: int) -> Iterator[Again]:
+        while self._orders and self._orders[0][1].before_step <= record.step:
+            self._order(*self._orders.popleft())
+        plans: dict[int, Plan] = {}
+        for robot, session, sequence in zip(record.plan_robots, record.plan_sessions, record.plan_sequences, strict=True):
+            plan = self._named(topics.PLAN, robot, session, sequence)
+            if plan is None:
+                yield self._missing(f"plan {sequence} of robot {robot} is not in the log", now_ns)
+            else:
+                plans[robot] = plan
+        obstacles: Obstacles | None = None
+        if record.obstacles_session:
+            obstacles = self._named(topics.OBSTACLES, None, record.obstacles_session, record.obstacles_sequence)
+            if obstacles is None:
+                yield self._missing(f"obstacles {record.obstacles_sequence} are not in the log", now_ns)
+        outputs = self._agent.step(inputs_of(record, plans, obstacles, now_ns), now_ns)
+        if outputs.plan is not None:
+            yield topics.PLAN, outputs.plan, now_ns
+        yield topics.STATE, outputs.state, now_ns
+
+    def _order(self, now_ns: int, record: OrderTaken) -> None:
+        if record.command is None:
+            return
+        # Another experiment has another hash; whoever asks for a rerun knows.
+        named_ours = record.reply is None or "is for experiment" not in record.reply.reason
+        command = replace(record.command, experiment_hash=self._experiment.hash) if named_ours else record.command
+        header = Header(record.order_session, record.order_sequence, record.order_stamp_ns)
+        self._agent.order(header, command, station_view(record, now_ns), now_ns)
+
+    def _named(self, topic: Topic, robot: int | None, session: int, sequence: int) -> Any:
+        for kept in reversed(self._kept.get((topic, robot), ())):
+            if (kept.session, kept.sequence) == (session, sequence):
+                return kept.message
+        return None
+
+    def _missing(self, what: str, now_ns: int) -> Again:
+        return topics.EVENT, Event(WARNING, f"agent-{self._robot}", what), now_ns
+
+
+def _check(message: Any) -> None:
+    """Raises DecodeError for a step that names plans by halves."""
+    if isinstance(message, StepInputs):
+        named = (message.plan_sessions, message.plan_sequences, message.plan_instants_ns)
+        if any(len(column) != len(message.plan_robots) for column in named):
+            raise DecodeError("log", topics.INPUTS.name, "plan_robots", "not as many as what is said of them")

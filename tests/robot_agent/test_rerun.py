@@ -1,0 +1,260 @@
+"""A robot's program on a bus in memory, and its steps done again from what it published: the same to the last bit."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from groundstation import planner
+from robot_agent.link import Link
+from robot_agent.rerun import Rerun
+from robot_agent.shell import Shell
+from wire import topics
+from wire.bus import Bus, Received
+from wire.codec import Header, encode
+from wire.experiment import Experiment, load_experiment
+from wire.mavlink import BoardLink
+from wire.messages import Command, Event, Mode, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat, Track
+from wire.runtime import Stop
+from wire.topics import Topic
+from wire.transport import MemoryHub, MemoryTransport
+
+ME, OTHER = 1, 2
+PERIOD_NS = 50_000_000
+BEHIND_NS = 3_000_000_000
+Line = tuple[Topic, int | None, Header, bytes]
+
+
+class Board(Link):
+    """A board that says where it is told to be, and is armed when asked."""
+
+    def __init__(self) -> None:
+        self._link, self._ms, self._armed = BoardLink(ME), 0, False
+
+    def send(self, data: bytes) -> None:
+        for event in self._link.receive(data, self._ms * 1_000_000):
+            self._armed = getattr(event, "arm", self._armed)
+
+    def read(self) -> bytes:
+        self._ms += 50
+        return b"".join(
+            [
+                self._link.imu(self._ms, (0.1, -0.2, -9.8), 0.01),
+                self._link.pressure(self._ms, 0.3 + 0.001 * math.sin(self._ms)),
+                self._link.servo_output(self._ms * 1000, (1500,) * 8),
+                self._link.status(12.1, 0, 0, 0),
+                self._link.heartbeat(self._armed, True),
+                self._link.attitude(self._ms, 0.2, 0.01),
+            ]
+        )
+
+    def wait(self, timeout_s: float) -> None: ...
+    def close(self) -> None: ...
+
+
+class HandClock:
+    """Goes on when told. The senders' clocks are another matter: theirs are 3 s behind."""
+
+    def __init__(self) -> None:
+        self.tick_ns = 1_700_000_000_000_000_000
+
+    def now_ns(self) -> int:
+        return self.tick_ns
+
+    def instant_ns(self, received: Received[Any]) -> int:
+        return received.header.stamp_ns + BEHIND_NS
+
+
+@dataclass
+class Pond:
+    """One robot's program with its surroundings, stepped by hand."""
+
+    experiment: Experiment
+    lines: list[Line] = field(default_factory=list)
+    states: list[RobotState] = field(default_factory=list)
+    plans: list[Plan] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.hub = MemoryHub()
+        self.agents = Bus(MemoryTransport(self.hub))
+        self.world = Bus(MemoryTransport(self.hub))
+        self.station = Bus(MemoryTransport(self.hub))
+        listener = Bus(MemoryTransport(self.hub))
+        for topic in (topics.INPUTS, topics.ORDERS, topics.PLAN, topics.OBSTACLES):
+            listener.subscribe(topic, None, self._hear)
+        self.clock = HandClock()
+        self.shell = Shell(self.experiment, ME, self.agents, Board(), False, Stop(install=False))
+        self.shell._clock = self.clock
+        self.agents.serve(ME, self.shell._order)
+        self.random = np.random.default_rng(4)
+        self.trajectory = planner.plan(self.experiment)[ME]
+
+    @property
+    def sent_ns(self) -> int:
+        """What the others' clocks say."""
+        return self.clock.tick_ns - BEHIND_NS
+
+    def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        robot = int(key.split("/")[2]) if "/robot/" in key else None
+        if topic is not topics.PLAN or robot != ME:
+            self.lines.append((topic, robot, header, payload))
+
+    def order(self, order: Order) -> Reply:
+        command = Command(
+            order, ME, 1e6, self.experiment.hash, trajectory=self.trajectory if order is Order.LOAD else None, start_in_s=0.1
+        )
+        return self.station.order(command, self.sent_ns, 1.0)
+
+    def step(self, count: int = 1) -> None:
+        for _ in range(count):
+            x, y, _, yaw = (self.trajectory.eta[0] + self.random.normal(0.0, 0.002, 4)).tolist()
+            pose = Pose(x, y, yaw, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+            self.world.publish(topics.POSE, pose, self.sent_ns, ME, age_ns=7_000_000)
+            beside = self.trajectory.eta[:30] + self.random.normal((0.0, 0.7, 0.0, 0.0), 0.01, (30, 4))
+            self.world.publish(topics.PLAN, Plan(0.05, beside, beside), self.sent_ns, OTHER)
+            corner = np.array([0.6, 0.4]) + 0.1 * np.array([[math.cos(a), math.sin(a)] for a in np.arange(12) * math.tau / 12])
+            seen = Obstacles((3,), corner[None], np.zeros((1, 2)), 0.3, 1.0)
+            self.world.publish(topics.OBSTACLES, seen, self.sent_ns)
+            self.station.publish(topics.HEARTBEAT, StationHeartbeat(self.experiment.hash, False, "RUNNING"), self.sent_ns)
+            self.clock.tick_ns += PERIOD_NS
+            now_ns = self.clock.tick_ns
+            record, outputs = self.shell._step(now_ns, None)
+            self.agents.publish(topics.INPUTS, record, now_ns, ME)
+            self.shell._write(outputs, now_ns, now_ns, 0)
+            self.states.append(outputs.state)
+            self.plans += [outputs.plan] if outputs.plan is not None else []
+
+
+@pytest.fixture(scope="module")
+def flown() -> Pond:
+    """Five seconds, the robot tracking for most of them."""
+    pond = Pond(load_experiment("pool"))
+    pond.step(20)
+    for order in (Order.LOAD, Order.ARM, Order.START):
+        reply = pond.order(order)
+        assert reply.accepted, reply.reason
+        pond.step(2)
+    refused = pond.order(Order.ARM)
+    assert not refused.accepted
+    pond.step(60)
+    assert pond.order(Order.HOLD).accepted
+    pond.step(14)
+    assert {state.mode for state in pond.states} == {Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}
+    return pond
+
+
+def again(lines: list[Line], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
+    states, plans, said = [], [], []
+    for _, message, _ in Rerun(experiment, ME).run(iter(lines)):
+        if isinstance(message, RobotState):
+            states.append(message)
+        elif isinstance(message, Plan):
+            plans.append(message)
+        else:
+            assert isinstance(message, Event)
+            said.append(message.message)
+    return states, plans, said
+
+
+def same(one: list[RobotState], other: list[RobotState]) -> list[bool]:
+    return [encode(a) == encode(b) for a, b in zip(one, other, strict=True)]
+
+
+def test_every_step_comes_out_the_same(flown: Pond) -> None:
+    states, plans, said = again(flown.lines, flown.experiment)
+    assert said == []
+    assert all(same(states, flown.states))
+    assert [encode(plan) for plan in plans] == [encode(plan) for plan in flown.plans]
+    assert any(state.solve for state in states)
+
+
+def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> None:
+    changed = load_experiment("pool", ["controller.mpc.horizon=25"])
+    states, _, said = again(flown.lines, changed)
+    assert said == []
+    assert [state.mode for state in states] == [state.mode for state in flown.states]  # its orders are obeyed
+    wrenches = [np.abs(a.wrench - b.wrench).max() for a, b in zip(states, flown.states, strict=True)]
+    assert max(wrenches) > 1e-3
+
+
+def test_what_really_went_out_is_what_the_estimate_goes_by(flown: Pond) -> None:
+    """With the log's states behind its steps a changed agent sees no disturbance in thrust that it never gave."""
+    changed = load_experiment("pool", ["controller.mpc.horizon=25"])
+    states = iter(flown.states)
+    corrected: list[Line] = []
+    for topic, robot, header, payload in flown.lines:
+        corrected.append((topic, robot, header, payload))
+        if topic is topics.INPUTS:
+            corrected.append((topics.STATE, ME, header, encode(next(states))))
+    found, _, _ = again(corrected, changed)
+    assert all(a.eta.tobytes() == b.eta.tobytes() for a, b in zip(found, flown.states, strict=True))
+    assert any(a.wrench.tobytes() != b.wrench.tobytes() for a, b in zip(found, flown.states, strict=True))
+    unchanged, _, _ = again(corrected, flown.experiment)
+    assert all(same(unchanged, flown.states))
+
+
+@pytest.mark.parametrize("topic", [topics.PLAN, topics.OBSTACLES, topics.INPUTS])
+def test_what_the_log_does_not_hold_is_said(flown: Pond, topic: Topic) -> None:
+    of_this = [k for k, line in enumerate(flown.lines) if line[0] is topic]
+    gap = of_this[len(of_this) // 2]
+    states, _, said = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)
+    assert len(said) == 1
+    assert "not in the log" in said[0]
+    assert len(states) == len(flown.states) - (topic is topics.INPUTS)
+
+
+def test_a_record_of_halves_is_left_out(flown: Pond) -> None:
+    def broken() -> Iterator[Line]:
+        yield topics.INPUTS, ME, Header(1, 1, 1), b"\x50\x01"  # plan_robots = [1], nothing else
+        yield topics.INPUTS, ME, Header(1, 1, 1), b"\xff\xff"
+
+    assert len(again(list(broken()), flown.experiment)[2]) == 2
+
+
+def test_with_a_new_station_a_disarmed_robot_begins_anew_and_its_log_is_whole() -> None:
+    pond = Pond(load_experiment("pool"))
+    pond.step(10)
+    old = pond.order(Order.LOAD)
+    assert old.accepted
+    pond.step(5)
+    pond.station = Bus(MemoryTransport(pond.hub))
+    first = len(pond.states)
+    before = len(pond.lines)
+    pond.step(3)
+    assert pond.states[-1].trajectory_id == ""  # what the old station had loaded is gone
+    for order in (Order.LOAD, Order.ARM, Order.START):
+        assert pond.order(order).accepted
+    pond.step(10)
+    states, _, said = again(pond.lines[before:], pond.experiment)
+    assert said == []
+    assert all(same(states, pond.states[first:]))
+    # and the log of both lives, as a recorder that outlived the station would have it
+    states, _, said = again(pond.lines, pond.experiment)
+    assert said == []
+    assert all(same(states, pond.states))
+
+
+def test_a_new_station_changes_nothing_for_a_robot_that_is_up_to_something() -> None:
+    pond = Pond(load_experiment("pool"))
+    pond.step(10)
+    assert pond.order(Order.LOAD).accepted
+    assert pond.order(Order.ARM).accepted
+    pond.step(2)
+    pond.station = Bus(MemoryTransport(pond.hub))
+    pond.step(3)
+    assert pond.states[-1].mode is Mode.ARMED
+    assert pond.order(Order.START).accepted
+
+
+def test_an_order_of_the_old_station_is_not_taken_after_the_new_beginning() -> None:
+    pond = Pond(load_experiment("pool"))
+    pond.step(10)
+    old = pond.station
+    assert pond.order(Order.LOAD).accepted
+    pond.station = Bus(MemoryTransport(pond.hub))
+    pond.step(3)
+    command = Command(Order.LOAD, ME, 1e6, pond.experiment.hash, trajectory=pond.trajectory)
+    assert not old.order(command, pond.sent_ns, 1.0).accepted
