@@ -30,7 +30,7 @@ from robot_agent.law import guidance_config, make_law
 from robot_agent.model import Model
 from robot_agent.mpc import MpcPlan
 from robot_agent.obstacles import Thing
-from robot_agent.passing import CATCH_UP_MPS, Passing, mover, pieces
+from robot_agent.passing import CATCH_UP_MPS, Passing, pieces, robots
 from robot_agent.reference import Follow, Goal, Hold, Path, Sampler
 from wire.frames import Array
 from wire.messages import Solve
@@ -85,7 +85,6 @@ class Controller:
         are no walls to look out for."""
         horizon, period_s = config.mpc.horizon, config.period_s
         self._config, self._urgent, self._follows, self._islands = config, urgent, follows, islands
-        self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
         self._weight = np.array(config.mpc.q)
         model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
         self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
@@ -119,7 +118,7 @@ class Controller:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
         path = self._sampler.path(goal)
-        company = self._formation.company(neighbours, now_ns + self._dead_ns)
+        company = self._formation.company(neighbours, now_ns)
         lead = path if isinstance(goal, Hold) else self._lead(path, company, things, estimate, now_ns)
         weight, command = self._command(goal, lead, company, estimate)
         expected = self._law.expected(estimate.action)
@@ -145,11 +144,11 @@ class Controller:
     def _lead(self, path: Path, company: Company, things: Sequence[Thing], estimate: Estimate, now_ns: int) -> Path:
         """The path itself, or one that leads round the others and round things."""
         x, y, z, _ = estimate.eta.tolist()
-        others = [mover(n, self._formation.keep_m(n, now_ns), z, self._urgent, now_ns) for n in company.others]
-        movers = [other for other in others if other is not None]
+        traffic = robots(company, self._formation.keeps_m(company, now_ns), z, self._urgent)
         for thing in things:
-            movers += pieces(thing, complex(x, y), math.hypot(*path.velocity[0, :2].tolist()) + CATCH_UP_MPS, now_ns)
-        return self._passing.lead(path, complex(x, y), movers)
+            speed_mps = math.hypot(*path.velocity[0, :2].tolist()) + CATCH_UP_MPS
+            traffic = traffic.joined(pieces(thing, complex(x, y), speed_mps, now_ns))
+        return self._passing.lead(path, complex(x, y), traffic)
 
     def _command(self, goal: Goal, path: Path, company: Company, estimate: Estimate) -> tuple[Array, Array]:
         """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""

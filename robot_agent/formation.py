@@ -24,6 +24,7 @@ LONGEST_PLAN = 1000  # rows of a plan that is resampled
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
+MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
 SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal,
 ERROR_RATE_MPS = 0.5  # and so do those that may have been since one was told: no robot moves faster
 
@@ -84,6 +85,8 @@ class Company:
     others: Sequence[Neighbour]  # whose plans can be used
     place: NDArray[np.complex128]  # (others, nodes) predicted x + iy, at the nodes where distance is kept
     depth: Array  # (others, nodes)
+    now: Array  # (others, 4) poses as their plans have them now
+    meant: NDArray[np.complex128]  # (others,) velocities x + iy that they mean to have
 
 
 class Formation:
@@ -100,23 +103,37 @@ class Formation:
         self._around_nodes = np.concatenate([self._nodes, self._nodes + 1])
         self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
         self._near_m = 2.0 * safety.radius_m + safety.margin_m
-        nobody = np.zeros((0, len(self._nodes)))
-        self._alone = Company(np.zeros((config.horizon + 1, 4)), np.zeros(4), 0, (), nobody.astype(np.complex128), nobody)
+        self._dead_steps, self._meant = dead_s / period_s, max(round(MEANT_S / period_s), 1)
+        none, nobody = np.zeros((0, len(self._nodes))), np.zeros((0, 4))
+        pull = np.zeros((config.horizon + 1, 4))
+        self._alone = Company(pull, np.zeros(4), 0, (), none.astype(np.complex128), none, nobody, np.zeros(0, np.complex128))
 
-    def company(self, neighbours: Sequence[Neighbour], action_ns: int) -> Company:
-        """Neighbours' predictions on our horizon, whose node 0 is at `action_ns`; of all of them at once."""
+    def company(self, neighbours: Sequence[Neighbour], now_ns: int) -> Company:
+        """Neighbours' predictions on our horizon; of all of them at once."""
         others = [usable for neighbour in neighbours if (usable := self._in_step(neighbour)) is not None]
-        if others and not _plausible(*_stacked(others)):
-            others = [neighbour for neighbour in others if _plausible(*_stacked([neighbour]))]
         if not others:
             return self._alone
         eta, deviation = _stacked(others)
-        rows, share = self._rows(others, action_ns)
+        if not _plausible(eta, deviation):
+            others = [neighbour for neighbour in others if _plausible(*_stacked([neighbour]))]
+            if not others:
+                return self._alone
+            eta, deviation = _stacked(others)
+        steps, first, last = self._steps(others, now_ns)
+        ahead = steps + self._dead_steps
+        whole = np.floor(ahead)
+        rows = np.minimum(np.maximum((first + whole.astype(np.intp))[:, None] + self._ahead, first[:, None]), last[:, None])
+        share = ahead - whole
         pull, weight = self._pull(others, deviation.take(rows, axis=0), share)
         around = eta.view(np.complex128).take(rows[:, self._around_nodes], axis=0)  # x + iy, z + i yaw
         there, after = around[:, : len(self._nodes)], around[:, len(self._nodes) :]
-        there += np.array(share)[:, None, None] * (after - there)
-        return Company(pull, weight, sum(n.fresh for n in others), others, there[:, :, 0], there[:, :, 1].real)
+        there += share[:, None, None] * (after - there)
+        now = np.minimum(np.maximum(first + np.rint(steps).astype(np.intp), first), last)
+        then = np.minimum(now + self._meant, last)
+        reference = (eta.take((now, then), axis=0) - deviation.take((now, then), axis=0)).view(np.complex128)[:, :, 0]
+        meant = (reference[1] - reference[0]) / (self._period_s * np.maximum(then - now, 1))
+        place, depth, heard = there[:, :, 0], there[:, :, 1].real, sum(n.fresh for n in others)
+        return Company(pull, weight, heard, others, place, depth, eta.take(now, axis=0), meant)
 
     def _in_step(self, neighbour: Neighbour) -> Neighbour | None:
         """The same with its plan at steps as long as ours, which all robots of an experiment have; None if it has no plan."""
@@ -132,28 +149,21 @@ class Formation:
         eta, reference = interpolate(plan.eta, place), interpolate(plan.eta_reference, place)
         return replace(neighbour, plan=replace(plan, period_s=period_s, eta=eta, eta_reference=reference))
 
-    def _rows(self, others: Sequence[Neighbour], action_ns: int) -> tuple[NDArray[np.intp], list[float]]:
-        """Where our nodes lie in the plans put one below the other: after which rows (others, horizon + 2), and how far after.
-        Before a plan's start it is its start, beyond its end the end."""
-        table, share, end = [], [], 0
-        for neighbour in others:
-            begin, end = end, end + len(neighbour.plan.eta)
-            steps = (action_ns - neighbour.stamp_ns) / NS / self._period_s
-            whole = math.floor(steps)
-            share.append(steps - whole)
-            table.append((begin + whole, begin, end - 1))
-        start, first, last = np.array(table).T[:, :, None]
-        return np.minimum(np.maximum(start + self._ahead, first), last), share
+    def _steps(self, others: Sequence[Neighbour], now_ns: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+        """Of plans put one below the other: how many steps ago each began, and its first and last row; (others,)."""
+        lengths = np.array([len(neighbour.plan.eta) for neighbour in others])
+        since_ns = np.array([now_ns - neighbour.stamp_ns for neighbour in others])
+        end = np.add.accumulate(lengths)
+        return since_ns / (NS * self._period_s), end - lengths, end - 1
 
-    def _pull(self, others: Sequence[Neighbour], deviation: Array, share: list[float]) -> tuple[Array, Array]:
+    def _pull(self, others: Sequence[Neighbour], deviation: Array, share: Array) -> tuple[Array, Array]:
         """Q_ij times the deviations (others, horizon + 2, 4) between rows, of those in the formation; and as many Q_ij."""
-        member = [1.0 if neighbour.fresh and neighbour.formation else 0.0 for neighbour in others]
-        members = sum(member)
+        member = np.array([1.0 if neighbour.fresh and neighbour.formation else 0.0 for neighbour in others])
+        members = float(np.add.reduce(member))
         if not members:
             return self._alone.pull, self._alone.weight
-        after = [m * s for m, s in zip(member, share, strict=True)]
-        here = np.array([[m - s for m, s in zip(member, after, strict=True)], after])
-        before, behind = here @ deviation.reshape(len(others), -1)
+        after = member * share
+        before, behind = np.array((member - after, after)) @ deviation.reshape(len(others), -1)
         pull = before[:-4] + behind[4:]
         pull *= self._weights
         return pull.reshape(-1, 4), members * self._weight
@@ -165,6 +175,12 @@ class Formation:
             return keep
         silent_s = max(0.0, (now_ns - neighbour.stamp_ns) / NS)
         return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
+
+    def keeps_m(self, company: Company, now_ns: int) -> Array:
+        """The same of all, (others,)."""
+        if company.heard == len(company.others):
+            return np.full(company.heard, 2.0 * self._safety.radius_m)
+        return np.array([self.keep_m(neighbour, now_ns) for neighbour in company.others])
 
     def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
         """The same, or None if that robot yields. Nobody yields that cannot be heard."""
@@ -220,7 +236,8 @@ def _readable(plan: Plan) -> bool:
 def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
     """Poses of all plans one below the other, and how far they are from their references, without whole turns (rows, 4)."""
     eta = np.concatenate([neighbour.plan.eta for neighbour in others])
-    deviation = eta - np.concatenate([neighbour.plan.eta_reference for neighbour in others])
+    with np.errstate(invalid="ignore"):  # infinities that cancel out are found afterwards
+        deviation = eta - np.concatenate([neighbour.plan.eta_reference for neighbour in others])
     yaw = deviation[:, 3]
     if not np.abs(yaw).max() <= math.pi:
         ends = np.cumsum([len(neighbour.plan.eta) for neighbour in others])

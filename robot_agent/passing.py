@@ -18,19 +18,19 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.formation import Neighbour
+from robot_agent.formation import MEANT_S, Company
 from robot_agent.obstacles import Thing
 from robot_agent.reference import Path
 from wire.frames import Array, wrap
 from wire.vehicle import Vehicle
 
 LOOK_AHEAD_S = 8.0  # two robots at 0.1 m/s begin to turn 1.6 m before they would touch
-LOOK_STEP_S = 0.25
-MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
+LOOK_STEP_S = 0.5
 SURE_STEPS = 4  # before the reference is left: mates that start a step earlier than they tell are nobody to avoid
 ROOM_M = 0.15  # beyond what the half-spaces keep, so that these need not act: four robots in a bend lose 13 cm on each other
 SLIGHTEST_MPS = 0.01  # who closes in slower does not meet anybody: formations sway about so
@@ -57,39 +57,49 @@ _TURNS = np.append(np.outer(_PACES, np.exp(1j * _ANGLES)), 0.0)
 _PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_ANGLES < 0.0), 2.0)
 
 
-@dataclass(frozen=True)
-class Mover:
-    """Somebody or something that may be met: what one needs to know now, as complex numbers x + iy."""
+@dataclass(frozen=True, eq=False)
+class Traffic:
+    """Everybody and everything that may be met, k in number: what one needs to know now, as complex numbers x + iy."""
 
-    place: complex  # m
-    velocity: complex  # m/s, that it means to have
-    keep_m: float  # distance to stay away
-    sided: bool  # a robot that keeps to starboard too
-    yields: bool = False  # it has to keep clear of us
+    place: NDArray[np.complex128]  # (k,) m
+    velocity: NDArray[np.complex128]  # (k,) m/s, that they mean to have
+    keep_m: Array  # (k,) distances to stay away
+    sided: NDArray[np.bool_]  # (k,) robots, that keep to starboard too
 
+    def only(self, which: NDArray[np.bool_]) -> "Traffic":
+        """Some of it."""
+        return self if which.all() else Traffic(*(column[which] for column in self._columns))
 
-def mover(neighbour: Neighbour, keep_m: float, depth_m: float, urgent: bool, now_ns: int) -> Mover | None:
-    """Another robot as its plan tells; None if it is as far below or above `depth_m` as it should be beside."""
-    plan, last = neighbour.plan, len(neighbour.plan.eta) - 1
-    step = min(max(round((now_ns - neighbour.stamp_ns) / 1e9 / plan.period_s), 0), last)
-    then = min(step + max(round(MEANT_S / plan.period_s), 1), last)
-    x, y, z, _ = plan.eta[step].tolist()
-    if abs(z - depth_m) >= keep_m:
-        return None
-    from_x, from_y, _, _ = plan.eta_reference[step].tolist()
-    to_x, to_y, _, _ = plan.eta_reference[then].tolist()
-    velocity = complex(to_x - from_x, to_y - from_y) / (max(then - step, 1) * plan.period_s)
-    yields = urgent and neighbour.fresh and not plan.urgent and plan.heard > 0
-    return Mover(complex(x, y), velocity, keep_m + ROOM_M, True, yields)
+    def joined(self, other: "Traffic") -> "Traffic":
+        """Both."""
+        return Traffic(*(np.concatenate(both) for both in zip(self._columns, other._columns, strict=True)))
+
+    @property
+    def _columns(self) -> tuple[NDArray[Any], ...]:
+        return self.place, self.velocity, self.keep_m, self.sided
 
 
-def pieces(thing: Thing, place: complex, speed_mps: float, now_ns: int) -> list[Mover]:
+NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool))
+
+
+def robots(company: Company, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
+    """The other robots as their plans tell, each to be kept so far away (k,). Left out is who swims as far below or above
+    `depth_m`, and who has to keep clear of us: an urgent task goes first, if the other has none and hears us."""
+    others, there = company.others, company.now.view(np.complex128)
+    count = np.abs(there[:, 1].real - depth_m) < keep_m
+    if urgent:
+        count &= [not (other.fresh and not other.plan.urgent and other.plan.heard > 0) for other in others]
+    return Traffic(there[:, 0], company.meant, keep_m + ROOM_M, np.ones(len(others), bool)).only(count)
+
+
+def pieces(thing: Thing, place: complex, speed_mps: float, now_ns: int) -> Traffic:
     """An obstacle, piece by piece; nothing if it is too far away to be met by a robot at that speed."""
     moved, keep_m = thing.ahead(now_ns), thing.keep_m + ROOM_M
     reach_m = thing.reach_m + keep_m + LOOK_AHEAD_S * (abs(thing.velocity) + speed_mps)
     if abs(thing.middle + moved - place) > reach_m:
-        return []
-    return [Mover(piece, thing.velocity, keep_m, False) for piece in (thing.pieces + moved).tolist()]
+        return NOBODY
+    count = len(thing.pieces)
+    return Traffic(thing.pieces + moved, np.full(count, thing.velocity), np.full(count, keep_m), np.zeros(count, bool))
 
 
 class Passing:
@@ -106,7 +116,8 @@ class Passing:
         """`times_s` (rows,) are the instants of a path's rows from now, `room_m` the pool's length and width."""
         self._times_s, self._period_s = times_s, period_s
         self._fastest_mps = 0.8 * vehicle.limits.speed_mps
-        self._steps = np.diff(times_s).tolist()
+        self._steps_s = np.diff(times_s)
+        self._steps = self._steps_s.tolist()
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
         self._room_x, self._room_y = (half - vehicle.radius_m - WALL_M).tolist()
         self._islands = [(island.middle, island.keep_m + WALL_M) for island in islands]
@@ -120,10 +131,10 @@ class Passing:
         self._turn = 0.0  # of the heading, away from the reference's
         self._met = 0  # steps for which somebody has been in the way
 
-    def lead(self, path: Path, place: complex, movers: Sequence[Mover]) -> Path:
+    def lead(self, path: Path, place: complex, traffic: Traffic) -> Path:
         """The path to follow instead of `path` by a robot at `place`; `path` itself if there is no reason to leave it."""
         if self._point is None:
-            self._met = self._met + 1 if self._meets(path, place, movers) else 0
+            self._met = self._met + 1 if self._meets(path, place, traffic) else 0
             if self._met < SURE_STEPS:
                 return path
         begin, speed = complex(path.eta[0, 0], path.eta[0, 1]), complex(path.velocity[0, 0], path.velocity[0, 1])
@@ -131,7 +142,7 @@ class Passing:
         if self._point is None:
             self._point, self._velocity, self._turn = begin, speed, 0.0
         wanted = self._towards(begin, speed, self._point)
-        course = self._way_round(path, place, wanted, movers)
+        course = self._way_round(path, place, wanted, traffic)
         if on_path and course is None:  # the path itself bends away
             self.reset()
             return path
@@ -145,13 +156,13 @@ class Passing:
 
     # --- is there anybody
 
-    def _meets(self, path: Path, place: complex, movers: Sequence[Mover]) -> bool:
+    def _meets(self, path: Path, place: complex, traffic: Traffic) -> bool:
         """Whether the straight line of the coming second, carried on, leads too close to anybody."""
-        if not movers:
+        if not len(traffic.place):
             return False
         rows = path.eta[:: self._second][:2, :2].tolist()
         velocity = complex(rows[1][0] - rows[0][0], rows[1][1] - rows[0][1]) / float(self._times_s[self._second])
-        return abs(velocity) >= SLIGHTEST_MPS and any(_closes_in(place, velocity, mover) for mover in movers)
+        return abs(velocity) >= SLIGHTEST_MPS and _closes_in(place, velocity, traffic)
 
     def _towards(self, goal: complex, speed: complex, point: complex) -> complex:
         """The velocity that leads a point back to its goal, which moves at `speed`."""
@@ -160,20 +171,18 @@ class Passing:
         velocity = speed + back * min(1.0, limit / max(abs(back), limit))
         return velocity * min(1.0, self._fastest_mps / max(abs(velocity), self._fastest_mps))
 
-    def _way_round(self, path: Path, place: complex, wanted: complex, movers: Sequence[Mover]) -> complex | None:
+    def _way_round(self, path: Path, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
         """The velocity to take because somebody is in the way; None if nobody is."""
-        heeded = [mover for mover in movers if not mover.yields and not _overtakes(place, wanted, mover)]
-        if not heeded or abs(wanted) < SLIGHTEST_MPS:
+        if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
-        away = np.array([mover.place for mover in heeded]) - place
-        velocity = np.array([mover.velocity for mover in heeded])
-        keep = np.minimum([mover.keep_m for mover in heeded], PARTING * np.abs(away))
+        heeded = traffic.only(~_overtakes(place, wanted, traffic))
+        away, velocity = heeded.place - place, heeded.velocity
+        keep = np.minimum(heeded.keep_m, PARTING * np.abs(away))
         shift = self._ahead(path)[:, None] - velocity * _STEPS_S[:, None]
         meets = (np.abs(away - shift) < keep).any(axis=0)
         if not meets.any():
             return None
-        sided = meets & np.array([mover.sided for mover in heeded])
-        return self._nearest_free(place, wanted, away, velocity, keep, sided)
+        return self._nearest_free(place, wanted, away, velocity, keep, meets & heeded.sided)
 
     def _ahead(self, path: Path) -> NDArray[np.complex128]:
         """How far the point would move if it returned to the reference, (steps,) LOOK_STEP_S apart."""
@@ -209,7 +218,7 @@ class Passing:
         nearest = np.abs(away - closing * time_s)
         comes = towards > 0.0
         bad = np.where(comes & (nearest < keep), 1.0 - nearest / keep, 0.0)
-        wrong = sided & comes & (_across(closing, away) * side < 0.0)
+        wrong = sided & (_across(closing, away) * side < 0.0)
         worst = np.maximum(np.where(wrong, 1.0, bad).max(axis=1), self._into_wall(place, ways))
         price = _PRICE + 0.3 * np.abs(ways - self._velocity) / abs(wanted)
         return complex(ways[np.argmin(100.0 * worst + price)])
@@ -230,25 +239,41 @@ class Passing:
     def _follow(self, path: Path, course: complex | None) -> Path:
         """The point's way over the horizon, and one step of it taken."""
         assert self._point is not None
-        goals, speeds = path.eta[:, 0] + 1j * path.eta[:, 1], path.velocity[:, 0] + 1j * path.velocity[:, 1]
-        point, velocity = self._point, self._velocity
-        places, velocities = [point], [velocity]
-        for goal, speed, step_s in zip(goals.tolist(), speeds.tolist(), self._steps, strict=False):
-            to = course if course is not None else self._towards(goal, speed, point)
-            velocity = _changed(velocity, to, CHANGE_MPS2 * step_s)
-            point += velocity * step_s
-            places.append(point)
-            velocities.append(velocity)
-        to = course if course is not None else self._towards(complex(goals[0]), complex(speeds[0]), self._point)
+        way, going = self._way_back(path) if course is None else self._way_out(course)
+        begin, speed = complex(path.eta[0, 0], path.eta[0, 1]), complex(path.velocity[0, 0], path.velocity[0, 1])
+        to = course if course is not None else self._towards(begin, speed, self._point)
         self._velocity = _changed(self._velocity, to, CHANGE_MPS2 * self._period_s)
         self._point += self._velocity * self._period_s
         self._steer(float(path.eta[0, 3]))
         eta, rate, acceleration = path.eta.copy(), path.velocity.copy(), path.acceleration.copy()
-        way, going = np.array(places), np.array(velocities)
-        eta[:, 0], eta[:, 1], rate[:, 0], rate[:, 1] = way.real, way.imag, going.real, going.imag
+        eta.view(np.complex128)[:, 0], rate.view(np.complex128)[:, 0] = way, going
         eta[:, 3] += self._turn
         acceleration[:, :2] = 0.0
         return Path(eta, rate, acceleration)
+
+    def _way_out(self, course: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Places and velocities (rows,) of a point that comes to a velocity."""
+        assert self._point is not None
+        change = course - self._velocity
+        going = self._velocity + change * np.minimum(1.0, self._times_s * (CHANGE_MPS2 / max(abs(change), 1e-12)))
+        way = np.empty_like(going)
+        way[0] = 0.0
+        np.add.accumulate(going[1:] * self._steps_s, out=way[1:])
+        way += self._point
+        return way, going
+
+    def _way_back(self, path: Path) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Places and velocities (rows,) of a point that returns to the reference."""
+        assert self._point is not None
+        goals, speeds = path.eta.view(np.complex128)[:, 0].tolist(), path.velocity.view(np.complex128)[:, 0].tolist()
+        point, velocity = self._point, self._velocity
+        places, velocities = [point], [velocity]
+        for goal, speed, step_s in zip(goals, speeds, self._steps, strict=False):
+            velocity = _changed(velocity, self._towards(goal, speed, point), CHANGE_MPS2 * step_s)
+            point += velocity * step_s
+            places.append(point)
+            velocities.append(velocity)
+        return np.array(places), np.array(velocities)
 
     def _steer(self, yaw_rad: float) -> None:
         """Turn the heading towards the direction of motion, ahead or astern: a robot that comes back to its place does not
@@ -266,21 +291,24 @@ class Passing:
         return off < ARRIVED_M + drift * self._period_s and drift < ARRIVED_MPS and abs(self._turn) < ARRIVED_RAD
 
 
-def _closes_in(place: complex, velocity: complex, mover: Mover) -> bool:
-    """Whether straight lines at these velocities lead nearer than they should."""
-    apart, closing = mover.place - place, velocity - mover.velocity
+def _closes_in(place: complex, velocity: complex, traffic: Traffic) -> bool:
+    """Whether straight lines at these velocities lead nearer to anybody than they should."""
+    apart, closing = traffic.place - place, velocity - traffic.velocity
     square = closing.real**2 + closing.imag**2
     towards = apart.real * closing.real + apart.imag * closing.imag
-    if square < SLIGHTEST_MPS**2 or towards <= 0.0:
+    comes = (square >= SLIGHTEST_MPS**2) & (towards > 0.0)
+    if not comes.any():
         return False
-    return abs(apart - closing * min(towards / square, LOOK_AHEAD_S)) < min(mover.keep_m, PARTING * abs(apart))
+    time_s = np.minimum(towards / np.maximum(square, SLIGHTEST_MPS**2), LOOK_AHEAD_S)
+    near = np.abs(apart - closing * time_s) < np.minimum(traffic.keep_m, PARTING * np.abs(apart))
+    return bool((comes & near).any())
 
 
-def _overtakes(place: complex, velocity: complex, mover: Mover) -> bool:
-    """A robot that comes from behind, on its own way forward."""
-    apart = mover.place - place
-    astern = (apart * velocity.conjugate()).real < ABAFT * abs(apart) * abs(velocity)
-    return mover.sided and astern and (mover.velocity * velocity.conjugate()).real > 0.0
+def _overtakes(place: complex, velocity: complex, traffic: Traffic) -> NDArray[np.bool_]:
+    """Robots that come from behind, on their own way forward."""
+    apart, back = traffic.place - place, velocity.conjugate()
+    astern = (apart * back).real < ABAFT * np.abs(apart) * abs(velocity)
+    return np.asarray(traffic.sided & astern & ((traffic.velocity * back).real > 0.0))
 
 
 def _across(closing: NDArray[np.complex128], away: NDArray[np.complex128]) -> Array:

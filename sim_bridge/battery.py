@@ -23,6 +23,8 @@ class Supply:
         self._thruster_w, self._electronics_w = battery.thruster_w, battery.electronics_w
         self._curve_v, self._cells = battery.curve_v, vehicle.battery.cells
         self._start_v = experiment.sim.sensors.battery_v
+        # what lies beyond the curve's ends is a voltage that the experiment asks for all the same
+        self._beyond_v = self._start_v - float(np.interp(self._start_v / self._cells, CELL_V, CELL_V)) * self._cells
         self._sag_v = experiment.sim.sensors.battery_sag_v
         self._max_thrust_n = vehicle.thruster.max_thrust_n
 
@@ -34,9 +36,7 @@ class Supply:
         """Voltage without load."""
         if self.ideal:
             return np.full(charge.shape, self._start_v)
-        # what lies beyond the curve's ends is a voltage that the experiment asks for all the same
-        beyond = self._start_v - np.interp(self._start_v / self._cells, CELL_V, CELL_V) * self._cells
-        return np.asarray(np.interp(charge, CHARGE, CELL_V) * self._cells + beyond)
+        return np.asarray(np.interp(charge, CHARGE, CELL_V) * self._cells + self._beyond_v)
 
     def thrust_factor(self, charge: Array, force_n: Array, sag_v: Array) -> Array:
         """Thrust as a fraction of the curve's, with thrusters at these forces (n, 4) and `sag_v` lost besides."""

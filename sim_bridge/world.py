@@ -26,7 +26,7 @@ class World:
         self._neutral_us = experiment.vehicle.thruster.neutral_us
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
-        self._no_acceleration = np.zeros_like(starts)  # nobody looks at it between bursts
+        self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
         self.faults = Faults(experiment)
         self.start_ns: int | None = None  # plant time at which the trajectories begin; whoever knows sets it
@@ -100,8 +100,9 @@ class World:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
         harm = self.faults.harm
         self._state = state = self._plant.step(self._state, self.faults.pulses(self._pulses()), harm)
-        acceleration = self._plant.acceleration(state) if self._boards[0].measures(self.now_ns) else self._no_acceleration
-        supply_v = self._plant.rest_v(state, harm).tolist()
+        measures = self._boards[0].measures(self.now_ns)  # else nobody looks
+        acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
+        supply_v = self._plant.rest_v(state, harm).tolist() if measures else self._no_voltage
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
         self._frames += self.exposed
         return [

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.formation import NEAREST, Formation, HalfSpaces, Neighbour, Rank
+from robot_agent.formation import MEANT_S, NEAREST, Formation, HalfSpaces, Neighbour, Rank
 from wire.frames import Array
 from wire.messages import Plan
 from wire.tuning import Mpc as MpcConfig
@@ -182,3 +182,20 @@ def test_a_plan_with_nonsense_is_no_plan(poison: float) -> None:
     company = formation().company([neighbour(bad), neighbour(Plan(PERIOD_S)), good], 0)
     assert company.heard == 1 and company.others == [good]
     assert company.pull[:, 0] == pytest.approx(np.full(STEPS, 0.015))
+
+
+def test_where_each_is_now_and_means_to_go_read_from_each_plan_alone() -> None:
+    """Plans of several lengths and ages, at once and by hand."""
+    random = np.random.default_rng(5)
+    others = []
+    for robot, length in enumerate((3, 26, 51), 2):
+        eta, reference = random.uniform(-1.0, 1.0, (2, length, 4))
+        others.append(Neighbour(robot, int(random.integers(-3 * NS, NS // 2)), Plan(PERIOD_S, eta, reference), True))
+    company = formation().company(others, NS // 2)
+    for i, other in enumerate(others):
+        last = len(other.plan.eta) - 1
+        now = min(max(round((NS // 2 - other.stamp_ns) / NS / PERIOD_S), 0), last)
+        then = min(now + round(MEANT_S / PERIOD_S), last)
+        moved = other.plan.eta_reference[then] - other.plan.eta_reference[now]
+        assert company.now[i] == pytest.approx(other.plan.eta[now])
+        assert company.meant[i] == pytest.approx(complex(moved[0], moved[1]) / (PERIOD_S * max(then - now, 1)))

@@ -1,5 +1,6 @@
 """The rule by itself: point masses that do exactly what it says, in random geometries."""
 
+import functools
 import math
 
 import numpy as np
@@ -7,15 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.formation import Neighbour
-from robot_agent.passing import ROOM_M, Mover, Passing, mover
+from robot_agent.formation import Formation, Neighbour
+from robot_agent.passing import NOBODY, ROOM_M, Passing, Traffic, robots
 from robot_agent.reference import Path
 from wire.experiment import load_experiment
 from wire.messages import Plan
 
-VEHICLE = load_experiment("pool").vehicle
+EXPERIMENT = load_experiment("pool")
+VEHICLE = EXPERIMENT.vehicle
 PERIOD_S, KEEP_M = 0.1, 0.6 + ROOM_M
 TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(26)])
+
+
+def one(place: complex, velocity: complex, keep_m: float, sided: bool) -> Traffic:
+    return Traffic(np.array([place]), np.array([velocity]), np.array([keep_m]), np.array([sided]))
 
 
 class Point:
@@ -24,7 +30,7 @@ class Point:
     def __init__(self, start: complex, end: complex, speed_mps: float, room_m: tuple[float, float] | None = None) -> None:
         self.place, self.start, self.end, self.speed_mps = start, start, end, speed_mps
         self.passing = Passing(VEHICLE, TIMES_S, PERIOD_S, room_m)
-        self.told: Mover | None = None
+        self.told = NOBODY
         self.velocity = 0j
 
     def path(self, time_s: float) -> Path:
@@ -36,15 +42,15 @@ class Point:
         eta = np.stack([place.real, place.imag, zero, zero + math.atan2(along.imag, along.real)], axis=1)
         return Path(eta, np.stack([velocity.real, velocity.imag, zero, zero], axis=1), np.zeros_like(eta))
 
-    def step(self, time_s: float, movers: list[Mover]) -> bool:
+    def step(self, time_s: float, traffic: Traffic) -> bool:
         """One period. Returns whether it leaves its path."""
         path = self.path(time_s)
-        led = self.passing.lead(path, self.place, movers)
+        led = self.passing.lead(path, self.place, traffic)
         self.velocity = complex(led.velocity[1, 0], led.velocity[1, 1]) + 0.5 * (
             complex(led.eta[1, 0], led.eta[1, 1]) - self.place
         )
         second = led.eta[10, :2] - led.eta[0, :2]
-        self.told = Mover(self.place, complex(*second) / float(TIMES_S[10]), KEEP_M, True)
+        self.told = one(self.place, complex(*second) / float(TIMES_S[10]), KEEP_M, True)
         return led is not path
 
     def move(self) -> None:
@@ -57,7 +63,7 @@ def fly(points: list[Point], seconds: float) -> tuple[float, np.ndarray]:
     for k in range(round(seconds / PERIOD_S)):
         told = [point.told for point in points]
         for i, point in enumerate(points):
-            point.step(k * PERIOD_S, [m for j, m in enumerate(told) if j != i and m is not None])
+            point.step(k * PERIOD_S, functools.reduce(Traffic.joined, told[:i] + told[i + 1 :]))
         for point in points:
             point.move()
         places = np.array([point.place for point in points])
@@ -113,8 +119,8 @@ def test_robots_in_formation_are_given_back_their_own_path(angle: float, apart: 
     """Side by side at the same velocity, or nearly so, as near as the planner allows."""
     me = Point(0j, 100 + 0j, max(speed, 1e-3))
     where = apart * complex(math.cos(angle), math.sin(angle))
-    mate = Mover(where, complex(speed, 0.0) - drift * where / apart, KEEP_M, True)
-    assert not any(me.step(k * PERIOD_S, [mate]) for k in range(20))
+    mate = one(where, complex(speed, 0.0) - drift * where / apart, KEEP_M, True)
+    assert not any(me.step(k * PERIOD_S, mate) for k in range(20))
 
 
 def test_it_comes_back_without_overshoot() -> None:
@@ -138,13 +144,13 @@ def test_it_is_not_driven_into_a_wall() -> None:
 @pytest.mark.parametrize("way", [0.2j, -0.2j])
 def test_round_an_obstacle_the_shorter_way_counts(way: complex) -> None:
     point = Point(-1.8, 1.8, 0.1)
-    ball = Mover(way, 0j, 0.4, False)
+    ball = one(way, 0j, 0.4, False)
     side = [point.place.imag]
     for k in range(500):
-        point.step(k * PERIOD_S, [ball])
+        point.step(k * PERIOD_S, ball)
         point.move()
         side.append(point.place.imag)
-        assert abs(point.place - ball.place) > 0.36
+        assert abs(point.place - way) > 0.36
     assert abs(point.place - point.end) < 0.02
     assert max(side, key=abs) * way.imag < 0.0
 
@@ -155,20 +161,29 @@ def plan(urgent: bool = False, heard: int = 1, depth_m: float = 0.3) -> Plan:
     return Plan(0.05, eta, eta + np.array([0.0, 0.2, 0.0, 0.0]), urgent=urgent, heard=heard)
 
 
-def test_a_mover_is_where_the_plan_says_it_is_now_and_goes_where_it_means_to() -> None:
-    found = mover(Neighbour(2, 0, plan(), True), 0.6, 0.3, False, 1_000_000_000)
-    assert found is not None
-    assert found.place == pytest.approx(0.9) and found.velocity == pytest.approx(-0.1) and found.keep_m == KEEP_M
+def met(neighbour: Neighbour, now_ns: int = 0, urgent: bool = False) -> Traffic:
+    """Seen by a robot at 0.3 m."""
+    formation = Formation(EXPERIMENT.controller.mpc, EXPERIMENT.safety, 0.05, 0.05)
+    company = formation.company([neighbour], now_ns)
+    return robots(company, formation.keeps_m(company, now_ns), 0.3, urgent)
+
+
+def test_a_robot_is_where_its_plan_says_it_is_now_and_goes_where_it_means_to() -> None:
+    found = met(Neighbour(2, 0, plan(), True), 1_000_000_000)
+    assert found.place == pytest.approx([0.9]) and found.velocity == pytest.approx([-0.1])
+    assert found.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M])
 
 
 def test_a_plan_that_is_used_up_means_standing() -> None:
-    found = mover(Neighbour(2, 0, plan(), False), 0.6, 0.3, False, 60_000_000_000)
-    assert found is not None and found.place == pytest.approx(0.75) and found.velocity == 0.0
+    found = met(Neighbour(2, 0, plan(), False), 60_000_000_000)
+    assert found.place == pytest.approx([0.75]) and found.velocity == pytest.approx([0.0])
+    assert found.keep_m[0] > 2.0 * EXPERIMENT.safety.radius_m + ROOM_M + 0.01  # nobody knows where it may be
 
 
 def test_only_who_is_deep_below_is_out_of_the_way() -> None:
-    assert mover(Neighbour(2, 0, plan(depth_m=0.95), True), 0.6, 0.3, False, 0) is None
-    assert mover(Neighbour(2, 0, plan(depth_m=0.85), True), 0.6, 0.3, False, 0) is not None
+    keep_m = 2.0 * EXPERIMENT.safety.radius_m
+    assert len(met(Neighbour(2, 0, plan(depth_m=0.35 + keep_m), True)).place) == 0
+    assert len(met(Neighbour(2, 0, plan(depth_m=0.25 + keep_m), True)).place) == 1
 
 
 @pytest.mark.parametrize(
@@ -179,5 +194,5 @@ def test_only_who_is_deep_below_is_out_of_the_way() -> None:
 def test_only_who_hears_and_is_heard_yields_to_the_urgent(
     mine: bool, theirs: bool, heard: int, fresh: bool, yields: bool
 ) -> None:
-    found = mover(Neighbour(2, 0, plan(theirs, heard), fresh), 0.6, 0.3, mine, 0)
-    assert found is not None and found.yields == yields
+    found = met(Neighbour(2, 0, plan(theirs, heard), fresh), urgent=mine)
+    assert len(found.place) == (0 if yields else 1)
