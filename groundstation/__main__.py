@@ -14,6 +14,7 @@ from wire.messages import Command, Order
 from wire.options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
+    REPLAY_PREFIX,
     ExperimentName,
     FleetName,
     LockstepMode,
@@ -137,15 +138,39 @@ def replay(
         Path | None, typer.Option(metavar="RUN", help="Another run of the same robots, drawn beside it.")
     ] = None,
     web: WebAddress = DEFAULT_WEB,
+    on_bus: Annotated[bool, typer.Option("--bus", help="No page: put it back on the bus, as fleet replay/FLEET.")] = False,
+    rate: Annotated[float, typer.Option(min=0.01, help="With --bus: times as fast.")] = 1.0,
+    begin: Annotated[float, typer.Option(min=0.0, help="With --bus: from this second of the log on.")] = 0.0,
+    end: Annotated[float, typer.Option(min=0.0, help="With --bus: up to this second.")] = float("inf"),
+    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="With --bus: where its router listens.")] = DEFAULT_STATION,
+    external_router: Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")] = False,
+    fleet: FleetName = DEFAULT_FLEET,
 ) -> None:
-    """Show a recorded run on the operator's page, with a time slider. Ends with Ctrl-C."""
+    """Show a recorded run on the operator's page, with a time slider, or put it back on the bus. Ends with Ctrl-C.
+
+    On the bus goes what was seen and said, never what made anything move.
+
+    Examples:  groundstation replay runs/pool-20260101-120000
+               groundstation replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
+    """
     from groundstation.web.guard import web_options
     from groundstation.web.replay import Replay
     from groundstation.web.server import WebServer
 
-    options = web_options(web)
     start_log("groundstation")
     stop = Stop()
+    if on_bus:
+        from groundstation.bus_replay import chosen, send
+        from groundstation.logfile import open_log
+        from wire.bus import Bus
+        from wire.transport import Endpoint, ZenohTransport
+
+        name = f"{REPLAY_PREFIX}{fleet}"
+        with open_log(run_folder) as log, Bus(ZenohTransport(Endpoint(listen, router=not external_router)), name) as bus:
+            typer.echo(f"{run_folder}: on {listen} as fleet {name}")
+            typer.echo(f"{send(bus, chosen(log, begin, end), rate, stop)} messages")
+        return
+    options = web_options(web)
     with Replay(run_folder, against) as source, WebServer(source, options):
         typer.echo(f"{source.experiment.title or source.experiment.name}: {options.url}")
         while not stop.requested:

@@ -50,7 +50,7 @@ class LogFile:
         keys = sorted({key for key, topic, robot, _ in self._channels.values() if wanted(topic, robot)})
         if not keys:
             return
-        for _, channel, message in self._reader.iter_messages(topics=keys, start_time=from_ns):
+        for _, channel, message in self._reader.iter_messages(topics=keys, starting_at=from_ns):
             _, topic, robot, session = self._channels[channel.id]
             header = Header(session, message.sequence, message.publish_time)
             yield Line(topic, robot, header, message.data, message.log_time)

@@ -112,10 +112,16 @@ class Bus:
         self, topic: Topic, message: Message, stamp_ns: int, robot: int | None = None, age_ns: int = 0
     ) -> tuple[str, Header, bytes]:
         """Send a message about the instant `stamp_ns`, which was `age_ns` ago. Returns what went out, for a local log."""
+        return self.forward(topic, encode(message, stamp_ns), stamp_ns, robot, age_ns)
+
+    def forward(
+        self, topic: Topic, payload: bytes, stamp_ns: int, robot: int | None = None, age_ns: int = 0
+    ) -> tuple[str, Header, bytes]:
+        """`publish` of what is encoded already."""
         key = self._key(topic.key(robot))
         if key not in self._publishers:
             self._publishers[key] = self._transport.publisher(key, topic.qos)
-        header, payload = self._next_header(key, stamp_ns, age_ns), encode(message, stamp_ns)
+        header = self._next_header(key, stamp_ns, age_ns)
         self._publishers[key](payload, header.encode())
         return key, header, payload
 

@@ -4,6 +4,18 @@ from typing import Annotated
 
 import typer
 
+DEFAULT_STATION = "tcp/127.0.0.1:7447"
+DEFAULT_FLEET = "shoal"
+REPLAY_PREFIX = "replay/"  # of the fleet that a recorded run is put on the bus as: no program of ours can join it
+
+
+def _live(fleet: str) -> str:
+    """A fleet's name, if it is not that of a recorded run."""
+    if fleet.startswith(REPLAY_PREFIX):
+        raise typer.BadParameter(f"{fleet!r} is a recorded run: nobody can join it")
+    return fleet
+
+
 ExperimentName = Annotated[
     str, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, for example `pool`, or a path ending in .toml.")
 ]
@@ -20,9 +32,8 @@ FaultLines = Annotated[
 StationAddress = Annotated[
     str, typer.Option("--station", metavar="ENDPOINT", help="Where the ground station's router listens (Zenoh endpoint).")
 ]
-FleetName = Annotated[str, typer.Option("--fleet", help="Name of the fleet: fleets of different names ignore each other.")]
+FleetName = Annotated[
+    str, typer.Option("--fleet", callback=_live, help="Name of the fleet: fleets of different names ignore each other.")
+]
 LockstepMode = Annotated[bool, typer.Option("--lockstep", help="Run by the simulator's clock instead of the wall clock.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Log details too.")]
-
-DEFAULT_STATION = "tcp/127.0.0.1:7447"
-DEFAULT_FLEET = "shoal"
