@@ -52,7 +52,16 @@ def _topic_row(topic: Topic) -> str:
     age = f"{topic.max_age_s:g} s" if math.isfinite(topic.max_age_s) else "never stale"
     recorded = "yes" if topic.recorded else "no"
     name = topic.type.__name__
-    cells = (f"`{topic.name}`", f"[{name}](#{name.lower()})", topic.publisher, rate, age, topic.qos.name, recorded)
+    cells = (
+        f"`{topic.name}`",
+        f"[{name}](#{name.lower()})",
+        topic.publisher,
+        topic.audience,
+        rate,
+        age,
+        topic.qos.name,
+        recorded,
+    )
     return f"| {' | '.join(cells)} |"
 
 
@@ -79,7 +88,7 @@ def _enums() -> list[type[enum.IntEnum]]:
 def page() -> str:
     """The whole page."""
     lines = [HEAD, "## Topics\n"]
-    lines += ["| Key | Message | From | Rate | Stale after | Sent as | Recorded |", "|---|---|---|---|---|---|---|"]
+    lines += ["| Key | Message | From | For | Rate | Stale after | Sent as | Recorded |", "|---|---|---|---|---|---|---|---|"]
     lines += [_topic_row(topic) for topic in TOPICS]
     lines += [f"\n`{topics.COMMAND_KEY}` is a query: a [Command](#command) in, a [Reply](#reply) out."]
     lines += [f"`{topics.PRESENCE_KEY}` is a liveliness token: there, not necessarily well.", "\n### How a topic is sent\n"]

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from groundstation.keys_commands import keys_cli
 from groundstation.rerun_commands import rerun
 from wire.experiment import dump_experiment, load_experiment
 from wire.messages import Command, Order
@@ -17,6 +18,8 @@ from wire.options import (
     REPLAY_PREFIX,
     ExperimentName,
     FleetName,
+    Insecure,
+    KeyRing,
     LockstepMode,
     Settings,
     StationAddress,
@@ -35,6 +38,7 @@ ORDER_TIMEOUT_S = 2.0
 DEFAULT_WEB = "127.0.0.1:8000"
 WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Where the operator's page is served.")]
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
+cli.add_typer(keys_cli, name="keys")
 FLEET_ORDERS = ("load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop")
 
 
@@ -49,6 +53,8 @@ def run(
     settings: Settings = None,
     fleet: FleetName = DEFAULT_FLEET,
     lockstep: LockstepMode = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
     verbose: Verbose = False,
     web: WebAddress = DEFAULT_WEB,
     no_web: NoWeb = False,
@@ -65,20 +71,25 @@ def run(
     from groundstation import station
     from groundstation.web.guard import web_options
     from wire.bus import Bus
-    from wire.transport import Endpoint, ZenohTransport
+    from wire.network import endpoint
+    from wire.topics import Role, process_name
+    from wire.transport import ZenohTransport
 
     token = web_token_file.read_text(encoding="utf-8").strip() if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)
     start_log("groundstation", verbose)
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
+    me = process_name(Role.STATION)
+    where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
     folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     folder.mkdir(parents=True, exist_ok=True)
     text = dump_experiment(loaded)
     (folder / "experiment.toml").write_text(text, encoding="utf-8")
-    endpoint = Endpoint(listen, router=not external_router, lossless=lockstep)
-    with Bus(ZenohTransport(endpoint), fleet) as bus:
-        succeeded = station.run(loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop, web=page)
+    with Bus(ZenohTransport(where, stop), fleet) as bus:
+        succeeded = station.run(
+            loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop, web=page, insecure=where.insecure
+        )
     if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
         report(folder)
     raise typer.Exit(0 if succeeded else 1)
@@ -89,14 +100,19 @@ def order(
     what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_ORDERS)}.")],
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
 ) -> None:
     """Give the whole fleet an order through the running station. Exit code 1 and the reason if it refuses."""
     from wire.bus import Bus
-    from wire.transport import Endpoint, ZenohTransport
+    from wire.network import endpoint
+    from wire.topics import Role, process_name
+    from wire.transport import ZenohTransport
 
     if what not in FLEET_ORDERS:
         raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_ORDERS)})")
-    with Bus(ZenohTransport(Endpoint(station)), fleet) as bus:
+    where = endpoint(station, process_name(Role.OPERATOR), keys, insecure=insecure)
+    with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
         command = Command(Order[what.upper().replace("-", "_")], robot=0)
         reply = bus.order(command, time.time_ns(), ORDER_TIMEOUT_S)
     typer.echo(f"{what}: {'under way' if reply.accepted else 'refused: ' + reply.reason}")
@@ -104,9 +120,14 @@ def order(
 
 
 @cli.command()
-def stop(station: StationAddress = DEFAULT_STATION, fleet: FleetName = DEFAULT_FLEET) -> None:
+def stop(
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+) -> None:
     """Emergency stop: every robot to neutral, latched until `groundstation order clear-stop`."""
-    order("stop", station, fleet)
+    order("stop", station, fleet, keys, insecure)
 
 
 @cli.command()

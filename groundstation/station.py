@@ -21,15 +21,15 @@ from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import WebServer
 from wire import topics
+from wire.access import INSECURE
 from wire.bus import Bus, Inbox
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.messages import Command, Order, Pose, Reply, RobotState, StationHeartbeat, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
-from wire.topics import Topic
+from wire.topics import WHOLE_FLEET, Topic
 
 ORDER_TIMEOUT_S = 0.5
-WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
 
 
 @dataclass
@@ -47,6 +47,7 @@ class Station:
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     answers: deque[Answer] = field(default_factory=lambda: deque(maxlen=256))  # for people; taken from the left
     told: str = ""
+    insecure: bool = False
     recorder_told: bool = False
     turn: threading.Lock = field(default_factory=threading.Lock)  # a person's wish comes from a network thread
 
@@ -89,7 +90,7 @@ class Station:
 
     def status(self) -> Status:
         """Where the mission stands."""
-        return Status(self.mission.phase, self.mission.reason, self.recorder.error)
+        return Status(self.mission.phase, self.mission.reason, self.recorder.error, self.insecure)
 
     def _tell(self) -> None:
         if self.recorder.error and not self.recorder_told:
@@ -125,6 +126,7 @@ def run(
     lockstep: bool,
     stop: Stop,
     web: WebOptions | None = None,
+    insecure: bool = False,
 ) -> bool:
     """Run the station until its mission is over (automatic) or it is told to stop. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
@@ -138,9 +140,11 @@ def run(
             mission = Mission(experiment, trajectories, automatic)
             states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
             poses = {r: bus.inbox(topics.POSE, Pose, r) for r in experiment.robot_ids}
-            station = Station(experiment, bus, clock, recorder, mission, states, poses, pool)
+            station = Station(experiment, bus, clock, recorder, mission, states, poses, pool, insecure=insecure)
             bus.serve(WHOLE_FLEET, station.wish)
             log_to_bus(bus, clock, "groundstation")
+            if insecure:
+                log.warning(INSECURE)  # once more: now the recorder has it
             for robot, trajectory in trajectories.items():
                 bus.publish(topics.TRAJECTORY, trajectory, clock.now_ns(), robot)
             bus.watch_presence()

@@ -12,6 +12,8 @@ from wire.options import (
     DEFAULT_STATION,
     ExperimentName,
     FleetName,
+    Insecure,
+    KeyRing,
     LockstepMode,
     Settings,
     StationAddress,
@@ -42,6 +44,8 @@ def run(
     show: Annotated[bool, typer.Option("--show", help="Annotated pictures for a browser on this machine.")] = False,
     show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8090,
     lockstep: LockstepMode = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
     """Localize the robots of an experiment in the fleet's camera frames, or be the camera.
@@ -49,12 +53,14 @@ def run(
     Examples:  localizer run pool --show          localizer run lab.toml --source v4l2:/dev/video0 --publish-frames
     """
     from localizer import shell
-    from wire.transport import Endpoint
+    from wire.network import endpoint
+    from wire.topics import Role, process_name
 
     start_log("localizer", verbose)
     loaded = load_experiment(experiment, settings or ())
     options = shell.Options(source, publish_frames, show_port if show else None)
-    shell.run(loaded, Endpoint(station, lossless=lockstep), fleet, Stop(), lockstep, options)
+    where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
+    shell.run(loaded, where, fleet, Stop(), lockstep, options)
 
 
 cli.command()(calibrate)

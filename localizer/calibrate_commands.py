@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from wire.experiment import load_experiment
-from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Settings, StationAddress
+from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Insecure, KeyRing, Settings, StationAddress
 
 
 def calibrate(
@@ -66,6 +66,8 @@ def check(
     out: Annotated[Path, typer.Option(help="The picture to write.")] = Path("check.png"),
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
     settings: Settings = None,
 ) -> None:
     """Draw the pool's grid where the calibration puts it, over a picture, or on black: does it lie on the pool?
@@ -76,8 +78,10 @@ def check(
     from localizer.check_shell import LivePictures, check_camera, show_live
     from localizer.page import Page
     from wire.bus import Bus
+    from wire.network import endpoint
     from wire.runtime import Stop, start_log
-    from wire.transport import Endpoint, ZenohTransport
+    from wire.topics import Role, process_name
+    from wire.transport import ZenohTransport
 
     loaded = load_experiment(experiment, settings or ())
     if image is not None and (live or show):
@@ -91,7 +95,8 @@ def check(
     with ExitStack() as stack:
         page = stack.enter_context(closing(Page(show_port))) if show else None
         typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
-        pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet)))
+        where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
+        pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(where, stop), fleet)))
         picture = pictures.next(stop)
         if picture is not None:
             typer.echo("\n".join(check_camera(loaded, picture, "the newest frame", depth, out)))

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from wire.experiment import load_experiment
-from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Settings, StationAddress
+from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Insecure, KeyRing, Settings, StationAddress
 from wire.toml_file import ConfigError
 
 SourceName = Annotated[
@@ -28,6 +28,8 @@ def latency(
     json: JsonFile = None,
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
     settings: Settings = None,
 ) -> None:
     """Measure how old poses are and how even the pictures come. Exit code 1 if something is not as it should be.
@@ -38,21 +40,23 @@ def latency(
     from localizer.locate import Locator
     from localizer.sources import BUS, open_bus, open_own
     from wire.bus import Bus
-    from wire.runtime import Stop, WallClock, log, start_log
-    from wire.transport import Endpoint, ZenohTransport
+    from wire.network import endpoint
+    from wire.runtime import Stop, WallClock, start_log
+    from wire.topics import Role, process_name
+    from wire.transport import ZenohTransport
 
     start_log("localizer")
     loaded, clock = load_experiment(experiment, settings or ()), WallClock()
-    locator = Locator(loaded)
+    locator, stop = Locator(loaded), Stop()
     with ExitStack() as stack:
         if source == BUS:
-            log.info("looking for the station at %s", station)
-            bus = stack.enter_context(Bus(ZenohTransport(Endpoint(station)), fleet))
+            where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
+            bus = stack.enter_context(Bus(ZenohTransport(where, stop), fleet))
             pictures = open_bus(bus, clock, loaded.camera.rate_hz, {})
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))
-        timings, dropped = measure(pictures, lambda frame, at_ns: locator.step(frame, at_ns, {}), clock, Stop(), seconds)
+        timings, dropped = measure(pictures, lambda frame, at_ns: locator.step(frame, at_ns, {}), clock, stop, seconds)
         trouble = pictures.trouble
     result = judge(timings, dropped, loaded.camera.rate_hz)
     if result is None:

@@ -48,7 +48,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
             own = stack.enter_context(closing(open_own(options.source, experiment.camera, clock)))
         if options.page_port is not None:
             page = stack.enter_context(closing(Page(options.page_port)))
-        bus = stack.enter_context(Bus(ZenohTransport(endpoint), fleet))
+        bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet))
         Shell(experiment, bus, stop, clock, own, page, options.publish_frames).run()
 
 

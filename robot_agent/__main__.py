@@ -11,6 +11,8 @@ from wire.options import (
     DEFAULT_STATION,
     ExperimentName,
     FleetName,
+    Insecure,
+    KeyRing,
     LockstepMode,
     Settings,
     StationAddress,
@@ -36,24 +38,29 @@ def run(
     fleet: FleetName = DEFAULT_FLEET,
     settings: Settings = None,
     lockstep: LockstepMode = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
     """Fly one robot. Starts disarmed, waits for the station, and puts out neutral pulses until it is told to arm and start.
 
-    Example on a board:  robot-agent run pool --robot 1 --link serial:/dev/ttyACM0 --station tcp/192.168.1.10:7447
+    Example on a board:  robot-agent run pool --robot 1 --station tls/192.168.1.10:7447 --keys keys
     """
     from robot_agent.link import open_link
     from robot_agent.shell import Shell
     from wire.bus import Bus
-    from wire.transport import Endpoint, ZenohTransport
+    from wire.network import endpoint
+    from wire.topics import Role, process_name
+    from wire.transport import ZenohTransport
 
     start_log(f"agent-{robot}", verbose)
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
     loaded.robot(robot)
+    where = endpoint(station, process_name(Role.ROBOT, robot), keys, insecure=insecure, lossless=lockstep)
     wires = open_link(link)
     try:
-        with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
+        with Bus(ZenohTransport(where, stop), fleet) as bus:
             Shell(loaded, robot, bus, wires, lockstep, stop).run()
     finally:
         wires.close()

@@ -14,6 +14,8 @@ from wire.options import (
     ExperimentName,
     FaultLines,
     FleetName,
+    Insecure,
+    KeyRing,
     LockstepMode,
     Settings,
     StationAddress,
@@ -54,6 +56,7 @@ def sil(
         str, typer.Option(metavar="HOST:PORT", help="Where the operator's page is; another port if that one is taken.")
     ] = "127.0.0.1:8000",
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page.")] = False,
+    keys: KeyRing = None,
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 
@@ -78,7 +81,7 @@ def sil(
         console.print(f"operator page: http://{page}/", soft_wrap=True)
     raise typer.Exit(
         software_in_the_loop.run(
-            loaded, folder, lockstep=lockstep, stop=Stop(), console=console, page=page, manual=manual, poses=poses
+            loaded, folder, lockstep=lockstep, stop=Stop(), console=console, page=page, manual=manual, poses=poses, keys=keys
         )
     )
 
@@ -170,17 +173,22 @@ def pool(
     settings: Settings = None,
     lockstep: LockstepMode = False,
     poses: Poses = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
     """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water."""
     from sim_bridge.pool import Pool
     from wire.bus import Bus
-    from wire.transport import Endpoint, ZenohTransport
+    from wire.network import endpoint
+    from wire.topics import Role, process_name
+    from wire.transport import ZenohTransport
 
     start_log("sim-bridge", verbose)
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
-    with Bus(ZenohTransport(Endpoint(station, lossless=lockstep)), fleet) as bus:
+    where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
+    with Bus(ZenohTransport(where, stop), fleet) as bus:
         Pool(loaded, bus, ports, stop, lockstep, poses).run()
 
 

@@ -23,8 +23,10 @@ from sim_bridge.saboteur import Saboteur
 from wire.bus import Bus
 from wire.experiment import Experiment, dump_experiment
 from wire.faults import KINDS
+from wire.network import endpoint
 from wire.runtime import Stop
-from wire.transport import Endpoint, ZenohTransport
+from wire.topics import Role, process_name
+from wire.transport import ZenohTransport
 
 START_WITHIN_S = 30.0
 LOOK_EVERY_S = 0.2
@@ -43,10 +45,11 @@ def run(
     page: str | None = None,
     manual: bool = False,
     poses: bool = False,
+    keys: Path | None = None,
 ) -> int:
     """Run an experiment with all its processes; `page` is where the operator's page is served (host:port), `manual` leaves
-    the mission to whoever sits there, and with `poses` the simulator stands for camera and localizer. Returns the exit code:
-    0 passed, 1 failed, 130 interrupted."""
+    the mission to whoever sits there, with `poses` the simulator stands for camera and localizer, and with a ring of `keys`
+    they speak TLS. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     run_dir.mkdir(parents=True, exist_ok=True)
     file = run_dir / "experiment.toml"
     file.write_text(dump_experiment(experiment), encoding="utf-8")
@@ -60,9 +63,10 @@ def run(
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         options = ["--no-web"] if page is None else ["--web", page]
         options += [] if manual else ["--auto"]
-        station = _start_all(children, experiment, file, address, ports, lockstep, stop, options, poses)
+        common = [str(file), *(["--lockstep"] if lockstep else []), *(["--keys", str(keys)] if keys is not None else [])]
+        station = _start_all(children, experiment, common, run_dir, address, ports, stop, options, poses)
         if station is not None:
-            with Bus(ZenohTransport(Endpoint(address))) as bus:
+            with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), keys))) as bus:
                 saboteur = Saboteur(experiment, children, bus)
                 trouble = _watch(children, station, Monitor(experiment, bus), saboteur, lockstep, stop, console)
         mission_failed = station is None or station.exit_code != 0
@@ -83,19 +87,17 @@ def run(
 def _start_all(
     children: Children,
     experiment: Experiment,
-    file: Path,
+    common: list[str],
+    run_dir: Path,
     address: str,
     ports: int,
-    lockstep: bool,
     stop: Stop,
     station_options: list[str],
     poses: bool,
 ) -> Child | None:
     """Station first: it is the router, and the others wait for it. None if it does not come up."""
-    common = [str(file), *(["--lockstep"] if lockstep else [])]
-    run_dir = str(file.parent)
     station = children.start(
-        "groundstation", "groundstation", ["run", *common, "--run-dir", run_dir, "--listen", address, *station_options]
+        "groundstation", "groundstation", ["run", *common, "--run-dir", str(run_dir), "--listen", address, *station_options]
     )
     if not _listens(address, station, stop):
         return None

@@ -1,6 +1,6 @@
 """SHELL: the fleet's bus: typed publishing, latest-wins inboxes, orders with an answer, presence.
 
-    bus = Bus(ZenohTransport(Endpoint("tcp/192.168.1.10:7447")))
+    bus = Bus(ZenohTransport(Endpoint("tcp/127.0.0.1:7447")))
     poses = bus.inbox(topics.POSE, robot=1)
     bus.announce("agent-1")               # last: who sees us present may rely on our subscriptions
     received = poses.newest()

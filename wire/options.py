@@ -1,5 +1,6 @@
 """Command line options that all four programs share, so that they read the same everywhere."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -36,4 +37,16 @@ FleetName = Annotated[
     str, typer.Option("--fleet", callback=_live, help="Name of the fleet: fleets of different names ignore each other.")
 ]
 LockstepMode = Annotated[bool, typer.Option("--lockstep", help="Run by the simulator's clock instead of the wall clock.")]
+KeyRing = Annotated[
+    Path | None,
+    typer.Option(
+        "--keys",
+        metavar="FOLDER",
+        envvar="SHOAL_KEYS",
+        help="The fleet's key ring: mutual TLS, access control (docs/security.md).",
+    ),
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure", help="Off this machine without keys: anybody on the network can command the robots.")
+]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Log details too.")]

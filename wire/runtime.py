@@ -19,6 +19,7 @@ from wire import topics
 from wire.bus import Bus, Inbox, Received
 from wire.messages import Event, Tick
 from wire.toml_file import ConfigError
+from wire.transport import Unreached
 
 log = logging.getLogger("shoal")
 
@@ -80,6 +81,10 @@ class Stop:
         if self.requested:
             os._exit(128 + number)
         self.requested = True
+
+    def __call__(self) -> bool:
+        """Whether a stop has been asked for."""
+        return self.requested
 
     def request(self) -> None:
         """Ask for a clean stop."""
@@ -168,9 +173,13 @@ def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
 
 
 def run_app(app: Callable[[], None]) -> None:
-    """Run a command line. A configuration that cannot be used is one message and exit code 2, never a traceback."""
+    """Run a command line. A configuration that cannot be used is one message and exit code 2, a station that cannot
+    be reached one message and exit code 1; never a traceback."""
     try:
         app()
     except ConfigError as error:
         print(error, file=sys.stderr)
         sys.exit(2)
+    except Unreached as error:
+        print(error, file=sys.stderr)
+        sys.exit(1)

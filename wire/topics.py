@@ -1,6 +1,7 @@
-"""ONE table of everything that is published: key, type, rate, age limit, quality of service, recorded or not.
+"""ONE table of everything that is published: key, type, rate, age limit, quality of service, recorded or not, by and for whom.
 
-Keys are relative to the fleet's name (`--fleet`, default "shoal"), so two fleets share a network without meeting.
+Keys are relative to the fleet's name (`--fleet`, default "shoal"), so two fleets share a network without meeting. Where the
+fleet has keys, the router lets nothing through that this table does not name (wire/access.py).
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,26 @@ class Qos(Enum):
     EVENT = "cached by the publisher and recovered by the subscriber after an outage: each one counts"
 
 
+RECOVERED = frozenset({Qos.EVENT, Qos.JOURNAL})  # from a cache that is asked for what was lost
+
+
+class Role(Enum):
+    """What a process is to the others; its certificate says so."""
+
+    STATION = "groundstation"
+    OPERATOR = "operator"  # a terminal: gives the station orders, and nobody else
+    ROBOT = "robot_agent"
+    LOCALIZER = "localizer"
+    SIMULATOR = "sim_bridge"
+    VIEWER = "viewer"  # reads
+
+
+EVERYONE = tuple(Role)
+SEEING = (Role.SIMULATOR, Role.LOCALIZER)  # the simulator stands for a camera, and with --poses for the localizer
+TELLING = (Role.STATION, Role.ROBOT, Role.LOCALIZER, Role.SIMULATOR)  # whose log lines become events
+OUTSIDE = (Role.STATION, Role.SIMULATOR, Role.OPERATOR, Role.VIEWER)  # of the truth and of the journals: nobody who controls
+
+
 @dataclass(frozen=True)
 class Topic:
     """One row. `max_age_s` is when a value stops being usable; freshness checks and the page's greying derive from it."""
@@ -29,31 +50,59 @@ class Topic:
     max_age_s: float
     qos: Qos
     recorded: bool
-    publisher: str
+    writers: tuple[Role, ...]  # a robot only under its own number
+    readers: tuple[Role, ...] = EVERYONE
 
     def key(self, robot: int | None = None) -> str:
         """The key for one robot, or for all (`*`) when the topic has a robot and none is given."""
         return self.name.format(robot="*" if robot is None else robot)
 
+    @property
+    def publisher(self) -> str:
+        """Who writes it, for people."""
+        return " or ".join(role.value for role in self.writers)
 
-TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, "sim_bridge")
-TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, "sim_bridge")
-FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, "camera")
-PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, "localizer")
-POSE = Topic("robot/{robot}/pose", messages.Pose, 20, 0.2, Qos.CONTROL, True, "localizer")
-LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, "localizer")
-OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, "localizer")
-PLAN = Topic("robot/{robot}/plan", messages.Plan, 20, 0.5, Qos.CONTROL, True, "robot_agent")
-STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, "robot_agent")
-HEARTBEAT = Topic("station/heartbeat", messages.StationHeartbeat, 20, 1.0, Qos.CONTROL, True, "groundstation")
-TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, "groundstation")
-INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, "robot_agent")
-ORDERS = Topic("robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, "robot_agent")
-EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, "everyone")
+    @property
+    def audience(self) -> str:
+        """Who may read it, for people."""
+        return "everyone" if self.readers == EVERYONE else ", ".join(role.value for role in self.readers)
+
+
+TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))
+TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OUTSIDE)
+FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, SEEING)
+PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
+POSE = Topic("robot/{robot}/pose", messages.Pose, 20, 0.2, Qos.CONTROL, True, SEEING)
+LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, (Role.LOCALIZER,))
+OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, SEEING)
+PLAN = Topic("robot/{robot}/plan", messages.Plan, 20, 0.5, Qos.CONTROL, True, (Role.ROBOT,))
+STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, (Role.ROBOT,))
+HEARTBEAT = Topic("station/heartbeat", messages.StationHeartbeat, 20, 1.0, Qos.CONTROL, True, (Role.STATION,))
+TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,))
+INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE)
+ORDERS = Topic("robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE)
+EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING)
 
 TOPICS = (
     TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, INPUTS, ORDERS, EVENT
 )  # fmt: skip
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
+WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
+COMMANDERS = (Role.STATION,)  # who gives orders to robots
+WISHERS = (Role.STATION, Role.OPERATOR)  # who gives orders to the station
+
 PRESENCE_KEY = "presence/{process}"  # a liveliness token: there, not necessarily well
+PROCESSES = {
+    Role.STATION: "groundstation",
+    Role.OPERATOR: "operator",
+    Role.ROBOT: "agent-{robot}",
+    Role.LOCALIZER: "localizer",
+    Role.SIMULATOR: "sim-bridge",
+    Role.VIEWER: "viewer",
+}
+
+
+def process_name(role: Role, robot: int = 0) -> str:
+    """What a process is called: in the log, by its liveliness token, and in the key ring."""
+    return PROCESSES[role].format(robot=robot)

@@ -5,15 +5,21 @@ Zenoh with other defaults behave the same.
 """
 
 import json
+import logging
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import zenoh
 import zenoh.ext
 
+from wire.keys import Keys
+from wire.reach import trouble_reaching
 from wire.topics import Qos
+
+log = logging.getLogger("shoal")
 
 Deliver = Callable[[str, bytes, bytes], None]  # key, payload, header
 Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the reply
@@ -23,6 +29,13 @@ EVENT_CACHE = 1000  # messages a publisher of events keeps for late or returning
 JOURNAL_CACHE = 400  # 20 s of control steps: longer than a link is down in a run that goes on
 PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
+TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
+TRY_AGAIN_S = 0.2
+SAY_AGAIN_S = 10.0  # how often a process says that it still waits
+
+# Zenoh's own log, on stdout, of a router with keys: who came in under which name, whose certificate was refused, and who is
+# not on the list. What a member tries beyond its rights Zenoh drops without a word (1.10: decides once per key).
+GUARD = "warn,zenoh_link_tls::unicast=debug,zenoh::net::routing::interceptor::access_control=info"
 
 
 class Transport(Protocol):
@@ -44,6 +57,13 @@ class Endpoint:
     address: str = "tcp/127.0.0.1:7447"
     router: bool = False
     lossless: bool = False  # wait for a congested peer instead of dropping: only where no robot waits meanwhile (lockstep)
+    keys: Keys | None = None  # mutual TLS
+    access: Mapping[str, Any] | None = None  # router: Zenoh's access_control section (wire/access.py)
+    insecure: bool = False  # open to other machines, as was asked for
+
+
+class Unreached(Exception):
+    """The station's router cannot be reached, or not be opened, or the process is to stop before it could be."""
 
 
 _QOS: dict[Qos, dict[str, Any]] = {
@@ -56,8 +76,9 @@ _QOS: dict[Qos, dict[str, Any]] = {
 _CACHED = {Qos.EVENT: EVENT_CACHE, Qos.JOURNAL: JOURNAL_CACHE}
 
 
-def _config(endpoint: Endpoint) -> zenoh.Config:
-    settings: dict[str, Any] = {
+def settings(endpoint: Endpoint) -> dict[str, Any]:
+    """Every setting of Zenoh that differs from its default, by its path in the configuration."""
+    found: dict[str, Any] = {
         "mode": "router" if endpoint.router else "client",
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
@@ -67,24 +88,83 @@ def _config(endpoint: Endpoint) -> zenoh.Config:
         "timestamping/enabled": True,  # the advanced publisher's cache needs it
     }
     if endpoint.lossless:
-        settings["transport/link/tx/queue/congestion_control/block/wait_before_close"] = PATIENT_MS * 1000
+        found["transport/link/tx/queue/congestion_control/block/wait_before_close"] = PATIENT_MS * 1000
     if endpoint.router:
-        settings["listen/endpoints"] = [endpoint.address]
+        found["listen/endpoints"] = [endpoint.address]
     else:
-        settings["connect/endpoints"] = [endpoint.address]
-        settings["connect/timeout_ms"] = -1  # a robot may be switched on before the station
+        found["connect/endpoints"] = [endpoint.address]
+        found["connect/timeout_ms"] = TRY_MS
+        found["connect/exit_on_failure"] = True
+        found["connect/retry"] = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
+    if endpoint.keys is not None:
+        found |= _tls(endpoint.keys, endpoint.router)
+    if endpoint.access is not None:
+        found["access_control"] = endpoint.access
+    return found
+
+
+def _config(endpoint: Endpoint) -> zenoh.Config:
     config = zenoh.Config()
-    for key, value in settings.items():
+    for key, value in settings(endpoint).items():
         config.insert_json5(key, json.dumps(value))
     return config
 
 
-class ZenohTransport:
-    """Two sessions: one for control, and one for pictures, opened when first needed, so that they never share a queue."""
+def _tls(keys: Keys, router: bool) -> dict[str, Any]:
+    """Both sides show a certificate of the fleet's authority; the router's must name the host that was asked for."""
+    found: dict[str, Any] = {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls/root_ca_certificate": str(keys.ca),
+        "transport/link/tls/enable_mtls": True,
+        "transport/link/tls/verify_name_on_connect": True,
+        "transport/link/tls/close_link_on_expiration": True,
+    }
+    for side in ("listen", "connect") if router else ("connect",):
+        found[f"transport/link/tls/{side}_certificate"] = str(keys.certificate)
+        found[f"transport/link/tls/{side}_private_key"] = str(keys.private_key)
+    return found
 
-    def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
-        self._control = zenoh.open(_config(endpoint))
+
+def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) -> zenoh.Session:
+    """A session. A client tries until the station is there: a robot may be switched on before it. Raises Unreached when
+    `stopped()`, or with the reason when the patience is over.
+
+    In attempts, because Zenoh's own endless wait hears neither Ctrl-C nor SIGTERM."""
+    if endpoint.access is not None:
+        zenoh.init_log_from_env_or(GUARD)
+    config = _config(endpoint)
+    if endpoint.router:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            raise Unreached(f"cannot listen at {endpoint.address}: {error}") from None
+    began_s, say_s = time.monotonic(), 0.0
+    while True:
+        try:
+            return zenoh.open(config)
+        except zenoh.ZError as error:
+            reason = trouble_reaching(endpoint.address, endpoint.keys) or str(error)
+        now_s = time.monotonic()
+        if stopped():
+            raise Unreached(f"stopped while waiting for the station at {endpoint.address}: {reason}")
+        if now_s - began_s > patience_s:
+            raise Unreached(f"no station at {endpoint.address}: {reason}")
+        if now_s >= say_s:
+            say_s = now_s + SAY_AGAIN_S
+            log.info("waiting for the station at %s: %s", endpoint.address, reason)
+        time.sleep(TRY_AGAIN_S)
+
+
+class ZenohTransport:
+    """Two sessions: one for control, and one for pictures, opened when first needed, so that they never share a queue.
+
+    Opening waits for the station until `stopped()`, at most `patience_s`; then it raises Unreached."""
+
+    def __init__(
+        self, endpoint: Endpoint, stopped: Callable[[], bool] = lambda: False, patience_s: float = float("inf")
+    ) -> None:
+        self._endpoint, self._stopped = endpoint, stopped
+        self._control = _open(endpoint, stopped, patience_s)
         self._images: zenoh.Session | None = None
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
 
@@ -92,7 +172,7 @@ class ZenohTransport:
         if qos is not Qos.IMAGE:
             return self._control
         if self._images is None:
-            self._images = zenoh.open(_config(replace(self._endpoint, router=False)))
+            self._images = _open(replace(self._endpoint, router=False, access=None), self._stopped, float("inf"))
         return self._images
 
     @property

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from groundstation.fleet import Fleet
 from wire import topics
+from wire.access import INSECURE
 from wire.experiment import Experiment
 from wire.messages import CameraHealth, LocalizerStatus, Mode, Solve, Track
 
@@ -26,10 +27,17 @@ class Alarm:
 
 
 def alarms(
-    experiment: Experiment, fleet: Fleet, localizer: LocalizerStatus | None, localizer_age_s: float, recorder_error: str
+    experiment: Experiment,
+    fleet: Fleet,
+    localizer: LocalizerStatus | None,
+    localizer_age_s: float,
+    recorder_error: str,
+    insecure: bool = False,
 ) -> list[Alarm]:
     """All that is amiss, critical first."""
     found = [*_system(fleet, localizer, localizer_age_s, recorder_error)]
+    if insecure:
+        found.append(Alarm("warning", "insecure", INSECURE))
     for robot in experiment.robot_ids:
         found += _robot(experiment, fleet, robot)
     return sorted(found, key=lambda alarm: LEVELS.index(alarm.level))

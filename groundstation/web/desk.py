@@ -49,6 +49,7 @@ class Status:
     phase: Phase
     reason: str
     recorder_error: str = ""
+    insecure: bool = False  # the network is open, as was asked for
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,12 @@ class Desk:
                 preflight=preflight(self._experiment, fleet),
                 emergency_stop=status.phase is Phase.STOPPED,
                 alarms=alarms(
-                    self._experiment, fleet, localizer.message, self._localizer_age_s(localizer), status.recorder_error
+                    self._experiment,
+                    fleet,
+                    localizer.message,
+                    self._localizer_age_s(localizer),
+                    status.recorder_error,
+                    status.insecure,
                 ),
                 present=sorted(self._bus.present),
             )

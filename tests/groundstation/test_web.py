@@ -21,6 +21,7 @@ from groundstation.web.snapshot import ellipse
 from groundstation.web.underlay import mesh, project
 from groundstation.web.window import MOST_NOTES, UNACKNOWLEDGED, Window
 from sim_bridge import optics
+from wire.access import INSECURE
 from wire.experiment import load_experiment
 from wire.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
 from wire.toml_file import ConfigError
@@ -291,3 +292,9 @@ def test_an_edit_is_kept_under_a_new_name_only(tmp_path: Path, monkeypatch: pyte
     assert "already" in editor.save(POOL, edit, "wider")["problems"][0]
     assert not editor.save(POOL, requests.Edit(diameter_m=4.0), "wrong")["ok"]
     assert [p.name for p in (tmp_path / "experiments").iterdir()] == ["wider.toml"]
+
+
+def test_an_open_network_is_an_alarm() -> None:
+    views = {robot: RobotView() for robot in (1, 2)}
+    texts = [[a.text for a in alarms(POOL, views, None, math.inf, "", insecure)] for insecure in (False, True)]
+    assert set(texts[1]) - set(texts[0]) == {INSECURE}

@@ -1,0 +1,113 @@
+"""SHELL: the key ring on disk: made, added to, cut down. wire/keys.py says what lies where.
+
+Private files are created with mode 0600 in folders of 0700, before the first byte is in them, and never printed.
+"""
+
+import os
+import shutil
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import tomli_w
+
+from groundstation import authority
+from groundstation.authority import Pair
+from wire.keys import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
+from wire.toml_file import ConfigError
+from wire.topics import Role, process_name
+
+AUTHORITY_KEY = "authority.key"
+ALWAYS_HOSTS = ("localhost", "127.0.0.1", "::1")
+
+
+def init(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[Issued]:
+    """A new ring: authority, and the members that every fleet has. Raises ConfigError where there is one already."""
+    if (ring / CA).exists() or (ring / AUTHORITY_KEY).exists():
+        raise ConfigError(f"{ring}: has keys already; a new authority would lock every robot out (choose another folder)")
+    ring.mkdir(parents=True, exist_ok=True)
+    ring.chmod(0o700)
+    root = authority.make_authority(fleet, now)
+    _write(ring / CA, root.certificate, 0o644)
+    _write(ring / AUTHORITY_KEY, root.private_key, 0o600)
+    _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
+    return [add(ring, role, 0, now) for role in ("station", "operator", "localizer", "simulator", "viewer")]
+
+
+def add(ring: Path, role: str, robot: int, now: datetime, days: float = authority.MEMBER_DAYS) -> Issued:
+    """A certificate for one process, in a folder of its name. An earlier one of that process no longer counts."""
+    if role not in ROLE_NAMES:
+        raise ConfigError(f"{role!r} is no role (allowed: {', '.join(ROLE_NAMES)})")
+    if (ROLE_NAMES[role] is Role.ROBOT) != (robot > 0):
+        raise ConfigError(f"{role} {robot or ''}: a robot needs its number, from 1; nobody else has one")
+    process = process_name(ROLE_NAMES[role], robot)
+    members, root = read_members(ring), _authority(ring)
+    common_name = authority.new_common_name(process)
+    pair = authority.issue(root, common_name, members.hosts if role == "station" else (), now, days)
+    _lay_down(ring / process, root.certificate, pair)
+    issued = Issued(
+        process=process,
+        role=role,
+        robot=robot,
+        common_name=common_name,
+        issued=_seconds(now),
+        expires=_seconds(now + timedelta(days=days)),
+    )
+    earlier = _without(members, process, now)
+    _write_members(ring, earlier.model_copy(update={"member": (*earlier.member, issued)}))
+    return issued
+
+
+def revoke(ring: Path, process: str, now: datetime) -> None:
+    """Strike a process off the list. Raises ConfigError where it is not on it."""
+    members = read_members(ring)
+    valid = [m.process for m in members.member if m.revoked is None]
+    if process not in valid:
+        raise ConfigError(f"{process}: has no certificate (there are: {', '.join(valid) or 'none'})")
+    _write_members(ring, _without(members, process, now))
+    if (ring / process).is_dir():
+        shutil.rmtree(ring / process)
+
+
+def _without(members: MemberList, process: str, now: datetime) -> MemberList:
+    """The list with whatever that process had revoked."""
+    stamp = _seconds(now)
+    kept = (
+        m.model_copy(update={"revoked": stamp}) if m.process == process and m.revoked is None else m for m in members.member
+    )
+    return members.model_copy(update={"member": tuple(kept)})
+
+
+def _authority(ring: Path) -> Pair:
+    for path in (ring / CA, ring / AUTHORITY_KEY):
+        if not path.is_file():
+            raise ConfigError(f"{path}: missing (`groundstation keys init` makes it; put it back if it is in a safe)")
+    return Pair((ring / CA).read_bytes(), (ring / AUTHORITY_KEY).read_bytes())
+
+
+def _lay_down(folder: Path, ca: bytes, pair: Pair) -> None:
+    folder.mkdir(exist_ok=True)
+    folder.chmod(0o700)
+    _write(folder / CA, ca, 0o644)
+    _write(folder / CERTIFICATE, pair.certificate, 0o644)
+    _write(folder / PRIVATE_KEY, pair.private_key, 0o600)
+
+
+def _write_members(ring: Path, members: MemberList) -> None:
+    table = members.model_dump(mode="python", exclude_none=True)
+    _write(ring / MEMBERS, tomli_w.dumps(table).encode(), 0o600)
+
+
+def _write(path: Path, data: bytes, mode: int) -> None:
+    """All of it or nothing, and never readable by others on the way: written beside, then put in place."""
+    beside = path.with_name(f".{path.name}.new")
+    beside.unlink(missing_ok=True)
+    with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(data)
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
+def _seconds(when: datetime) -> datetime:
+    return when.astimezone(UTC).replace(microsecond=0)

@@ -1,0 +1,112 @@
+"""SHELL: `groundstation keys`: the fleet's authority and its certificates."""
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.options import DEFAULT_FLEET, DEFAULT_STATION, FleetName
+
+keys_cli = typer.Typer(
+    help="Certificates: who belongs to the fleet, and as what (docs/security.md).",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+Ring = Annotated[Path, typer.Option("--keys", metavar="FOLDER", envvar="SHOAL_KEYS", help="The key ring.")]
+DEFAULT_RING = Path("keys")
+SOON_DAYS = 30
+
+
+@keys_cli.command()
+def init(
+    host: Annotated[
+        list[str] | None,
+        typer.Option(metavar="HOST", help="Name or address of the station, as others call it. Repeatable."),
+    ] = None,
+    ring: Ring = DEFAULT_RING,
+    fleet: FleetName = DEFAULT_FLEET,
+) -> None:
+    """Make the fleet's authority, and certificates for station, operator, localizer, simulator and viewer.
+
+    Example:  groundstation keys init --host 192.168.1.10 --host pool-laptop.local
+    """
+    from groundstation import keys
+
+    made = keys.init(ring, host or [], fleet, datetime.now(UTC))
+    typer.echo(f"{ring}: authority, {', '.join(m.process for m in made)}")
+    typer.echo(f"{ring / keys.AUTHORITY_KEY} makes new members: keep it where only you can read it")
+
+
+@keys_cli.command()
+def add(
+    role: Annotated[str, typer.Argument(help="station, operator, robot, localizer, simulator or viewer.")],
+    robot: Annotated[int, typer.Argument(help="A robot's number.")] = 0,
+    days: Annotated[float, typer.Option(min=0.01, help="How long it is valid.")] = 397.0,
+    ring: Ring = DEFAULT_RING,
+) -> None:
+    """Make a certificate; an earlier one of the same process no longer counts once the station has been restarted.
+
+    Example:  groundstation keys add robot 3
+    """
+    from groundstation import keys
+
+    issued = keys.add(ring, role, robot, datetime.now(UTC), days)
+    typer.echo(f"{ring / issued.process}: valid until {issued.expires:%Y-%m-%d %H:%M} UTC. {_AFTER}")
+
+
+@keys_cli.command()
+def revoke(
+    process: Annotated[str, typer.Argument(help="As `keys list` names it, for example agent-3.")], ring: Ring = DEFAULT_RING
+) -> None:
+    """Strike a process off the list of those that the router lets through.
+
+    Zenoh has no revocation lists: the certificate stays good for TLS until it expires, but its name may no longer say or hear
+    anything. The router reads the list when it starts.
+    """
+    from groundstation import keys
+
+    keys.revoke(ring, process, datetime.now(UTC))
+    typer.echo(f"{process} is revoked. {_AFTER}")
+
+
+@keys_cli.command("list")
+def list_members(ring: Ring = DEFAULT_RING) -> None:
+    """Who has a certificate, and until when."""
+    from rich.console import Console
+    from rich.table import Table
+
+    from wire.keys import read_members
+
+    now, table = datetime.now(UTC), Table("process", "role", "common name", "valid until (UTC)", "")
+    for m in read_members(ring).member:
+        state = "revoked" if m.revoked else "expired" if m.expires <= now else ""
+        if not state and (m.expires - now).days < SOON_DAYS:
+            state = f"expires in {(m.expires - now).days} days"
+        table.add_row(m.process, m.role, m.common_name, f"{m.expires:%Y-%m-%d %H:%M}", state)
+    Console().print(table)
+
+
+@keys_cli.command()
+def router(listen: str = DEFAULT_STATION, ring: Ring = DEFAULT_RING, fleet: FleetName = DEFAULT_FLEET) -> None:
+    """Print the configuration of an external `zenohd` (JSON5), with the same TLS and access control as the station's own.
+
+    Example:  groundstation keys router --listen tls/0.0.0.0:7447 > zenohd.json5
+    """
+    from wire.network import endpoint
+    from wire.transport import settings
+
+    flat = settings(endpoint(listen, "groundstation", ring, router=True, fleet=fleet))
+    nested: dict[str, object] = {}
+    for key, value in flat.items():
+        node: dict[str, object] = nested
+        *parents, last = key.split("/")
+        for parent in parents:
+            node = node.setdefault(parent, {})  # type: ignore[assignment]
+        node[last] = value
+    typer.echo(json.dumps(nested, indent=1))
+
+
+_AFTER = "Takes effect when the station, which is the router, is started again."

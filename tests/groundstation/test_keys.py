@@ -1,0 +1,121 @@
+"""The key ring on disk: who is in it, who can read it, and that no secret is ever shown."""
+
+import stat
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import load_pem_private_key
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from typer.testing import CliRunner
+
+from groundstation import authority, keys
+from groundstation.__main__ import cli
+from wire.keys import admitted, read_members
+from wire.toml_file import ConfigError
+from wire.topics import Role
+
+NOW = datetime(2030, 5, 1, 12, 0, 0, tzinfo=UTC)
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Path:
+    keys.init(tmp_path / "keys", ["192.168.1.10", "pool.local"], "shoal", NOW)
+    return tmp_path / "keys"
+
+
+def certificate(ring: Path, process: str) -> x509.Certificate:
+    return x509.load_pem_x509_certificate((ring / process / "cert.pem").read_bytes())
+
+
+def name_of(found: x509.Certificate) -> str:
+    return str(found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
+
+
+def test_a_new_ring_has_everybody_but_robots(ring: Path) -> None:
+    assert {m.role for m in admitted(ring, NOW)} == set(Role) - {Role.ROBOT}
+    robot = keys.add(ring, "robot", 7, NOW)
+    assert (robot.process, robot.expires) == ("agent-7", NOW + timedelta(days=397))
+    assert [m.robot for m in admitted(ring, NOW) if m.role is Role.ROBOT] == [7]
+    assert name_of(certificate(ring, "agent-7")) == robot.common_name
+
+
+def test_certificates_are_signed_by_the_authority_for_the_uses_they_have(ring: Path) -> None:
+    root = x509.load_pem_x509_certificate((ring / "ca.pem").read_bytes())
+    for process in ("groundstation", "viewer"):
+        found = certificate(ring, process)
+        found.verify_directly_issued_by(root)
+        uses = set(found.extensions.get_extension_for_class(x509.ExtendedKeyUsage).value)
+        assert (ExtendedKeyUsageOID.SERVER_AUTH in uses) == (process == "groundstation")
+        assert not found.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
+        private = load_pem_private_key((ring / process / "key.pem").read_bytes(), None)
+        assert isinstance(private, ec.EllipticCurvePrivateKey)
+        assert private.public_key() == found.public_key()
+    names = certificate(ring, "groundstation").extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert "pool.local" in names.get_values_for_type(x509.DNSName)
+    assert "192.168.1.10" in map(str, names.get_values_for_type(x509.IPAddress))
+
+
+def test_nobody_else_can_read_what_is_secret(ring: Path) -> None:
+    keys.add(ring, "robot", 1, NOW)
+    secret = [path for path in ring.rglob("*") if path.suffix == ".key" or path.name in ("key.pem", "members.toml")]
+    assert len(secret) == 8
+    assert {stat.S_IMODE(path.stat().st_mode) for path in secret} == {0o600}
+    folders = [ring, *(path for path in ring.iterdir() if path.is_dir())]
+    assert {stat.S_IMODE(path.stat().st_mode) for path in folders} == {0o700}
+    assert not list(ring.rglob("*.new"))
+
+
+def test_a_new_certificate_replaces_the_old_and_no_name_comes_twice(ring: Path) -> None:
+    first, second = (keys.add(ring, "robot", 1, NOW).common_name for _ in range(2))
+    assert first != second
+    assert [m.common_name for m in admitted(ring, NOW) if m.role is Role.ROBOT] == [second]
+    assert [m.common_name for m in read_members(ring).member if m.revoked] == [first]
+
+
+def test_the_revoked_and_the_expired_are_not_admitted(ring: Path) -> None:
+    keys.add(ring, "robot", 1, NOW)
+    keys.add(ring, "robot", 2, NOW, days=1)
+    keys.revoke(ring, "agent-1", NOW)
+    assert not (ring / "agent-1").exists()
+    assert [m.robot for m in admitted(ring, NOW) if m.robot] == [2]
+    assert [m.robot for m in admitted(ring, NOW + timedelta(days=2)) if m.robot] == []
+    with pytest.raises(ConfigError, match=r"agent-1: has no certificate \(there are: groundstation.*agent-2\)"):
+        keys.revoke(ring, "agent-1", NOW)
+
+
+def test_what_would_do_harm_is_refused(ring: Path) -> None:
+    with pytest.raises(ConfigError, match="a new authority would lock every robot out"):
+        keys.init(ring, [], "shoal", NOW)
+    for role, robot in (("robot", 0), ("viewer", 3)):
+        with pytest.raises(ConfigError, match="a robot needs its number"):
+            keys.add(ring, role, robot, NOW)
+    with pytest.raises(ConfigError, match=r"'admin' is no role \(allowed: station, operator, robot"):
+        keys.add(ring, "admin", 0, NOW)
+    (ring / "authority.key").unlink()
+    with pytest.raises(ConfigError, match=r"authority\.key: missing"):
+        keys.add(ring, "robot", 1, NOW)
+
+
+def test_commands_say_what_they_did_and_never_a_secret(tmp_path: Path) -> None:
+    ring, run = tmp_path / "keys", CliRunner()
+    said = []
+    for arguments in (
+        ["init", "--host", "192.168.1.10"],
+        ["add", "robot", "3"],
+        ["list"],
+        ["revoke", "agent-3"],
+        ["list"],
+        ["router", "--listen", "tls/0.0.0.0:7447"],
+    ):
+        done = run.invoke(cli, ["keys", arguments[0], "--keys", str(ring), *arguments[1:]])
+        assert done.exit_code == 0, done.output
+        said.append(done.output)
+    assert "agent-3" in said[2]
+    assert "revoked" in said[4]
+    assert "agent-3" not in said[5]
+    assert '"default_permission": "deny"' in said[5]
+    assert "PRIVATE KEY" not in "".join(said)
+    assert "PRIVATE KEY" not in repr(authority.make_authority("shoal", NOW))

@@ -1,0 +1,118 @@
+"""Beyond this machine only with keys, or when the open network was asked for; and what is said about it."""
+
+import logging
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from groundstation import keys
+from tests.wire.test_bus import free_port
+from wire.access import INSECURE
+from wire.network import endpoint
+from wire.reach import trouble_reaching
+from wire.toml_file import ConfigError
+from wire.transport import Endpoint, Unreached, ZenohTransport
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Path:
+    keys.init(tmp_path / "keys", ["192.168.1.10"], "shoal", datetime.now(UTC))
+    return tmp_path / "keys"
+
+
+@pytest.mark.parametrize("address", ["tcp/127.0.0.1:7447", "tcp/localhost:7447", "tcp/[::1]:7447", "tcp/127.0.0.1:1#iface=lo"])
+def test_this_machine_needs_no_keys(address: str) -> None:
+    assert endpoint(address, "viewer", None) == Endpoint(address)
+
+
+@pytest.mark.parametrize("address", ["tcp/0.0.0.0:7447", "tcp/192.168.1.10:7447", "tcp/[::]:7447", "tcp/pool.local:7447"])
+def test_beyond_this_machine_keys_are_not_optional(
+    address: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ConfigError, match=r"other machines could command the robots.*--keys.*--insecure"):
+        endpoint(address, "viewer", None)
+    monkeypatch.setattr(logging.getLogger("shoal"), "propagate", True)
+    assert endpoint(address, "viewer", None, insecure=True) == Endpoint(address, insecure=True)
+    assert INSECURE in caplog.text
+
+
+@pytest.mark.parametrize("address", ["", "7447", "tcp/host", "tcp/:7447", "udp/1.2.3.4:7447", "tcp/1.2.3.4:0", "tcp/1.2:x"])
+def test_an_address_that_is_none_is_refused(address: str) -> None:
+    with pytest.raises(ConfigError, match="allowed: tcp/HOST:PORT or tls/HOST:PORT"):
+        endpoint(address, "viewer", None, insecure=True)
+
+
+def test_with_keys_it_is_always_tls_and_only_a_router_has_access_control(ring: Path) -> None:
+    client = endpoint("tcp/192.168.1.10:7447", "viewer", ring)
+    assert (client.address, client.access, client.insecure) == ("tls/192.168.1.10:7447", None, False)
+    router = endpoint("tcp/0.0.0.0:7447", "groundstation", ring, router=True)
+    assert router.access is not None
+    assert router.access["default_permission"] == "deny"
+    assert router.access["enabled"] is True
+
+
+def test_keys_that_others_can_read_are_refused(ring: Path) -> None:
+    (ring / "viewer" / "key.pem").chmod(0o640)
+    with pytest.raises(ConfigError, match=r"key\.pem: mode 0640 lets others read it; chmod 600"):
+        endpoint("tls/127.0.0.1:7447", "viewer", ring)
+
+
+def test_what_cannot_be_is_refused(ring: Path) -> None:
+    with pytest.raises(ConfigError, match=r"agent-9.*missing"):
+        endpoint("tls/127.0.0.1:7447", "agent-9", ring)
+    with pytest.raises(ConfigError, match="TLS needs --keys"):
+        endpoint("tls/127.0.0.1:7447", "viewer", None)
+    with pytest.raises(ConfigError, match="--insecure and --keys"):
+        endpoint("tls/127.0.0.1:7447", "viewer", ring, insecure=True)
+    shutil.copytree(ring / "groundstation", ring.parent / "robot" / "groundstation")
+    with pytest.raises(ConfigError, match=r"members\.toml: no such file"):
+        endpoint("tls/127.0.0.1:7447", "groundstation", ring.parent / "robot", router=True)
+
+
+def test_a_reason_is_given_for_every_way_of_not_being_there(ring: Path) -> None:
+    assert "no station listens" in trouble_reaching(f"tcp/127.0.0.1:{free_port()}", None)
+    with pytest.raises(Unreached, match="no station listens"):
+        ZenohTransport(Endpoint(f"tcp/127.0.0.1:{free_port()}"), patience_s=0.1)
+    address = f"tcp/127.0.0.1:{free_port()}"
+    plain = ZenohTransport(Endpoint(address, router=True))
+    try:
+        assert trouble_reaching(address, None) == ""
+        with pytest.raises(Unreached):  # a station without keys is not the fleet's
+            ZenohTransport(endpoint(address, "viewer", ring), patience_s=0.1)
+        with pytest.raises(Unreached, match="cannot listen"):
+            ZenohTransport(Endpoint(address, router=True))
+    finally:
+        plain.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number: int) -> None:
+    """As a person does it: the agent is started where there is no station, and is told to stop."""
+    command = [
+        "robot_agent",
+        "run",
+        "pool",
+        "--robot",
+        "1",
+        "--link",
+        "udp:127.0.0.1:9",
+        "--station",
+        f"tcp/127.0.0.1:{free_port()}",
+    ]
+    with subprocess.Popen(
+        [sys.executable, "-m", *command], stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"}
+    ) as process:
+        assert process.stderr is not None
+        try:
+            assert "waiting for the station" in process.stderr.readline()
+            process.send_signal(number)
+            assert process.wait(20.0) == 1
+            assert "stopped while waiting" in process.stderr.read()
+        finally:
+            process.kill()

@@ -1,0 +1,98 @@
+"""SHELL: a process's own keys: the folder they lie in, and whether they can be used.
+
+A key ring is a folder with one folder per process, named as the process is:
+
+    keys/ca.pem  members.toml  authority.key      only where the station runs; the last belongs in a safe
+    keys/agent-1/ca.pem  cert.pem  key.pem        all that robot 1's board gets
+
+`groundstation keys` makes it. Private keys are read by Zenoh, from the file; nothing here looks at them.
+"""
+
+import stat
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from wire.access import Member
+from wire.toml_file import ConfigError, Section, check, read_toml
+from wire.topics import Role
+
+CA, CERTIFICATE, PRIVATE_KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.toml"
+ROLE_NAMES = {
+    "station": Role.STATION,
+    "operator": Role.OPERATOR,
+    "robot": Role.ROBOT,
+    "localizer": Role.LOCALIZER,
+    "simulator": Role.SIMULATOR,
+    "viewer": Role.VIEWER,
+}
+
+
+@dataclass(frozen=True)
+class Keys:
+    """One process's certificate, private key, and the authority that it believes."""
+
+    folder: Path
+
+    @property
+    def ca(self) -> Path:
+        """Certificate of the fleet's authority."""
+        return self.folder / CA
+
+    @property
+    def certificate(self) -> Path:
+        """Who this process is."""
+        return self.folder / CERTIFICATE
+
+    @property
+    def private_key(self) -> Path:
+        """The proof of it."""
+        return self.folder / PRIVATE_KEY
+
+
+class Issued(Section):
+    """A certificate that the fleet's authority has given out."""
+
+    process: str
+    role: Annotated[str, Field(pattern=f"^({'|'.join(ROLE_NAMES)})$")]
+    robot: Annotated[int, Field(ge=0, le=999)] = 0
+    common_name: str
+    issued: datetime
+    expires: datetime
+    revoked: datetime | None = None
+
+
+class MemberList(Section):
+    """members.toml: every certificate ever given out."""
+
+    hosts: tuple[str, ...] = ()  # where the station can be reached: names and addresses in its certificate
+    member: tuple[Issued, ...] = ()
+
+    def valid(self, now: datetime) -> tuple[Issued, ...]:
+        """Those that count."""
+        return tuple(m for m in self.member if m.revoked is None and now < m.expires)
+
+
+def open_keys(ring: Path, process: str) -> Keys:
+    """The keys of one process. Raises ConfigError saying what is missing, or who else can read them."""
+    keys = Keys(ring / process)
+    for path in (keys.ca, keys.certificate, keys.private_key):
+        if not path.is_file():
+            raise ConfigError(f"--keys {ring}: {path} is missing (made by `groundstation keys add`, copied by `deploy`)")
+    mode = stat.S_IMODE(keys.private_key.stat().st_mode)
+    if mode & 0o077:
+        raise ConfigError(f"{keys.private_key}: mode {mode:04o} lets others read it; chmod 600 {keys.private_key}")
+    return keys
+
+
+def read_members(ring: Path) -> MemberList:
+    """Everybody who has a certificate. Raises ConfigError where there is no such list, or it is no good."""
+    return check(MemberList, read_toml(ring / MEMBERS), str(ring / MEMBERS))
+
+
+def admitted(ring: Path, now: datetime) -> tuple[Member, ...]:
+    """Whom the router lets in."""
+    return tuple(Member(ROLE_NAMES[m.role], m.common_name, m.robot) for m in read_members(ring).valid(now))

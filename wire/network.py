@@ -1,0 +1,68 @@
+"""SHELL: from a command line to an endpoint: plain on this machine, mutual TLS and access control beyond it.
+
+Off loopback a network without keys lets anybody who is on it command the robots. That must be asked for (`--insecure`), and
+then it is said wherever somebody looks: in every process's log, and on the operator's page.
+"""
+
+import logging
+from datetime import UTC, datetime
+from ipaddress import ip_address
+from pathlib import Path
+
+from wire.access import INSECURE, access_control
+from wire.keys import admitted, open_keys
+from wire.toml_file import ConfigError
+from wire.transport import Endpoint
+
+log = logging.getLogger("shoal")
+
+FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.168.1.10:7447"
+
+
+def parse_address(address: str) -> tuple[str, str, int]:
+    """Protocol, host and port of a Zenoh endpoint. Raises ConfigError naming the forms it may have."""
+    protocol, slash, rest = address.partition("/")
+    host, _, port = rest.partition("#")[0].rpartition(":")
+    host = host.strip("[]")
+    if not slash or protocol not in ("tcp", "tls") or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(f"{address!r}: not a place where a station can be (allowed: {FORMS})")
+    return protocol, host, int(port)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can be meant."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def endpoint(
+    address: str,
+    process: str,
+    ring: Path | None,
+    *,
+    insecure: bool = False,
+    router: bool = False,
+    lossless: bool = False,
+    fleet: str = "shoal",
+) -> Endpoint:
+    """Where the router is, or to be, and how to speak to it. With a key ring always TLS, whatever the address says.
+    Raises ConfigError for what would be open to others without having been asked for."""
+    protocol, host, port = parse_address(address)
+    if ring is not None:
+        if insecure:
+            raise ConfigError("--insecure and --keys: with keys the network is not open; leave one of them out")
+        where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        access = access_control(fleet, admitted(ring, datetime.now(UTC))) if router else None
+        return Endpoint(f"tls/{where}", router, lossless, open_keys(ring, process), access)
+    if protocol == "tls":
+        raise ConfigError(f"{address}: TLS needs --keys FOLDER (`groundstation keys init` makes them)")
+    if not is_loopback(host) and not insecure:
+        raise ConfigError(
+            f"{address}: other machines could command the robots; off loopback a fleet needs --keys FOLDER "
+            "(`groundstation keys init` makes them, docs/security.md), or an explicit --insecure"
+        )
+    if not is_loopback(host):
+        log.warning(INSECURE)
+    return Endpoint(address, router, lossless, insecure=not is_loopback(host))
