@@ -6,12 +6,13 @@ import time
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 
 from groundstation.keys_commands import keys_cli
 from groundstation.rerun_commands import rerun
 from wire.experiment import dump_experiment, load_experiment
-from wire.messages import Command, Order
+from wire.messages import Command, Order, Tuning
 from wire.options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -104,19 +105,44 @@ def order(
     insecure: Insecure = False,
 ) -> None:
     """Give the whole fleet an order through the running station. Exit code 1 and the reason if it refuses."""
+    if what not in FLEET_ORDERS:
+        raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_ORDERS)})")
+    _tell_station(what, Command(Order[what.upper().replace("-", "_")], robot=0), station, fleet, keys, insecure)
+
+
+def _tell_station(what: str, command: Command, station: str, fleet: str, keys: Path | None, insecure: bool) -> None:
+    """Give the running station an order as its operator, and say what becomes of it."""
     from wire.bus import Bus
     from wire.network import endpoint
     from wire.topics import Role, process_name
     from wire.transport import ZenohTransport
 
-    if what not in FLEET_ORDERS:
-        raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_ORDERS)})")
     where = endpoint(station, process_name(Role.OPERATOR), keys, insecure=insecure)
     with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
-        command = Command(Order[what.upper().replace("-", "_")], robot=0)
         reply = bus.order(command, time.time_ns(), ORDER_TIMEOUT_S)
     typer.echo(f"{what}: {'under way' if reply.accepted else 'refused: ' + reply.reason}")
     raise typer.Exit(0 if reply.accepted else 1)
+
+
+@cli.command("set")
+def tune(
+    changes: Annotated[
+        list[str] | None, typer.Argument(metavar="KEY=VALUE...", help="For example controller.mpc.q=[2,2,1,1].")
+    ] = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Go back to the gains before.")] = False,
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+) -> None:
+    """Change weights and gains while the fleet flies: all robots at the same instant, or none. Exit code 1 if refused."""
+    from wire.tunable import values_of
+
+    values = values_of(changes or ())
+    if bool(values) == undo:
+        raise typer.BadParameter("either KEY=VALUE, or --undo")
+    wanted = Tuning("", tuple(values), np.array(list(values.values())))
+    _tell_station("set", Command(Order.TUNE, robot=0, tuning=wanted), station, fleet, keys, insecure)
 
 
 @cli.command()

@@ -8,6 +8,7 @@ import contextlib
 import threading
 import time
 from collections import deque
+from collections.abc import Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,8 +16,10 @@ from typing import Any
 
 from groundstation import planner
 from groundstation.fleet import Fleet, view
+from groundstation.laps import Laps
 from groundstation.mission import OVER, Answer, Mission, Phase
 from groundstation.recorder import Recorder, run_metadata
+from groundstation.tuner import TUNING, Tuner
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import WebServer
@@ -41,6 +44,8 @@ class Station:
     clock: Clock
     recorder: Recorder
     mission: Mission
+    tuner: Tuner
+    laps: Laps
     states: dict[int, Inbox[RobotState]]
     poses: dict[int, Inbox[Pose]]
     pool: ThreadPoolExecutor
@@ -54,7 +59,14 @@ class Station:
     def cycle(self, now_ns: int, lockstep: bool) -> None:
         """Read the fleet, run the mission, send its orders, beat."""
         with self.turn:
-            commands = self.mission.step(self.fleet(), self._answers(), now_ns)
+            fleet, answers = self.fleet(), self._answers()
+            for_tuner = [answer for answer in answers if answer.command.order in TUNING]
+            commands = self.mission.step(fleet, [answer for answer in answers if answer not in for_tuner], now_ns)
+            commands += self.tuner.step(fleet, for_tuner, now_ns)
+            self.laps.note(fleet)
+            new_gains = self.tuner.untold()
+        for gains in new_gains:
+            self.bus.publish(topics.TUNING, gains, now_ns)
         timeout_s = LOCKSTEP_PATIENCE_S if lockstep else ORDER_TIMEOUT_S
         self.pending += [(c, self.pool.submit(self.bus.order, c, now_ns, timeout_s)) for c in commands]
         if lockstep:
@@ -77,8 +89,12 @@ class Station:
         return answers
 
     def wish(self, header: Header, command: Command) -> Reply:
-        """A person's order for the whole fleet, from a terminal."""
-        reason = self.ask(command.order)
+        """A person's order for the whole fleet, from a terminal. Gains without any are those before the last change."""
+        if command.tuning is not None:
+            keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
+            reason = self.tune(keys or None, next_lap=False)
+        else:
+            reason = self.ask(command.order)
         return Reply(WHOLE_FLEET, not reason, reason)
 
     def ask(self, order: Order) -> str:
@@ -88,9 +104,22 @@ class Station:
         log.info("%s asked for: %s", order.name, reason or "under way")
         return reason
 
+    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> str:
+        """Other gains for the whole fleet; None: those before. Why not, or nothing when it is under way."""
+        with self.turn:
+            fleet, now_ns = self.fleet(), self.clock.now_ns()
+            if values is None:
+                reason, what = self.tuner.undo(fleet, now_ns), "the gains before"
+            else:
+                reason = self.tuner.wish(values, next_lap, fleet, now_ns)
+                what = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+        log.info("asked for %s%s: %s", what, " on the next lap" if next_lap else "", reason or "under way")
+        return reason
+
     def status(self) -> Status:
-        """Where the mission stands."""
-        return Status(self.mission.phase, self.mission.reason, self.recorder.error, self.insecure)
+        """Where mission and gains stand."""
+        mission = self.mission
+        return Status(mission.phase, mission.reason, self.recorder.error, self.insecure, self.tuner.status(), self.laps.rows())
 
     def _tell(self) -> None:
         if self.recorder.error and not self.recorder_told:
@@ -140,7 +169,9 @@ def run(
             mission = Mission(experiment, trajectories, automatic)
             states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
             poses = {r: bus.inbox(topics.POSE, Pose, r) for r in experiment.robot_ids}
-            station = Station(experiment, bus, clock, recorder, mission, states, poses, pool, insecure=insecure)
+            tuner = Tuner(experiment)
+            laps = Laps(tuner.lap_s)
+            station = Station(experiment, bus, clock, recorder, mission, tuner, laps, states, poses, pool, insecure=insecure)
             bus.serve(WHOLE_FLEET, station.wish)
             log_to_bus(bus, clock, "groundstation")
             if insecure:
@@ -149,7 +180,7 @@ def run(
                 bus.publish(topics.TRAJECTORY, trajectory, clock.now_ns(), robot)
             bus.watch_presence()
             if web is not None:
-                post = Post(station.status, station.ask, station.answers)
+                post = Post(station.status, station.ask, station.answers, station.tune)
                 served.enter_context(WebServer(Desk(experiment, trajectories, bus, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
             bus.announce("groundstation")

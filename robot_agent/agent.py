@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robot_agent.controller import Controller, ControlOutput, Follow, Goal, Hold, Measurement, Neighbour, Sighting
-from robot_agent.mode import LIVE, ORDERS, Health, react, refusal
+from robot_agent.gains import Gains
+from robot_agent.mode import LIVE, ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
 from robot_agent.orders import OrderGate, StationView
 from wire.codec import Header
@@ -89,6 +90,7 @@ class Agent:
             room_m=experiment.pool.size_m[:2],
             islands=islands(experiment.islands, experiment.vehicle.radius_m),
         )
+        self._gains = Gains(self._controller, experiment.controller)
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
         self.gate = gate or OrderGate(robot, experiment.hash)
@@ -130,7 +132,7 @@ class Agent:
             return "no trajectory is loaded"
         if command.order in (Order.START, Order.RESUME) and not self._located:
             return "the robot does not know where it is"
-        return ""
+        return self._gains.objection(command)
 
     def _unfit(self, station: StationView, now_ns: int) -> str:
         """Why not to arm now."""
@@ -155,6 +157,7 @@ class Agent:
         if command.order is Order.LOAD:
             self._trajectory = command.trajectory
             self._reached_s = 0.0
+        self._gains.follow(command, given_ns)
         if command.order in (Order.START, Order.RESUME):
             self._earliest_s = command.trajectory_s if command.order is Order.RESUME else 0.0
             self._time_zero_ns = given_ns + round((command.start_in_s - self._earliest_s) * 1e9)
@@ -167,6 +170,8 @@ class Agent:
     def _enter(self, mode: Mode, fault: str) -> None:
         if mode is not Mode.HOLDING:
             self._hold = None
+        if mode not in POWERED:
+            self._gains.leave_run()
         self.mode, self._fault = mode, fault
 
     # --- the control step
@@ -180,8 +185,9 @@ class Agent:
         if mode is not self.mode:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
-        things = self._things(inputs, now_ns)
-        output = self._controller.step(_measurement(inputs), self._goal(now_ns), neighbours, now_ns, things)
+        things, goal = self._things(inputs, now_ns), self._goal(now_ns)
+        self._gains.step(now_ns, self._reached_s)
+        output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
         self._last = output
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
@@ -274,6 +280,7 @@ class Agent:
             mode=self.mode,
             fault=self._fault,
             experiment_hash=self._experiment.hash,
+            tuning_id=self._gains.id,
             trajectory_s=self._reached_s,
             trajectory_id=self._trajectory.id if self._trajectory is not None else "",
             eta=output.eta,

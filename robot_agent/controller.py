@@ -26,9 +26,9 @@ from robot_agent.allocation import Allocator
 from robot_agent.eso import Estimate, Estimator, Measurement, Sighting
 from robot_agent.formation import Company, Formation, Neighbour, Rank
 from robot_agent.guidance import Guidance
-from robot_agent.law import guidance_config, make_law
+from robot_agent.law import Law, guidance_config, make_law
 from robot_agent.model import Model
-from robot_agent.mpc import MpcPlan
+from robot_agent.mpc import Mpc, MpcPlan
 from robot_agent.obstacles import Thing
 from robot_agent.passing import CATCH_UP_MPS, Passing, pieces, robots
 from robot_agent.reference import Follow, Goal, Hold, Path, Sampler
@@ -68,6 +68,14 @@ class ControlOutput:
     pose_age_s: float  # of the pose the estimate rests on
 
 
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """Other gains, and the optimisation made for them; None with a law that has none."""
+
+    config: ControllerConfig
+    mpc: Mpc | None
+
+
 class Controller:
     """One robot's controller with its memory and workspaces."""
 
@@ -84,24 +92,45 @@ class Controller:
         """`follows`: its one neighbour in the formation is its leader. `room_m` is the pool's length and width; None: there
         are no walls to look out for."""
         horizon, period_s = config.mpc.horizon, config.period_s
-        self._config, self._urgent, self._follows, self._islands = config, urgent, follows, islands
+        self._vehicle, self._config, self._urgent, self._follows, self._islands = vehicle, config, urgent, follows, islands
         self._weight = np.array(config.mpc.q)
-        model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
+        self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
         self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self._sampler = Sampler(nodes_s)
         self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
-        whole = config.mpc.model_copy(update={"q_formation": (1.0, 1.0, 1.0, 1.0)})
-        self._formation = Formation(whole if follows else config.mpc, safety, period_s, vehicle.thruster.dead_time_s)
+        self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s)
+        self._formation.weigh(self._formation_weight(config))
         self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
-        self._law = make_law(vehicle, model, config, period_s, self._formation.rows)
+        self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
         self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
         self._wrench = np.zeros(3)
         self._rank = Rank(urgent, 0.0, 0)
         self._goal: Goal | None = None
         self._turns = 0.0
+
+    def _formation_weight(self, config: ControllerConfig) -> tuple[float, float, float, float]:
+        return (1.0, 1.0, 1.0, 1.0) if self._follows else config.mpc.q_formation
+
+    def make_ready(self, config: ControllerConfig) -> Tuned:
+        """What it takes to fly with other gains (wire/tunable.py), made beforehand: solvers are scaled by the weights, and to
+        build them takes ten times as long as a step."""
+        mpc = None
+        if isinstance(self._law, Mpc):
+            mpc = Mpc(self._vehicle, self._model, config.mpc, config.period_s, self._formation.rows)
+        return Tuned(config, mpc)
+
+    def adopt(self, tuned: Tuned) -> None:
+        """Fly with other gains from the next step on. Estimate, heading and plan go on from where they are."""
+        self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
+        self._estimator.tune(tuned.config.estimator)
+        self._guidance.tune(guidance_config(tuned.config))
+        self._formation.weigh(self._formation_weight(tuned.config))
+        if tuned.mpc is not None and isinstance(self._law, Mpc):
+            tuned.mpc.go_on_from(self._law)
+            self._law = tuned.mpc
 
     def step(
         self,

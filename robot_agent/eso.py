@@ -82,6 +82,10 @@ class Estimator:
         self._at_ns = 0
         self._contradictions = 0
 
+    def tune(self, config: EstimatorConfig) -> None:
+        """Other gains from the next pose on; what is known stays known."""
+        self._config = config
+
     def applied(self, wrench: Wrench, now_ns: int) -> None:
         """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the
         last counts."""

@@ -95,8 +95,7 @@ class Formation:
     def __init__(self, config: MpcConfig, safety: Safety, period_s: float, dead_s: float = 0.0) -> None:
         """The horizon's node 0 lies `dead_s` ahead of now."""
         self._safety, self._period_s, self._horizon = safety, period_s, config.horizon
-        self._weight = np.array(config.q_formation)
-        self._weights = np.tile(self._weight, config.horizon + 1)
+        self.weigh(config.q_formation)
         self._ahead = np.arange(config.horizon + 2)
         self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
         self._nodes_ns = np.rint(NS * (dead_s + period_s * self._nodes)).astype(np.int64).tolist()
@@ -107,6 +106,11 @@ class Formation:
         none, nobody = np.zeros((0, len(self._nodes))), np.zeros((0, 4))
         pull = np.zeros((config.horizon + 1, 4))
         self._alone = Company(pull, np.zeros(4), 0, (), none.astype(np.complex128), none, nobody, np.zeros(0, np.complex128))
+
+    def weigh(self, q: tuple[float, float, float, float]) -> None:
+        """Q_ij from now on, the same for every neighbour."""
+        self._weight = np.array(q)
+        self._weights = np.tile(self._weight, self._horizon + 1)
 
     def company(self, neighbours: Sequence[Neighbour], now_ns: int) -> Company:
         """Neighbours' predictions on our horizon; of all of them at once."""

@@ -31,13 +31,18 @@ class Guidance:
     """One robot's reference heading, with its memory: filtered request, direction of thrust, what is left of a jump."""
 
     def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float, sway: bool) -> None:
-        self._config, self._sway = config, sway
+        self._sway, self._period_s = sway, period_s
         self._mass = vehicle.mass.surge_kg
         self._linear, self._quadratic = vehicle.drag.linear[1], vehicle.drag.quadratic[1]
-        self._keep = math.exp(-period_s / config.filter_s)
-        self._period_s = period_s
-        self._worth = config.turning_force_n if sway else config.turning_force_n / vehicle.drag.linear[0]
+        self._per_force = 1.0 if sway else 1.0 / vehicle.drag.linear[0]
+        self.tune(config)
         self.reset()
+
+    def tune(self, config: GuidanceConfig) -> None:
+        """Other gains from now on; the memory stays."""
+        self._config = config
+        self._keep = math.exp(-self._period_s / config.filter_s)
+        self._worth = config.turning_force_n * self._per_force
 
     def reset(self) -> None:
         """Start anew, from the goal's own heading."""

@@ -37,6 +37,8 @@ ORDERS: dict[Order, Transition] = {
     Order.DISARM: Transition(ANY - {Mode.STOPPED}, Mode.DISARMED),
     Order.STOP: Transition(ANY, Mode.STOPPED),
     Order.CLEAR_STOP: Transition(frozenset({Mode.STOPPED}), Mode.DISARMED),
+    Order.TUNE: Transition(ANY - {Mode.STOPPED}, None),
+    Order.ADOPT: Transition(ANY - {Mode.STOPPED}, None),
 }
 
 

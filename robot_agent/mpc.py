@@ -64,7 +64,8 @@ class Mpc:
         smooth = [config.r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
         self._planar_cost, self._depth_cost = block_diag(*smooth[:2]), smooth[2]
         self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
-        self._p_beside = block_diag(self._p, np.array([[config.slack]]))
+        self._slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])
+        self._p_beside = block_diag(self._p, np.array([[self._slack]]))
         self._a = np.vstack([np.eye(size), block_diag(difference, difference, difference)])
         self._a_beside = block_diag(self._a, np.ones((rows, 1)))
         channel_limits, channel_steps = self._limit.take(CHANNELS).repeat(n), self._step_limit.take(CHANNELS).repeat(n)
@@ -85,7 +86,7 @@ class Mpc:
         self._prediction.linearise(rest, np.zeros(3), np.zeros(4))
         self._objective(np.zeros((self._h + 1, 4)), np.array(self._config.q) + self._config.q_formation)
         scale = 1.0 / np.sqrt(np.diagonal(self._p))
-        slack = 1.0 / np.sqrt(self._config.slack)
+        slack = 1.0 / np.sqrt(self._slack)
         row_scale, scale_beside = np.tile(1.0 / scale, 2), np.append(scale, slack)
         name, row_scale_beside = self._config.solver, np.append(row_scale, np.full(rows, 1.0 / slack))
         alone = make_solver(name, p_beside[:-1, :-1], self._a != 0.0, scale, row_scale, bounds=size)
@@ -96,6 +97,12 @@ class Mpc:
         """Forget the last plan: until the next one stands, for some steps at most, the thrusters stay off."""
         self._fresh, self._shifted = True, 0
         self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)
+
+    def go_on_from(self, other: "Mpc") -> None:
+        """Take over the plan of a controller that has other weights, and nothing else of it."""
+        self._prediction, self._fresh, self._shifted = other._prediction, other._fresh, other._shifted
+        self._solution, self._base = other._solution, other._base
+        self._alone.start_from(self._solution)
 
     def expected(self, state: State) -> Array:
         """What the coming plan is linearised along, the last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all

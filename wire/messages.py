@@ -65,6 +65,8 @@ class Order(IntEnum):
     STOP = 6
     DISARM = 7
     CLEAR_STOP = 8
+    TUNE = 9  # check these gains and keep them ready; nothing changes yet
+    ADOPT = 10  # fly with the gains that are ready
 
 
 class CameraHealth(IntEnum):
@@ -159,6 +161,7 @@ class RobotState:
     mode: Mode = Mode.DISARMED
     fault: str = ""  # why it holds, stopped or failed; empty when all is well
     experiment_hash: str = ""
+    tuning_id: str = ""  # of the gains it flies with
     trajectory_s: float = 0.0  # time along the trajectory; 0 until started
     trajectory_id: str = ""
     eta: Array = array(4)  # estimated
@@ -209,6 +212,16 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
+class Tuning:
+    """Weights and gains of the controller, all that can be changed in flight (wire/tunable.py). The k-th of both belong
+    together."""
+
+    id: str  # of exactly these values
+    keys: tuple[str, ...] = ()  # of the experiment file, a list's entries one by one: `controller.mpc.q.0`
+    values: Array = array(-1)
+
+
+@dataclass(frozen=True, eq=False)
 class Command:
     """An order to one robot. Applied at most once, and only while the header's session is the station's and the order is
     younger than its time to live."""
@@ -218,9 +231,11 @@ class Command:
     time_to_live_s: float = 1.0
     experiment_hash: str = ""
     trajectory_id: str = ""
-    start_in_s: float = 0.0  # START, RESUME: when to go on, from now
-    trajectory_s: float = 0.0  # RESUME: where along the trajectory to go on
+    start_in_s: float = 0.0  # START, RESUME, ADOPT: when, from now
+    trajectory_s: float = 0.0  # RESUME: where along the trajectory to go on; ADOPT: not before it has got there
     trajectory: Trajectory | None = None
+    tuning_id: str = ""  # ADOPT: which
+    tuning: Tuning | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +328,6 @@ class Event:
 
 
 Message = (
-    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Command | Reply
-    | BoardReading | StepInputs | OrderTaken | Frame | Preview | Event
+    Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning | Command
+    | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Event
 )  # fmt: skip

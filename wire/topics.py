@@ -79,12 +79,14 @@ PLAN = Topic("robot/{robot}/plan", messages.Plan, 20, 0.5, Qos.CONTROL, True, (R
 STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, (Role.ROBOT,))
 HEARTBEAT = Topic("station/heartbeat", messages.StationHeartbeat, 20, 1.0, Qos.CONTROL, True, (Role.STATION,))
 TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,))
+TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, True, (Role.STATION,))
 INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE)
 ORDERS = Topic("robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE)
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING)
 
 TOPICS = (
-    TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, INPUTS, ORDERS, EVENT
+    TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, TUNING, INPUTS, ORDERS,
+    EVENT,
 )  # fmt: skip
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered

@@ -9,8 +9,18 @@ from wire.laws import AdaptiveNn, Backstepping, Fuzzy, LawName, Lqr, Pid, Slidin
 from wire.toml_file import Section
 from wire.vehicle import NotNegative, Positive
 
-Weight3 = tuple[NotNegative, NotNegative, NotNegative]
-Weight4 = tuple[NotNegative, NotNegative, NotNegative, NotNegative]
+
+class Live:
+    """Marks a key that may be changed in flight (tunable.py): no size and no structure hangs on it, and any value within its
+    bounds can be flown."""
+
+
+LIVE = Live()
+
+Weight = Annotated[float, Field(ge=0, le=100)]
+InputWeight = Annotated[float, Field(ge=0, le=1e4)]
+Bandwidth = Annotated[float, Field(gt=0, le=50), LIVE]
+Gain = Annotated[float, Field(ge=0, le=10), LIVE]
 
 
 class Safety(Section):
@@ -44,11 +54,11 @@ class Estimator(Section):
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
     enabled: bool = True  # False: no disturbance estimate
-    bandwidth_radps: Positive = 2.0
-    yaw_bandwidth_radps: Positive = 4.0
+    bandwidth_radps: Bandwidth = 2.0
+    yaw_bandwidth_radps: Bandwidth = 4.0
     use_imu_yaw_rate: bool = True
     sway: bool = True  # False: the article's model, which cannot slide sideways
-    current_rate_radps: NotNegative = 0.15  # how fast a side force that lasts is put down to a current; 0: never
+    current_rate_radps: Gain = 0.15  # how fast a side force that lasts is put down to a current; 0: never
 
 
 class Guidance(Section):
@@ -56,12 +66,16 @@ class Guidance(Section):
     push sideways never corrects a lateral error at walking pace."""
 
     enabled: bool = True
-    position_gain_per_s2: NotNegative = 0.08  # 0.28 rad/s: a third of what heading, filter and observer can follow
-    velocity_gain_per_s: NotNegative = 0.5  # damping ratio 0.9
-    max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2)] = 1.4
-    turning_force_n: Positive = 0.02  # forces well below this are not worth a turn
-    filter_s: Positive = 1.0  # time constant of the force that feeds back: 0.5 follows noise, 2.0 overshoots by 4 cm
-    hold_radius_m: Positive = 0.06  # station keeping: nearer than this the heading stays as it is
+    position_gain_per_s2: Gain = 0.08  # 0.28 rad/s: a third of what heading, filter and observer can follow
+    velocity_gain_per_s: Gain = 0.5  # damping ratio 0.9
+    max_correction_rad: Annotated[float, Field(gt=0, lt=np.pi / 2), LIVE] = 1.4
+    turning_force_n: Annotated[float, Field(gt=0, le=10), LIVE] = 0.02  # forces well below this are not worth a turn
+    filter_s: Annotated[float, Field(gt=0, le=30), LIVE] = (
+        1.0  # time constant of the force that feeds back: 0.5 follows noise, 2.0 overshoots by 4 cm
+    )
+    hold_radius_m: Annotated[float, Field(gt=0, le=5), LIVE] = (
+        0.06  # station keeping: nearer than this the heading stays as it is
+    )
 
 
 class Mpc(Section):
@@ -72,10 +86,14 @@ class Mpc(Section):
     horizon: Annotated[int, Field(ge=2, le=200)] = 50
     blocks: Annotated[tuple[Annotated[int, Field(ge=1)], ...], Field(min_length=1)] = (1, 1, 2, 3, 4, 4)
     linearise: Literal["trajectory", "point"] = "trajectory"
-    q: Weight4 = (1.0, 1.0, 1.0, 1.0)
-    q_formation: Weight4 = (0.15, 0.15, 0.15, 0.15)
-    r: Weight3 = (0.05, 0.05, 8.0)  # per N^2 and (N m)^2: the same 0.01 for all lets yaw chatter at its rate limit
-    slack: Positive = 1e4
+    q: Annotated[tuple[Weight, Weight, Weight, Weight], LIVE] = (1.0, 1.0, 1.0, 1.0)
+    q_formation: Annotated[tuple[Weight, Weight, Weight, Weight], LIVE] = (0.15, 0.15, 0.15, 0.15)
+    r: Annotated[tuple[InputWeight, InputWeight, InputWeight], LIVE] = (
+        0.05,
+        0.05,
+        8.0,
+    )  # per N^2 and (N m)^2: the same 0.01 for all lets yaw chatter at its rate limit
+    slack: Positive = 1e4  # per unit of the largest position weight above 1: no weight buys a way through another robot
     model_lag: bool = True
 
     @model_validator(mode="after")

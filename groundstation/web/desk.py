@@ -5,12 +5,14 @@ Nothing here waits for the station's cycle, and the cycle never waits for anythi
 
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from groundstation.fleet import preflight, view
+from groundstation.laps import Lap
 from groundstation.mission import WISHES, Answer, Phase
+from groundstation.tuner import TuningStatus
 from groundstation.web import editor
 from groundstation.web.alarms import alarms
 from groundstation.web.requests import Edit
@@ -29,7 +31,7 @@ MOST_EVENTS = 256  # between two looks
 
 class Source(Protocol):
     """Where the page's server gets everything from: the live fleet, or a recorded run. Used from one thread, but for `order`,
-    `attempt` and `save`, which may take their time in another."""
+    `tune`, `attempt` and `save`, which may take their time in another."""
 
     def scene(self) -> dict[str, Any]: ...
     def changed(self) -> bool: ...
@@ -37,6 +39,7 @@ class Source(Protocol):
     def picture(self) -> dict[str, Any] | None: ...
     def notes(self) -> list[dict[str, Any]]: ...
     def order(self, order: Order) -> str: ...
+    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> str: ...
     def attempt(self, edit: Edit) -> dict[str, Any]: ...
     def save(self, edit: Edit, name: str) -> dict[str, Any]: ...
     def seek(self, time_s: float | None, rate: float | None) -> None: ...
@@ -50,6 +53,8 @@ class Status:
     reason: str
     recorder_error: str = ""
     insecure: bool = False  # the network is open, as was asked for
+    tuning: TuningStatus | None = None
+    laps: Sequence[Lap] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +64,7 @@ class Post:
     status: Callable[[], Status]
     order: Callable[[Order], str]  # what a person wishes for the whole fleet; why not, or nothing
     answers: deque[Answer]  # what became of orders to single robots; taken from its left
+    tune: Callable[[Mapping[str, float] | None, bool], str] = lambda values, next_lap: "gains cannot be changed here"
 
 
 class Desk:
@@ -130,6 +136,8 @@ class Desk:
                     status.insecure,
                 ),
                 present=sorted(self._bus.present),
+                tuning=status.tuning,
+                laps=status.laps,
             )
         )
 
@@ -181,6 +189,10 @@ class Desk:
     def order(self, order: Order) -> str:
         """Why not, or nothing when it is under way."""
         return self._station.order(order)
+
+    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> str:
+        """Other gains, or those before. Why not, or nothing when it is under way."""
+        return self._station.tune(values, next_lap)
 
     def attempt(self, edit: Edit) -> dict[str, Any]:
         """What would come of an edit."""

@@ -154,6 +154,8 @@ class Hub:
             self.tell()
         elif isinstance(request, requests.Wish):
             self._spawn(self._order(watcher, request))
+        elif isinstance(request, requests.Tune):
+            self._spawn(self._tune(watcher, request))
         elif isinstance(request, requests.Try):
             watcher.waiting = request
             if not watcher.busy:
@@ -179,6 +181,11 @@ class Hub:
         if not reason:
             reason = await asyncio.to_thread(self._source.order, order)
         watcher.note({"k": "reply", "n": wish.n, "order": wish.order, "ok": not reason, "reason": reason})
+        self.tell()
+
+    async def _tune(self, watcher: Watcher, wish: requests.Tune) -> None:
+        reason = self._may_command(watcher) or await asyncio.to_thread(self._source.tune, wish.values, wish.next_lap)
+        watcher.note({"k": "reply", "n": wish.n, "order": "tune", "ok": not reason, "reason": reason})
         self.tell()
 
     async def _attempt(self, watcher: Watcher) -> None:

@@ -4,6 +4,7 @@ import shutil
 import time
 from bisect import bisect_right
 from collections import OrderedDict
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -242,6 +243,10 @@ class Replay:
 
     def order(self, order: Order) -> str:
         """Nobody hears it."""
+        return "this is a recorded run"
+
+    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> str:
+        """What was flown was flown."""
         return "this is a recorded run"
 
     def attempt(self, edit: Edit) -> dict[str, Any]:

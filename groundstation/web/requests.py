@@ -8,6 +8,7 @@ LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints 
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
+Gain = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # its own bounds are the station's business
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 OrderName = Literal["load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop"]
@@ -40,6 +41,14 @@ class Wish(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=
 
     n: Count
     order: OrderName
+
+
+class Tune(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
+    """Other gains for the whole fleet: those that are named; none: those before. `n` comes back with the answer."""
+
+    n: Count
+    values: Annotated[dict[Annotated[str, msgspec.Meta(max_length=64)], Gain], msgspec.Meta(max_length=64)] | None = None
+    next_lap: bool = False
 
 
 class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -78,7 +87,7 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
-Request = Hello | Ack | Take | Release | Wish | Try | Save | Seek
+Request = Hello | Ack | Take | Release | Wish | Tune | Try | Save | Seek
 _DECODER = msgspec.json.Decoder(Request)
 
 

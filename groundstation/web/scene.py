@@ -11,6 +11,7 @@ from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Trajectory
+from wire.tunable import knobs
 
 MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pixel
 LOCKSTEP_STALE_S = 1.0  # there a slow machine is no fault; periods are the simulator's
@@ -64,6 +65,10 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
         "path": experiment.path.model_dump(mode="json"),
         "formation": experiment.formation.model_dump(mode="json"),
+        "knobs": [
+            {"key": k.key, "value": k.value, "least": k.least, "most": k.most, "above": k.above, "below": k.below}
+            for k in knobs(controller)
+        ],
         "paths": paths(trajectories, flown_samples(experiment)),
         "underlay": _underlay(experiment),
     }

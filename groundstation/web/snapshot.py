@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.laps import Lap
+from groundstation.tuner import TuningStatus
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from wire.frames import Array
@@ -52,6 +54,8 @@ class FleetNews:
     emergency_stop: bool = False
     alarms: Sequence[Alarm] = ()
     present: Sequence[str] = ()
+    tuning: TuningStatus | None = None
+    laps: Sequence[Lap] = ()
 
 
 def snapshot(news: FleetNews) -> dict[str, Any]:
@@ -68,6 +72,7 @@ def snapshot(news: FleetNews) -> dict[str, Any]:
         "present": list(news.present),
         "localizer": _localizer(news.localizer),
         "obstacles": _obstacles(news.obstacles),
+        "tuning": _tuning(news.tuning, news.laps),
         "robots": [_robot(robot, found) for robot, found in news.robots.items()],
     }
 
@@ -88,6 +93,7 @@ def _state(state: RobotState) -> dict[str, Any]:
     return {
         "mode": state.mode.name,
         "fault": state.fault,
+        "tuning": state.tuning_id,
         "t_s": state.trajectory_s,
         "loaded": state.trajectory_id,
         "eta": floats(state.eta),
@@ -159,3 +165,19 @@ def _obstacles(found: Aged) -> dict[str, Any] | None:
     if seen is None:
         return None
     return {"age_ms": found.age_ms, "ids": list(seen.ids), "outline": floats(seen.outline), "velocity": floats(seen.velocity)}
+
+
+def _tuning(found: TuningStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | None:
+    """The values are in the order of the scene's knobs, as they are: what is sent back must be what was."""
+    if found is None:
+        return None
+    return {
+        "id": found.flown.id,
+        "values": found.flown.values.tolist(),
+        "wanted": found.wanted,
+        "stage": found.stage.value,
+        "reason": found.reason,
+        "undo": found.undo,
+        "known": list(found.known),
+        "laps": [{"n": lap.number, "id": lap.tuning_id, "s": lap.time_s, "rms": lap.rms_m, "max": lap.max_m} for lap in laps],
+    }

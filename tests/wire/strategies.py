@@ -44,6 +44,8 @@ def _field(hint: Any, field: dataclasses.Field[Any], kind: int, rows: int) -> st
     simple: dict[Any, st.SearchStrategy[Any]] = {float: floats, bool: st.booleans(), str: st.text()}
     if hint in simple:
         return simple[hint]
+    if get_args(hint)[:1] == (str,):
+        return st.lists(st.text(), max_size=8).map(tuple)
     integers = st.integers(*_LIMITS[kind])
     return st.lists(integers, max_size=8).map(tuple) if get_origin(hint) is tuple else integers
 
@@ -81,6 +83,8 @@ def example(cls: Any) -> Any:
             values[field.name] = np.arange(np.prod(shape), dtype=np.float64).reshape(shape) + number
         elif nested(hint) is not None:
             values[field.name] = example(nested(hint))
+        elif get_args(hint)[:1] == (str,):
+            values[field.name] = (f"text {number}", "more")
         elif get_origin(hint) is tuple:
             values[field.name] = (number, number + 1)
         elif isinstance(hint, type) and issubclass(hint, enum.Enum):

@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 import pytest
 from google.protobuf.descriptor import FieldDescriptor
@@ -107,7 +107,7 @@ def _expected(hint: Any, metadata: Any) -> tuple[set[int], bool, str | None]:
     if nested(hint) is not None:
         return {FieldDescriptor.TYPE_MESSAGE}, False, nested(hint).__name__
     if get_origin(hint) is tuple:
-        return integers, True, None
+        return {FieldDescriptor.TYPE_STRING} if get_args(hint)[0] is str else integers, True, None
     if isinstance(hint, type) and issubclass(hint, enum.Enum):
         return {FieldDescriptor.TYPE_ENUM}, False, hint.__name__
     simple = {

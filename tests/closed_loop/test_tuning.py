@@ -1,0 +1,261 @@
+"""Gains changed in flight: the real agents in the water, the station's tuner at the other end of their orders."""
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from groundstation.fleet import Fleet, RobotView
+from groundstation.laps import Laps
+from groundstation.mission import Answer
+from groundstation.tuner import START_IN_S, Stage, Tuner
+from tests.closed_loop.dry_pool import DryPool
+from wire.codec import Header
+from wire.experiment import Experiment, load_experiment
+from wire.frames import Array
+from wire.messages import Command, Mode, Order, Reply, RobotState
+from wire.tunable import knobs, tuning
+
+SHORT_LAPS = ("path.lap_s=25", "duration_s=100")
+B = {  # of every part of the controller one
+    "controller.estimator.bandwidth_radps": 3.0,
+    "controller.estimator.yaw_bandwidth_radps": 6.0,
+    "controller.estimator.current_rate_radps": 0.3,
+    "controller.guidance.position_gain_per_s2": 0.05,
+    "controller.guidance.velocity_gain_per_s": 0.4,
+    "controller.guidance.max_correction_rad": 1.0,
+    "controller.guidance.turning_force_n": 0.05,
+    "controller.guidance.filter_s": 1.5,
+    "controller.guidance.hold_radius_m": 0.1,
+    "controller.mpc.q.0": 3.0,
+    "controller.mpc.q.1": 2.0,
+    "controller.mpc.q.2": 1.5,
+    "controller.mpc.q.3": 0.5,
+    "controller.mpc.q_formation.0": 0.5,
+    "controller.mpc.q_formation.1": 0.4,
+    "controller.mpc.q_formation.2": 0.3,
+    "controller.mpc.q_formation.3": 0.2,
+    "controller.mpc.r.0": 0.2,
+    "controller.mpc.r.1": 0.3,
+    "controller.mpc.r.2": 20.0,
+}
+
+
+FILED = (
+    *(f"{key}={value}" for key, value in B.items() if not key[-1].isdecimal() or key.endswith("s2")),
+    "controller.mpc.q=[3.0, 2.0, 1.5, 0.5]",
+    "controller.mpc.q_formation=[0.5, 0.4, 0.3, 0.2]",
+    "controller.mpc.r=[0.2, 0.3, 20.0]",
+)
+
+
+def pool(*settings: str) -> Experiment:
+    return load_experiment("pool", [*SHORT_LAPS, *settings])
+
+
+class Lab:
+    """A pool, and the part of a station that deals with gains. A robot in `mute` hears nothing."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.pool = DryPool(experiment)
+        self.tuner = Tuner(self.pool.experiment)
+        self.laps = Laps(self.tuner.lap_s)
+        self.mute: set[int] = set()
+        self.answers: list[Answer] = []
+        self._sent = 1000
+
+    def fleet(self) -> Fleet:
+        ids = self.pool.experiment.robot_ids
+        return {r: RobotView(robot.states[-1], 0.0) for r, robot in zip(ids, self.pool.robots, strict=True)}
+
+    def send(self, command: Command) -> Reply:
+        if command.robot in self.mute:
+            return Reply(command.robot, False, "no answer within 0.5 s")
+        self._sent += 1
+        now_ns, agent = self.pool.now_ns, self.pool.robots[self.pool.experiment.robot_ids.index(command.robot)].agent
+        return agent.order(Header(1, self._sent, now_ns), command, self.pool.station(), now_ns)
+
+    def step(self) -> None:
+        self.pool.step()
+        commands = self.tuner.step(self.fleet(), self.answers, self.pool.now_ns)
+        self.answers = [Answer(command, self.send(command)) for command in commands]
+        self.laps.note(self.fleet())
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            self.step()
+
+    def wish(self, values: Mapping[str, float], next_lap: bool = False) -> str:
+        return self.tuner.wish(values, next_lap, self.fleet(), self.pool.now_ns)
+
+    def states(self, robot: int = 0) -> list[RobotState]:
+        return self.pool.robots[robot].states
+
+    def take_off(self) -> None:
+        for order in (Order.LOAD, Order.ARM, Order.START):
+            for robot, trajectory in self.pool.trajectories.items():
+                loaded = trajectory if order is Order.LOAD else None
+                reply = self.send(
+                    Command(order, robot, experiment_hash=self.pool.experiment.hash, start_in_s=0.2, trajectory=loaded)
+                )
+                assert reply.accepted, reply.reason
+
+
+def ids(lab: Lab) -> list[set[str]]:
+    return [{robot.states[-1].tuning_id for robot in lab.pool.robots}]
+
+
+def wrenches(states: list[RobotState]) -> Array:
+    return np.array([state.wrench for state in states])
+
+
+def until(lab: Lab, done: Callable[[], bool], within_s: float) -> None:
+    for _ in range(round(within_s / 0.05)):
+        if done():
+            return
+        lab.step()
+    raise AssertionError(f"not within {within_s} s: {lab.tuner.status()}")
+
+
+def test_gains_set_by_order_fly_as_those_of_the_file() -> None:
+    """Every knob there is, set before the first pose: bit for bit the flight whose experiment file holds these values."""
+    assert set(B) == {knob.key for knob in knobs(pool().controller)}
+    ordered, filed = Lab(pool()), Lab(pool(*FILED))
+    for robot, trajectory in ordered.pool.trajectories.items():
+        assert trajectory.id == filed.pool.trajectories[robot].id
+    for lab in (ordered, filed):
+        lab.pool.camera_works = False
+    ordered.run(0.1)
+    assert ordered.wish(B) == ""
+    until(ordered, lambda: ordered.tuner.status().flown.id == tuning(filed.pool.experiment.controller).id, 2.0)
+    filed.run(ordered.pool.now_ns * 1e-9)
+    for lab in (ordered, filed):
+        lab.pool.camera_works = True
+        lab.run(0.5)
+        lab.take_off()
+        lab.run(6.0)
+    for robot in (0, 1):
+        a, b = (wrenches(lab.states(robot)) for lab in (ordered, filed))
+        assert np.abs(b).max() > 0.5
+        np.testing.assert_array_equal(a, b)
+    plain = Lab(pool())
+    plain.run(1.0)
+    plain.take_off()
+    plain.run(6.0)
+    assert np.abs(wrenches(plain.states())[-20:] - wrenches(filed.states())[-20:]).max() > 0.01
+
+
+def test_a_change_in_flight_takes_effect_at_one_instant_and_leads_to_the_other_flight() -> None:
+    """Up to the change nothing differs from the flight without it; long after, the robots push as they do with B from the
+    beginning: the observer's, the guidance's and the solver's memories have taken it up."""
+    changed, before, after = Lab(pool()), Lab(pool()), Lab(pool(*FILED))
+    for lab in (changed, before, after):
+        lab.run(1.0)
+        lab.take_off()
+        lab.run(5.0)
+    assert changed.wish(B) == ""
+    for lab in (changed, before, after):
+        lab.run(14.0)
+    wanted = tuning(after.pool.experiment.controller).id
+    at = [next(k for k, state in enumerate(changed.states(robot)) if state.tuning_id == wanted) for robot in (0, 1)]
+    assert at[0] == at[1] and 0.05 * at[0] < 6.0 + START_IN_S + 0.2
+    for robot in (0, 1):
+        b, a, c = (wrenches(lab.states(robot)) for lab in (before, after, changed))
+        np.testing.assert_array_equal(c[: at[0]], b[: at[0]])
+        assert np.abs(c[at[0] + 5] - b[at[0] + 5]).max() > 1e-3
+        late = slice(-100, None)  # the same noise: what is left is what a current's estimate forgets slowly
+        assert np.abs(c[late] - a[late]).mean() < 0.3 * np.abs(b[late] - a[late]).mean()
+
+
+def test_a_bad_value_changes_nothing_and_neither_does_what_one_robot_refuses() -> None:
+    lab = Lab(pool())
+    flown = tuning(pool().controller).id
+    lab.run(1.0)
+    assert "controller.mpc.q.0 = -1.0" in lab.wish({"controller.mpc.q.0": -1.0})
+    assert "cannot be changed in flight" in lab.wish({"controller.period_s": 0.1})
+    assert lab.wish({"controller.mpc.q.0": 1.0}) == "this is what is flown already"
+    lab.mute = {2}
+    assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
+    assert "under way" in lab.wish({"controller.mpc.q.0": 3.0})
+    until(lab, lambda: lab.tuner.status().stage is Stage.IDLE, 5.0)
+    assert lab.tuner.status().reason == "robot 2 does not answer; nothing was changed"
+    lab.run(1.0)
+    assert {state.tuning_id for robot in (0, 1) for state in lab.states(robot)} == {flown}
+
+
+def test_who_has_changed_already_goes_back_when_another_does_not_follow() -> None:
+    lab = Lab(pool())
+    flown = tuning(pool().controller).id
+    lab.run(1.0)
+    assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
+    until(lab, lambda: lab.tuner.status().stage is Stage.ADOPTING, 1.0)
+    lab.mute = {2}
+    until(lab, lambda: lab.states(0)[-1].tuning_id != flown, 2.0)
+    until(lab, lambda: lab.tuner.status().stage is Stage.IDLE, 6.0)
+    lab.run(1.0)
+    assert lab.states(0)[-1].tuning_id == lab.states(1)[-1].tuning_id == flown
+    assert lab.tuner.status().reason == "robot 2 does not answer; the others go back"
+
+
+def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> None:
+    lab = Lab(pool())
+    lab.run(1.0)
+    a = lab.tuner.status().flown.id
+    assert "not every robot is on its trajectory" in lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True)
+    lab.take_off()
+    lab.run(20.0)
+    assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
+    until(lab, lambda: lab.tuner.status().stage is Stage.WAITING, 1.0)
+    lab.run(2.0)
+    assert lab.tuner.undo(lab.fleet(), lab.pool.now_ns) == ""  # another thought
+    until(lab, lambda: lab.tuner.status().stage is Stage.IDLE, 2.0)
+    assert lab.wish({"controller.mpc.q.0": 4.0}, next_lap=True) == ""
+    lab.run(20.0)
+    b = lab.tuner.status().flown.id
+    for robot in (0, 1):
+        states = [state for state in lab.states(robot) if state.mode is Mode.TRACKING]
+        assert all((state.tuning_id == b) == (state.trajectory_s >= 25.0) for state in states)
+    assert lab.tuner.undo(lab.fleet(), lab.pool.now_ns) == ""
+    lab.run(12.0)
+    assert [state.tuning_id for state in (lab.states(0)[-1], lab.states(1)[-1])] == [a, a]
+    laps = lab.laps.rows()
+    assert [(lap.number, lap.tuning_id) for lap in laps] == [(1, a), (2, b), (2, a), (3, a)]
+    assert abs(laps[0].time_s - 25.0) < 0.2 and abs(laps[1].time_s + laps[2].time_s - 25.0) < 0.2
+    for lap in laps:
+        errors = [
+            np.linalg.norm(state.eta[:3] - state.eta_reference[:3])
+            for robot in (0, 1)
+            for state in lab.states(robot)
+            if state.trajectory_s // 25.0 == lap.number - 1 and state.tuning_id == lap.tuning_id and state.trajectory_s > 0.0
+        ]
+        np.testing.assert_allclose(lap.rms_m, np.sqrt(np.mean(np.square(errors))), rtol=1e-3)
+        np.testing.assert_allclose(lap.max_m, np.max(errors))
+
+
+def test_whoever_leaves_the_run_forgets_what_waits_for_a_lap() -> None:
+    lab = Lab(pool())
+    lab.run(1.0)
+    lab.take_off()
+    lab.run(5.0)
+    assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
+    until(lab, lambda: lab.tuner.status().stage is Stage.WAITING, 1.0)
+    for robot in (1, 2):
+        assert lab.send(Command(Order.DISARM, robot)).accepted
+    lab.run(2.0)
+    assert "left the run before the lap began" in lab.tuner.status().reason
+    lab.take_off()
+    lab.run(28.0)
+    assert {state.tuning_id for state in lab.states()} == {tuning(pool().controller).id}
+
+
+def test_a_robot_that_was_restarted_gets_the_fleets_gains() -> None:
+    lab = Lab(pool())
+    lab.run(1.0)
+    assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
+    lab.run(2.0)
+    wanted = lab.tuner.status().flown.id
+    fresh = DryPool(pool())
+    lab.pool.robots[1] = fresh.robots[1]
+    lab.run(0.1)
+    assert lab.states(1)[-1].tuning_id != wanted
+    lab.run(4.0)
+    assert [lab.states(robot)[-1].tuning_id for robot in (0, 1)] == [wanted, wanted]
