@@ -10,7 +10,7 @@ import numpy as np
 import typer
 
 from groundstation.keys_commands import keys_cli
-from groundstation.rerun_commands import rerun
+from groundstation.rerun_commands import moment, rerun
 from wire.experiment import dump_experiment, load_experiment
 from wire.messages import Command, Order, Tuning
 from wire.options import (
@@ -192,6 +192,7 @@ def replay(
     listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="With --bus: where its router listens.")] = DEFAULT_STATION,
     external_router: Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")] = False,
     fleet: FleetName = DEFAULT_FLEET,
+    insecure: Insecure = False,
 ) -> None:
     """Show a recorded run on the operator's page, with a time slider, or put it back on the bus. Ends with Ctrl-C.
 
@@ -210,10 +211,12 @@ def replay(
         from groundstation.bus_replay import chosen, send
         from groundstation.logfile import open_log
         from wire.bus import Bus
-        from wire.transport import Endpoint, ZenohTransport
+        from wire.network import endpoint
+        from wire.transport import ZenohTransport
 
         name = f"{REPLAY_PREFIX}{fleet}"
-        with open_log(run_folder) as log, Bus(ZenohTransport(Endpoint(listen, router=not external_router)), name) as bus:
+        where = endpoint(listen, "replay", None, insecure=insecure, router=not external_router)
+        with open_log(run_folder) as log, Bus(ZenohTransport(where), name) as bus:
             typer.echo(f"{run_folder}: on {listen} as fleet {name}")
             typer.echo(f"{send(bus, chosen(log, begin, end), rate, stop)} messages")
         return
@@ -333,6 +336,7 @@ def comparison(
 
 
 cli.command()(rerun)
+cli.command(hidden=True)(moment)
 
 
 def app() -> None:

@@ -41,7 +41,7 @@ def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -
 
 
 def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[str], same: bool) -> Again:
-    own = _own(log, robot, with_states=not same)
+    own = own_lines(log, robot, with_states=not same)
     if not any(line.topic is topics.INPUTS for line in own):
         raise ConfigError(
             f"{log.path}: holds no inputs of robot {robot}: it is of an older version, or of a numeric flight, which has none"
@@ -79,7 +79,7 @@ def _feed(stream: IO[bytes], lines: Iterable[Line]) -> None:
 _ORDER = (topics.ORDERS, topics.INPUTS, topics.STATE)  # of one instant: an order, then the step, then what came of it
 
 
-def _own(log: LogFile, robot: int, with_states: bool) -> list[Line]:
+def own_lines(log: LogFile, robot: int, with_states: bool) -> list[Line]:
     """A robot's inputs and orders in the order in which they came to it; perhaps its states."""
     wanted = _ORDER if with_states else _ORDER[:2]
     lines = log.lines(lambda topic, of: topic in wanted and of == robot)

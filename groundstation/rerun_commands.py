@@ -1,12 +1,14 @@
 """SHELL: `groundstation rerun`."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from groundstation.again import Again, draw
+from groundstation.moment import hand_over
 from groundstation.rerun import rerun as do_again
 from wire.options import Settings
 
@@ -39,6 +41,15 @@ def rerun(
     else:
         _tell(found)
     raise typer.Exit(0 if settings or all(again.exact for again in found) else 1)
+
+
+def moment(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    at: Annotated[float, typer.Option(help="Seconds along the trajectories.")],
+    robot: Annotated[int, typer.Option(help="Which robot.")],
+) -> None:
+    """Hand over to stdout what a robot had been through up to a moment, for `sim-bridge sil --from`."""
+    hand_over(run_folder, at, robot, sys.stdout.buffer)
 
 
 def _tell(found: list[Again]) -> None:

@@ -198,6 +198,11 @@ class Agent:
         self._controller.acted(state.wrench, state.wrench_delivered, now_ns)
 
     @property
+    def trajectory(self) -> Trajectory | None:
+        """What is loaded."""
+        return self._trajectory
+
+    @property
     def _located(self) -> bool:
         return self._last is not None and self._last.estimated
 

@@ -40,7 +40,7 @@ class Rerun:
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self._experiment, self._robot = experiment, robot
-        self._agent = Agent(experiment, robot)
+        self.agent = Agent(experiment, robot)
         self._session, self._next = 0, 0
         self._orders: deque[tuple[int, OrderTaken]] = deque()
         self._kept: dict[tuple[Topic, int | None], deque[_Kept]] = {}
@@ -60,7 +60,7 @@ class Rerun:
                 yield from self._begin(message, header)
                 yield from self._step(message, header.stamp_ns)
             elif isinstance(message, RobotState):
-                self._agent.acted(message, header.stamp_ns)
+                self.agent.acted(message, header.stamp_ns)
             else:
                 kept = self._kept.setdefault((topic, robot), deque(maxlen=KEPT))
                 kept.append(_Kept(header.session, header.sequence, message))
@@ -68,8 +68,8 @@ class Rerun:
     def _begin(self, record: StepInputs, header: Header) -> Iterator[Again]:
         """A new agent where the robot's program had one."""
         if header.session != self._session or record.step < self._next:
-            gate = self._agent.gate if header.session == self._session else None
-            self._agent = Agent(self._experiment, self._robot, gate)
+            gate = self.agent.gate if header.session == self._session else None
+            self.agent = Agent(self._experiment, self._robot, gate)
             self._session, self._next = header.session, 0
             self._orders = deque(order for order in self._orders if order[1].before_step <= record.step)
         if record.step != self._next:
@@ -91,7 +91,7 @@ class Rerun:
             obstacles = self._named(topics.OBSTACLES, None, record.obstacles_session, record.obstacles_sequence)
             if obstacles is None:
                 yield self._missing(f"obstacles {record.obstacles_sequence} are not in the log", now_ns)
-        outputs = self._agent.step(inputs_of(record, plans, obstacles, now_ns), now_ns)
+        outputs = self.agent.step(inputs_of(record, plans, obstacles, now_ns), now_ns)
         if outputs.plan is not None:
             yield topics.PLAN, outputs.plan, now_ns
         yield topics.STATE, outputs.state, now_ns
@@ -103,7 +103,7 @@ class Rerun:
         named_ours = record.reply is None or "is for experiment" not in record.reply.reason
         command = replace(record.command, experiment_hash=self._experiment.hash) if named_ours else record.command
         header = Header(record.order_session, record.order_sequence, record.order_stamp_ns)
-        self._agent.order(header, command, station_view(record, now_ns), now_ns)
+        self.agent.order(header, command, station_view(record, now_ns), now_ns)
 
     def _named(self, topic: Topic, robot: int | None, session: int, sequence: int) -> Any:
         for kept in reversed(self._kept.get((topic, robot), ())):

@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -39,7 +39,9 @@ OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder."
 
 @cli.command()
 def sil(
-    experiment: ExperimentName,
+    experiment: Annotated[
+        str | None, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, e.g. `pool`, or a path ending in .toml.")
+    ] = None,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
     ] = False,
@@ -57,16 +59,28 @@ def sil(
     ] = "127.0.0.1:8000",
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page.")] = False,
     keys: KeyRing = None,
+    source: Annotated[
+        Path | None, typer.Option("--from", metavar="RUN", help="Go on from a moment of this run, instead of an EXPERIMENT.")
+    ] = None,
+    at: Annotated[float, typer.Option(min=0.0, help="With --from: the moment, in seconds along the trajectories.")] = 0.0,
 ) -> None:
     """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
 
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
+    With --from, agents and plant go on in this process, as in `numeric`: each agent is first led through what its robot had
+    been through, so it remembers; the robots are put where they were, moving as they did.
+
     Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
                sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
+               sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=25
     """
     from rich.console import Console
 
+    if source is not None:
+        _go_on(experiment, source, at, _changes(seed, duration, settings), faults, out)
+    if experiment is None:
+        raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge import sil as software_in_the_loop
 
     loaded = _load(experiment, seed, duration, settings, faults)
@@ -145,10 +159,30 @@ def campaign(
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
 ) -> Experiment:
+    return load_experiment(name, _changes(seed, duration_s, settings), faults or ())
+
+
+def _changes(seed: int | None, duration_s: float | None, settings: list[str] | None) -> list[str]:
     changes = list(settings or ())
     changes += [f"seed={seed}"] if seed is not None else []
     changes += [f"duration_s={duration_s}"] if duration_s is not None else []
-    return load_experiment(name, changes, faults or ())
+    return changes
+
+
+def _go_on(
+    experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
+) -> NoReturn:
+    """`sil --from`."""
+    from rich.console import Console
+
+    from sim_bridge import branch_run
+
+    if experiment is not None:
+        raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
+    loaded = branch_run.experiment_of(source, changes, faults or ())
+    folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
+    console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
+    raise typer.Exit(branch_run.run(loaded, source, at_s, folder, stop=Stop(), console=console))
 
 
 def _new_folder(out: Path, name: str) -> Path:

@@ -9,11 +9,11 @@
 
 What a robot's board runs is all there, from orders to pulses. Left out is what carries it: camera, network, MAVLink. Poses
 are the plant's, with the noise and the age that the experiment asks for; plans arrive one control step later, as in
-lockstep. This is the only module of the simulator that may see the robots' code.
+lockstep. This module and branch.py are the only ones of the simulator that may see the robots' code.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
@@ -67,12 +67,24 @@ class BareWater:
             )
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
-        self._step_ns = step_ns
+        self._step_ns, self._steps_a_period = step_ns, period_ns // step_ns
         self._sensors = [BoardSensors(experiment.sim.sensors, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
         self._faults = Faults(experiment)
+        self._begin_ns = 0  # when the trajectories begin
         self.happened: list[str] = []  # what broke or is whole again, until somebody takes it
+
+    def take_up(
+        self, eta: Array, nu: Array, pulses_us: Sequence[Array], armed: Sequence[bool], now_ns: int, begin_ns: int
+    ) -> None:
+        """Go on at `now_ns` with robots at poses and velocities (n, 4), `pulses_us` (n, 8) being those of the last control
+        steps, each a period long, the newest last: thrusters know of them. The trajectories began at `begin_ns`."""
+        for pulses in pulses_us:
+            for _ in range(self._steps_a_period):
+                self._state = self._plant.step(self._state, pulses)
+        self._state = replace(self._state, eta=eta, nu=nu, tilt=np.zeros_like(eta), steps=now_ns // self._step_ns)
+        self._pulses_us, self._armed, self._begin_ns = pulses_us[-1].copy(), list(armed), begin_ns
 
     @property
     def now_ns(self) -> int:
@@ -95,8 +107,8 @@ class BareWater:
             self._state = self._plant.step(self._state, self._faults.pulses(self._pulses_us), self._faults.harm)
 
     def _break_things(self) -> list[str]:
-        """Let the timeline of faults catch up: here the trajectories begin at time 0."""
-        changes = self._faults.at(self.now_ns / NS)
+        """Let the timeline of faults catch up."""
+        changes = self._faults.at((self.now_ns - self._begin_ns) / NS)
         for sensors, error in zip(self._sensors, self._faults.imu_error.tolist() if changes else (), strict=False):
             sensors.error = (error[0], error[1])
         return changes
@@ -148,6 +160,7 @@ class AgentFleet:
         self.now_ns = 0  # the agents' clock
         self.held = False  # robots are kept in place: the water's time stands
         self.truth: list[Array] = []  # poses (n, 4) at each control step
+        self.ahead_ns = [0] * len(self.robots)  # by how much each robot's own clock is ahead of `now_ns`
         self._start_ns = 0
         self._water, self._clock_ns = water, clock_ns
         self._latency_ns = round(experiment.sim.latency_s * NS)
@@ -226,11 +239,18 @@ class AgentFleet:
 
     def think(self, i: int, plans: Mapping[int, Heard | None]) -> None:
         """One control step of the i-th robot."""
-        robot, me = self.robots[i], self.experiment.robot_ids[i]
-        heard = {r: plan for r, plan in plans.items() if plan is not None and r != me}
-        inputs = Inputs(self.pose(i), self._water.telemetry(i, self.now_ns), self.station(), False, heard, self._seen_adrift())
+        robot, me, ahead_ns = self.robots[i], self.experiment.robot_ids[i], self.ahead_ns[i]
+        heard = {r: replace(p, instant_ns=p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
+        seen, adrift, now_ns = self.pose(i), self._seen_adrift(), self.now_ns + ahead_ns
+        inputs = Inputs(
+            pose=replace(seen, instant_ns=seen.instant_ns + ahead_ns) if seen is not None else None,
+            telemetry=self._water.telemetry(i, now_ns),
+            station=self.station(),
+            plans=heard,
+            watched=replace(adrift, instant_ns=adrift.instant_ns + ahead_ns) if adrift is not None else None,
+        )
         begin_ns = self._clock_ns()
-        outputs = robot.agent.step(inputs, self.now_ns)
+        outputs = robot.agent.step(inputs, now_ns)
         took_ns = self._clock_ns() - begin_ns
         self._water.act(i, outputs)
         robot.plan = Heard(outputs.plan, self.now_ns) if outputs.plan is not None else robot.plan

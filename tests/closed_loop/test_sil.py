@@ -11,10 +11,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import psutil
 import pytest
 from mcap.reader import make_reader
 
+from groundstation.alignment import align
+from groundstation.runlog import read_log
+from groundstation.series import Series
 from wire import codec, topics
 from wire.experiment import load_experiment
 from wire.messages import Mode, RobotState
@@ -105,6 +109,60 @@ def test_another_weight_would_have_asked_for_other_thrust(lockstep_run: tuple[Pa
     differing = {difference["field"]: difference for difference in robot["differences"]}
     assert differing["wrench"]["largest"] > 1e-3
     assert "eta" not in differing  # what was estimated rests on what was sent, not on what would have been
+
+
+def go_on(folder: Path, out: Path, *arguments: str) -> tuple[int, str]:
+    command = [sys.executable, "-m", "sim_bridge", "sil", "--from", str(folder), "--out", str(out), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+def flown(folder: Path) -> Series:
+    return align(load_experiment(str(folder / "experiment.toml")), read_log(folder / "run.mcap"))
+
+
+def test_a_simulation_goes_on_from_a_moment_of_it_as_it_went_on(lockstep_run: tuple[Path, int, str], tmp_path: Path) -> None:
+    code, output = go_on(lockstep_run[0], tmp_path, "--at", "10")
+    assert code == 0, output
+    before, after = flown(lockstep_run[0]), flown(run_dir(tmp_path))
+    for robot in (1, 2):
+        apart = (after.robots[robot].truth - before.robots[robot].truth[: len(after.time_s)])[:, :3]
+        known = np.flatnonzero(np.isfinite(apart).all(axis=1))
+        assert after.time_s[known[0]] == pytest.approx(10.0, abs=0.11)
+        assert after.time_s[known[-1]] == pytest.approx(30.0, abs=0.11)
+        assert np.abs(apart[known[0]]).max() < 1e-4  # from where they were, as fast as they were,
+        assert np.abs(apart[known]).max() < 0.004  # and as they went on, but for the noise
+
+
+def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, int, str], tmp_path: Path) -> None:
+    changes = (
+        "--at",
+        "10",
+        "--duration",
+        "20",
+        "--set",
+        "sim.plant.current_mps=[0.05,0,0]",
+        "--fault",
+        "t=12 battery 1 sag 0.1",
+    )
+    code, output = go_on(lockstep_run[0], tmp_path, *changes)
+    assert code in (0, 1) and "no report" not in output, output
+    before, after = flown(lockstep_run[0]), flown(run_dir(tmp_path))
+    apart = (after.robots[1].truth - before.robots[1].truth[: len(after.time_s)])[:, :2]
+    assert np.nanmax(np.abs(apart)) > 0.01
+    assert any(h.text == "fault: battery 1 sag 0.1" and h.time_s == pytest.approx(12.0, abs=0.11) for h in after.happenings)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(("--at", "31"), "at 31 s there is nothing: robot 1 came to 30"), (("--at", "10", "pool"), "the run says what is flown")],
+)
+def test_what_was_not_flown_cannot_be_gone_on_from(
+    lockstep_run: tuple[Path, int, str], tmp_path: Path, arguments: tuple[str, ...], said: str
+) -> None:
+    code, output = go_on(lockstep_run[0], tmp_path, *arguments)
+    assert code == 2
+    assert said in " ".join(output.replace("│", " ").split())
 
 
 def test_its_processes_are_gone(lockstep_run: tuple[Path, int, str]) -> None:

@@ -1,0 +1,43 @@
+"""SHELL: `sim-bridge sil --from RUN --at S`: goes on from a moment of a run, agents and plant in this process."""
+
+import subprocess
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.console import Console
+
+from sim_bridge import faults
+from sim_bridge.branch import Memory, branch, remember
+from sim_bridge.numeric_run import STATION, fly_and_report
+from wire.experiment import Experiment, dump_experiment, load_experiment
+from wire.pipe import read_pipe
+from wire.runtime import Stop
+from wire.toml_file import ConfigError
+
+
+def experiment_of(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> Experiment:
+    """What was flown, with changes. Raises ConfigError."""
+    experiment = load_experiment(str(run / "experiment.toml"), settings, more_faults)
+    faults.only(experiment, faults.NUMERIC, "from a logged moment on there is none")
+    return experiment
+
+
+def run(experiment: Experiment, source: Path, at_s: float, folder: Path, *, stop: Stop, console: Console) -> int:
+    """Go on from `at_s` along the trajectories of the run in `source`. Returns the exit code: 0 passed, 1 failed, 130
+    interrupted."""
+    memories = [_remembered(experiment, source, at_s, robot) for robot in experiment.robot_ids]
+    fleet, water = branch(experiment, memories, experiment.seed, time.perf_counter_ns)
+    (folder / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    return fly_and_report(fleet, water, folder, stop=stop, console=console)
+
+
+def _remembered(experiment: Experiment, source: Path, at_s: float, robot: int) -> Memory:
+    command = [*STATION, "moment", str(source), "--at", str(at_s), "--robot", str(robot)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as telling:
+        assert telling.stdout is not None and telling.stderr is not None
+        lines = list(read_pipe(telling.stdout))
+        said = telling.stderr.read().decode(errors="replace").strip()
+    if telling.returncode != 0:
+        raise ConfigError(said or f"groundstation moment ended with exit code {telling.returncode}")
+    return remember(experiment, robot, lines)
