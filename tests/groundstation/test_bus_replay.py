@@ -115,7 +115,7 @@ def test_nothing_that_moves_a_robot_ever_leaves(tmp_path: Path) -> None:
 
 def test_what_a_topic_is_decides_and_every_topic_is_decided() -> None:
     """A new topic is not replayed until somebody has thought about it."""
-    motion = {topics.TICK, topics.FRAME, topics.HEARTBEAT, topics.TRAJECTORY, topics.INPUTS, topics.ORDERS}
+    motion = {topics.TICK, topics.FRAME, topics.HEARTBEAT, topics.TRAJECTORY, topics.TUNING, topics.INPUTS, topics.ORDERS}
     assert set(TOPICS) == set(SEEN_AND_SAID) | motion
 
 
