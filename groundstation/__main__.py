@@ -192,6 +192,7 @@ def replay(
     listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="With --bus: where its router listens.")] = DEFAULT_STATION,
     external_router: Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")] = False,
     fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
     insecure: Insecure = False,
 ) -> None:
     """Show a recorded run on the operator's page, with a time slider, or put it back on the bus. Ends with Ctrl-C.
@@ -212,11 +213,12 @@ def replay(
         from groundstation.logfile import open_log
         from wire.bus import Bus
         from wire.network import endpoint
+        from wire.topics import Role, process_name
         from wire.transport import ZenohTransport
 
-        name = f"{REPLAY_PREFIX}{fleet}"
-        where = endpoint(listen, "replay", None, insecure=insecure, router=not external_router)
-        with open_log(run_folder) as log, Bus(ZenohTransport(where), name) as bus:
+        name, me = f"{REPLAY_PREFIX}{fleet}", process_name(Role.STATION)
+        where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, fleet=name)
+        with open_log(run_folder) as log, Bus(ZenohTransport(where, stop), name) as bus:
             typer.echo(f"{run_folder}: on {listen} as fleet {name}")
             typer.echo(f"{send(bus, chosen(log, begin, end), rate, stop)} messages")
         return

@@ -17,7 +17,7 @@ from robot_agent.controller import Controller, ControlOutput, Follow, Goal, Hold
 from robot_agent.gains import Gains
 from robot_agent.mode import LIVE, ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
-from robot_agent.orders import OrderGate, StationView
+from robot_agent.orders import StationView, unacceptable
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
@@ -76,8 +76,7 @@ class Outputs:
 class Agent:
     """The robot's mind between control steps: mode, trajectory, controller."""
 
-    def __init__(self, experiment: Experiment, robot: int, gate: OrderGate | None = None) -> None:
-        """`gate` is what an earlier agent of this robot knew of orders."""
+    def __init__(self, experiment: Experiment, robot: int) -> None:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
@@ -93,7 +92,6 @@ class Agent:
         self._gains = Gains(self._controller, experiment.controller)
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
-        self.gate = gate or OrderGate(robot, experiment.hash)
         self._fault = ""
         self._trajectory: Trajectory | None = None
         self._time_zero_ns = 0  # when the trajectory's time was, or will be, 0
@@ -110,18 +108,15 @@ class Agent:
     # --- orders
 
     def order(self, header: Header, command: Command, station: StationView, now_ns: int) -> Reply:
-        """Deal with an order. Refused ones say why; a repeated one gets the answer it got before."""
-        repeated = self.gate.repeated(header)
-        if repeated is not None:
-            return repeated
-        reason = self.gate.refusal(header, command, station)
+        """Deal with an order. Refused ones say why."""
+        reason = unacceptable(self._me.id, self._experiment.hash, header, command, station)
         if reason:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
         reason = refusal(command.order, self.mode) or self._objection(command, station, now_ns)
         if not reason:
             # Counted from when the order was given: robots that got it at different instants still start together.
             self._follow(command, now_ns - (station.clock_ns - header.stamp_ns))
-        return self.gate.take(header, not reason, reason, self.mode)
+        return Reply(self._me.id, not reason, reason, self.mode)
 
     def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
         if command.order is Order.LOAD:

@@ -68,8 +68,7 @@ class Rerun:
     def _begin(self, record: StepInputs, header: Header) -> Iterator[Again]:
         """A new agent where the robot's program had one."""
         if header.session != self._session or record.step < self._next:
-            gate = self.agent.gate if header.session == self._session else None
-            self.agent = Agent(self._experiment, self._robot, gate)
+            self.agent = Agent(self._experiment, self._robot)
             self._session, self._next = header.session, 0
             self._orders = deque(order for order in self._orders if order[1].before_step <= record.step)
         if record.step != self._next:

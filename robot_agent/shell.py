@@ -95,12 +95,12 @@ class Shell:
 
     def _station(self) -> Received[StationHeartbeat] | None:
         """The station as heard last. With one that it meets for the first time a robot that is disarmed begins anew: the log
-        that the station writes then has all that the agent remembers. Orders that were taken before are still known."""
+        that the station writes then has all that the agent remembers."""
         heartbeat = self._heartbeats.newest()
         if heartbeat is not None and heartbeat.header.session != self._station_session:
             self._station_session = heartbeat.header.session
             if self._steps and self.agent.mode is Mode.DISARMED:
-                self.agent = Agent(self._experiment, self._robot, self.agent.gate)
+                self.agent = Agent(self._experiment, self._robot)
                 self._steps = self._orders = 0
         return heartbeat
 

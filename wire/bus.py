@@ -13,12 +13,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from wire import topics
 from wire.codec import DecodeError, Header, decode, encode
 from wire.messages import Command, Message, Reply
+from wire.once import Once
 from wire.topics import Topic
 from wire.transport import Transport
 
@@ -104,6 +105,7 @@ class Bus:
         self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
         self._sequences: dict[str, int] = {}
         self._present: set[str] = set()
+        self._recipients: dict[str, int] = {}  # session of whoever answers orders under a key
 
     def _key(self, name: str) -> str:
         return f"{self._fleet}/{name}"
@@ -150,8 +152,9 @@ class Bus:
         self._transport.subscribe(self._key(topic.key(robot)), topic.qos, deliver)
 
     def serve(self, robot: int, handle: Handle) -> None:
-        """Answer the orders to a robot. `handle` runs in a network thread. What cannot be read is refused, with the reason."""
-        name = topics.COMMAND_KEY.format(robot=robot)
+        """Answer the orders to a robot. `handle` runs in a network thread, and sees each order once (wire/once.py). What
+        cannot be read is refused, with the reason."""
+        name, once, turn = topics.COMMAND_KEY.format(robot=robot), Once(self.session), threading.Lock()
 
         def answer(payload: bytes, header: bytes) -> bytes:
             try:
@@ -160,16 +163,31 @@ class Bus:
             except DecodeError as error:
                 self.rejected += 1
                 return encode(Reply(robot, False, str(error)))
-            reply = encode(handle(decoded, command))
+            with turn:
+                reply = once.settled(decoded, command)
+                if reply is None:
+                    reply = once.settle(decoded, handle(decoded, command))
             with self.arrival:
                 self.arrival.notify_all()
-            return reply
+            return encode(reply)
 
         self._transport.serve(self._key(name), answer)
 
     def order(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
-        """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
+        """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason.
+
+        The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
+        started again is refused: what it was meant for is no more."""
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot))
+        known = self._recipients.get(key, 0)
+        reply = self._ask(key, replace(command, recipient=known), stamp_ns, timeout_s)
+        if not known and reply.session:
+            reply = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s)
+        if reply.session:
+            self._recipients[key] = reply.session
+        return reply
+
+    def _ask(self, key: str, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
         header = self._next_header(key, stamp_ns)
         answer = self._transport.ask(key, encode(command), header.encode(), timeout_s)
         if answer is None:

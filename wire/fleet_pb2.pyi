@@ -277,7 +277,7 @@ class Tuning(_message.Message):
     def __init__(self, id: _Optional[str] = ..., keys: _Optional[_Iterable[str]] = ..., values: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -288,6 +288,7 @@ class Command(_message.Message):
     TRAJECTORY_S_FIELD_NUMBER: _ClassVar[int]
     TUNING_ID_FIELD_NUMBER: _ClassVar[int]
     TUNING_FIELD_NUMBER: _ClassVar[int]
+    RECIPIENT_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -298,19 +299,22 @@ class Command(_message.Message):
     trajectory_s: float
     tuning_id: str
     tuning: Tuning
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ...) -> None: ...
+    recipient: int
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ...) -> None: ...
 
 class Reply(_message.Message):
-    __slots__ = ("robot", "accepted", "reason", "mode")
+    __slots__ = ("robot", "accepted", "reason", "mode", "session")
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
+    SESSION_FIELD_NUMBER: _ClassVar[int]
     robot: int
     accepted: bool
     reason: str
     mode: Mode
-    def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ...) -> None: ...
+    session: int
+    def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ..., session: _Optional[int] = ...) -> None: ...
 
 class BoardReading(_message.Message):
     __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss")

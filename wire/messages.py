@@ -223,8 +223,8 @@ class Tuning:
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """An order to one robot. Applied at most once, and only while the header's session is the station's and the order is
-    younger than its time to live."""
+    """An order to one robot. Applied at most once, by the process that it is for, and only while the header's session is the
+    station's and the order is younger than its time to live."""
 
     order: Order
     robot: int
@@ -236,6 +236,7 @@ class Command:
     trajectory: Trajectory | None = None
     tuning_id: str = ""  # ADOPT: which
     tuning: Tuning | None = None
+    recipient: int = 0  # session of the process that it is for, as its replies tell it: an earlier life's orders are void
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,6 +247,7 @@ class Reply:
     accepted: bool
     reason: str = ""  # why not
     mode: Mode = Mode.DISARMED
+    session: int = 0  # of the process that answers
 
 
 @dataclass(frozen=True, eq=False)
