@@ -11,6 +11,7 @@ import typer
 
 from groundstation.keys_commands import keys_cli
 from groundstation.rerun_commands import moment, rerun
+from groundstation.viewer_commands import Foxglove, address, foxglove_layout
 from wire.experiment import dump_experiment, load_experiment
 from wire.messages import Command, Order, Tuning
 from wire.options import (
@@ -62,6 +63,7 @@ def run(
     web_certificate: Annotated[Path | None, typer.Option(help="TLS certificate (PEM) of the page.")] = None,
     web_key: Annotated[Path | None, typer.Option(help="Its private key (PEM).")] = None,
     web_token_file: Annotated[Path | None, typer.Option(help="File with the token that a page must know.")] = None,
+    foxglove: Foxglove = None,
 ) -> None:
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
@@ -78,6 +80,7 @@ def run(
 
     token = web_token_file.read_text(encoding="utf-8").strip() if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)
+    viewer = address(foxglove) if foxglove is not None else None
     start_log("groundstation", verbose)
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
@@ -89,7 +92,16 @@ def run(
     (folder / "experiment.toml").write_text(text, encoding="utf-8")
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         succeeded = station.run(
-            loaded, text, bus, folder, automatic=auto, lockstep=lockstep, stop=stop, web=page, insecure=where.insecure
+            loaded,
+            text,
+            bus,
+            folder,
+            automatic=auto,
+            lockstep=lockstep,
+            stop=stop,
+            web=page,
+            insecure=where.insecure,
+            viewer=viewer,
         )
     if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
         report(folder)
@@ -302,13 +314,23 @@ def compare(
 @cli.command()
 def export(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
-    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the tables go.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the files go.")],
     parquet: Annotated[bool, typer.Option("--parquet", help="Parquet instead of CSV.")] = False,
+    foxglove: Annotated[bool, typer.Option("--foxglove", help="For Foxglove-family viewers instead.")] = False,
 ) -> None:
     """Write a run's messages as tables, one per topic and robot: a row per message, a column per number.
 
-    For example: groundstation export runs/pool-20260101-120000 --out tables
+    Or, for 3-D viewers, the log with the scene in it, and a layout that shows it.
+
+    Examples:  groundstation export runs/pool-20260101-120000 --out tables
+               groundstation export runs/pool-20260101-120000 --out viewer --foxglove
     """
+    if foxglove:
+        from groundstation import viewer_export
+
+        for path in viewer_export.export(run_folder, out):
+            typer.echo(path)
+        return
     from groundstation import tables
 
     for path, rows in tables.export(run_folder / "run.mcap", out, parquet):
@@ -338,6 +360,7 @@ def comparison(
 
 
 cli.command()(rerun)
+cli.command()(foxglove_layout)
 cli.command(hidden=True)(moment)
 
 

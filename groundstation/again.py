@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from groundstation.plotting import COLOURS, Line, Panel, stack
+from groundstation.colours import COLOURS
+from groundstation.plotting import Line, Panel, stack
 from wire import topics
 from wire.codec import decode
 from wire.frames import Array, wrap_angle

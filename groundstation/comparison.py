@@ -10,16 +10,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import t as student
 
+from groundstation.colours import COLOURS, colour
 from groundstation.plotting import (
     BOTTOM_IN,
-    COLOURS,
     GREY,
     RIGHT_IN,
     STYLE,
     WIDTH_IN,
     Line,
     Panel,
-    colour,
     stack,
 )
 from wire.comparison import SETTLED_S, Comparison, Traces, Variant

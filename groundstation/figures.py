@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle as Disc
 from matplotlib.patches import Rectangle
 
+from groundstation.colours import colour
 from groundstation.evaluation import SETTLED_S
 from groundstation.plotting import (
     BOTTOM_IN,
@@ -24,7 +25,6 @@ from groundstation.plotting import (
     WIDTH_IN,
     Line,
     Panel,
-    colour,
     legend,
     place,
     stack,

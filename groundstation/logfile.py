@@ -31,11 +31,12 @@ class Line:
 class LogFile:
     """A whole log, open."""
 
-    def __init__(self, reader: McapReader, path: Path) -> None:
+    def __init__(self, reader: McapReader, path: Path, readable: Path) -> None:
+        """`readable` is the file that is read: `path`, or a mended copy."""
         summary = reader.get_summary()
         if summary is None or summary.statistics is None or not summary.statistics.message_count:
             raise ConfigError(f"{path}: holds no messages")
-        self.path = path
+        self.path, self.readable = path, readable
         self.start_ns = summary.statistics.message_start_time
         self.end_ns = summary.statistics.message_end_time
         self._reader = reader
@@ -69,7 +70,7 @@ def open_log(run: Path) -> Iterator[LogFile]:
                 shutil.copyfile(path, readable)
                 recover(readable)
             with readable.open("rb") as file:
-                yield LogFile(make_reader(file), path)
+                yield LogFile(make_reader(file), path, readable)
         except OSError as error:
             raise ConfigError(f"{path}: {error.strerror or error}") from None
         except McapError as error:

@@ -1,6 +1,6 @@
 """How the report's figures look, and the few plots they consist of. Pure: figures in, SVG text out.
 
-Colours are Okabe and Ito's, distinguishable with every kind of colour blindness; what a line means never hangs on colour
+What a line means never hangs on its colour
 alone (references are dashed, truth is dotted, limits are grey).
 """
 
@@ -18,7 +18,6 @@ from matplotlib.figure import Figure
 
 from wire.frames import Array
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 GREY, LIGHT = "#767676", "#D9D9D9"
 WIDTH_IN = 7.2
 # Fixed margins: every figure's axis begins at the same place, and no layout engine has to draw everything twice to find out.
@@ -75,11 +74,6 @@ class Panel:
     least: float = 0.01
     limit: float | None = None
     unit: str = ""
-
-
-def colour(index: int) -> str:
-    """The colour of the robot or pair at this place of the file."""
-    return COLOURS[index % len(COLOURS)]
 
 
 def stack(panels: Sequence[Panel], mark_s: float | None = None, height_in: float = 1.35) -> Figure | None:

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from groundstation.plotting import Line, Panel, colour, stack
+from groundstation.colours import colour
+from groundstation.plotting import Line, Panel, stack
 from groundstation.results import Errors, Result
 from groundstation.series import Series
 from wire.experiment import Experiment

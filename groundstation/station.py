@@ -20,6 +20,7 @@ from groundstation.laps import Laps
 from groundstation.mission import OVER, Answer, Mission, Phase
 from groundstation.recorder import Recorder, run_metadata
 from groundstation.tuner import TUNING, Tuner
+from groundstation.viewer_live import ViewerServer
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import WebServer
@@ -156,8 +157,10 @@ def run(
     stop: Stop,
     web: WebOptions | None = None,
     insecure: bool = False,
+    viewer: tuple[str, int] | None = None,
 ) -> bool:
-    """Run the station until its mission is over (automatic) or it is told to stop. Returns whether the mission succeeded."""
+    """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
+    are served. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
     trajectories = planner.plan(experiment)
     mode = "lockstep" if lockstep else "real-time"
@@ -183,6 +186,9 @@ def run(
                 post = Post(station.status, station.ask, station.answers, station.tune)
                 served.enter_context(WebServer(Desk(experiment, trajectories, bus, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
+            if viewer is not None:
+                served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
+                log.info("viewers: ws://%s:%d", *viewer)
             bus.announce("groundstation")
             started_s = time.monotonic()
             (_lockstep_loop if lockstep else _wall_loop)(station, stop)

@@ -1,0 +1,48 @@
+"""SHELL: `groundstation foxglove-layout`, and where live viewers are served."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from groundstation.viewer_layout import layout
+from wire.experiment import load_experiment
+from wire.options import DEFAULT_FLEET, FleetName
+from wire.toml_file import ConfigError
+
+LayoutFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write it there instead of to stdout.")]
+Foxglove = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT", help="Serve Foxglove-family viewers there, e.g. 127.0.0.1:8765. They see, and send nothing."
+    ),
+]
+
+
+def foxglove_layout(
+    experiment: Annotated[
+        str, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, or a path ending in .toml.")
+    ] = "pool",
+    out: LayoutFile = None,
+    fleet: FleetName = DEFAULT_FLEET,
+) -> None:
+    """Print a layout for Foxglove, Lichtblick and their kin, for the robots of an experiment.
+
+    Examples:  groundstation foxglove-layout pool --out layout.json
+               groundstation export runs/pool-20260101-120000 --foxglove --out viewer
+    """
+    text = json.dumps(layout(load_experiment(experiment), fleet), indent=1) + "\n"
+    if out is None:
+        typer.echo(text, nl=False)
+    else:
+        out.write_text(text, encoding="utf-8")
+        typer.echo(out)
+
+
+def address(text: str) -> tuple[str, int]:
+    """Host and port of `HOST:PORT`. Raises ConfigError."""
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
+        raise ConfigError(f"--foxglove {text}: must be HOST:PORT, e.g. 127.0.0.1:8765")
+    return host, int(port)
