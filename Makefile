@@ -11,7 +11,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run test test-slow bench lint format proto docs lock clean
+.PHONY: help page run test test-slow faults bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -25,6 +25,9 @@ test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
 
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)
+
+faults: $(INSTALLED) ## break everything in docs/faults.md, many times, and measure (hours). ARGS="--row agent-killed --times 5"
+	$(BIN)/python -m tests.faults $(ARGS)
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)

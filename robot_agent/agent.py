@@ -9,7 +9,7 @@ Nothing here knows whether it runs in a pool or in a simulator; robot_agent/shel
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from wire.messages import Command, Mode, Obstacles, Order, Plan, Pose, Reply, Ro
 from wire.topics import OBSTACLES
 
 ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
+BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,7 @@ class Inputs:
     emergency_stop: bool = False
     plans: Mapping[int, Heard] = field(default_factory=dict)
     watched: Watched | None = None
+    late_steps: int = 0  # control steps in a row that took more of the processor than their budget
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,7 @@ class Agent:
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
         self._armed_since_ns: int | None = None  # since when the board should be armed and is not
+        self._board_armed = False  # the board has armed since it was last to be disarmed
         self._told_ns = -(10**18)
 
     # --- orders
@@ -120,7 +123,7 @@ class Agent:
 
     def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
         if command.order is Order.LOAD:
-            return _bad_trajectory(command.trajectory)
+            return _bad_trajectory(command.trajectory, self._experiment.pool.size_m)
         if command.order is Order.ARM:
             return self._unfit(station, now_ns)
         if command.order in (Order.START, Order.RESUME) and self._trajectory is None:
@@ -139,6 +142,8 @@ class Agent:
             return "no station is heard"
         if health.board_age_s > safety.pose_hold_s:
             return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
+        if inputs.telemetry.armed:
+            return "the thruster board is still armed"
         if health.pose_age_s > safety.pose_hold_s:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > safety.pose_hold_s:
@@ -173,6 +178,8 @@ class Agent:
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
         """One control step."""
+        if inputs.pose is not None and not self._inside(inputs.pose.pose):
+            inputs = replace(inputs, pose=None)
         self._inputs = inputs
         self._look(inputs.pose)
         health = self._health(inputs, now_ns)
@@ -198,6 +205,20 @@ class Agent:
         return self._trajectory
 
     @property
+    def react_by_ns(self) -> int | None:
+        """When the pose will be too old to go on as now: the next step must not come later."""
+        if self.mode not in POWERED or self._sighted_ns is None:
+            return None
+        safety = self._experiment.safety
+        limit_s = safety.pose_hold_s if self.mode is Mode.TRACKING else safety.pose_neutral_s
+        return self._sighted_ns + round(limit_s * 1e9) + 1
+
+    def _inside(self, pose: Pose) -> bool:
+        """Whether a pose can be one of this pool."""
+        length_m, width_m, _ = self._experiment.pool.size_m
+        return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
+
+    @property
     def _located(self) -> bool:
         return self._last is not None and self._last.estimated
 
@@ -210,6 +231,8 @@ class Agent:
     def _health(self, inputs: Inputs, now_ns: int) -> Health:
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
+        if self._board_armed and not telemetry.armed:
+            disarmed_s = float("inf")  # by itself, and it knows why: only a person may arm it again
         return Health(
             pose_age_s=(now_ns - self._sighted_ns) * 1e-9 if self._sighted_ns is not None else float("inf"),
             identity_age_s=(now_ns - self._verified_ns) * 1e-9 if self._verified_ns is not None else float("inf"),
@@ -219,6 +242,7 @@ class Agent:
             battery_v=telemetry.battery_v if telemetry.battery_v > 0 else self._experiment.vehicle.battery.full_v,
             emergency_stop=inputs.emergency_stop,
             solver_failed=self._last is not None and self._last.solve is Solve.FAILED,
+            late_steps=inputs.late_steps,
         )
 
     def _goal(self, now_ns: int) -> Goal | None:
@@ -254,7 +278,7 @@ class Agent:
     def _arming(self, inputs: Inputs, now_ns: int) -> bool | None:
         wanted = self.mode in LIVE
         if inputs.telemetry.armed == wanted:
-            self._armed_since_ns = None
+            self._armed_since_ns, self._board_armed = None, wanted
             return None
         if self._armed_since_ns is None or not wanted:
             self._armed_since_ns = now_ns if wanted else None
@@ -321,7 +345,7 @@ def _measurement(inputs: Inputs) -> Measurement:
     )
 
 
-def _bad_trajectory(trajectory: Trajectory | None) -> str:
+def _bad_trajectory(trajectory: Trajectory | None, pool_m: Sequence[float]) -> str:
     """Why a trajectory cannot be flown at all; empty if it can. (The planner has checked it against the vehicle's limits.)"""
     if trajectory is None:
         return "carries no trajectory"
@@ -334,4 +358,6 @@ def _bad_trajectory(trajectory: Trajectory | None) -> str:
         return "trajectory: eta, velocity and acceleration must have the same number of samples, at least 2"
     if float(np.abs(np.diff(trajectory.eta, axis=0)).max()) > 1.0:
         return "trajectory.eta jumps by more than 1 m or 1 rad between samples"
+    if (np.abs(trajectory.eta[:, :3]) > [0.5 * pool_m[0], 0.5 * pool_m[1], pool_m[2]]).any():
+        return "trajectory.eta leaves the pool"
     return ""

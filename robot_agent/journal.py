@@ -32,6 +32,7 @@ from wire.runtime import Clock
 
 def noted(
     step: int,
+    late_steps: int,
     clock: Clock,
     pose: Received[Pose] | None,
     heartbeat: Received[StationHeartbeat] | None,
@@ -43,6 +44,7 @@ def noted(
     robots = sorted(plans)
     return StepInputs(
         step=step,
+        late_steps=late_steps,
         **_seen(clock, pose),
         **_station(clock, heartbeat),
         board=_reading(telemetry),
@@ -76,6 +78,7 @@ def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacle
         emergency_stop=record.heartbeat is not None and record.heartbeat.emergency_stop,
         plans={robot: Heard(plans[robot], instant_ns) for robot, instant_ns in instants if robot in plans},
         watched=Watched(obstacles, record.obstacles_instant_ns) if obstacles is not None else None,
+        late_steps=record.late_steps,
     )
 
 

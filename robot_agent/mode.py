@@ -13,6 +13,7 @@ from wire.vehicle import Battery
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
 BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
+LATE_STEPS = 3  # as many as a plan may bridge
 DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
 
 POWERED = frozenset({Mode.TRACKING, Mode.HOLDING})  # modes that put out thrust
@@ -54,6 +55,7 @@ class Health:
     battery_v: float
     emergency_stop: bool
     solver_failed: bool
+    late_steps: int = 0  # in a row
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("battery empty", LIVE, lambda h, s, b: h.battery_v < b.neutral_v, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s, b: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
     Reaction("no control solution", POWERED, lambda h, s, b: h.solver_failed, Mode.FAULT),
+    Reaction("control too slow", POWERED, lambda h, s, b: h.late_steps >= LATE_STEPS, Mode.FAULT),
     Reaction("station lost", LIVE | {Mode.FAULT}, lambda h, s, b: h.station_age_s > s.station_disarm_s, Mode.DISARMED),
     Reaction("station silent", LIVE, lambda h, s, b: h.station_age_s > s.station_neutral_s, Mode.FAULT),
     Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s, b: h.station_age_s > s.station_hold_s, Mode.HOLDING),

@@ -1,8 +1,8 @@
 """SHELL: one robot's process around its core: read, step, publish.
 
 By the wall clock a step comes as soon as a pose has arrived, about one period (EARLY, LATE) after the last step; without a
-pose it comes anyway. So the loop falls in step with the camera, and a pose never waits. In lockstep it comes when the
-simulator says so and every input it names is here.
+pose it comes anyway, and no later than the instant at which the last one gets too old. So the loop falls in step with the
+camera, and a pose never waits. In lockstep it comes when the simulator says so and every input it names is here.
 """
 
 import threading
@@ -43,7 +43,8 @@ class Shell:
         self._obstacles_up_to_ns: int | None = None
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
         self._link_heartbeat_s = 0.0
-        self._missed = 0
+        self._budget_ns = round(BUDGET * experiment.controller.period_s * 1e9)
+        self._missed = self._late_steps = 0
         self._steps = self._orders = 0  # of this agent, as the log counts them
         self._station_session = 0
         self._told = (Mode.DISARMED, "")
@@ -87,11 +88,16 @@ class Shell:
         heard = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
         telemetry = self._mavlink.telemetry
-        record = noted(self._steps, self._clock, self._poses.newest(), heartbeat, telemetry, plans, obstacles)
+        pose = self._poses.newest()
+        record = noted(self._steps, self._late_steps, self._clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
         messages = {robot: plan.message for robot, plan in plans.items()}
         seen = obstacles.message if obstacles is not None else None
-        return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
+        begun_ns = time.thread_time_ns()  # a step that has to wait for the machine is no slow step
+        outputs = self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
+        slow = not self._lockstep and time.thread_time_ns() - begun_ns > self._budget_ns
+        self._late_steps = self._late_steps + 1 if slow else 0
+        return record, outputs
 
     def _station(self) -> Received[StationHeartbeat] | None:
         """The station as heard last. With one that it meets for the first time a robot that is disarmed begins anew: the log
@@ -111,18 +117,26 @@ class Shell:
         last_s = time.monotonic()
         taken: Header | None = None
         while not self._stop.requested:
-            wait(self._bus, self._stop, lambda: False, last_s + (1 - EARLY) * period_s - time.monotonic())
+            latest_s = min(last_s + (1 + LATE) * period_s, self._react_by_s())
+            wait(self._bus, self._stop, lambda: False, min(last_s + (1 - EARLY) * period_s, latest_s) - time.monotonic())
             fresh = wait(
                 self._bus,
                 self._stop,
                 lambda seen=taken: self._poses.newest_header() is not seen,  # type: ignore[misc]
-                last_s + (1 + LATE) * period_s - time.monotonic(),
+                latest_s - time.monotonic(),
             )
             now_s = time.monotonic()
             due_s = now_s if fresh else min(now_s, last_s + (1 + LATE) * period_s)
             taken = self._poses.newest_header()
             last_s = max(due_s, now_s - period_s)
             yield self._clock.now_ns() - round((now_s - due_s) * 1e9), None
+
+    def _react_by_s(self) -> float:
+        """When the pose gets too old, on the monotonic clock; infinity if it does not, or is so already."""
+        react_by_ns, now_ns = self.agent.react_by_ns, self._clock.now_ns()
+        if react_by_ns is None or react_by_ns <= now_ns:
+            return float("inf")
+        return time.monotonic() + (react_by_ns - now_ns) * 1e-9
 
     def _lockstep_pace(self) -> Iterator[tuple[int, int]]:
         assert isinstance(self._clock, LockstepClock)
@@ -160,7 +174,7 @@ class Shell:
         sent_ns = time.perf_counter_ns() - started_ns
         if not self._lockstep:  # where time waits for the step, nothing is late
             late_ns = sent_ns + now_ns - due_ns
-            self._missed += late_ns > BUDGET * self._experiment.controller.period_s * 1e9
+            self._missed += late_ns > self._budget_ns
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else sent_ns)
         latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else sent_ns * 1e-6)

@@ -341,7 +341,7 @@ class BoardReading(_message.Message):
     def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ...) -> None: ...
 
 class StepInputs(_message.Message):
-    __slots__ = ("step", "pose", "pose_instant_ns", "pose_told_age_ns", "heartbeat", "station_session", "station_stamp_ns", "station_instant_ns", "board", "plan_robots", "plan_sessions", "plan_sequences", "plan_instants_ns", "obstacles_session", "obstacles_sequence", "obstacles_instant_ns")
+    __slots__ = ("step", "pose", "pose_instant_ns", "pose_told_age_ns", "heartbeat", "station_session", "station_stamp_ns", "station_instant_ns", "board", "plan_robots", "plan_sessions", "plan_sequences", "plan_instants_ns", "obstacles_session", "obstacles_sequence", "obstacles_instant_ns", "late_steps")
     STEP_FIELD_NUMBER: _ClassVar[int]
     POSE_FIELD_NUMBER: _ClassVar[int]
     POSE_INSTANT_NS_FIELD_NUMBER: _ClassVar[int]
@@ -358,6 +358,7 @@ class StepInputs(_message.Message):
     OBSTACLES_SESSION_FIELD_NUMBER: _ClassVar[int]
     OBSTACLES_SEQUENCE_FIELD_NUMBER: _ClassVar[int]
     OBSTACLES_INSTANT_NS_FIELD_NUMBER: _ClassVar[int]
+    LATE_STEPS_FIELD_NUMBER: _ClassVar[int]
     step: int
     pose: Pose
     pose_instant_ns: int
@@ -374,7 +375,8 @@ class StepInputs(_message.Message):
     obstacles_session: int
     obstacles_sequence: int
     obstacles_instant_ns: int
-    def __init__(self, step: _Optional[int] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., pose_instant_ns: _Optional[int] = ..., pose_told_age_ns: _Optional[int] = ..., heartbeat: _Optional[_Union[StationHeartbeat, _Mapping]] = ..., station_session: _Optional[int] = ..., station_stamp_ns: _Optional[int] = ..., station_instant_ns: _Optional[int] = ..., board: _Optional[_Union[BoardReading, _Mapping]] = ..., plan_robots: _Optional[_Iterable[int]] = ..., plan_sessions: _Optional[_Iterable[int]] = ..., plan_sequences: _Optional[_Iterable[int]] = ..., plan_instants_ns: _Optional[_Iterable[int]] = ..., obstacles_session: _Optional[int] = ..., obstacles_sequence: _Optional[int] = ..., obstacles_instant_ns: _Optional[int] = ...) -> None: ...
+    late_steps: int
+    def __init__(self, step: _Optional[int] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., pose_instant_ns: _Optional[int] = ..., pose_told_age_ns: _Optional[int] = ..., heartbeat: _Optional[_Union[StationHeartbeat, _Mapping]] = ..., station_session: _Optional[int] = ..., station_stamp_ns: _Optional[int] = ..., station_instant_ns: _Optional[int] = ..., board: _Optional[_Union[BoardReading, _Mapping]] = ..., plan_robots: _Optional[_Iterable[int]] = ..., plan_sessions: _Optional[_Iterable[int]] = ..., plan_sequences: _Optional[_Iterable[int]] = ..., plan_instants_ns: _Optional[_Iterable[int]] = ..., obstacles_session: _Optional[int] = ..., obstacles_sequence: _Optional[int] = ..., obstacles_instant_ns: _Optional[int] = ..., late_steps: _Optional[int] = ...) -> None: ...
 
 class OrderTaken(_message.Message):
     __slots__ = ("before_step", "number", "order_session", "order_sequence", "order_stamp_ns", "station_session", "station_stamp_ns", "station_instant_ns", "command", "reply")

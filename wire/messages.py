@@ -288,6 +288,7 @@ class StepInputs:
     obstacles_session: int = 0  # of the message's header; 0: none has been heard
     obstacles_sequence: int = 0
     obstacles_instant_ns: int = 0  # when it was so
+    late_steps: int = 0  # steps in a row, before this one, that took more of the processor than their budget
 
 
 @dataclass(frozen=True, eq=False)

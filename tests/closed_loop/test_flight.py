@@ -1,8 +1,11 @@
 """Agents, boards and water together, against the plant's truth."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from robot_agent.agent import Seen
 from tests.closed_loop.dry_pool import DryPool
 from wire.experiment import load_experiment
 from wire.messages import Mode, Order
@@ -68,6 +71,63 @@ def test_a_dead_agent_leaves_a_neutral_board_within_350_ms_and_the_other_robot_f
     pool.agents_work[0] = True
     pool.run(3.0)
     assert pool.robots[0].agent.mode is Mode.FAULT  # its board has disarmed itself; that is not armed again unasked
+
+
+def test_a_board_that_disarmed_itself_is_not_armed_again_unasked() -> None:
+    """A computer that stalls for 0.4 s, while what it asks for is next to nothing: the board would arm if it were told to."""
+    pool = flying()
+    pool.agents_work[0] = False
+    pool.run(0.4)
+    assert not pool.world._boards[0].armed
+    idle = pool.robots[0].agent._controller._allocator.neutral_us
+    pool.robots[0].agent._controller._allocator.pulses = lambda wrench: idle  # type: ignore[method-assign]
+    pool.agents_work[0] = True
+    pool.run(1.0)
+    assert pool.robots[0].agent.mode is Mode.FAULT
+    assert pool.robots[0].states[-1].fault == "thruster board disarmed"
+    assert not any(state.board_armed for state in pool.robots[0].states[-15:])
+
+
+def test_control_steps_that_are_late_three_times_in_a_row_end_in_neutral() -> None:
+    pool = flying()
+    agent = pool.robots[0].agent
+    inputs = agent._inputs
+    for late_steps, mode in ((2, Mode.TRACKING), (0, Mode.TRACKING), (3, Mode.FAULT)):
+        outputs = agent.step(replace(inputs, late_steps=late_steps), pool.now_ns)
+        assert outputs.state.mode is mode
+    assert outputs.pulse_us[:4] == (NEUTRAL_US,) * 4
+
+
+@pytest.mark.parametrize("place", [{"x_m": 2.6, "y_m": 0.0}, {"x_m": 0.0, "y_m": -1.9}])
+def test_a_pose_outside_the_pool_is_none(place: dict[str, float]) -> None:
+    """Not even one that stays there for so long that the observer would believe it."""
+    pool = flying()
+    there = pool.pose
+
+    def outside(i: int) -> Seen | None:
+        seen = there(i)
+        return seen and Seen(replace(seen.pose, x_m=place["x_m"], y_m=place["y_m"]), seen.instant_ns)
+
+    pool.pose = outside  # type: ignore[method-assign]
+    modes = []
+    for _ in range(20):
+        pool.run(0.05)
+        state = pool.robots[0].states[-1]
+        modes.append(state.mode)
+        assert state.mode is Mode.FAULT or np.abs(state.eta[:2] - pool.truth[-1][0, :2]).max() < 0.05
+    assert modes[:3] == [Mode.TRACKING] * 3 and modes[4] is Mode.HOLDING and modes[10:] == [Mode.FAULT] * 10
+
+
+def test_a_trajectory_that_leaves_the_pool_is_not_loaded() -> None:
+    pool = DryPool(load_experiment("pool"))
+    pool.run(0.5)
+    good = pool.trajectories[1]
+    eta = good.eta.copy()
+    eta[-1, :3] = [1.76, 0.0, 0.3]
+    eta[:-1] = eta[-1]
+    pool.trajectories = {**pool.trajectories, 1: replace(good, eta=eta)}
+    reply = pool.order(Order.LOAD, 0)
+    assert (reply.accepted, reply.reason) == (False, "trajectory.eta leaves the pool")
 
 
 def test_a_lost_station_means_hold_then_neutral_then_disarmed_and_no_way_back_by_itself() -> None:

@@ -44,7 +44,8 @@ class Encounter:
         return poses
 
 
-def _check(seed: int) -> None:
+def check_encounter(seed: int) -> None:
+    """Raises AssertionError if a swap goes unnoticed."""
     encounter, locator = Encounter(seed), Locator(EXPERIMENT)
     for k in range(FRAMES):
         truth = encounter.eta(k * STEP_S)
@@ -60,10 +61,10 @@ def _check(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_swap_goes_unnoticed(seed: int) -> None:
-    _check(seed)
+    check_encounter(seed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4, 204))
 def test_no_swap_goes_unnoticed_in_many_encounters(seed: int) -> None:
-    _check(seed)
+    check_encounter(seed)

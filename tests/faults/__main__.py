@@ -1,0 +1,84 @@
+"""SHELL: `make faults`: breaks everything in the table, many times, and says how it went. Writes docs/faults.md.
+
+python -m tests.faults                              every row, as often as it says
+python -m tests.faults --row agent-killed --times 5
+"""
+
+import argparse
+import json
+import sys
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from tests.faults.page import RESULTS, Result, machine, verdict, write_page
+from tests.faults.rig import Rig, Stuck, phase
+from tests.faults.rigs import RIGS
+from tests.faults.rows import Row, Sample
+from tests.faults.table import ROWS
+
+MAX_STUCK = 3  # of a row, before it is given up
+
+
+def fly_row(row: Row, times: int, seed: int, console: Console) -> Result:
+    """All injections of a row. A rig that gets stuck counts as a failure of the row, and is built anew."""
+    samples: list[Sample] = []
+    stuck: list[str] = []
+    wrong = not_finite = 0
+    while len(samples) + len(stuck) < times and len(stuck) < MAX_STUCK:
+        with ExitStack() as stack:
+            rig: Rig | None = None
+            try:
+                rig = stack.enter_context(RIGS[row.rig](seed)) if row.rig else None
+                while len(samples) < times:
+                    random = np.random.default_rng([seed, len(samples)])
+                    if rig is not None:
+                        rig.fly()
+                        phase(random)
+                    samples.append(row.inject(rig, random))
+                    shown = "  ".join(f"{name} {value:.3f}" for name, value in samples[-1].items())
+                    console.print(f"{row.key} {len(samples)}/{times}: {shown}", highlight=False, soft_wrap=True)
+            except Stuck as error:
+                stuck.append(str(error))
+                console.print(f"[red]{row.key}: {error}[/]", soft_wrap=True)
+            if rig is not None:
+                wrong, not_finite = wrong + rig.wrongly_taken(), not_finite + rig.not_finite
+    return Result.of(row, samples, seed, stuck, wrong, not_finite)
+
+
+def main() -> int:
+    """See the module's docstring."""
+    parser = argparse.ArgumentParser(prog="make faults", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--row", action="append", choices=[row.key for row in ROWS], help="only this one; repeatable")
+    parser.add_argument("--times", type=int, help="injections of each row")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--dry", action="store_true", help="leave docs/ as it is")
+    options = parser.parse_args()
+    console, begin_s = Console(), time.monotonic()
+    chosen = [row for row in ROWS if options.row is None or row.key in options.row]
+    results = [fly_row(row, options.times or row.times, options.seed, console) for row in chosen]
+    table = Table("row", "measure", "N", "median", "worst", "limit", "", title=machine())
+    for result in results:
+        for name, figure in result.figures.items():
+            table.add_row(result.key, name, *figure.shown, verdict(figure.kept))
+        for text in result.stuck:
+            table.add_row(result.key, text, "", "", "", "", verdict(False))
+    console.print(table)
+    wrong, not_finite = sum(r.wrong for r in results), sum(r.not_finite for r in results)
+    console.print(f"commands wrongly taken: {wrong}; numbers not finite: {not_finite}; {time.monotonic() - begin_s:.0f} s")
+    if not options.dry:
+        kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+        kept |= {result.key: result.as_json() for result in results}
+        RESULTS.write_text(
+            json.dumps({row.key: kept[row.key] for row in ROWS if row.key in kept}, indent=1) + "\n", encoding="utf-8"
+        )
+        write_page(Path("docs/faults.md"), ROWS)
+    return 0 if all(result.kept for result in results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

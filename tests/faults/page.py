@@ -1,0 +1,142 @@
+"""SHELL: what came of injections, as JSON and as docs/faults.md. A row that is flown again replaces its older figures."""
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tests.faults.rows import Row, Sample
+
+RESULTS = Path(__file__).parent / "results.json"
+
+
+def machine() -> str:
+    """This one, in a line."""
+    names = [line.split(":", 1)[1].strip() for line in _cpuinfo() if line.startswith("model name")]
+    cpu = names[0] if names else platform.processor() or platform.machine()
+    return f"{cpu}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def _cpuinfo() -> list[str]:
+    path = Path("/proc/cpuinfo")
+    return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
+
+
+def verdict(kept: bool) -> str:
+    """In a word."""
+    return "kept" if kept else "NOT KEPT"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measure of a row."""
+
+    times: int
+    median: float
+    worst: float
+    judged: float  # the quantile that has a limit
+    limit: float
+    unit: str
+    quantile: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit was. Nothing measured is nothing kept."""
+        return self.times > 0 and self.judged <= self.limit
+
+    @property
+    def shown(self) -> tuple[str, str, str, str]:
+        """Injections, median, worst, limit."""
+        digits = 0 if self.unit == "times" else 3
+        limit = f"{self.limit:g} {self.unit}".strip() + (f" ({self.quantile:.0%})" if self.quantile < 1.0 else "")
+        return str(self.times), f"{self.median:.{digits}f}", f"{self.worst:.{digits}f}", limit
+
+
+@dataclass(frozen=True)
+class Result:
+    """All injections of a row."""
+
+    key: str
+    seed: int
+    machine: str
+    figures: Mapping[str, Figure]
+    stuck: Sequence[str]
+    wrong: int  # commands that boards took and should not have
+    not_finite: int
+
+    @classmethod
+    def of(cls, row: Row, samples: Sequence[Sample], seed: int, stuck: Sequence[str], wrong: int, not_finite: int) -> "Result":
+        """From what was measured."""
+        figures = {}
+        for name, measure in row.measures.items():
+            values = np.array([sample[name] for sample in samples if name in sample])
+            median, worst, judged = (
+                (float(np.median(values)), float(values.max()), float(np.quantile(values, measure.quantile, method="higher")))
+                if len(values)
+                else (0.0, 0.0, 0.0)
+            )
+            figures[name] = Figure(len(values), median, worst, judged, measure.limit, measure.unit, measure.quantile)
+        return cls(row.key, seed, machine(), figures, list(stuck), wrong, not_finite)
+
+    @classmethod
+    def from_json(cls, table: dict[str, Any]) -> "Result":
+        """As `as_json` gave it."""
+        return cls(**{**table, "figures": {name: Figure(**figure) for name, figure in table["figures"].items()}})
+
+    def as_json(self) -> dict[str, Any]:
+        """As a table of plain values."""
+        return {**vars(self), "figures": {name: vars(figure) for name, figure in self.figures.items()}}
+
+    @property
+    def kept(self) -> bool:
+        """Whether everything was."""
+        return all(f.kept for f in self.figures.values()) and not self.stuck and not self.wrong and not self.not_finite
+
+
+HEAD = """# Faults
+
+Written by `make faults`, which injects every fault below into real processes at random instants and measures what the thruster
+boards do. The figures are the median and the **worst** of N injections, in seconds unless it says otherwise; a limit with a
+percentage holds for that share of them. One row again: `make faults ARGS="--row {example} --times 5"`.
+
+What a robot does by itself is in `docs/modes.md`, what a board does in `docs/board.md`.
+"""
+
+
+def write_page(path: Path, rows: Sequence[Row]) -> None:
+    """The page, from all results that there are."""
+    kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    found = {key: Result.from_json(table) for key, table in kept.items()}
+    lines = [HEAD.format(example=rows[0].key)]
+    lines += ["| Row | Fault | How | Measured | N | median | worst | limit | |", "|---|---|---|---|---|---|---|---|---|"]
+    for row in rows:
+        if row.key not in found:
+            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | not measured | | | | | |")
+            continue
+        result = found[row.key]
+        for name, figure in result.figures.items():
+            lines.append(
+                f"| `{row.key}` | {row.fault} | {row.how} | {name} | {' | '.join(figure.shown)} | {_mark(figure.kept)} |"
+            )
+        lines += [f"| `{row.key}` | | | stuck {len(result.stuck)} times | | | | | {_mark(False)} |"] if result.stuck else []
+    wrong, not_finite = (sum(getattr(r, name) for r in found.values()) for name in ("wrong", "not_finite"))
+    machines = sorted({result.machine for result in found.values()})
+    seeds = sorted({result.seed for result in found.values()})
+    lines += [
+        "",
+        f"Commands that a board took though its computer had not sent them, or not in this order, or not as often, over the "
+        f"whole matrix: {wrong}. Numbers in the water that were not finite: {not_finite}.",
+        "",
+        f"Measured on: {'; '.join(machines)}. Seed {', '.join(map(str, seeds))}.",
+        "",
+    ]
+    path.write_text("\n".join(lines), encoding="utf-8")
+
+
+def _mark(kept: bool) -> str:
+    return "✓" if kept else "**not kept**"

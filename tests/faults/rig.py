@@ -1,0 +1,327 @@
+"""SHELL: a lab on this machine whose processes, wires, camera and water can be broken at any instant and mended again, so that
+one start-up serves many injections. The processes are those of a real run; only the pool is simulated, and watched.
+"""
+
+import json
+import os
+import signal
+import socket
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sim_bridge.processes import Child, Children
+from sim_bridge.sil import free_base_port, free_port
+from tests.faults.wires import NetWire, SerialWire
+from wire import topics
+from wire.bus import Bus
+from wire.codec import Header, decode
+from wire.experiment import dump_experiment, load_experiment
+from wire.messages import Command, Event, Mode, Order, Reply, RobotState, StationHeartbeat
+from wire.topics import Topic
+from wire.transport import Endpoint, ZenohTransport
+
+PATIENCE_S = 40.0  # for what must come and has no limit of its own
+WARNING = 3  # an event's level
+
+
+class Stuck(Exception):
+    """The rig did not come to where an injection can be made, or recover from one."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """A robot's state as it came over the bus."""
+
+    ns: int
+    state: RobotState
+
+
+@dataclass
+class BoardView:
+    """What the witness at one board has told."""
+
+    changes: list[tuple[int, bool, bool]] = field(default_factory=list)  # instant, neutral, armed
+    taken: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)
+    refused: int = 0
+
+    @property
+    def thrusting(self) -> bool:
+        """Whether the thrusters run now."""
+        return bool(self.changes) and not self.changes[-1][1]
+
+    def neutral_since(self, ns: int) -> int | None:
+        """Since when the board has been neutral and has stayed so, not before `ns`; None if it is not."""
+        if not self.changes or not self.changes[-1][1]:
+            return None
+        last_thrust = max((i for i, change in enumerate(self.changes) if not change[1]), default=-1)
+        return max(self.changes[last_thrust + 1][0], ns)
+
+
+class Rig:
+    """Station, pool, localizer and agents. Use as a context."""
+
+    def __init__(
+        self,
+        experiment: str = "pool",
+        settings: Sequence[str] = (),
+        *,
+        seed: int = 1,
+        poses: bool = False,
+        wires: bool = True,
+        station_options: Sequence[str] = ("--no-web",),
+        run_dir: Path | None = None,
+        own_router: bool = False,
+        clocks_s: Mapping[str, float] | None = None,
+    ) -> None:
+        """With `poses` there is neither camera nor localizer; with `wires` robots' boards are behind pseudo-terminals, and
+        robot 1 reaches the station through a NetWire. With `own_router` the network does not live in the station. `clocks_s`,
+        offsets of processes' wall clocks by name, starts all but the pool by way of patched.py."""
+        self.folder = Path(tempfile.mkdtemp(prefix="shoal-faults-"))
+        self.experiment = load_experiment(experiment, [*settings, f"seed={seed}"])
+        self.robots = self.experiment.robot_ids
+        self.file = self.folder / "experiment.toml"
+        self.file.write_text(dump_experiment(self.experiment), encoding="utf-8")
+        self.run_dir = run_dir or self.folder / "run"
+        self.children = Children(self.folder / "logs")
+        self.boards = {robot: BoardView() for robot in self.robots}
+        self.states: dict[int, deque[Heard]] = {robot: deque(maxlen=4000) for robot in self.robots}
+        self.events: deque[tuple[int, Event]] = deque(maxlen=4000)
+        self.beats: deque[int] = deque(maxlen=4000)
+        self.poses_ns: deque[int] = deque(maxlen=4000)
+        self.not_finite = 0
+        self._seed, self._poses, self._with_wires = seed, poses, wires
+        self.station_options, self._own_router, self._clocks_s = list(station_options), own_router, clocks_s
+        self._checked = dict.fromkeys(self.robots, (0, 0))
+        self._wrong = 0
+        self._commands: dict[str, list[str]] = {}
+        self._changed = threading.Condition()
+        self._mission = ""
+
+    # --- up and down
+
+    def __enter__(self) -> "Rig":
+        try:
+            self._open()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def _open(self) -> None:
+        router, ports = free_port(), free_base_port(self.robots)
+        self.address = f"tcp/127.0.0.1:{router}"
+        self._harness = socket.create_server(("127.0.0.1", 0))
+        threading.Thread(target=self._listen, name="witness", daemon=True).start()
+        self.net = NetWire(router)
+        self.wires = {
+            robot: SerialWire(robot, ports + robot, self._seed) for robot in (self.robots if self._with_wires else ())
+        }
+        if self._own_router:
+            self.station_options.append("--external-router")
+            self.bus = Bus(ZenohTransport(Endpoint(self.address, router=True)))
+        station = ["run", str(self.file), "--run-dir", str(self.run_dir), "--listen", self.address, *self.station_options]
+        self._launch("groundstation", "groundstation", station)
+        harness = str(self._harness.getsockname()[1])
+        witness = [str(self.file), self.address, str(ports), harness, *(["--poses"] if self._poses else [])]
+        self._launch("sim-bridge", "tests.faults.witness", witness)
+        if not self._poses:
+            self._launch("localizer", "localizer", ["run", str(self.file), "--station", self.address])
+        for robot in self.robots:
+            link = self.wires[robot].link if robot in self.wires else f"udp:127.0.0.1:{ports + robot}"
+            through = f"tcp/127.0.0.1:{self.net.port}" if self.wires and robot == self.robots[0] else self.address
+            arguments = ["run", str(self.file), "--station", through, "--robot", str(robot), "--link", link]
+            self._launch(f"agent-{robot}", "robot_agent", arguments)
+        if not self._own_router:
+            self.bus = Bus(ZenohTransport(Endpoint(self.address)))
+        for topic in (topics.STATE, topics.EVENT, topics.HEARTBEAT, topics.POSE):
+            self.bus.subscribe(topic, None, self._heard)
+
+    def __exit__(self, *exception: Any) -> None:
+        self.children.stop()
+        for closing in ("bus", "net", "_harness"):
+            if hasattr(self, closing):
+                getattr(self, closing).close()
+        for wire in getattr(self, "wires", {}).values():
+            wire.close()
+
+    def _launch(self, name: str, module: str, arguments: list[str]) -> None:
+        self._commands[name] = [module, *arguments]
+        self.restart(name)
+
+    def restart(self, name: str) -> None:
+        """Start a process anew that has ended."""
+        module, *arguments = self._commands[name]
+        self.children.all = [child for child in self.children.all if child.name != name]
+        log = self.folder / "logs" / f"{name}.log"
+        if log.exists():
+            log.rename(log.with_name(f"{name}-{time.monotonic_ns()}.log"))
+        if self._clocks_s is not None and name != "sim-bridge":
+            offset_s = str(self._clocks_s.get(name, 0.0))
+            module, arguments = "tests.faults.patched", [offset_s, module, *arguments]
+        self.children.start(name, module, arguments)
+
+    def process(self, name: str) -> Child:
+        """The running process of that name."""
+        return next(child for child in self.children.all if child.name == name)
+
+    # --- what is heard
+
+    def _listen(self) -> None:
+        try:
+            connection, _ = self._harness.accept()
+            self._witness = connection
+            with connection.makefile("rb") as lines:
+                for line in lines:
+                    self._witnessed(json.loads(line))
+        except OSError:
+            return
+
+    def _witnessed(self, told: dict[str, Any]) -> None:
+        with self._changed:
+            if "taken" in told:
+                view = self.boards[told["robot"]]
+                if told["taken"]:
+                    view.taken.append((told["ns"], tuple(told["pulses"])))
+                else:
+                    view.refused += 1
+            elif "neutral" in told:
+                self.boards[told["robot"]].changes.append((told["ns"], told["neutral"], told["armed"]))
+            elif "not_finite" in told:
+                self.not_finite += 1
+            self._changed.notify_all()
+
+    def _heard(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        ns = time.monotonic_ns()
+        message: Any = decode(topic.type, payload, "bus", topic.name)
+        with self._changed:
+            if topic is topics.STATE:
+                self.states[int(key.split("/")[-2])].append(Heard(ns, message))
+            elif topic is topics.EVENT:
+                self.events.append((ns, message))
+            elif topic is topics.POSE:
+                self.poses_ns.append(ns)
+            else:
+                self.beats.append(ns)
+                self._mission = message.mission if isinstance(message, StationHeartbeat) else ""
+            self._changed.notify_all()
+
+    def wait(self, ready: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:
+        """Sleep until `ready()`. Raises Stuck."""
+        with self._changed:
+            if not self._changed.wait_for(ready, timeout_s):
+                modes = {r: (self.mode(r).name, self.states[r][-1].state.fault if self.states[r] else "") for r in self.robots}
+                raise Stuck(f"{what}: not within {timeout_s:g} s (mission {self._mission}, robots {modes}; {self.folder})")
+
+    def mode(self, robot: int) -> Mode:
+        """As last heard."""
+        return self.states[robot][-1].state.mode if self.states[robot] else Mode.DISARMED
+
+    @property
+    def mission(self) -> str:
+        """The mission's phase as last heard."""
+        return self._mission
+
+    def since(self, robot: int, ns: int) -> Iterator[Heard]:
+        """States heard after an instant."""
+        return (heard for heard in list(self.states[robot]) if heard.ns >= ns)
+
+    # --- flying
+
+    def order(self, order: Order) -> Reply:
+        """A person's order for the whole fleet."""
+        return self.bus.order(Command(order, robot=0), time.time_ns(), 2.0)
+
+    def fly(self) -> None:
+        """From anywhere to all robots tracking, thrusters running."""
+        deadline = time.monotonic() + PATIENCE_S
+        steps = {"STOPPED": Order.CLEAR_STOP, "DONE": Order.LOAD, "FAILED": Order.LOAD, "RUNNING": Order.DISARM}
+        steps |= {"PAUSED": Order.DISARM}
+        reply = Reply(0, False)
+        while not self.flying:
+            if time.monotonic() > deadline:
+                raise Stuck(f"no flight: mission {self._mission}, last answer {reply.reason!r} ({self.folder})")
+            if self._mission in steps:
+                reply = self.order(steps[self._mission])
+            elif self._mission in ("WAITING", "LOADING") and any(
+                self.mode(r) in (Mode.FAULT, Mode.HOLDING) for r in self.robots
+            ):
+                reply = self.order(Order.DISARM)
+            elif self._mission in ("WAITING", "LOADING"):
+                reply = self.order(Order.START)
+            time.sleep(0.1)
+
+    @property
+    def flying(self) -> bool:
+        """Whether every robot tracks and every board thrusts."""
+        fresh = time.monotonic_ns() - 300_000_000
+        return self._mission == "RUNNING" and all(
+            self.states[r] and self.states[r][-1].ns > fresh and self.mode(r) is Mode.TRACKING and self.boards[r].thrusting
+            for r in self.robots
+        )
+
+    # --- breaking
+
+    def signal(self, name: str, number: signal.Signals) -> int:
+        """Send a signal; returns the instant."""
+        process = self.process(name).process
+        ns = time.monotonic_ns()
+        os.kill(process.pid, number)
+        return ns
+
+    def break_(self, *what: str) -> int:
+        """What is broken in the simulated world from now on; nothing mends all. Returns the instant."""
+        ns = time.monotonic_ns()
+        self._witness.sendall(json.dumps(what).encode() + b"\n")
+        return ns
+
+    # --- measuring
+
+    def neutral_s(self, ns: int, robots: Sequence[int] | None = None, within_s: float = 15.0) -> float:
+        """Seconds from `ns` until the last of the robots' boards is neutral for good (at least a second)."""
+        chosen = self.robots if robots is None else robots
+        self.wait(lambda: all(not self.boards[r].thrusting for r in chosen), f"boards {tuple(chosen)} neutral", within_s)
+        time.sleep(0.6)
+        self.wait(lambda: all(not self.boards[r].thrusting for r in chosen), f"boards {tuple(chosen)} neutral", within_s)
+        found = [self.boards[r].neutral_since(ns) for r in chosen]
+        return (max(at for at in found if at is not None) - ns) * 1e-9
+
+    def mode_s(self, robot: int, modes: set[Mode], ns: int, within_s: float = 15.0) -> float:
+        """Seconds from `ns` until a robot says that it is in one of the modes."""
+        self.wait(lambda: any(h.state.mode in modes for h in self.since(robot, ns)), f"robot {robot} {modes}", within_s)
+        return (next(h.ns for h in self.since(robot, ns) if h.state.mode in modes) - ns) * 1e-9
+
+    def alert_s(self, ns: int, text: str = "", within_s: float = 15.0) -> float:
+        """Seconds from `ns` until a warning (with `text` in it) reaches whoever watches."""
+
+        def first() -> int | None:
+            return next((at for at, e in list(self.events) if at >= ns and e.level >= WARNING and text in e.message), None)
+
+        self.wait(lambda: first() is not None, f"warning {text!r}", within_s)
+        return ((first() or 0) - ns) * 1e-9
+
+    def wrongly_taken(self) -> int:
+        """Overrides that boards behind wires took though their computers had not sent them, or not in this order, or not as
+        often."""
+        for robot, wire in self.wires.items():
+            taken, said = self.boards[robot].taken, wire.said
+            at, sent = self._checked[robot]
+            while at < len(taken):
+                ns, pulses = taken[at]
+                match = next((i for i in range(sent, len(said)) if said[i][1] == pulses and said[i][0] <= ns), None)
+                self._wrong += match is None
+                at, sent = at + 1, sent if match is None else match + 1
+            self._checked[robot] = at, sent
+        return self._wrong
+
+
+def phase(random: np.random.Generator) -> None:
+    """Let a random time go by, so that an injection falls anywhere within a control period."""
+    time.sleep(float(random.uniform(0.3, 1.0)))

@@ -1,0 +1,39 @@
+"""SHELL: the labs in which faults are injected, by name."""
+
+import os
+import subprocess
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+
+from sim_bridge.sil import free_port
+from tests.faults.rig import Rig
+
+# Of machines whose clocks nobody has set; the pool's is the one that stamps pictures.
+CLOCKS_S = {"groundstation": 3600.0, "localizer": -7200.0, "agent-1": -86400.0, "agent-2": 1800.0}
+
+
+@contextmanager
+def small_disk(seed: int) -> Iterator[Rig]:
+    """The log on a file system of its own of 64 MB, where that may be mounted; else anywhere."""
+    folder = Path(tempfile.mkdtemp(prefix="shoal-disk-"))
+    mounting = ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(folder)]
+    mounted = os.geteuid() == 0 and subprocess.run(mounting, capture_output=True, check=False).returncode == 0
+    try:
+        with Rig(seed=seed, run_dir=folder / "run", own_router=True) as rig:
+            yield rig
+    finally:
+        if mounted:
+            subprocess.run(["umount", str(folder)], check=False)
+
+
+RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
+    "lab": lambda seed: Rig(seed=seed),
+    "patched": lambda seed: Rig(seed=seed, clocks_s={}),
+    "clocks": lambda seed: Rig(seed=seed, clocks_s=CLOCKS_S),
+    "router": lambda seed: Rig(seed=seed, own_router=True),
+    "page": lambda seed: Rig(seed=seed, station_options=("--web", f"127.0.0.1:{free_port()}")),
+    "disk": small_disk,
+    "fleet": lambda seed: Rig("fleet-20", seed=seed, poses=True, wires=False),
+}

@@ -1,0 +1,267 @@
+"""The table of faults as data: what is broken, how, what is measured and what it must not exceed. One function a row, one call
+an injection: it gets a rig whose robots fly, breaks something at a random instant, measures, mends."""
+
+import signal
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tests.faults.rig import Rig
+from tests.faults.wires import LineTrouble, forgeries
+from wire.messages import Mode, Order, Solve
+
+Random = np.random.Generator
+Sample = Mapping[str, float]
+
+STEP_S = 0.055  # a control step and a plant step: what a limit "after 3 s" may be late
+HELD = {Mode.HOLDING, Mode.FAULT, Mode.DISARMED}
+OFF = {Mode.FAULT, Mode.DISARMED}
+RESUMED = "thrust again unasked"  # a measure of all rows whose robots must stay where they are
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure and its limit; `quantile` of the injections must keep it (1: the worst)."""
+
+    limit: float
+    unit: str = "s"
+    quantile: float = 1.0
+
+
+SECONDS = Measure  # reads well: {"neutral": SECONDS(0.35)}
+
+
+def TIMES(limit: float = 0) -> Measure:
+    """How often something may happen."""
+    return Measure(limit, "times")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fault. `rig` names how the lab is set up; `inject` is one injection."""
+
+    key: str
+    fault: str
+    how: str
+    measures: Mapping[str, Measure]
+    inject: Callable[[Any, Random], Sample]
+    times: int = 100
+    rig: str = "lab"
+
+
+def _resumed(rig: Rig, robots: tuple[int, ...], for_s: float) -> float:
+    """How many of the robots that are neutral thrust again though nobody asked."""
+    time.sleep(for_s)
+    return float(sum(rig.boards[r].thrusting for r in robots))
+
+
+# --- the camera's side
+
+
+def _without_poses(rig: Rig, random: Random, ns: int) -> dict[str, float]:
+    """What all robots do when poses end at `ns`."""
+    hold_s = max(rig.mode_s(r, HELD, ns) for r in rig.robots)
+    last_ns = max((at for at in list(rig.poses_ns) if at < ns + hold_s * 1e9), default=ns)
+    return {"hold after the last pose": hold_s + (ns - last_ns) * 1e-9, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns)}
+
+
+def localizer_killed(rig: Rig, random: Random) -> Sample:
+    found = _without_poses(rig, random, rig.signal("localizer", signal.SIGKILL))
+    rig.restart("localizer")
+    return found
+
+
+def localizer_hung(rig: Rig, random: Random) -> Sample:
+    found = _without_poses(rig, random, rig.signal("localizer", signal.SIGSTOP))
+    rig.signal("localizer", signal.SIGCONT)
+    return {**found, RESUMED: _resumed(rig, rig.robots, 1.0)}
+
+
+def camera_frozen(rig: Rig, random: Random) -> Sample:
+    ns = rig.break_("camera frozen")
+    hold_s = max(rig.mode_s(r, HELD, ns) for r in rig.robots)
+    found = {"hold": hold_s, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns, "camera frozen")}
+    rig.break_()
+    return {**found, RESUMED: _resumed(rig, rig.robots, 1.0)}
+
+
+# --- the robot's computer
+
+
+def agent_killed(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGKILL)
+    neutral_s = rig.neutral_s(ns, [robot])
+    rig.restart(f"agent-{robot}")
+    begin_ns = time.monotonic_ns()
+    rig.wait(lambda: any(True for _ in rig.since(robot, begin_ns)), "restarted agent heard")
+    time.sleep(0.3)
+    armed = any(h.state.mode is not Mode.DISARMED or h.state.board_armed for h in rig.since(robot, begin_ns))
+    return {"neutral": neutral_s, "restarted and not disarmed": float(armed)}
+
+
+def agent_hung(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGSTOP)
+    neutral_s = rig.neutral_s(ns, [robot])
+    time.sleep(float(random.uniform(0.0, 1.0)))
+    rig.signal(f"agent-{robot}", signal.SIGCONT)
+    return {"neutral": neutral_s, RESUMED: _resumed(rig, (robot,), 2.0)}
+
+
+def solver_stuck(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGUSR1)
+    neutral_s = rig.neutral_s(ns, [robot])
+    rig.signal(f"agent-{robot}", signal.SIGKILL)
+    rig.restart(f"agent-{robot}")
+    return {"neutral": neutral_s}
+
+
+def solver_slow(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGUSR2)
+    found = {"neutral": rig.neutral_s(ns, [robot]), "alert": rig.alert_s(ns)}
+    rig.signal(f"agent-{robot}", signal.SIGKILL)
+    rig.restart(f"agent-{robot}")
+    return found
+
+
+def solver_unsolved(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGALRM)
+    neutral_s = rig.neutral_s(ns, [robot])
+    shifted = sum(h.state.solve is Solve.SHIFTED for h in rig.since(robot, ns))
+    rig.signal(f"agent-{robot}", signal.SIGKILL)
+    rig.restart(f"agent-{robot}")
+    return {"neutral": neutral_s, "shifted plans": float(shifted)}
+
+
+# --- the station and the network
+
+
+def station_killed(rig: Rig, random: Random) -> Sample:
+    ns = rig.signal("groundstation", signal.SIGKILL)
+    neutral_s = rig.neutral_s(ns)
+    rig.restart("groundstation")
+    return {"neutral": neutral_s, RESUMED: _resumed(rig, rig.robots, 2.0)}
+
+
+def _station_lost(rig: Rig, ns: int) -> dict[str, float]:
+    last_ns = max((at for at in list(rig.beats) if at <= ns + 50_000_000), default=ns)
+    late_s = (ns - last_ns) * 1e-9
+    return {
+        "hold": max(rig.mode_s(r, HELD, ns) for r in rig.robots) + late_s,
+        "neutral": rig.neutral_s(ns, within_s=6.0) + late_s,
+        "disarmed": max(rig.mode_s(r, {Mode.DISARMED}, ns) for r in rig.robots) + late_s,
+    }
+
+
+def station_alone_killed(rig: Rig, random: Random) -> Sample:
+    found = _station_lost(rig, rig.signal("groundstation", signal.SIGKILL))
+    rig.restart("groundstation")
+    return {**found, RESUMED: _resumed(rig, rig.robots, 2.0)}
+
+
+def station_alone_hung(rig: Rig, random: Random) -> Sample:
+    found = _station_lost(rig, rig.signal("groundstation", signal.SIGSTOP))
+    rig.signal("groundstation", signal.SIGCONT)
+    return {**found, RESUMED: _resumed(rig, rig.robots, 2.0)}
+
+
+def partition(rig: Rig, random: Random) -> Sample:
+    """Robot 1 is cut off: both ways, or only what it hears, or only what it says."""
+    one, other = rig.robots[:2]
+    way = ("both", "down", "up")[int(random.integers(3))]
+    seconds = float(random.choice([1.0, 2.0, 5.0]))
+    ns = time.monotonic_ns()
+    rig.net.up, rig.net.down = way == "down", way == "up"
+    neutral_s = rig.neutral_s(ns, [one], within_s=6.0)
+    found = {"neutral": neutral_s} if way != "up" else {"neutral, still hearing": neutral_s}
+    if way != "down":
+        rig.wait(lambda: any(one not in h.state.heard for h in rig.since(other, ns)), "plan expired")
+        found["neighbour's plan expired"] = (next(h.ns for h in rig.since(other, ns) if one not in h.state.heard) - ns) * 1e-9
+    time.sleep(max(seconds - (time.monotonic_ns() - ns) * 1e-9, 0.0))
+    rig.net.up = rig.net.down = True
+    return {**found, RESUMED: _resumed(rig, (one,), 2.0)}
+
+
+def partition_short(rig: Rig, random: Random) -> Sample:
+    """0.2 s, as a Wi-Fi roams: nothing worse than holding may come of it, and no thrust on old news."""
+    ns = time.monotonic_ns()
+    rig.net.up = rig.net.down = False
+    time.sleep(0.2)
+    rig.net.up = rig.net.down = True
+    time.sleep(1.0)
+    return {"worse than holding": float(any(h.state.mode in OFF for h in rig.since(rig.robots[0], ns)))}
+
+
+# --- the wire to the board
+
+
+def link_cut(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = time.monotonic_ns()
+    rig.wires[robot].trouble = LineTrouble(cut=True)
+    neutral_s = rig.neutral_s(ns, [robot])
+    rig.wires[robot].trouble = LineTrouble()
+    return {"neutral": neutral_s, RESUMED: _resumed(rig, (robot,), 2.0)}
+
+
+def link_garbage(rig: Rig, random: Random) -> Sample:
+    """Bit flips, false starts, doubled and old frames for two seconds, forged ones among them; then a clean wire again."""
+    robot = int(random.choice(rig.robots))
+    wire, board = rig.wires[robot], rig.boards[robot]
+    wire.trouble = LineTrouble(flip=float(random.uniform(0.001, 0.01)), junk=0.3, doubled=0.3, forged=forgeries(robot, random))
+    time.sleep(2.0)
+    wire.trouble = LineTrouble()
+    ns = time.monotonic_ns()
+    rig.wait(lambda: any(at > ns for at, _ in board.taken[-5:]), "board takes overrides again", 5.0)
+    rig.wait(lambda: any(h.state.board_age_ms < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
+    heard_ns = next(h.ns for h in rig.since(robot, ns) if h.state.board_age_ms < 40.0)
+    return {
+        "board in step again": (next(at for at, _ in board.taken if at > ns) - ns) * 1e-9,
+        "agent in step again": (heard_ns - ns) * 1e-9,
+    }
+
+
+# --- what a person sees and does
+
+
+def emergency_stop(rig: Rig, random: Random) -> Sample:
+    ns = time.monotonic_ns()
+    rig.order(Order.STOP)
+    neutral_s = rig.neutral_s(ns)
+    refused = not rig.order(Order.START).accepted
+    return {"all boards neutral": neutral_s, "started while stopped": float(not refused)}
+
+
+def emergency_stop_lossy(rig: Rig, random: Random) -> Sample:
+    rig.break_(*(f"link {robot} noisy 0.3" for robot in rig.robots))
+    time.sleep(0.3)
+    found = emergency_stop(rig, random)
+    rig.break_()
+    return found
+
+
+def battery_empty(rig: Rig, random: Random) -> Sample:
+    """The voltage falls below the neutral level within a second."""
+    robot = int(random.choice(rig.robots))
+    for volts in (1.0, 2.0):
+        rig.break_(f"battery {robot} sag {volts}")
+        time.sleep(0.3)
+    ns = rig.break_(f"battery {robot} sag 3.5")
+    neutral_s = rig.neutral_s(ns, [robot])
+    time.sleep(1.0)
+    rig.order(Order.DISARM)
+    time.sleep(0.5)
+    rig.order(Order.LOAD)
+    time.sleep(0.5)
+    armed = rig.order(Order.ARM).accepted
+    time.sleep(0.5)
+    armed |= rig.boards[robot].changes[-1][2]
+    rig.break_()
+    return {"neutral": neutral_s, "armed on an empty battery": float(armed)}

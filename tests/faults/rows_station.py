@@ -1,0 +1,131 @@
+"""SHELL: faults around the station: its page, its disk, its network, the machines' clocks."""
+
+import os
+import shutil
+import signal
+import tempfile
+import time
+from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+from groundstation.recorder import recover
+from sim_bridge.processes import Child
+from tests.faults.rig import Rig
+from tests.faults.rows import Random, Sample
+from wire.messages import Mode
+
+LEFT = "robots that left their path"
+GAP = "longest gap between heartbeats"
+FILLER_BYTES = 1 << 20
+
+
+def _left(rig: Rig, ns: int) -> float:
+    """Robots that did anything but track since an instant."""
+    return float(sum(any(h.state.mode is not Mode.TRACKING for h in rig.since(r, ns)) for r in rig.robots))
+
+
+def _gap_s(rig: Rig, ns: int) -> float:
+    beats = [at for at in list(rig.beats) if at >= ns]
+    return max((b - a for a, b in pairwise(beats)), default=10**18) * 1e-9
+
+
+def page_frozen(rig: Rig, random: Random, for_s: float = 60.0) -> Sample:
+    """A browser that takes no more frames, as one behind a closed lid."""
+    address = rig.station_options[-1]
+    pages = [rig.children.start(f"page-{i}", "tests.faults.watching", [address]) for i in range(3)]
+    _looks(rig, pages)
+    ns = time.monotonic_ns()
+    for page in pages:
+        page.process.send_signal(signal.SIGSTOP)
+    time.sleep(for_s)
+    found = {GAP: _gap_s(rig, ns), LEFT: _left(rig, ns)}
+    for page in pages:
+        page.process.kill()
+        page.process.wait()
+        rig.children.all.remove(page)
+    return found
+
+
+def _looks(rig: Rig, pages: list[Child]) -> None:
+    rig.wait(lambda: all("frames" in page.log.read_text() for page in pages), "pages watch")
+
+
+def clock_step(rig: Rig, random: Random) -> Sample:
+    """That the robots fly at all with such clocks is half of the test."""
+    ns = time.monotonic_ns()
+    rig.signal(str(random.choice(["groundstation", "localizer", *(f"agent-{r}" for r in rig.robots)])), signal.SIGHUP)
+    time.sleep(2.0)
+    return {LEFT: _left(rig, ns)}
+
+
+# --- the log
+
+
+def _log(rig: Rig) -> Path:
+    return rig.run_dir / "run.mcap"
+
+
+def _read_back(log: Path, until_unix_ns: int) -> dict[str, float]:
+    """How much of a log is missing at its end, read by the usual reader after `groundstation recover`."""
+    copy = Path(shutil.copy(log, Path(tempfile.mkdtemp(prefix="shoal-log-"))))
+    try:
+        recover(copy)
+        with copy.open("rb") as file:
+            last_ns = max(message.log_time for _, _, message in make_reader(file).iter_messages())
+        return {"of the log lost": max((until_unix_ns - last_ns) * 1e-9, 0.0), "unreadable logs": 0.0}
+    except Exception:  # whatever a reader says of it: it cannot be read
+        return {"of the log lost": float("inf"), "unreadable logs": 1.0}
+    finally:
+        shutil.rmtree(copy.parent)
+
+
+def disk_full(rig: Rig, random: Random) -> Sample:
+    filler = rig.run_dir / "filler"
+    ns, now_unix_ns = time.monotonic_ns(), time.time_ns()
+    with suppress(OSError), filler.open("wb", buffering=0) as file:
+        while file.write(os.urandom(FILLER_BYTES)) == FILLER_BYTES:
+            pass
+        while file.write(b"x"):
+            pass
+    alert_s = rig.alert_s(ns, "log stopped")
+    time.sleep(1.0)
+    found = {"alert": alert_s, GAP: _gap_s(rig, ns), LEFT: _left(rig, ns)}
+    filler.unlink()
+    found |= _read_back(_log(rig), now_unix_ns)
+    rig.signal("groundstation", signal.SIGKILL)
+    rig.restart("groundstation")
+    return found
+
+
+def log_killed(rig: Rig, random: Random) -> Sample:
+    now_unix_ns = time.time_ns()
+    rig.signal("groundstation", signal.SIGKILL)
+    rig.process("groundstation").process.wait()
+    found = _read_back(_log(rig), now_unix_ns)
+    rig.restart("groundstation")
+    rig.wait(lambda: all(rig.mode(r) is not Mode.TRACKING for r in rig.robots), "robots off their path")
+    return found
+
+
+# --- a flood
+
+
+def flood(rig: Rig, random: Random) -> Sample:
+    seed = str(int(random.integers(1 << 30)))
+    before = {r: rig.states[r][-1].state.missed_deadlines for r in rig.robots}
+    ns = time.monotonic_ns()
+    flooder = rig.children.start("flood", "tests.faults.flooding", [rig.address, seed, *map(str, rig.robots)])
+    time.sleep(10.0)
+    flooder.process.kill()
+    flooder.process.wait()
+    rig.children.all.remove(flooder)
+    steps = sum(len(list(rig.since(r, ns))) for r in rig.robots)
+    missed = sum(rig.states[r][-1].state.missed_deadlines - before[r] for r in rig.robots)
+    return {
+        "share of deadlines missed": missed / max(steps, 1),
+        LEFT: _left(rig, ns),
+        "processes ended": float(len(rig.children.ended())),
+    }

@@ -1,0 +1,133 @@
+"""The table of faults: what is measured of each, and what it must not exceed."""
+
+from tests.faults import rows, rows_alone, rows_station
+from tests.faults.rows import RESUMED, SECONDS, STEP_S, TIMES, Measure, Row
+
+STATION_LOST = {
+    "hold": SECONDS(1.0 + STEP_S),
+    "neutral": SECONDS(3.0 + STEP_S),
+    "disarmed": SECONDS(10.0 + STEP_S),
+    RESUMED: TIMES(),
+}
+
+ROWS: tuple[Row, ...] = (
+    Row(
+        "localizer-killed", "Localizer dies", "SIGKILL",
+        {"hold after the last pose": SECONDS(0.2), "neutral": SECONDS(0.5), "alert": SECONDS(0.3)}, rows.localizer_killed,
+    ),
+    Row(
+        "localizer-hung", "Localizer hangs", "SIGSTOP, and SIGCONT when all are neutral",
+        {"hold after the last pose": SECONDS(0.2), "neutral": SECONDS(0.5), "alert": SECONDS(0.3), RESUMED: TIMES()},
+        rows.localizer_hung,
+    ),
+    Row(
+        "camera-frozen", "Frozen camera", "the same picture again and again, with new stamps",
+        {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), "alert": SECONDS(0.55), RESUMED: TIMES()}, rows.camera_frozen,
+    ),
+    Row(
+        "agent-killed", "Agent killed", "SIGKILL, restarted",
+        {"neutral": SECONDS(0.35), "restarted and not disarmed": TIMES()}, rows.agent_killed,
+    ),
+    Row(
+        "agent-hung", "Agent hung", "SIGSTOP, SIGCONT up to 1.6 s later",
+        {"neutral": SECONDS(0.35), RESUMED: TIMES()}, rows.agent_hung,
+    ),
+    Row(
+        "solver-stuck", "Agent hung", "a solver that never returns",
+        {"neutral": SECONDS(0.35)}, rows.solver_stuck, rig="patched",
+    ),
+    Row(
+        "solver-slow", "QP late", "a solver that takes 30 ms",
+        {"neutral": SECONDS(0.35), "alert": SECONDS(0.5)}, rows.solver_slow, rig="patched",
+    ),
+    Row(
+        "solver-unsolved", "QP infeasible, not converged", "no quadratic program has a solution any more",
+        {"neutral": SECONDS(0.2 + STEP_S), "shifted plans": TIMES(3)}, rows.solver_unsolved, rig="patched",
+    ),
+    Row(
+        "station-killed", "Ground station lost", "SIGKILL; the network's router dies with it",
+        {"neutral": SECONDS(3.0), RESUMED: TIMES()}, rows.station_killed, times=50,
+    ),
+    Row(
+        "station-alone-killed", "Ground station lost", "SIGKILL; the router lives on",
+        STATION_LOST,
+        rows.station_alone_killed, times=50, rig="router",
+    ),
+    Row(
+        "station-alone-hung", "Ground station lost", "SIGSTOP, and SIGCONT when all are disarmed",
+        STATION_LOST,
+        rows.station_alone_hung, times=50, rig="router",
+    ),
+    Row(
+        "partition", "Network partition", "robot 1 cut off both ways or one way, 1 to 5 s",
+        {"neutral": SECONDS(0.5), "neutral, still hearing": SECONDS(3.0), "neighbour's plan expired": SECONDS(0.6),
+         RESUMED: TIMES()}, rows.partition,
+    ),
+    Row(
+        "partition-short", "Network partition", "robot 1 cut off for 0.2 s",
+        {"worse than holding": TIMES()}, rows.partition_short,
+    ),
+    Row(
+        "link-cut", "MAVLink cut", "nothing passes the serial line either way",
+        {"neutral": SECONDS(0.3), RESUMED: TIMES()}, rows.link_cut,
+    ),
+    Row(
+        "link-garbage", "MAVLink garbage, bad CRC", "bit flips, false starts, frames doubled, late, forged; for 2 s",
+        {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows.link_garbage,
+    ),
+    Row(
+        "battery-empty", "Battery low", "the voltage sags by 3.5 V within 0.6 s",
+        {"neutral": SECONDS(3.0), "armed on an empty battery": TIMES()}, rows.battery_empty, times=20,
+    ),
+    Row(
+        "emergency-stop", "Emergency stop", "a person's order",
+        {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows.emergency_stop,
+    ),
+    Row(
+        "emergency-stop-20", "Emergency stop", "a person's order to 20 robots",
+        {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows.emergency_stop,
+        rig="fleet",
+    ),
+    Row(
+        "emergency-stop-lossy", "Emergency stop", "the same, 30 % of what goes to and from the boards lost",
+        {"all boards neutral": SECONDS(0.5, quantile=0.99), "started while stopped": TIMES()}, rows.emergency_stop_lossy,
+        rig="fleet",
+    ),
+    Row(
+        "page-frozen", "Operator's browser frozen", "three pages connected, then stopped with SIGSTOP",
+        {"longest gap between heartbeats": SECONDS(0.3), "robots that left their path": TIMES()}, rows_station.page_frozen,
+        times=3, rig="page",
+    ),
+    Row(
+        "clock-step", "Clock skew between machines", "clocks up to a day apart; one of them steps by an hour",
+        {"robots that left their path": TIMES()}, rows_station.clock_step, rig="clocks",
+    ),
+    Row(
+        "disk-full", "Log: disk full", "the log's file system is filled up",
+        {"alert": SECONDS(2.0), "of the log lost": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3),
+         "unreadable logs": TIMES(), "robots that left their path": TIMES()},
+        rows_station.disk_full, times=20, rig="disk",
+    ),
+    Row(
+        "log-killed", "Log: kill -9", "SIGKILL",
+        {"of the log lost": SECONDS(1.0), "unreadable logs": TIMES()}, rows_station.log_killed, times=50, rig="disk",
+    ),
+    Row(
+        "flood", "Malformed, oversized, flood", "10,000 messages a second: damaged, of 4 MB, of other types",
+        {"share of deadlines missed": Measure(0.001, ""), "robots that left their path": TIMES(), "processes ended": TIMES()},
+        rows_station.flood, times=10,
+    ),
+    Row(
+        "identity-swap", "Identity swap, two robots close", "crossings, brushes and pursuits, markers unreadable meanwhile",
+        {"undetected swaps": TIMES()}, rows_alone.identity_swap, times=1000, rig="",
+    ),
+    Row(
+        "lossy-network", "Loss, duplicates, reordering, delay",
+        "10 % of what goes to and from the boards lost, as much doubled, as much late by up to 50 ms",
+        {"RMS error over that without": Measure(1.5, "")}, rows_alone.lossy_network, times=5, rig="",
+    ),
+    Row(
+        "bad-configuration", "Bad configuration", "a key, drawn from all, with a value that cannot be; a real process each",
+        {"refused after": SECONDS(2.0), "started, or not explained": TIMES()}, rows_alone.bad_configuration, rig="",
+    ),
+)  # fmt: skip

@@ -1,0 +1,33 @@
+"""A few rows of `make faults`, once each, in every test run: that the injections work and the robots stay safe. How fast they
+are is measured by `make faults` on a quiet machine; here a busy one must not fail, so times may be longer by SLACK_S."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from tests.faults.rig import Rig, phase
+from tests.faults.rows import Row
+from tests.faults.table import ROWS
+
+SLACK_S = 1.0
+FAST = ("localizer-killed", "agent-hung", "agent-killed", "link-garbage", "partition", "emergency-stop")
+
+
+@pytest.fixture(scope="module")
+def lab() -> Iterator[Rig]:
+    with Rig() as rig:
+        yield rig
+
+
+@pytest.mark.parametrize("row", [row for row in ROWS if row.key in FAST], ids=lambda row: row.key)
+def test_a_fault_leaves_robots_safe(row: Row, lab: Rig) -> None:
+    random = np.random.default_rng(1)
+    lab.fly()
+    phase(random)
+    found = row.inject(lab, random)
+    assert found
+    for name, value in found.items():
+        measure = row.measures[name]
+        assert value <= measure.limit + (SLACK_S if measure.unit == "s" else 0.0), name
+    assert lab.wrongly_taken() == 0 and lab.not_finite == 0

@@ -1,0 +1,125 @@
+"""SHELL: the simulated pool with a witness at every thruster board, and levers to break things while it runs.
+
+    python -m tests.faults.witness EXPERIMENT STATION PORTS HARNESS [--poses]
+
+The pool, its boards and its camera are those of `sim-bridge pool`. Over one TCP connection the harness is told, with instants
+of the machine's monotonic clock, what each board takes, refuses and puts out; and it sends what is to be broken from now on,
+a JSON list of texts as `--fault` has them ("camera frozen").
+"""
+
+import json
+import socket
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+import sim_bridge.pool
+import sim_bridge.world
+from sim_bridge.board import Board
+from sim_bridge.faults import Faults
+from sim_bridge.pool import Pool
+from sim_bridge.world import World
+from wire.bus import Bus
+from wire.experiment import Experiment, load_experiment
+from wire.faults import Fault
+from wire.frames import Array
+from wire.runtime import Stop, start_log
+from wire.transport import Endpoint, ZenohTransport
+
+
+class Line:
+    """The connection to the harness."""
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", port))
+        self._socket.setblocking(False)
+        self._rest = b""
+
+    def tell(self, **what: Any) -> None:
+        """One event, now. A harness that has gone, or does not read, is nobody's trouble here."""
+        try:
+            self._socket.sendall(json.dumps({"ns": time.monotonic_ns(), **what}).encode() + b"\n")
+        except OSError:
+            return
+
+    def asked(self) -> list[str] | None:
+        """The newest list of what is to be broken; None if nothing new came."""
+        try:
+            self._rest += self._socket.recv(65536)
+        except OSError:
+            return None
+        *lines, self._rest = self._rest.split(b"\n")
+        found: list[str] | None = json.loads(lines[-1]) if lines else None
+        return found
+
+
+def watched_board(line: Line) -> type[Board]:
+    """A board that tells of every override which it takes or refuses."""
+
+    class WatchedBoard(Board):
+        def __init__(self, experiment: Experiment, robot_id: int, seed: int) -> None:
+            super().__init__(experiment, robot_id, seed)
+            self._robot = robot_id
+
+        def _take(self, pulses_us: tuple[int, ...], now_ns: int) -> None:
+            refused = self.overrides_refused
+            super()._take(pulses_us, now_ns)
+            line.tell(robot=self._robot, taken=self.overrides_refused == refused, pulses=list(pulses_us))
+
+    return WatchedBoard
+
+
+def watched_world(line: Line) -> type[World]:
+    """A world that tells of every change at the boards' outputs, and is broken by the harness."""
+
+    class WatchedWorld(World):
+        def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
+            super().__init__(experiment, seed, starts)
+            self._experiment = experiment
+            self._said: list[tuple[bool, bool] | None] = [None] * len(starts)
+
+        def break_things(self) -> list[str]:
+            asked = line.asked()
+            if asked is None:
+                return []
+            faults = tuple(Fault(at_s=0.0, what=what) for what in asked)
+            sim = self._experiment.sim.model_copy(update={"faults": faults})
+            self.faults = Faults(self._experiment.model_copy(update={"sim": sim}))
+            said = self.faults.at(0.0)
+            for board, error in zip(self._boards, self.faults.imu_error.tolist(), strict=True):
+                board.sensors.error = (error[0], error[1])
+            line.tell(broken=asked)
+            return said
+
+        def step(self) -> list[tuple[int, bytes]]:
+            sent = super().step()
+            for i, board in enumerate(self._boards):
+                now = self.neutral(i), board.armed
+                if now != self._said[i]:
+                    self._said[i] = now
+                    line.tell(robot=self._experiment.robot_ids[i], neutral=now[0], armed=now[1])
+            if not np.isfinite(self._state.eta).all():
+                line.tell(not_finite=True)
+            return sent
+
+    return WatchedWorld
+
+
+def main() -> None:
+    """See the module's docstring."""
+    name, station, ports, harness, *options = sys.argv[1:]
+    start_log("sim-bridge")
+    line, stop = Line(int(harness)), Stop()
+    for module, place, watched in (
+        (sim_bridge.world, "Board", watched_board(line)),
+        (sim_bridge.pool, "World", watched_world(line)),
+    ):
+        setattr(module, place, watched)
+    with Bus(ZenohTransport(Endpoint(station))) as bus:
+        Pool(load_experiment(name), bus, int(ports), stop, lockstep=False, poses="--poses" in options).run()
+
+
+if __name__ == "__main__":
+    main()
