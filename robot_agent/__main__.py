@@ -1,24 +1,25 @@
 """SHELL: `robot-agent`: what runs on a robot's board."""
 
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from robot_agent.commands import check, init
+from robot_agent.config import DEFAULT_LINK, choose
 from wire.experiment import load_experiment
 from wire.options import (
-    DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
-    FleetName,
     Insecure,
     KeyRing,
     LockstepMode,
     Settings,
-    StationAddress,
     Verbose,
+    live_fleet,
 )
-from wire.runtime import Stop, run_app, start_log
+from wire.runtime import Stop, log, run_app, start_log
 
 cli = typer.Typer(
     help="The program on a robot's board: poses in, pulses for thrusters and ankles out.",
@@ -27,15 +28,24 @@ cli = typer.Typer(
 )
 
 
+cli.command()(init)
+cli.command()(check)
+
+
 @cli.command()
 def run(
-    experiment: ExperimentName,
-    robot: Annotated[int, typer.Option(help="Which robot of the experiment this is.")],
+    experiment: Annotated[str | None, typer.Argument(help="A shipped experiment, or a path ending in .toml.")] = None,
+    config: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The board's configuration (`robot-agent init`); options go before it.")
+    ] = None,
+    robot: Annotated[int | None, typer.Option(help="Which robot of the experiment this is.")] = None,
     link: Annotated[
-        str, typer.Option(help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")
-    ] = "serial:/dev/ttyACM0:115200",
-    station: StationAddress = DEFAULT_STATION,
-    fleet: FleetName = DEFAULT_FLEET,
+        str | None, typer.Option(help=f"The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD]. [default: {DEFAULT_LINK}]")
+    ] = None,
+    station: Annotated[
+        str | None, typer.Option(metavar="ENDPOINT", help=f"Where the station's router listens. [default: {DEFAULT_STATION}]")
+    ] = None,
+    fleet: Annotated[str | None, typer.Option(callback=live_fleet, help="Name of the fleet.")] = None,
     settings: Settings = None,
     lockstep: LockstepMode = False,
     keys: KeyRing = None,
@@ -44,25 +54,44 @@ def run(
 ) -> None:
     """Fly one robot. Starts disarmed, waits for the station, and puts out neutral pulses until it is told to arm and start.
 
-    Example on a board:  robot-agent run pool --robot 1 --station tls/192.168.1.10:7447 --keys keys
+    Examples on a board:  robot-agent run pool --robot 1 --station tls/192.168.1.10:7447 --keys keys
+                          robot-agent run --config /etc/shoal/agent.toml
     """
+    from robot_agent import realtime
     from robot_agent.link import open_link
     from robot_agent.shell import Shell
+    from robot_agent.watchdog import Watchdog
     from wire.bus import Bus
     from wire.network import endpoint
     from wire.topics import Role, process_name
     from wire.transport import ZenohTransport
 
-    start_log(f"agent-{robot}", verbose)
+    given = {
+        "experiment": experiment,
+        "robot": robot,
+        "link": link,
+        "station": station,
+        "fleet": fleet,
+        "settings": settings,
+        "keys": None if keys is None else str(keys),
+        "insecure": insecure or None,
+    }
+    board = choose(given, config)
+    start_log(f"agent-{board.robot}", verbose)
     stop = Stop()
-    loaded = load_experiment(experiment, settings or ())
-    loaded.robot(robot)
-    where = endpoint(station, process_name(Role.ROBOT, robot), keys, insecure=insecure, lossless=lockstep)
-    wires = open_link(link)
+    loaded = load_experiment(board.experiment, board.settings)
+    loaded.robot(board.robot)
+    ring = None if board.keys is None else Path(board.keys)
+    me = process_name(Role.ROBOT, board.robot)
+    where = endpoint(board.station, me, ring, insecure=board.insecure, lossless=lockstep)
+    wires, watchdog = open_link(board.link), Watchdog()
     try:
-        with Bus(ZenohTransport(where, stop), fleet) as bus:
-            Shell(loaded, robot, bus, wires, lockstep, stop).run()
+        with Bus(ZenohTransport(where, stop), board.fleet) as bus:
+            for refused in realtime.apply(board.realtime):
+                log.warning("real time: %s", refused)
+            Shell(loaded, board.robot, bus, wires, lockstep, stop, watchdog).run()
     finally:
+        watchdog.stopping()
         wires.close()
 
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 from robot_agent.agent import Agent, Outputs
 from robot_agent.journal import answered, inputs_of, noted, order_noted, station_view
 from robot_agent.link import Link
+from robot_agent.watchdog import Watchdog
 from wire import topics
 from wire.bus import Bus, Received
 from wire.codec import Header
@@ -30,10 +31,19 @@ LINK_HEARTBEAT_S = 1.0
 class Shell:
     """Inboxes, link and clock of one robot."""
 
-    def __init__(self, experiment: Experiment, robot: int, bus: Bus, link: Link, lockstep: bool, stop: Stop) -> None:
+    def __init__(
+        self,
+        experiment: Experiment,
+        robot: int,
+        bus: Bus,
+        link: Link,
+        lockstep: bool,
+        stop: Stop,
+        watchdog: Watchdog | None = None,
+    ) -> None:
         self.agent = Agent(experiment, robot)
         self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
-        self._lockstep = lockstep
+        self._lockstep, self._watchdog = lockstep, watchdog or Watchdog({})
         self._clock: Clock = LockstepClock() if lockstep else WallClock()
         self._mavlink = AgentLink(robot)
         self._poses = bus.inbox(topics.POSE, Pose, robot)
@@ -56,12 +66,14 @@ class Shell:
         self._greet()
         self._bus.announce(f"agent-{self._robot}")
         log.info("ready, experiment %s", self._experiment.hash[:8])
+        self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
         for due_ns, up_to_ns in self._lockstep_pace() if self._lockstep else self._wall_pace():
             started_ns = time.perf_counter_ns()
             now_ns = self._clock.now_ns()
             with self._turn:
                 record, outputs = self._step(now_ns, up_to_ns)
             self._write(outputs, now_ns, due_ns, started_ns)
+            self._watchdog.alive(time.monotonic_ns())
             self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
 
     def _greet(self) -> None:

@@ -10,9 +10,9 @@ DEFAULT_FLEET = "shoal"
 REPLAY_PREFIX = "replay/"  # of the fleet that a recorded run is put on the bus as: no program of ours can join it
 
 
-def _live(fleet: str) -> str:
+def live_fleet(fleet: str | None) -> str | None:
     """A fleet's name, if it is not that of a recorded run."""
-    if fleet.startswith(REPLAY_PREFIX):
+    if fleet is not None and fleet.startswith(REPLAY_PREFIX):
         raise typer.BadParameter(f"{fleet!r} is a recorded run: nobody can join it")
     return fleet
 
@@ -34,7 +34,7 @@ StationAddress = Annotated[
     str, typer.Option("--station", metavar="ENDPOINT", help="Where the ground station's router listens (Zenoh endpoint).")
 ]
 FleetName = Annotated[
-    str, typer.Option("--fleet", callback=_live, help="Name of the fleet: fleets of different names ignore each other.")
+    str, typer.Option("--fleet", callback=live_fleet, help="Name of the fleet: fleets of different names ignore each other.")
 ]
 LockstepMode = Annotated[bool, typer.Option("--lockstep", help="Run by the simulator's clock instead of the wall clock.")]
 KeyRing = Annotated[

@@ -1,0 +1,78 @@
+"""SHELL: `robot-agent init` and `robot-agent check`: a board's configuration, and a look at the board before the water."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robot_agent.check import Finding, Verdict, exit_code, to_json
+from robot_agent.config import DEFAULT_LINK, load_board, template
+from wire.experiment import Experiment
+from wire.network import parse_address
+from wire.options import DEFAULT_FLEET
+from wire.runtime import start_log
+from wire.toml_file import ConfigError
+
+ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The board's configuration (`robot-agent init`).")]
+DEFAULT_CONFIG = Path("agent.toml")
+COLOURS = {Verdict.OK: "green", Verdict.WARN: "yellow", Verdict.FAIL: "red", Verdict.SKIPPED: None}
+CAREFUL = "Each thruster will turn. Is the robot free, and is nobody's hand near it?"
+
+
+def init(
+    robot: Annotated[int, typer.Option(min=1, max=999, help="Which robot of the experiment this is.")],
+    station: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the station's router listens.")],
+    experiment: Annotated[str, typer.Option(help="What is flown.")] = "pool",
+    fleet: Annotated[str, typer.Option(help="Name of the fleet.")] = DEFAULT_FLEET,
+    link: Annotated[str, typer.Option(help="The thruster board.")] = DEFAULT_LINK,
+    keys: Annotated[str | None, typer.Option(metavar="FOLDER", help="The key ring, relative to the file.")] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Where to write it.")] = DEFAULT_CONFIG,
+    force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
+) -> None:
+    """Write a commented configuration for this board.
+
+    Example:  robot-agent init --robot 3 --station tls/192.168.1.10:7447 --keys keys
+    """
+    from robot_agent.link import open_link
+
+    parse_address(station)
+    open_link(link).close()
+    if out.exists() and not force:
+        raise ConfigError(f"{out}: is there already (--force writes over it)")
+    out.write_text(template(out.name, robot, experiment, station, fleet, link, keys), encoding="utf-8")
+    load_board(out)
+    typer.echo(f"{out}: written; `robot-agent check --config {out}` looks the board over")
+
+
+def check(
+    config: ConfigFile = DEFAULT_CONFIG,
+    thrusters: Annotated[bool, typer.Option("--thrusters", help="Turn each thruster a little, after asking.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="With --thrusters: do not ask.")] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Look this board over: software, experiment, devices, permissions, certificate, station, clock, CPU, thrusters.
+
+    Exit code 0 if nothing has failed, 1 if something has.
+    """
+    from robot_agent.check_shell import look_over
+    from robot_agent.thruster_test import turn_thrusters
+
+    start_log("check")
+    board = load_board(config)
+    if thrusters and not yes and not typer.confirm(CAREFUL, err=True):
+        thrusters = False
+
+    def turn(experiment: Experiment) -> Iterator[Finding]:
+        return turn_thrusters(experiment, board.robot, board.link)
+
+    found = []
+    for finding in look_over(board, turn if thrusters else None):
+        found.append(finding)
+        if not json:
+            typer.echo(
+                f"{finding.what:16}{typer.style(f'{finding.verdict.value:9}', fg=COLOURS[finding.verdict])}{finding.detail}"
+            )
+    if json:
+        typer.echo(to_json(found))
+    raise typer.Exit(exit_code(found))

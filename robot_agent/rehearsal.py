@@ -1,0 +1,70 @@
+"""A flight in thought: the robot's own agent on its own experiment, round a circle, with every neighbour's plan. Pure.
+
+To time a control step on the CPU that will have to do it. The poses are those of a robot that flies as planned, a few
+millimetres off; the work of a step does not depend on how well it goes.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from robot_agent.agent import Agent, Heard, Inputs, Seen
+from robot_agent.orders import StationView
+from wire.codec import Header
+from wire.experiment import Experiment
+from wire.frames import Array
+from wire.mavlink import Telemetry
+from wire.messages import Command, Order, Plan, Pose, Track, Trajectory
+
+RADIUS_M, SPEED_MPS, DEPTH_M = 0.5, 0.1, 0.3
+APART_M = 1.2  # between circles' centres: plans are heard, and nobody is in the way
+NOISE = (0.0015, 0.0015, 0.009)  # x, y, yaw: what the localizer has
+STATION = 1  # session
+ARM_AFTER = 20  # steps, 1 s: until the estimate stands
+
+
+def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs, int]]:
+    """Agent, inputs and time of one control step after the other, without end; whoever asks does the step."""
+    agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
+    period_ns, centre = round(period_s * 1e9), experiment.robot_ids.index(robot)
+    trajectory = _circle(period_s, centre)
+    k = 0
+    while True:
+        now_ns = (k + 1) * period_ns
+        flown = max(k - ARM_AFTER, 0)
+        eta = trajectory.eta[flown % len(trajectory.eta)]
+        x, y, yaw = (eta[[0, 1, 3]] + noise.normal(0.0, NOISE)).tolist()
+        pose = Pose(x, y, yaw, np.diag(np.square(NOISE)), Track.MARKER, True, 0.9, DEPTH_M)
+        station = StationView(STATION, now_ns, 0.0)
+        telemetry = Telemetry(
+            board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=DEPTH_M, armed=k >= ARM_AFTER, battery_v=12.4
+        )
+        plans = {
+            other: Heard(_plan(experiment, i, flown), now_ns) for i, other in enumerate(experiment.robot_ids) if other != robot
+        }
+        if k == ARM_AFTER:
+            for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
+                command = Command(order, robot, experiment_hash=experiment.hash, trajectory=trajectory)
+                agent.order(Header(STATION, n, now_ns), command, station, now_ns)
+        yield agent, Inputs(Seen(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
+        k += 1
+
+
+def _eta(times_s: Array, i: int) -> Array:
+    """Poses (n, 4) along the i-th circle."""
+    angle = times_s * SPEED_MPS / RADIUS_M
+    x, y = RADIUS_M * np.cos(angle) + i * APART_M, RADIUS_M * np.sin(angle)
+    return np.stack([x, y, np.full_like(angle, DEPTH_M), angle + np.pi / 2], axis=1)
+
+
+def _circle(period_s: float, i: int) -> Trajectory:
+    times_s = np.arange(0.0, 60.0, period_s, dtype=np.float64)
+    eta = _eta(times_s, i)
+    velocity = np.gradient(eta, period_s, axis=0)
+    return Trajectory("rehearsal", period_s, eta, velocity, np.gradient(velocity, period_s, axis=0))
+
+
+def _plan(experiment: Experiment, i: int, flown: int) -> Plan:
+    period_s, horizon = experiment.controller.period_s, experiment.controller.mpc.horizon
+    eta = _eta(np.arange(flown, flown + horizon + 1, dtype=np.float64) * period_s, i)
+    return Plan(period_s, eta, eta)

@@ -1,0 +1,253 @@
+"""The board's configuration, and the look at the board before the water: against a real station and a real simulated board."""
+
+import itertools
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from groundstation import keys
+from robot_agent import check
+from robot_agent.__main__ import cli
+from robot_agent.check import Finding, Verdict
+from robot_agent.config import Board, Realtime, choose, load_board
+from robot_agent.rehearsal import rehearse
+from robot_agent.thruster_test import judge
+from sim_bridge.sil import free_base_port
+from tests.wire.test_bus import free_port
+from wire import topics
+from wire.bus import Bus
+from wire.experiment import load_experiment
+from wire.messages import Mode, Solve, StationHeartbeat
+from wire.network import endpoint
+from wire.toml_file import ConfigError
+from wire.transport import Endpoint, ZenohTransport
+
+NOW = datetime(2030, 5, 1, tzinfo=UTC)
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, list(arguments))
+
+
+# --- configuration
+
+
+def test_init_writes_what_run_reads(tmp_path: Path) -> None:
+    file = tmp_path / "agent.toml"
+    wanted = ["--robot", "3", "--station", "tls/192.168.1.10:7447", "--keys", "keys", "--out", str(file)]
+    assert invoke("init", *wanted).exit_code == 0
+    board = load_board(file)
+    assert (board.robot, board.experiment, board.station) == (3, "pool", "tls/192.168.1.10:7447")
+    assert board.keys == str(tmp_path / "keys")
+    assert board.realtime == Realtime(priority=20, cores=(), lock_memory=True)
+    assert sum(line.lstrip().startswith("#") or "#" in line for line in file.read_text().splitlines()) > 8
+    again = invoke("init", *wanted)
+    assert isinstance(again.exception, ConfigError)
+    assert "is there already" in str(again.exception)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("robot = 0", "robot = 0: "),
+        ('robot = 1\nspeed = "high"', "speed: unknown key (allowed here: experiment, fleet"),
+        ("robot = 1\nrealtime.priority = 100", "realtime.priority = 100: "),
+        ('robot = 1\nkeys = "k"\ninsecure = true', "leave one of them out"),
+    ],
+)
+def test_a_bad_file_says_which_key(tmp_path: Path, text: str, says: str) -> None:
+    file = tmp_path / "agent.toml"
+    file.write_text(f'experiment = "pool"\nstation = "tcp/127.0.0.1:7447"\n{text}\n')
+    with pytest.raises(ConfigError) as refused:
+        load_board(file)
+    assert says in str(refused.value)
+    assert str(file) in str(refused.value)
+
+
+def test_options_go_before_the_file_and_the_file_before_defaults(tmp_path: Path) -> None:
+    file = tmp_path / "agent.toml"
+    file.write_text('experiment = "pool"\nstation = "tcp/127.0.0.1:1"\nrobot = 2\nlink = "udp:10.0.0.2:5"\n')
+    board = choose({"station": "tcp/127.0.0.1:2", "robot": None}, file)
+    assert (board.robot, board.station, board.link) == (2, "tcp/127.0.0.1:2", "udp:10.0.0.2:5")
+    assert choose({"experiment": "pool", "robot": 1}, None) == Board(experiment="pool", robot=1, station="tcp/127.0.0.1:7447")
+    with pytest.raises(ConfigError, match="which robot"):
+        choose({"experiment": "pool"}, None)
+
+
+# --- judgement
+
+
+@pytest.mark.parametrize(
+    ("name", "starts", "expires", "verdict"),
+    [
+        ("agent-1.0a", -1, 397, Verdict.OK),
+        ("agent-1.0a", -1, 10, Verdict.WARN),
+        ("agent-1.0a", -9, -1, Verdict.FAIL),
+        ("agent-1.0a", 1, 397, Verdict.FAIL),
+        ("agent-11.0a", -1, 397, Verdict.FAIL),
+        ("viewer.0a", -1, 397, Verdict.FAIL),
+    ],
+)
+def test_a_certificate_must_be_ours_and_valid(name: str, starts: int, expires: int, verdict: Verdict) -> None:
+    days = timedelta(days=1)
+    assert check.certificate(name, "agent-1", NOW + starts * days, NOW + expires * days, NOW).verdict is verdict
+
+
+def test_clocks_and_times_are_judged_by_their_limits() -> None:
+    assert [check.clock(s).verdict for s in (0.9, -0.9, 1.1, -3600)] == [Verdict.OK] * 2 + [Verdict.WARN] * 2
+    verdicts = [check.timing(p50, p99, 0.05, 1).verdict for p50, p99 in ((1, 24), (1, 26), (26, 30))]
+    assert verdicts == [Verdict.OK, Verdict.WARN, Verdict.FAIL]
+    assert check.exit_code([Finding("a", Verdict.WARN, ""), Finding("b", Verdict.SKIPPED, "")]) == 0
+    assert check.exit_code([Finding("a", Verdict.OK, ""), Finding("b", Verdict.FAIL, "")]) == 1
+
+
+def test_an_echo_tells_which_thruster_turned() -> None:
+    rest, wanted = (1500, 1500, 1500, 1500), (1500, 1540, 1500, 1500)
+    assert judge(1, wanted, [rest, (1500, 1520, 1500, 1500), (1500, 1540, 1500, 1500)]).verdict is Verdict.OK
+    assert judge(1, wanted, [rest]).verdict is Verdict.FAIL
+    assert judge(1, wanted, [()]).verdict is Verdict.FAIL
+    assert "thruster 3 turned as well" in judge(1, wanted, [(1500, 1540, 1540, 1500)]).detail
+
+
+def test_the_rehearsal_flies_with_every_neighbour() -> None:
+    experiment = load_experiment("fleet-20")
+    for agent, inputs, now_ns in itertools.islice(rehearse(experiment, 7), 40):
+        outputs = agent.step(inputs, now_ns)
+    assert (outputs.state.mode, outputs.state.solve, len(outputs.state.heard)) == (Mode.TRACKING, Solve.SOLVED, 19)
+
+
+# --- the whole, on a board that is there
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Path]:
+    """A station with keys that beats, and the simulator's thruster boards. Gives the folder with agent.toml."""
+    ring, address = tmp_path / "keys", f"tls/127.0.0.1:{free_port()}"
+    keys.init(ring, [], "shoal", datetime.now(UTC))
+    keys.add(ring, "robot", 1, datetime.now(UTC))
+    ports = free_base_port((1, 2))
+    stop = threading.Event()
+    station = Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True)))
+
+    def beat() -> None:
+        while not stop.wait(0.05):
+            station.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), time.time_ns())
+
+    beating = threading.Thread(target=beat)
+    beating.start()
+    pool = ["pool", "pool", "--poses", "--station", address, "--ports", str(ports), "--keys", str(ring)]
+    pool += ["--set", "robots.0.start=[-0.6, 0.0, 0.3, 0.0]", "--set", "robots.1.start=[0.6, 0.0, 0.3, 0.0]"]
+    with subprocess.Popen([sys.executable, "-m", "sim_bridge", *pool], stderr=subprocess.DEVNULL) as simulator:
+        try:
+            wanted = ["--robot", "1", "--station", address, "--keys", "keys", "--link", f"udp:127.0.0.1:{ports + 1}"]
+            assert invoke("init", *wanted, "--out", str(tmp_path / "agent.toml")).exit_code == 0
+            station.watch_presence()
+            assert station.wait(lambda: "sim-bridge" in station.present, 30.0)
+            yield tmp_path
+        finally:
+            simulator.terminate()
+            stop.set()
+            beating.join()
+            station.close()
+
+
+def checked(folder: Path, *more: str) -> tuple[int, dict[str, tuple[str, str]]]:
+    done = invoke("check", "--config", str(folder / "agent.toml"), "--json", *more)
+    rows = json.loads(done.stdout[done.stdout.index("[\n") :])
+    return done.exit_code, {row["what"]: (row["verdict"], row["detail"]) for row in rows}
+
+
+def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> None:
+    code, found = checked(site, "--thrusters", "--yes")
+    bad = {what: row for what, row in found.items() if row[0] == "fail" and what != "control step"}  # that is this machine's
+    assert bad == {}
+    assert code in (0, int(found["control step"][0] == "fail"))
+    assert "robot 1 of 2" in found["experiment"][1]
+    assert "disarmed" in found["thruster board"][1]
+    assert "its mission is WAITING" in found["station"][1]
+    assert found["clock"][0] == "ok"
+    assert [found[f"thruster {i}"][0] for i in (1, 2, 3, 4)] == ["ok"] * 4
+    assert checked(site)[1]["thrusters"][0] == "skipped"
+    assert "disarmed" in checked(site)[1]["thruster board"][1]  # as it was left
+
+
+def test_what_is_wrong_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "agent.toml"
+    text = 'experiment = "pool"\nrobot = 9\nstation = "{}"\nlink = "serial:/dev/nothing-here"\nkeys = "keys"\n'
+    file.write_text(text.format(f"tls/127.0.0.1:{free_port()}"))
+    code, found = checked(tmp_path)
+    assert code == 1
+    for what, says in (
+        ("experiment", "robot"),
+        ("device", "/dev/nothing-here: not there"),
+        ("thruster board", "silent"),
+        ("certificate", "is missing"),
+    ):
+        assert found[what][0] == "fail"
+        assert says in found[what][1]
+    ring = tmp_path / "keys"
+    keys.init(ring, [], "shoal", datetime.now(UTC))
+    keys.add(ring, "robot", 9, datetime.now(UTC))
+    assert "no station listens" in checked(tmp_path)[1]["station"][1]
+
+
+def test_a_router_without_a_station_is_told_from_a_station(tmp_path: Path) -> None:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    router = ZenohTransport(Endpoint(address, router=True))
+    try:
+        (tmp_path / "agent.toml").write_text(
+            f'experiment = "pool"\nrobot = 1\nstation = "{address}"\nlink = "udp:127.0.0.1:9"\n'
+        )
+        assert "no station is heard" in checked(tmp_path)[1]["station"][1]
+    finally:
+        router.close()
+
+
+def test_a_person_is_asked_before_anything_turns(tmp_path: Path) -> None:
+    (tmp_path / "agent.toml").write_text(
+        f'experiment = "pool"\nrobot = 1\nstation = "tcp/127.0.0.1:{free_port()}"\nlink = "udp:127.0.0.1:9"\n'
+    )
+    done = CliRunner().invoke(cli, ["check", "--config", str(tmp_path / "agent.toml"), "--thrusters"], input="n\n")
+    assert "Each thruster will turn" in done.output
+    assert "not turned" in done.output
+
+
+def test_the_base_install_is_enough(tmp_path: Path) -> None:
+    """Every command of the board, with what only the other roles install made impossible to import."""
+    blocked = (
+        "cv2",
+        "mcap",
+        "mcap_protobuf",
+        "starlette",
+        "uvicorn",
+        "websockets",
+        "matplotlib",
+        "msgspec",
+        "pyarrow",
+    )
+    block = f"import sys; sys.modules.update(dict.fromkeys({blocked})); from robot_agent.__main__ import app; app()"
+    file = str(tmp_path / "agent.toml")
+    for arguments in (
+        ["init", "--robot", "1", "--station", f"tcp/127.0.0.1:{free_port()}", "--link", "udp:127.0.0.1:9", "--out", file],
+        ["check", "--config", file],
+        ["modes"],
+        ["run", "--help"],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", block, *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        assert "Traceback" not in done.stderr, done.stderr
+        assert done.returncode == (1 if arguments[0] == "check" else 0), done.stderr
