@@ -11,7 +11,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run test test-slow faults bench lint format proto docs lock clean
+.PHONY: help page run test test-slow faults fuzz bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -28,6 +28,10 @@ test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
 
 faults: $(INSTALLED) ## break everything in docs/faults.md, many times, and measure (hours). ARGS="--row agent-killed --times 5"
 	$(BIN)/python -m tests.faults $(ARGS)
+
+fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step. ARGS="--target mavlink --runs 10000"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]' || echo "atheris cannot be installed here: without it, then"
+	$(BIN)/python -m tests.faults.fuzz $(ARGS)
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)

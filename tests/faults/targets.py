@@ -1,0 +1,297 @@
+"""What is fuzzed: every decoder, and every `step`. A target takes any bytes, and raises only for a bug.
+
+Decoders get the bytes as they are. Steps get what can be made of them: messages of any numbers, also of those that no decoder
+lets through, at any instants, in any order.
+"""
+
+import contextlib
+import dataclasses
+import math
+import struct
+import tempfile
+from collections.abc import Callable
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import Any, get_origin, get_type_hints
+
+import numpy as np
+
+from groundstation.fleet import RobotView
+from groundstation.mission import Answer, Mission
+from groundstation.planner import plan
+from groundstation.recorder import valid_records
+from groundstation.web.requests import BadRequest, read_request
+from localizer.locate import Locator
+from robot_agent.agent import Agent, Heard, Inputs, Seen, Watched
+from robot_agent.mode import POWERED
+from robot_agent.orders import StationView
+from sim_bridge.board import Board
+from tests.wire.strategies import CLASSES, example, nested
+from wire.codec import LARGEST, DecodeError, Header, decode, encode
+from wire.experiment import Experiment, load_experiment
+from wire.mavlink import AgentLink, BoardLink, Telemetry
+from wire.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory
+from wire.toml_file import ConfigError, apply_setting, check, read_toml
+from wire.vehicle import Vehicle
+
+PERIOD_NS = 50_000_000
+SMALL = ("camera.size_px=[96,64]", "camera.focal_px=[60,60]", "camera.centre_px=[47.5,31.5]")
+NUMBERS = (0.0, -0.0, 1.0, math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, LARGEST, -LARGEST, 1e4, math.pi, 0.3)
+
+
+class Bites:
+    """Values out of bytes; zeros when they are used up."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+
+    @property
+    def left(self) -> bool:
+        """Whether there is more."""
+        return self._at < len(self._data)
+
+    def take(self, size: int) -> bytes:
+        """The next bytes."""
+        taken = self._data[self._at : self._at + size]
+        self._at += size
+        return taken.ljust(size, b"\0")
+
+    def byte(self, below: int = 256) -> int:
+        """A small number."""
+        return self.take(1)[0] % below
+
+    def number(self) -> float:
+        """Usual, extreme, or any double at all."""
+        kind = self.byte()
+        if kind < 128:
+            return (self.byte() - 128) / 64.0
+        if kind < 200:
+            return NUMBERS[kind % len(NUMBERS)]
+        return float(struct.unpack("<d", self.take(8))[0])
+
+    def message(self, cls: Any) -> Any:
+        """Any message of a class."""
+        hints, rows = get_type_hints(cls), self.byte(5)
+        return cls(**{f.name: self._field(hints[f.name], f, rows) for f in dataclasses.fields(cls)})
+
+    def _field(self, hint: Any, field: Any, rows: int) -> Any:
+        if "shape" in field.metadata:
+            shape = tuple(rows if n == -1 else n for n in field.metadata["shape"])
+            return np.array([self.number() for _ in range(math.prod(shape))]).reshape(shape)
+        if hint is float:
+            return self.number()
+        if hint is bool:
+            return bool(self.byte(2))
+        if hint is str:
+            return self.take(self.byte(6)).decode("latin1")
+        if nested(hint) is not None:
+            return self.message(nested(hint)) if self.byte(2) else None
+        if isinstance(hint, type) and issubclass(hint, IntEnum):
+            members = tuple(hint)
+            return members[self.byte(len(members))]
+        if get_origin(hint) is tuple:
+            return tuple(self.byte() for _ in range(rows))
+        return self.byte()
+
+
+@cache
+def _pool(*settings: str) -> Experiment:
+    return load_experiment("pool", settings)
+
+
+# --- decoders
+
+
+def messages(data: bytes) -> None:
+    """Protobuf: the first byte says which message it is to be. What gets through can be sent on."""
+    cls = CLASSES[data[0] % len(CLASSES)] if data else CLASSES[0]
+    with contextlib.suppress(DecodeError):
+        encode(decode(cls, data[1:], "peer", "topic"))
+    with contextlib.suppress(DecodeError):
+        Header.decode(data[:28], "peer", "topic")
+
+
+def mavlink(data: bytes) -> None:
+    """Both ends, in pieces."""
+    board, agent, size = BoardLink(1), AgentLink(1), 1 + len(data) // 3
+    for k in range(0, len(data), size):
+        board.receive(data[k : k + size], k * PERIOD_NS)
+        agent.receive(data[k : k + size], k * PERIOD_NS)
+    told = agent.telemetry
+    assert all(map(math.isfinite, (told.heading_rad, told.yaw_rate_radps, told.depth_m, told.battery_v)))
+
+
+@cache
+def _file() -> Path:
+    return Path(tempfile.mkdtemp(prefix="shoal-fuzz-")) / "fuzz.toml"
+
+
+def toml(data: bytes) -> None:
+    """An experiment's or a vehicle's file, and a setting laid over an experiment."""
+    _file().write_bytes(data)
+    for model in (Experiment, Vehicle):
+        with contextlib.suppress(ConfigError):
+            check(model, read_toml(_file()), "fuzz")
+    table = _pool().model_dump(mode="json", exclude_none=True)
+    with contextlib.suppress(ConfigError):
+        apply_setting(table, data.decode("latin1"))
+        check(Experiment, table, "fuzz")
+
+
+def requests(data: bytes) -> None:
+    """What a page may send."""
+    with contextlib.suppress(BadRequest):
+        read_request(data)
+    with contextlib.suppress(BadRequest):
+        read_request(data.decode("utf-8", "surrogateescape"))
+
+
+def logs(data: bytes) -> None:
+    """A log that was cut, or is none."""
+    path = _file().with_suffix(".mcap")
+    path.write_bytes(b"\x89MCAP0\r\n" + data)
+    for _ in valid_records(path):
+        pass
+
+
+# --- steps
+
+
+@cache
+def _trajectory() -> Trajectory:
+    return plan(_pool())[1]
+
+
+def agent(data: bytes) -> None:
+    """A robot that flies, given anything: it puts out pulses that servos can take, neutral ones unless its mode has thrust;
+    what it believes and plans is finite."""
+    bites, robot, now_ns = Bites(data), Agent(_pool(), 1), 10**12
+    for number, order in enumerate((Order.LOAD, Order.ARM, Order.START), start=1):
+        station = StationView(1, now_ns, 0.0)
+        pose = Pose(0.5, 0.1, 0.2, np.eye(3) * 1e-6, Track.MARKER, True, 1.0, 0.3)
+        telemetry = Telemetry(board_ms=number, arrival_ns=now_ns, battery_v=12.0, armed=number > 2)
+        robot.step(Inputs(Seen(pose, now_ns), telemetry, station), now_ns)
+        command = Command(order, 1, experiment_hash=_pool().hash, trajectory=_trajectory() if order is Order.LOAD else None)
+        robot.order(Header(1, number, now_ns), command, station, now_ns)
+        now_ns += PERIOD_NS
+    while bites.left:
+        _agent_step(robot, bites, now_ns)
+        now_ns += (PERIOD_NS, 0, PERIOD_NS, 10**9)[bites.byte(4)]
+
+
+def _agent_step(robot: Agent, bites: Bites, now_ns: int) -> None:
+    def instant() -> int:
+        return now_ns - (0, 20_000_000, -20_000_000, 10**10)[bites.byte(4)]
+
+    kind = bites.byte(8)
+    inputs = robot._inputs
+    pose = Seen(bites.message(Pose), instant()) if kind & 1 else inputs.pose
+    telemetry = dataclasses.replace(inputs.telemetry, arrival_ns=now_ns, armed=True)
+    if kind & 2:
+        telemetry = dataclasses.replace(
+            telemetry,
+            board_ms=bites.byte(),
+            arrival_ns=instant(),
+            heading_rad=bites.number(),
+            yaw_rate_radps=bites.number(),
+            depth_m=bites.number(),
+            battery_v=bites.number(),
+        )
+    plans = {2: Heard(bites.message(Plan), instant())} if kind & 4 else inputs.plans
+    watched = Watched(bites.message(Obstacles), instant()) if kind & 4 else inputs.watched
+    outputs = robot.step(Inputs(pose, telemetry, StationView(1, now_ns, 0.0), False, plans, watched, bites.byte(5)), now_ns)
+    assert len(outputs.pulse_us) == 8 and all(1000 <= pulse <= 2000 for pulse in outputs.pulse_us)
+    assert robot.mode in POWERED or outputs.pulse_us[:4] == (1500,) * 4
+    state = outputs.state
+    for name in ("eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_wanted", "wrench_delivered"):
+        assert np.isfinite(getattr(state, name)).all(), name
+    if outputs.plan is not None:
+        decode(Plan, encode(outputs.plan), "agent", "plan")
+
+
+def orders(data: bytes) -> None:
+    """Any order to any robot, from anybody. Nothing but ARM, START, RESUME and HOLD in their places leads to thrust."""
+    bites, robot, now_ns = Bites(data), Agent(_pool(), 1), 10**12
+    while bites.left:
+        command = bites.message(Command)
+        header = Header(bites.byte(2), bites.byte(), now_ns - bites.byte() * 10_000_000)
+        reply = robot.order(header, command, StationView(bites.byte(2), now_ns, 0.0), now_ns)
+        decode(Reply, encode(reply), "agent", "reply")
+        robot.step(dataclasses.replace(robot._inputs, station=StationView(1, now_ns, 0.0)), now_ns)
+        now_ns += PERIOD_NS
+    assert robot.mode not in POWERED  # it never knew where it is
+
+
+def locator(data: bytes) -> None:
+    """Any pictures at any instants."""
+    experiment, bites = _pool(*SMALL), Bites(data)
+    eyes, now_ns = Locator(experiment), 0
+    width, height = experiment.camera.size_px
+    while bites.left:
+        shape = ((height, width), (height, width), (height, width), (width, height))[bites.byte(4)]
+        pixels = np.resize(np.frombuffer(bites.take(1 + bites.byte() * 8), np.uint8), shape)
+        now_ns += (PERIOD_NS, 0, -PERIOD_NS, 10**10)[bites.byte(4)]
+        for _, pose in eyes.step(pixels, now_ns, {1: bites.number(), 2: bites.number()}).poses:
+            decode(Pose, encode(pose), "localizer", "pose")
+
+
+def board(data: bytes) -> None:
+    """Any bytes on its wire: never a pulse beyond its range, never thrust without arming."""
+    bites, now_ns = Bites(data), 0
+    thrusters = Board(_pool(), 1, 1)
+    agent_end, still = AgentLink(1), np.zeros(4)
+    while bites.left:
+        kind = bites.byte(4)
+        pulses = [500 + bites.byte() * 2000 // 255 for _ in range(8)]
+        sent = (bites.take(bites.byte()), agent_end.pulses(pulses), agent_end.arm(True), agent_end.pulses([1500] * 8))[kind]
+        thrusters.receive(sent, now_ns)
+        now_ns += bites.byte() * 2_000_000
+        thrusters.step(now_ns, still, still, still, 9.0 + bites.byte() / 64.0)
+        assert all(1000 <= pulse <= 2000 for pulse in thrusters.pulses)
+        assert thrusters.armed or thrusters.pulses[:4] == (1500,) * 4
+
+
+def mission(data: bytes) -> None:
+    """Robots that say anything, and answer anything."""
+    experiment, bites, now_ns = _pool(), Bites(data), 10**12
+    flight = Mission(experiment, {r: dataclasses.replace(_trajectory(), id=str(r)) for r in experiment.robot_ids}, True)
+    while bites.left:
+        fleet = {
+            robot: RobotView(bites.message(RobotState), abs(bites.number()), bites.message(Pose), abs(bites.number()))
+            if bites.byte(4)
+            else RobotView()
+            for robot in experiment.robot_ids
+        }
+        if bites.byte(4) == 0:
+            flight.wish(list(Order)[bites.byte(len(Order))], fleet, now_ns)
+        commands = flight.step(fleet, [Answer(bites.message(Command), bites.message(Reply))], now_ns)
+        for command in commands:
+            decode(Command, encode(command), "station", "command")
+        now_ns += PERIOD_NS * (1 + bites.byte())
+
+
+TARGETS: dict[str, Callable[[bytes], None]] = {
+    "messages": messages,
+    "mavlink": mavlink,
+    "toml": toml,
+    "requests": requests,
+    "logs": logs,
+    "agent": agent,
+    "orders": orders,
+    "locator": locator,
+    "board": board,
+    "mission": mission,
+}
+
+
+def seeds(name: str) -> list[bytes]:
+    """Good input of a target, to begin from."""
+    link, end = AgentLink(1), BoardLink(1)
+    good = {
+        "messages": [bytes([i]) + encode(example(cls)) for i, cls in enumerate(CLASSES)],
+        "mavlink": [link.pulses([1500] * 8) + link.arm(True), end.attitude(5, 1.0, 0.1) + end.pressure(5, 0.3)],
+        "toml": [Path("groundstation/experiments/pool.toml").read_bytes(), b"controller.mpc.horizon=20"],
+        "requests": [b'{"kind":"order","n":1,"order":"start"}', b'{"kind":"try","n":2,"edit":{"points_m":[[0,0],[1,2]]}}'],
+    }
+    return good.get(name, [bytes(range(256)), bytes(300)])
