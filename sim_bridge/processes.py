@@ -51,11 +51,14 @@ class Children:
     """All processes of one run."""
 
     log_dir: Path
+    clocks: frozenset[str] = frozenset()  # names of those whose wall clock will be set, by clock_file
     all: list[Child] = field(default_factory=list)
 
     def start(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> Child:
         """Start `python -m module arguments` in a process group of its own, so that Ctrl-C reaches only the launcher."""
         self.log_dir.mkdir(parents=True, exist_ok=True)
+        if name in self.clocks:
+            module, arguments = "sim_bridge.stepped_clock", [str(self.clock_file(name)), module, *arguments]
         log = self.log_dir / f"{name}.log"
         with log.open("wb") as output:
             process = subprocess.Popen(
@@ -70,6 +73,10 @@ class Children:
         child = Child(name, process, log)
         self.all.append(child)
         return child
+
+    def clock_file(self, name: str) -> Path:
+        """Where it stands by how many seconds a process's clock is off."""
+        return self.log_dir / f"{name}.clock"
 
     def ended(self) -> list[Child]:
         """Those that run no more."""

@@ -1,25 +1,27 @@
-"""SHELL: kills and stops processes as the fault timeline says, and lets the stopped ones go on."""
+"""SHELL: does to processes what the fault timeline says, and undoes it: kills, stops, fills a disk, sets clocks."""
 
+import resource
 import signal
 import time
 
-from sim_bridge.processes import Children
+from sim_bridge.processes import Child, Children
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import Experiment
-from wire.faults import Fault
+from wire.faults import OF_PROCESSES, Fault
 from wire.messages import Event
 from wire.runtime import WallClock
 
 INFO = 2  # an event's level
+LOG = "run.mcap"  # what fills the disk
 
 
 class Saboteur:
-    """The timeline's process faults, against the children of one run. Others lose whom they need: that is the point."""
+    """The timeline's faults of processes, against the children of one run. Others lose whom they need: that is the point."""
 
     def __init__(self, experiment: Experiment, children: Children, bus: Bus) -> None:
-        self._waiting = [fault for fault in experiment.sim.faults if fault.broken.kind == "process"]
-        self._stopped: list[Fault] = []
+        self._waiting = [fault for fault in experiment.sim.faults if fault.broken.kind in OF_PROCESSES]
+        self._broken: list[Fault] = []  # what will be whole again
         self._children, self._bus, self._clock = children, bus, WallClock()
         self._start_s: float | None = None
         self.killed: set[str] = set()  # whose end is no trouble
@@ -34,18 +36,35 @@ class Saboteur:
         time_s = now_s - self._start_s
         for fault in [f for f in self._waiting if f.at_s <= time_s]:
             self._waiting.remove(fault)
-            kill = fault.broken.effect == "killed"
-            if kill:
-                self.killed.add(fault.broken.process)
-            elif fault.for_s is not None:
-                self._stopped.append(fault)
-            self._signal(fault, signal.SIGKILL if kill else signal.SIGSTOP, f"fault: {fault.what}")
-        for fault in [f for f in self._stopped if not f.holds(time_s)]:
-            self._stopped.remove(fault)
-            self._signal(fault, signal.SIGCONT, f"fault over: {fault.what}")
+            self._broken += [fault] if fault.for_s is not None else []
+            self._do(fault, undo=False)
+        for fault in [f for f in self._broken if not f.holds(time_s)]:
+            self._broken.remove(fault)
+            self._do(fault, undo=True)
 
-    def _signal(self, fault: Fault, number: signal.Signals, text: str) -> None:
+    def _do(self, fault: Fault, undo: bool) -> None:
+        broken = fault.broken
+        if broken.effect == "killed":
+            self.killed.add(broken.process)
         for child in self._children.all:
-            if child.name == fault.broken.process and child.exit_code is None:
-                child.process.send_signal(number)
+            if child.exit_code is None and child.name == (broken.process or "groundstation"):
+                match broken.kind:
+                    case "process":
+                        self._signal(child, broken.effect, undo)
+                    case "disk":
+                        self._fill(child, undo)
+                    case "clock":
+                        offset_s = 0.0 if undo else broken.value
+                        self._children.clock_file(child.name).write_text(f"{offset_s}\n", encoding="utf-8")
+        text = f"fault over: {fault.what}" if undo else f"fault: {fault.what}"
         self._bus.publish(topics.EVENT, Event(INFO, "sim-bridge", text), self._clock.now_ns())
+
+    def _signal(self, child: Child, effect: str, undo: bool) -> None:
+        child.process.send_signal(signal.SIGCONT if undo else signal.SIGKILL if effect == "killed" else signal.SIGSTOP)
+
+    def _fill(self, child: Child, undo: bool) -> None:
+        """The log may not grow any more: to its writer that is a full disk, but for the error's number."""
+        _, most = resource.prlimit(child.process.pid, resource.RLIMIT_FSIZE)
+        log = self._children.log_dir.parent / LOG
+        allowed = most if undo or not log.exists() else log.stat().st_size
+        resource.prlimit(child.process.pid, resource.RLIMIT_FSIZE, (allowed, most))

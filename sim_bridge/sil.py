@@ -5,6 +5,7 @@ The processes are the ones that run in the pool, started as a person would start
 
 import json
 import os
+import resource
 import socket
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from sim_bridge.processes import Child, Children
 from sim_bridge.saboteur import Saboteur
 from wire.bus import Bus
 from wire.experiment import Experiment, dump_experiment
-from wire.faults import KINDS
+from wire.faults import KINDS, OF_PROCESSES
 from wire.network import endpoint
 from wire.runtime import Stop
 from wire.topics import Role, process_name
@@ -54,10 +55,13 @@ def run(
     file = run_dir / "experiment.toml"
     file.write_text(dump_experiment(experiment), encoding="utf-8")
     if lockstep:
-        faults.only(experiment, tuple(kind for kind in KINDS if kind != "process"), "processes break by the wall clock")
+        faults.only(experiment, tuple(kind for kind in KINDS if kind not in OF_PROCESSES), "processes break by the wall clock")
+    if not hasattr(resource, "prlimit"):
+        faults.only(experiment, tuple(kind for kind in KINDS if kind != "disk"), "only Linux can feign a full disk")
     if poses:
         faults.only(experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera")
-    children = Children(run_dir / "logs")
+    clocks = frozenset(fault.broken.process for fault in experiment.sim.faults if fault.broken.kind == "clock")
+    children = Children(run_dir / "logs", clocks)
     trouble: list[str] = []
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)

@@ -58,7 +58,10 @@ KINDS: dict[str, tuple[str, dict[str, Effect]]] = {
         },
     ),
     "process": ("NAME", {"killed": Effect(), "stopped": Effect()}),
+    "disk": ("", {"full": Effect()}),
+    "clock": ("NAME", {"step": Effect("by how many seconds", 3600.0, -1e6, 1e6)}),
 }
+OF_PROCESSES = ("process", "disk", "clock")  # by the wall clock, and from outside
 _TARGETS = {"": "", "ROBOT": r"(\d+)", "ROBOT/THRUSTER": r"(\d+)/(\d+)", "NAME": r"(\S+)"}
 _LINE = re.compile(r"t=(?P<at>\S+)(?:\s+for=(?P<during>\S+))?\s+(?P<what>\S.*)")
 

@@ -124,6 +124,9 @@ class Rig:
         self.wires = {
             robot: SerialWire(robot, ports + robot, self._seed) for robot in (self.robots if self._with_wires else ())
         }
+        self.children.log_dir.mkdir(parents=True)
+        for name, offset_s in (self._clocks_s or {}).items():
+            self.set_clock(name, offset_s)
         if self._own_router:
             self.station_options.append("--external-router")
             self.bus = Bus(ZenohTransport(Endpoint(self.address, router=True)))
@@ -164,8 +167,7 @@ class Rig:
         if log.exists():
             log.rename(log.with_name(f"{name}-{time.monotonic_ns()}.log"))
         if self._clocks_s is not None and name != "sim-bridge":
-            offset_s = str(self._clocks_s.get(name, 0.0))
-            module, arguments = "tests.faults.patched", [offset_s, module, *arguments]
+            module, arguments = "tests.faults.patched", [str(self.children.clock_file(name)), module, *arguments]
         self.children.start(name, module, arguments)
 
     def process(self, name: str) -> Child:
@@ -268,6 +270,10 @@ class Rig:
         )
 
     # --- breaking
+
+    def set_clock(self, name: str, offset_s: float) -> None:
+        """How far a process's wall clock is off from now on."""
+        self.children.clock_file(name).write_text(f"{offset_s}\n", encoding="utf-8")
 
     def signal(self, name: str, number: signal.Signals) -> int:
         """Send a signal; returns the instant."""

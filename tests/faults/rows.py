@@ -16,7 +16,7 @@ from wire.messages import Mode, Order, Solve
 Random = np.random.Generator
 Sample = Mapping[str, float]
 
-STEP_S = 0.055  # a control step and a plant step: what a limit "after 3 s" may be late
+STEP_S = 0.1  # two control steps: what a limit "after 3 s" may be late
 HELD = {Mode.HOLDING, Mode.FAULT, Mode.DISARMED}
 OFF = {Mode.FAULT, Mode.DISARMED}
 RESUMED = "thrust again unasked"  # a measure of all rows whose robots must stay where they are

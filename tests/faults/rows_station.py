@@ -56,7 +56,8 @@ def _looks(rig: Rig, pages: list[Child]) -> None:
 def clock_step(rig: Rig, random: Random) -> Sample:
     """That the robots fly at all with such clocks is half of the test."""
     ns = time.monotonic_ns()
-    rig.signal(str(random.choice(["groundstation", "localizer", *(f"agent-{r}" for r in rig.robots)])), signal.SIGHUP)
+    name = str(random.choice(["groundstation", "localizer", *(f"agent-{r}" for r in rig.robots)]))
+    rig.set_clock(name, float(random.choice([-3600.0, 3600.0])) * int(random.integers(1, 48)))
     time.sleep(2.0)
     return {LEFT: _left(rig, ns)}
 

@@ -99,7 +99,7 @@ ROWS: tuple[Row, ...] = (
         times=3, rig="page",
     ),
     Row(
-        "clock-step", "Clock skew between machines", "clocks up to a day apart; one of them steps by an hour",
+        "clock-step", "Clock skew between machines", "clocks up to a day apart; one of them steps by 1 to 47 hours",
         {"robots that left their path": TIMES()}, rows_station.clock_step, rig="clocks",
     ),
     Row(

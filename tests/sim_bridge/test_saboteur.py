@@ -1,11 +1,16 @@
 """Process faults against real processes."""
 
+import errno
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import psutil
+import pytest
 
-from sim_bridge.processes import Children
+from sim_bridge.processes import Child, Children
 from sim_bridge.saboteur import Saboteur
 from wire.bus import Bus
 from wire.experiment import load_experiment
@@ -22,7 +27,7 @@ def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:
             saboteur.act(0.0)
             assert saboteur._start_s is None  # the robots have not started: nothing breaks
             begin_s, was_stopped = time.monotonic(), False
-            while time.monotonic() - begin_s < 20.0 and (not was_stopped or saboteur._stopped or two.exit_code is None):
+            while time.monotonic() - begin_s < 20.0 and (not was_stopped or saboteur._broken or two.exit_code is None):
                 saboteur.act(0.01)
                 was_stopped |= psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
                 time.sleep(0.01)
@@ -31,3 +36,71 @@ def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:
             assert saboteur.killed == {"agent-2"}
     finally:
         children.stop()
+
+
+CLOCK_TELLER = """
+import time
+at_s = time.time() - time.monotonic()
+while True:
+    off_s = time.time() - time.monotonic() - at_s
+    with open("{out}", "w") as file:
+        file.write(str(off_s))
+    time.sleep(0.02)
+"""
+
+
+def test_a_clock_is_set_and_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "off"
+    (tmp_path / "clock_teller.py").write_text(CLOCK_TELLER.format(out=out))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    seen: set[int | str] = set()
+    children = Children(tmp_path / "logs", frozenset({"agent-1"}))
+    try:
+        children.start("agent-1", "clock_teller", [])
+        with Bus(MemoryTransport(MemoryHub())) as bus:
+            saboteur = Saboteur(load_experiment("pool", faults=["t=0.5 for=0.5 clock agent-1 step 3600"]), children, bus)
+            deadline = time.monotonic() + 20.0
+            while time.monotonic() < deadline and seen != {0, 3600, "back"}:
+                told = out.read_text() if out.exists() else ""
+                if told:
+                    saboteur.act(0.01)
+                    hour = round(float(told))
+                    seen.add("back" if hour == 0 and 3600 in seen else hour)
+                time.sleep(0.02)
+    finally:
+        children.stop()
+    assert seen == {0, 3600, "back"}
+
+
+def test_a_full_disk_stops_the_log_and_an_emptied_one_takes_more(tmp_path: Path) -> None:
+    """Against a real process that writes as the station does."""
+    log = tmp_path / "run.mcap"
+    (tmp_path / "logs").mkdir()
+    log.write_bytes(bytes(1000))
+    writer = subprocess.Popen([sys.executable, "-c", WRITER.format(log=log)], stdout=subprocess.PIPE, text=True)
+    assert writer.stdout is not None and writer.stdout.readline() == "0\n"
+    children = Children(tmp_path / "logs", all=[Child("groundstation", writer, tmp_path / "logs" / "groundstation.log")])  # type: ignore[arg-type]
+    try:
+        with Bus(MemoryTransport(MemoryHub())) as bus:
+            saboteur = Saboteur(load_experiment("pool", faults=["t=0.01 for=0.5 disk full"]), children, bus)
+            told: list[int] = []
+            while (len(told) < 400 and told[-3:] != [0, 0, 0]) or errno.EFBIG not in told:
+                saboteur.act(0.02)
+                told.append(int(writer.stdout.readline()))
+    finally:
+        writer.kill()
+        writer.wait()
+    assert told[-3:] == [0, 0, 0] and set(told) == {0, errno.EFBIG}
+
+
+WRITER = """
+import os, time
+fd = os.open("{log}", os.O_WRONLY | os.O_APPEND)
+while True:
+    try:
+        os.write(fd, bytes(100))
+        print(0, flush=True)
+    except OSError as error:
+        print(error.errno, flush=True)
+    time.sleep(0.02)
+"""

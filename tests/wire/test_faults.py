@@ -20,6 +20,8 @@ from wire.toml_file import ConfigError
         ("battery 1 sag 3", Break("battery", "sag", 3.0, robot=1)),
         ("link 2 noisy 0.2", Break("link", "noisy", 0.2, robot=2)),
         ("process agent-1 stopped", Break("process", "stopped", process="agent-1")),
+        ("disk full", Break("disk", "full")),
+        ("clock localizer step -3600", Break("clock", "step", -3600.0, process="localizer")),
     ],
 )
 def test_what_it_understands(text: str, meaning: Break) -> None:
@@ -35,7 +37,10 @@ def test_what_it_understands(text: str, meaning: Break) -> None:
         ("t=-1 camera dark", "sim.faults.0.at_s = -1.0: "),
         ("t=nan camera dark", "sim.faults.0.at_s = nan"),
         ("t=1 for=0 camera dark", "sim.faults.0.for_s = 0.0: "),
-        ("t=1 rudder 2 lost", "'rudder' cannot be broken (allowed: thruster, marker, camera, imu, battery, link, process)"),
+        (
+            "t=1 rudder 2 lost",
+            "'rudder' cannot be broken (allowed: thruster, marker, camera, imu, battery, link, process, ",
+        ),
         ("t=1 thruster 2 dead", "must read: thruster ROBOT/THRUSTER dead|stuck|reversed|weak [fraction of its thrust]"),
         ("t=1 thruster 2/3", "must read: thruster"),
         ("t=1 thruster 2/5 dead", "thruster 5 of robot 2: no such thruster (allowed: 1 to 4)"),
