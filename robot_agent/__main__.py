@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from robot_agent.commands import check, init
+from robot_agent.commands import check, init, unit
 from robot_agent.config import DEFAULT_LINK, choose
 from wire.experiment import load_experiment
 from wire.options import (
@@ -29,6 +29,7 @@ cli = typer.Typer(
 
 
 cli.command()(init)
+cli.command()(unit)
 cli.command()(check)
 
 

@@ -1,4 +1,4 @@
-"""SHELL: `robot-agent init` and `robot-agent check`: a board's configuration, and a look at the board before the water."""
+"""SHELL: `robot-agent init`, `unit` and `check`: a board's configuration, its service, and a look at it before the water."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +43,19 @@ def init(
     out.write_text(template(out.name, robot, experiment, station, fleet, link, keys), encoding="utf-8")
     load_board(out)
     typer.echo(f"{out}: written; `robot-agent check --config {out}` looks the board over")
+
+
+def unit(
+    home: Annotated[str, typer.Option(help="Folder with venv/ and agent.toml.")] = "/opt/shoal",
+    user: Annotated[str, typer.Option(help="Whom the program runs as.")] = "shoal",
+) -> None:
+    """Print the systemd unit that runs the agent on a board.
+
+    Example:  robot-agent unit --user pi | sudo tee /etc/systemd/system/shoal-agent.service
+    """
+    from robot_agent.unit import unit as text
+
+    typer.echo(text(home, user), nl=False)
 
 
 def check(

@@ -26,8 +26,8 @@ ARM_AFTER = 20  # steps, 1 s: until the estimate stands
 def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs, int]]:
     """Agent, inputs and time of one control step after the other, without end; whoever asks does the step."""
     agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
-    period_ns, centre = round(period_s * 1e9), experiment.robot_ids.index(robot)
-    trajectory = _circle(period_s, centre)
+    period_ns, me = round(period_s * 1e9), experiment.robot_ids.index(robot)
+    trajectory = _circle(period_s)
     k = 0
     while True:
         now_ns = (k + 1) * period_ns
@@ -39,9 +39,8 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
         telemetry = Telemetry(
             board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=DEPTH_M, armed=k >= ARM_AFTER, battery_v=12.4
         )
-        plans = {
-            other: Heard(_plan(experiment, i, flown), now_ns) for i, other in enumerate(experiment.robot_ids) if other != robot
-        }
+        others = ((i, other) for i, other in enumerate(experiment.robot_ids) if other != robot)
+        plans = {other: Heard(_plan(experiment, i - me, flown), now_ns) for i, other in others}
         if k == ARM_AFTER:
             for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
                 command = Command(order, robot, experiment_hash=experiment.hash, trajectory=trajectory)
@@ -51,15 +50,15 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
 
 
 def _eta(times_s: Array, i: int) -> Array:
-    """Poses (n, 4) along the i-th circle."""
+    """Poses (n, 4) along a circle, the robot's own around the pool's centre or the i-th one beside it."""
     angle = times_s * SPEED_MPS / RADIUS_M
     x, y = RADIUS_M * np.cos(angle) + i * APART_M, RADIUS_M * np.sin(angle)
     return np.stack([x, y, np.full_like(angle, DEPTH_M), angle + np.pi / 2], axis=1)
 
 
-def _circle(period_s: float, i: int) -> Trajectory:
+def _circle(period_s: float) -> Trajectory:
     times_s = np.arange(0.0, 60.0, period_s, dtype=np.float64)
-    eta = _eta(times_s, i)
+    eta = _eta(times_s, 0)
     velocity = np.gradient(eta, period_s, axis=0)
     return Trajectory("rehearsal", period_s, eta, velocity, np.gradient(velocity, period_s, axis=0))
 
