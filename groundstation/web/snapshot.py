@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.laps import Lap
-from groundstation.tuner import TuningStatus
+from groundstation.tuner import Stage, TuningStatus
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from wire.frames import Array
@@ -176,6 +176,7 @@ def _tuning(found: TuningStatus | None, laps: Sequence[Lap]) -> dict[str, Any] |
         "values": found.flown.values.tolist(),
         "wanted": found.wanted,
         "stage": found.stage.value,
+        "waiting": found.stage is Stage.WAITING,
         "reason": found.reason,
         "undo": found.undo,
         "known": list(found.known),

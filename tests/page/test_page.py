@@ -8,25 +8,32 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import resources
+from itertools import groupby
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
 from groundstation import planner
 from groundstation.mission import Phase
+from groundstation.rerun import rerun
+from groundstation.runlog import read_log
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import WebServer
 from sim_bridge.sil import free_port
 from tests.page.conftest import Asked, Flight, open_page
+from wire import topics
 from wire.bus import Bus
 from wire.experiment import load_experiment
+from wire.messages import RobotState, Tuning
 from wire.runtime import WallClock
 from wire.transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.timeout(600)  # what waits for a browser waits for a loaded machine
 
+YAW_WEIGHT = "800"  # a hundred times that of the file
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
 
 
@@ -46,6 +53,13 @@ def button(page: Page, name: str) -> Locator:
 def clear_stop(page: Page) -> None:
     page.get_by_role("button", name=re.compile("Clear stop")).click()
     in_mode(page, "DISARMED")
+
+
+def serious(page: Page) -> list[tuple[str, list[str]]]:
+    """What axe finds that keeps people out."""
+    page.evaluate(AXE.read_text(encoding="utf-8"))  # not a script tag: the page's own policy forbids what is not its own
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in found if v["impact"] in ("serious", "critical")]
 
 
 def test_an_operator_flies_a_mission(page: Page) -> None:
@@ -98,6 +112,36 @@ def test_a_second_page_only_watches_but_may_stop(page: Page, browser: Browser, f
     expect(page.get_by_role("button", name="You have control")).to_be_visible()
 
 
+def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
+    """What the robots make of it is read off the log by the last test."""
+    button(page, "Start").click()
+    in_mode(page, "TRACKING")
+    gains = page.locator(".tuning")
+    gains.locator("summary").click()
+    expect(gains.locator("h2")).to_contain_text("set A")
+    field, apply = gains.get_by_label("Inputs R yaw"), button(page, "Apply")
+    expect(apply).to_be_disabled()
+    field.fill("-1")
+    expect(gains).to_contain_text("controller.mpc.r.2: from 0 to 10000")
+    expect(apply).to_be_disabled()
+    page.wait_for_timeout(2000)  # of flight with the gains of the file
+    field.fill(YAW_WEIGHT)
+    apply.click()
+    expect(gains.locator("h2")).to_contain_text("set B")
+    answers = page.get_by_label("Orders given from here")
+    expect(answers).to_contain_text("gains under way")
+    expect(answers).to_contain_text("✓ 2")
+    expect(gains.get_by_label("Tracking error by lap").locator("tbody tr")).to_have_count(2)
+    page.wait_for_timeout(3000)
+    button(page, "Undo").click()
+    expect(gains.locator("h2")).to_contain_text("set A")
+    expect(field).to_have_value("8")
+    page.keyboard.press("h")  # the focus is on a button, not in a field
+    in_mode(page, "HOLDING")
+    button(page, "Disarm").click()
+    in_mode(page, "DISARMED")
+
+
 def test_what_is_old_does_not_look_live(page: Page, flight: Flight) -> None:
     """In lockstep one robot that hangs stops all."""
     agent = flight.agent(2)
@@ -106,6 +150,7 @@ def test_what_is_old_does_not_look_live(page: Page, flight: Flight) -> None:
         for robot in (1, 2):
             expect(tile(page, robot)).to_have_class(re.compile("stale"))
             expect(tile(page, robot)).to_contain_text("last heard")
+        assert serious(page) == []  # grey, and still to be read
     finally:
         agent.send_signal(signal.SIGCONT)
     for robot in (1, 2):
@@ -169,10 +214,11 @@ def map_of(page: Page, length_m: float, width_m: float) -> tuple[tuple[float, fl
 def test_nothing_serious_for_who_sees_or_hears_badly(page: Page, theme: str) -> None:
     if page.evaluate("document.documentElement.dataset.theme") != theme:
         page.get_by_title("Dark or light").click()
-    page.evaluate(AXE.read_text(encoding="utf-8"))  # not a script tag: the page's own policy forbids what is not its own
-    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
-    serious = [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in found if v["impact"] in ("serious", "critical")]
-    assert serious == []
+    page.locator(".tuning summary").click()
+    assert serious(page) == []
+    button(page, "Edit").click()
+    expect(page.locator(".verdict")).to_contain_text("can be flown")
+    assert serious(page) == []
 
 
 def test_it_comes_back_by_itself_when_the_station_is_started_again(page: Page, flight: Flight) -> None:
@@ -205,6 +251,28 @@ def test_a_recorded_run_is_replayed(browser: Browser, flight: Flight) -> None:
         page.get_by_role("button", name="3-D").click()
         expect(page.locator(".deep canvas")).to_have_count(2)
         page.close()
+
+
+def test_the_log_holds_the_gains_and_the_solver_had_them(flight: Flight) -> None:
+    """Of the same run. Beside what the robot did stands what its program would have done with these gains from the start."""
+    recorded = min(folder for folder in flight.folder.iterdir() if folder.is_dir())
+    log = read_log(recorded / "run.mcap")
+    a, b = (entry.message for entry in log.of(topics.TUNING, Tuning))
+    assert dict(zip(b.keys, b.values, strict=True)) == dict(zip(a.keys, a.values, strict=True)) | {
+        "controller.mpc.r.2": float(YAW_WEIGHT)
+    }
+    flown = [[(s.stamp_ns, s.message.tuning_id) for s in log.of(topics.STATE, RobotState, robot)] for robot in (1, 2)]
+    assert flown[0] == flown[1], "all robots change over at one instant"
+    assert [name for name, _ in groupby(name for _, name in flown[0])] == [a.id, b.id, a.id]
+
+    (same,) = rerun(recorded, [1])
+    assert same.exact  # the change is among what the log says was done to the robot
+    (other,) = rerun(recorded, [1], [f"controller.mpc.r=[0.05,0.05,{YAW_WEIGHT}]"])
+    assert other.compared == len(flown[0])
+    since = next(k for k, (_, name) in enumerate(flown[0]) if name == b.id)
+    apart = np.abs(other.before["wrench"] - other.after["wrench"]).max(axis=1)
+    assert apart[since - 20 : since].mean() > 0.005  # still another solver
+    assert apart[since + 20 : since + 50].max() < 1e-6
 
 
 @contextmanager

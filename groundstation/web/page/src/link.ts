@@ -62,11 +62,20 @@ export function say(request: Request): boolean {
 
 /** Give an order to the whole fleet; what becomes of it appears in `given`. A stop that cannot be sent now is sent on return. */
 export function order(name: OrderName): void {
-  serial += 1;
-  const sent = say({ kind: "order", n: serial, order: name });
+  const sent = give(name, { kind: "order", n: nextSerial(), order: name });
   stopWanted = name === "stop" && !sent;
+}
+
+/** Other gains for the whole fleet; null: those before. */
+export function tune(values: Record<string, number> | null, nextLap: boolean): void {
+  give(values === null ? "undo" : "gains", { kind: "tune", n: nextSerial(), values, next_lap: nextLap });
+}
+
+function give(text: string, request: Request & { n: number }): boolean {
+  const sent = say(request);
   const reason = sent ? "" : "no connection to the station";
-  given.value = [{ n: serial, order: name, outcome: sent ? ("sent" as const) : ("not sent" as const), reason, answers: [] }, ...given.value].slice(0, 8);
+  given.value = [{ n: request.n, order: text, outcome: sent ? ("sent" as const) : ("not sent" as const), reason, answers: [] }, ...given.value].slice(0, 8);
+  return sent;
 }
 
 export function takeControl(over: boolean): void {

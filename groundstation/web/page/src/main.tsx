@@ -12,6 +12,7 @@ import { Mission } from "./panels/Mission";
 import { Plots } from "./panels/Plots";
 import { Replay } from "./panels/Replay";
 import { Tiles } from "./panels/Tiles";
+import { Tuning } from "./panels/Tuning";
 import { Pool } from "./pool/Pool";
 import { connected, editing, scene } from "./store";
 import "./style.css";
@@ -26,6 +27,7 @@ function Page() {
           {editing.value ? <Editor /> : <Mission />}
           <Alarms />
           <Tiles />
+          <Tuning />
           <Log />
           <details class="keys">
             <summary>Keys</summary>

@@ -53,9 +53,33 @@ export interface Scene {
   robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
   path: CirclePath | WaypointPath;
   formation: { mode: "translate" | "rotate"; scale: number };
+  knobs: Knob[]; // of the controller, that may be turned in flight
   paths: PathSamples[];
   underlay: { columns: number; pool: Packed; picture: Packed } | null;
   replay?: { end_s: number };
+}
+
+/** A number that may be changed in flight. `above`: `least` itself may not be; `below`: nor may `most`. */
+export interface Knob {
+  key: string;
+  value: number;
+  least: number;
+  most: number;
+  above: boolean;
+  below: boolean;
+}
+
+/** What the fleet flies with, and what it is about to. Values are in the order of the scene's knobs. */
+export interface Tuning {
+  id: string;
+  values: number[];
+  wanted: string;
+  stage: string;
+  waiting: boolean; // for the next lap: it may still be called off
+  reason: string;
+  undo: boolean;
+  known: string[];
+  laps: { n: number; id: string; s: number; rms: number; max: number }[];
 }
 
 export type Mode = "DISARMED" | "ARMED" | "TRACKING" | "HOLDING" | "STOPPED" | "FAULT";
@@ -64,6 +88,7 @@ export type Track = "LOST" | "COAST" | "KCF" | "MARKER";
 export interface RobotState {
   mode: Mode;
   fault: string;
+  tuning: string;
   t_s: number;
   loaded: string;
   eta: Packed;
@@ -132,6 +157,7 @@ export interface Snapshot {
   stop: boolean;
   alarms: Alarm[];
   present: string[];
+  tuning: Tuning | null;
   localizer: {
     age_ms: number;
     camera: string;
@@ -164,8 +190,8 @@ export type Frame =
   | Snapshot
   | { k: "picture"; stamp_ms: number; age_ms: number; jpeg: Uint8Array<ArrayBuffer> }
   | { k: "event"; time_s: number; level: number; source: string; text: string }
-  | { k: "answer"; robot: number; order: OrderName; ok: boolean; reason: string; mode: Mode }
-  | { k: "reply"; n: number; order: OrderName; ok: boolean; reason: string }
+  | { k: "answer"; robot: number; order: string; ok: boolean; reason: string; mode: Mode }
+  | { k: "reply"; n: number; order: string; ok: boolean; reason: string }
   | Tried
   | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
 
@@ -187,6 +213,7 @@ export type Request =
   | { kind: "take"; over?: boolean }
   | { kind: "release" }
   | { kind: "order"; n: number; order: OrderName }
+  | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean }
   | { kind: "try"; n: number; edit: Edit }
   | { kind: "save"; n: number; edit: Edit; name: string }
   | { kind: "seek"; time_s?: number; rate?: number };
