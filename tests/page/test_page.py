@@ -114,6 +114,10 @@ def test_a_second_page_only_watches_but_may_stop(page: Page, browser: Browser, f
 
 def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
     """What the robots make of it is read off the log by the last test."""
+    again = button(page, "Load again")
+    if again.is_visible():  # a mission is over
+        again.click()
+    expect(button(page, "Start")).to_be_enabled()
     button(page, "Start").click()
     in_mode(page, "TRACKING")
     gains = page.locator(".tuning")

@@ -13,6 +13,7 @@ export const KEYS: [string, string][] = [
   ["Shift+S", "start"],
   ["H", "hold"],
   ["Shift+R", "resume"],
+  ["Shift+B", "return to start"],
   ["Shift+D", "disarm"],
   ["F", "show the whole pool"],
   ["G", "follow"],
@@ -21,7 +22,7 @@ export const KEYS: [string, string][] = [
   ["M", "silence the alarm"],
 ];
 
-const ORDERS: Record<string, OrderName> = { A: "arm", S: "start", h: "hold", H: "hold", R: "resume", D: "disarm" };
+const ORDERS: Record<string, OrderName> = { A: "arm", S: "start", h: "hold", H: "hold", R: "resume", B: "return", D: "disarm" };
 
 addEventListener("keydown", (event) => {
   if (event.key === "Escape") {

@@ -141,7 +141,7 @@ export interface Alarm {
   text: string;
 }
 
-export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop";
+export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test";
 
 export interface Snapshot {
   k: "state";

@@ -4,7 +4,14 @@ import { order } from "../link";
 import { connected, given, inControl, scene, shown } from "../store";
 import type { OrderName, Snapshot } from "../wire";
 
-const BUTTONS: { order: OrderName; text: string; keys: string; checked?: boolean }[] = [
+interface Button {
+  order: OrderName;
+  text: string;
+  keys: string;
+  checked?: boolean;
+}
+
+const BUTTONS: Button[] = [
   { order: "arm", text: "Arm", keys: "Shift+A", checked: true },
   { order: "start", text: "Start", keys: "Shift+S", checked: true },
   { order: "hold", text: "Hold", keys: "H" },
@@ -12,7 +19,15 @@ const BUTTONS: { order: OrderName; text: string; keys: string; checked?: boolean
   { order: "disarm", text: "Disarm", keys: "Shift+D" },
 ];
 
-function whyNot(state: Snapshot, button: (typeof BUTTONS)[number]): string {
+/** Shown while the mission takes them. */
+const SOMETIMES: Button[] = [
+  { order: "load", text: "Load again", keys: "" },
+  { order: "return", text: "Return to start", keys: "Shift+B" },
+  { order: "rejoin", text: "Rejoin", keys: "" },
+  { order: "test", text: "Test thrusters", keys: "", checked: true },
+];
+
+function whyNot(state: Snapshot, button: Button): string {
   if (!connected.value) return "no connection to the station";
   if (!inControl.value) return "you are watching: take control first";
   if (!state.allowed.includes(button.order)) return `not possible while ${state.phase_text}`;
@@ -101,6 +116,22 @@ function Stopped({ state }: { state: Snapshot }) {
   );
 }
 
+function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
+  const reason = whyNot(state, button);
+  return (
+    <button
+      type="button"
+      class={`order ${button.order}`}
+      disabled={reason !== ""}
+      onClick={() => order(button.order)}
+      title={reason || button.keys}
+      {...(button.keys ? { "aria-keyshortcuts": button.keys } : {})}
+    >
+      {button.text}
+    </button>
+  );
+}
+
 export function Mission() {
   const state = shown.value;
   if (state === null || scene.value?.mode === "replay") return null;
@@ -111,22 +142,14 @@ export function Mission() {
       {state.reason && state.phase !== "WAITING" && <p class="reason">{state.reason}</p>}
       <Preflight state={state} />
       <div class="orders">
-        {BUTTONS.map((button) => {
-          const reason = whyNot(state, button);
-          return (
-            <button
-              type="button"
-              key={button.order}
-              class={`order ${button.order}`}
-              disabled={reason !== ""}
-              onClick={() => order(button.order)}
-              title={reason || button.keys}
-              aria-keyshortcuts={button.keys}
-            >
-              {button.text}
-            </button>
-          );
-        })}
+        {BUTTONS.map((button) => (
+          <OrderButton key={button.order} button={button} state={state} />
+        ))}
+      </div>
+      <div class="orders sometimes">
+        {SOMETIMES.filter(({ order }) => state.allowed.includes(order) && !(order === "load" && state.phase === "WAITING")).map((button) => (
+          <OrderButton key={button.order} button={button} state={state} />
+        ))}
       </div>
       <Given />
     </section>
