@@ -7,13 +7,15 @@ from typing import Annotated
 import typer
 
 from robot_agent.commands import check, init, unit
-from robot_agent.config import DEFAULT_LINK, choose
+from robot_agent.config import DEFAULT_LINK, choose, open_board
 from wire.experiment import load_experiment
 from wire.options import (
     DEFAULT_STATION,
     ExperimentName,
     Insecure,
     KeyRing,
+    LinkInsecure,
+    LinkKey,
     LockstepMode,
     Settings,
     Verbose,
@@ -43,6 +45,8 @@ def run(
     link: Annotated[
         str | None, typer.Option(help=f"The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD]. [default: {DEFAULT_LINK}]")
     ] = None,
+    link_key: LinkKey = None,
+    link_insecure: LinkInsecure = False,
     station: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help=f"Where the station's router listens. [default: {DEFAULT_STATION}]")
     ] = None,
@@ -59,7 +63,6 @@ def run(
                           robot-agent run --config /etc/shoal/agent.toml
     """
     from robot_agent import realtime
-    from robot_agent.link import open_link
     from robot_agent.shell import Shell
     from robot_agent.watchdog import Watchdog
     from wire.bus import Bus
@@ -71,6 +74,8 @@ def run(
         "experiment": experiment,
         "robot": robot,
         "link": link,
+        "link_key": None if link_key is None else str(link_key),
+        "link_insecure": link_insecure or None,
         "station": station,
         "fleet": fleet,
         "settings": settings,
@@ -85,12 +90,12 @@ def run(
     ring = None if board.keys is None else Path(board.keys)
     me = process_name(Role.ROBOT, board.robot)
     where = endpoint(board.station, me, ring, insecure=board.insecure, lossless=lockstep)
-    wires, watchdog = open_link(board.link), Watchdog()
+    (wires, signing), watchdog = open_board(board), Watchdog()
     try:
         with Bus(ZenohTransport(where, stop), board.fleet) as bus:
             for refused in realtime.apply(board.realtime):
                 log.warning("real time: %s", refused)
-            Shell(loaded, board.robot, bus, wires, lockstep, stop, watchdog).run()
+            Shell(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing).run()
     finally:
         watchdog.stopping()
         wires.close()
@@ -112,6 +117,15 @@ def rerun(
     said = PipeWriter(sys.stdout.buffer, session=1)
     for topic, message, stamp_ns in Rerun(load_experiment(experiment, settings or ()), robot).run(read_pipe(sys.stdin.buffer)):
         said.publish(topic, message, stamp_ns, robot)
+
+
+@cli.command()
+def link_key(file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it.")]) -> None:
+    """Make a key for signing the link to a thruster board. Board and agent get the same; no two boards share one."""
+    from wire.link_key import new_key
+
+    new_key(file)
+    typer.echo(f"{file}: a new key, for its owner's eyes only")
 
 
 @cli.command()

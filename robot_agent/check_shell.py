@@ -15,14 +15,14 @@ import numpy as np
 
 from robot_agent import check, realtime
 from robot_agent.check import Finding, Verdict
-from robot_agent.config import Board
-from robot_agent.link import open_link
+from robot_agent.config import Board, open_board
 from robot_agent.rehearsal import rehearse
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import Experiment, load_experiment
 from wire.keys import Keys, open_keys
-from wire.mavlink import AgentLink, Telemetry
+from wire.link_key import agent_end
+from wire.mavlink import Telemetry
 from wire.messages import StationHeartbeat
 from wire.network import endpoint, is_loopback, parse_address
 from wire.reach import trouble_reaching
@@ -96,7 +96,8 @@ def _board(board: Board) -> Iterator[Finding]:
 
 def hear_board(board: Board) -> Telemetry | None:
     """What the thruster board says, or None if it says nothing."""
-    wires, mavlink = open_link(board.link), AgentLink(board.robot)
+    wires, signing = open_board(board)
+    mavlink = agent_end(board.robot, signing)
     try:
         deadline, heard = time.monotonic() + BOARD_WITHIN_S, None
         while time.monotonic() < deadline:

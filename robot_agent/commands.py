@@ -34,10 +34,10 @@ def init(
 
     Example:  robot-agent init --robot 3 --station tls/192.168.1.10:7447 --keys keys
     """
-    from robot_agent.link import open_link
+    from wire.link import open_link
 
     parse_address(station)
-    open_link(link).close()
+    open_link(link, secured=True).close()
     if out.exists() and not force:
         raise ConfigError(f"{out}: is there already (--force writes over it)")
     out.write_text(template(out.name, robot, experiment, station, fleet, link, keys), encoding="utf-8")
@@ -77,7 +77,7 @@ def check(
         thrusters = False
 
     def turn(experiment: Experiment) -> Iterator[Finding]:
-        return turn_thrusters(experiment, board.robot, board.link)
+        return turn_thrusters(experiment, board)
 
     found = []
     for finding in look_over(board, turn if thrusters else None):

@@ -9,6 +9,8 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from wire.link import Link, open_link
+from wire.link_key import Signing
 from wire.options import DEFAULT_FLEET, DEFAULT_STATION
 from wire.toml_file import ConfigError, Section, check, read_toml
 
@@ -27,6 +29,9 @@ station = "{station}"
 fleet = "{fleet}"
 # The thruster board: serial:DEVICE[:BAUD] or udp:HOST:PORT.
 link = "{link}"
+# A key that signs this link (`robot-agent link-key FILE`; the board has the same). UDP to another machine needs one, or
+# link_insecure = true:
+# link_key = "link.key"
 
 # The key ring, with this robot's folder (agent-{robot}) in it. Off this machine a fleet needs keys; without them the network
 # is open to everybody who is on it, and that must be said (insecure = true):
@@ -60,6 +65,8 @@ class Board(Section):
     station: str
     fleet: str = DEFAULT_FLEET
     link: str = DEFAULT_LINK
+    link_key: str | None = None
+    link_insecure: bool = False
     keys: str | None = None
     insecure: bool = False
     settings: tuple[str, ...] = ()
@@ -79,6 +86,8 @@ def load_board(path: Path) -> Board:
     changes = {}
     if board.keys is not None:
         changes["keys"] = str(beside / board.keys)
+    if board.link_key is not None:
+        changes["link_key"] = str(beside / board.link_key)
     if board.experiment.endswith(".toml"):
         changes["experiment"] = str(beside / board.experiment)
     return board.model_copy(update=changes)
@@ -94,6 +103,12 @@ def choose(given: Mapping[str, Any], config: Path | None) -> Board:
         if key not in table:
             raise ConfigError(f"which {key}? {how}, or --config FILE (`robot-agent init` writes one)")
     return check(Board, table, "command line" if config is None else f"command line and {config}")
+
+
+def open_board(board: Board) -> tuple[Link, Signing | None]:
+    """The link to the thruster board, and what it is signed with. Raises ConfigError."""
+    signing = Signing.of(Path(board.link_key), "agent") if board.link_key is not None else None
+    return open_link(board.link, secured=signing is not None or board.link_insecure), signing
 
 
 def template(name: str, robot: int, experiment: str, station: str, fleet: str, link: str, keys: str | None) -> str:

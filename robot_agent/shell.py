@@ -12,13 +12,13 @@ from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.journal import answered, inputs_of, noted, order_noted, station_view
-from robot_agent.link import Link
 from robot_agent.watchdog import Watchdog
 from wire import topics
 from wire.bus import Bus, Received
 from wire.codec import Header
 from wire.experiment import Experiment
-from wire.mavlink import AgentLink
+from wire.link import Link
+from wire.link_key import Signing, agent_end
 from wire.messages import Command, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, StepInputs, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 
@@ -26,6 +26,8 @@ EARLY = 0.25  # of a period: a step may come this much before its time, for a po
 LATE = 0.5  # of a period: a step waits this much longer for a pose; one with an old pose is worth less than a late one
 BUDGET = 0.5  # of a period: pulses that leave later than this after the step was due are a missed deadline
 LINK_HEARTBEAT_S = 1.0
+CLOCK_PERIOD_S = 1.0
+CLOCK_WAIT_S = 0.01  # for the board's answer about its time: its loop, 5 ms, and the way. What is left of the period is longer
 
 
 class Shell:
@@ -40,19 +42,22 @@ class Shell:
         lockstep: bool,
         stop: Stop,
         watchdog: Watchdog | None = None,
+        signing: Signing | None = None,
     ) -> None:
+        """With `signing` what goes to the board is signed, and so must be what it says."""
         self.agent = Agent(experiment, robot)
         self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
         self._lockstep, self._watchdog = lockstep, watchdog or Watchdog({})
         self._clock: Clock = LockstepClock() if lockstep else WallClock()
-        self._mavlink = AgentLink(robot)
+        self._signing = signing
+        self._mavlink = agent_end(robot, signing)
         self._poses = bus.inbox(topics.POSE, Pose, robot)
         self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids if r != robot}
         self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
         self._obstacles_up_to_ns: int | None = None
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
-        self._link_heartbeat_s = 0.0
+        self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._budget_ns = round(BUDGET * experiment.controller.period_s * 1e9)
         self._missed = self._late_steps = 0
         self._steps = self._orders = 0  # of this agent, as the log counts them
@@ -75,10 +80,29 @@ class Shell:
             self._write(outputs, now_ns, due_ns, started_ns)
             self._watchdog.alive(time.monotonic_ns())
             self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
+            self._compare_clocks()
 
     def _greet(self) -> None:
         """Let a board behind UDP learn where we are; it may not be there yet."""
         self._link.send(self._mavlink.heartbeat())
+        if self._signing is not None:
+            try:
+                self._signing.stamps.renew(self._mavlink.stamp)
+            except OSError as error:  # a full disk is no reason to stop; only a restart would come too early for the board
+                log.warning("the times of signatures cannot be kept: %s", error)
+
+    def _compare_clocks(self) -> None:
+        """Once a second ask the board's time, and wait for the answer no longer than what is left of the period surely allows.
+        In lockstep time waits for the step, and there is nothing to measure."""
+        deadline_s = time.monotonic() + CLOCK_WAIT_S
+        if self._lockstep or deadline_s - self._clocks_compared_s < CLOCK_PERIOD_S:
+            return
+        self._clocks_compared_s = deadline_s
+        before = self._mavlink.telemetry.round_trips
+        self._link.send(self._mavlink.timesync(self._clock.now_ns()))
+        while self._mavlink.telemetry.round_trips == before and (left_s := deadline_s - time.monotonic()) > 0:
+            self._link.wait(left_s)
+            self._mavlink.receive(self._link.read(), self._clock.now_ns())
 
     def _order(self, header: Header, command: Command) -> Reply:
         with self._turn:
@@ -190,7 +214,15 @@ class Shell:
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else sent_ns)
         latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else sent_ns * 1e-6)
-        state = replace(outputs.state, step_us=step_ns * 1e-3, exposure_to_pwm_ms=latency_ms, missed_deadlines=self._missed)
+        telemetry = self._mavlink.telemetry
+        state = replace(
+            outputs.state,
+            step_us=step_ns * 1e-3,
+            exposure_to_pwm_ms=latency_ms,
+            missed_deadlines=self._missed,
+            board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
+            board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
+        )
         self._bus.publish(topics.STATE, state, now_ns, self._robot)
         if (state.mode, state.fault) != self._told:
             self._told = (state.mode, state.fault)

@@ -11,8 +11,10 @@ import numpy as np
 
 from robot_agent.allocation import Allocator
 from robot_agent.check import Finding, Verdict
-from robot_agent.link import Link, open_link
+from robot_agent.config import Board, open_board
 from wire.experiment import Experiment
+from wire.link import Link
+from wire.link_key import agent_end
 from wire.mavlink import AgentLink
 
 TURN_S, REST_S = 0.6, 0.4  # long enough for a person to see which one it is
@@ -25,8 +27,8 @@ THRUSTERS = 4
 class _Bench:
     """The link to the board, kept supplied with pulses."""
 
-    def __init__(self, experiment: Experiment, robot: int, link: Link) -> None:
-        self._link, self._mavlink = link, AgentLink(robot)
+    def __init__(self, experiment: Experiment, link: Link, mavlink: AgentLink) -> None:
+        self._link, self._mavlink = link, mavlink
         self._period_s = experiment.controller.period_s
         self.neutral_us = Allocator(experiment.vehicle).neutral_us
         force_n = THRUST_SHARE * experiment.vehicle.thruster.max_thrust_n
@@ -58,10 +60,10 @@ class _Bench:
         return echoes
 
 
-def turn_thrusters(experiment: Experiment, robot: int, address: str) -> Iterator[Finding]:
+def turn_thrusters(experiment: Experiment, board: Board) -> Iterator[Finding]:
     """One finding per thruster. The caller has made sure that nobody's fingers are near."""
-    link = open_link(address)
-    bench = _Bench(experiment, robot, link)
+    link, signing = open_board(board)
+    bench = _Bench(experiment, link, agent_end(board.robot, signing))
     try:
         bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
         if not bench.armed:

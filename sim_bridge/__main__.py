@@ -34,6 +34,14 @@ Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: t
 Poses = Annotated[
     bool, typer.Option("--poses", help="No camera, no localizer: true poses with the noise of sim.numeric instead.")
 ]
+BoardFolder = Annotated[
+    Path | None,
+    typer.Option(
+        "--boards",
+        metavar="FOLDER",
+        help="Where thruster boards keep their parameters, robot-N.json; a robot-N.key in it makes its link a signed one.",
+    ),
+]
 OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder.")]
 
 
@@ -205,6 +213,7 @@ def pool(
     fleet: FleetName = DEFAULT_FLEET,
     ports: Annotated[int, typer.Option(help="The board of robot N is at UDP port PORTS + N.")] = 14550,
     settings: Settings = None,
+    boards: BoardFolder = None,
     lockstep: LockstepMode = False,
     poses: Poses = False,
     keys: KeyRing = None,
@@ -212,6 +221,8 @@ def pool(
     verbose: Verbose = False,
 ) -> None:
     """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water."""
+    from sim_bridge.board import Board
+    from sim_bridge.board_memory import boards_in
     from sim_bridge.pool import Pool
     from wire.bus import Bus
     from wire.network import endpoint
@@ -222,8 +233,9 @@ def pool(
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
     where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
+    make = boards_in(boards) if boards is not None else Board
     with Bus(ZenohTransport(where, stop), fleet) as bus:
-        Pool(loaded, bus, ports, stop, lockstep, poses).run()
+        Pool(loaded, bus, ports, stop, lockstep, poses, make).run()
 
 
 cli.command()(compare)

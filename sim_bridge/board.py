@@ -1,100 +1,147 @@
-"""The thruster board as one state machine: the reference for a lab's firmware. The rules are in docs/board.md.
+"""The simulated thruster board: the rules of board_rules.py, with a link, sensors and a memory around them.
 
-Bytes and the time come in, bytes and pulses go out. All times are ns of the board's own clock. Whatever the link does, the
-pulses of a board that is stepped are neutral unless it is armed, and a valid override is young enough.
+Bytes and the time come in, bytes and pulses go out. All times are ns of the board's own clock.
 """
 
-import math
-from collections.abc import Sequence
-from enum import IntEnum
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from sim_bridge.board_parameters import Parameters, Refusal
+from sim_bridge.board_rules import S_NS, THRUSTERS, WARNING, Charge, Rules
 from sim_bridge.sensors import BoardSensors, Reading
 from wire import mavlink
 from wire.experiment import Experiment
 from wire.frames import Array
-from wire.mavlink import IGNORED, Arm, BoardLink, Override, Timesync, Unsupported
-from wire.vehicle import Battery
+from wire.mavlink_board import (
+    Arm,
+    BoardLink,
+    Heartbeat,
+    ListParameters,
+    Override,
+    ReadParameter,
+    SetParameter,
+    TellVersion,
+    Timesync,
+    Unsupported,
+)
+from wire.mavlink_frames import Peer
+from wire.mavlink_signing import Key
 
-THRUSTERS = 4
-MS_NS, S_NS = 1_000_000, 1_000_000_000
-STATUS_NS, HEARTBEAT_NS = S_NS // 2, S_NS
-BATTERY_FILTER_S = 1.0  # thrust pulls the voltage down for moments; that is no empty battery
+MS_NS = 1_000_000
+STATUS_NS, HEARTBEAT_NS, KEEP_NS = S_NS // 2, S_NS, S_NS
+SENT_BETWEEN = 10_000  # more timestamps than a board uses between two writes of its memory
 
-COMPONENT_ARM_DISARM = 400  # MAV_CMD
-CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
+COMPONENT_ARM_DISARM, REQUEST_MESSAGE = 400, 512  # MAV_CMD
 GYRO, ACCELEROMETER, PRESSURE, MOTORS, BATTERY = 0x1, 0x2, 0x8, 0x8000, 0x2000000  # MAV_SYS_STATUS_SENSOR
+CHARGE_STATES = {Charge.GOOD: 1, Charge.WARN: 2, Charge.NO_ARM: 3, Charge.NEUTRAL: 4}  # OK, LOW, CRITICAL, EMERGENCY
 
 
-class Charge(IntEnum):
-    """How low the battery is, and what that forbids."""
+@dataclass(frozen=True)
+class Kept:
+    """What a board keeps without power."""
 
-    GOOD = 0
-    WARN = 1
-    NO_ARM = 2
-    NEUTRAL = 3
-
-
-class BatteryWatch:
-    """Smoothed voltage against thresholds. A level is entered below its threshold, and left only well above it."""
-
-    def __init__(self, battery: Battery) -> None:
-        self._thresholds_v = (battery.warn_v, battery.no_arm_v, battery.neutral_v)
-        self._hysteresis_v = battery.hysteresis_v
-        self._voltage: float | None = None
-        self.charge = Charge.GOOD
-
-    def update(self, voltage: float, elapsed_s: float) -> Charge:
-        """The level after a measurement that comes `elapsed_s` after the one before."""
-        if self._voltage is None:
-            self._voltage = voltage
-        self._voltage += (voltage - self._voltage) * -math.expm1(-elapsed_s / BATTERY_FILTER_S)
-        below = sum(self._voltage < threshold for threshold in self._thresholds_v)
-        not_clear = sum(self._voltage < threshold + self._hysteresis_v for threshold in self._thresholds_v)
-        self.charge = Charge(min(max(self.charge, below), not_clear))
-        return self.charge
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    heard: int = 0  # no signed frame up to this timestamp counts again
+    sent: int = 0  # up to which timestamp frames were signed
 
 
 class Board:
     """One robot's thruster board."""
 
-    def __init__(self, experiment: Experiment, robot_id: int, seed: int) -> None:
-        vehicle, sensors = experiment.vehicle, experiment.sim.sensors
-        self._vehicle, self._rules, self._supply_v = vehicle, experiment.sim.board, sensors.battery_v
-        self._link = BoardLink(robot_id)
+    def __init__(
+        self,
+        experiment: Experiment,
+        robot_id: int,
+        seed: int,
+        key: Key | None = None,
+        kept: Kept | None = None,
+        keep: Callable[[Kept], None] = lambda kept: None,
+    ) -> None:
+        """Switch the board on, with what it `kept`; `keep` is called with what must survive the next loss of power."""
+        vehicle, sensors, kept = experiment.vehicle, experiment.sim.sensors, kept or Kept()
+        self._vehicle, self._supply_v, self._keep = vehicle, sensors.battery_v, keep
+        computer = (robot_id, mavlink.AGENT_COMPONENT)
+        self.rules = Rules(Parameters.of(experiment).restored(kept.parameters), computer, key, kept.heard)
+        self._link = BoardLink(robot_id, self.rules.gate, key, kept.sent + SENT_BETWEEN)
         self.sensors = BoardSensors(sensors, robot_id, seed)
-        self._battery = BatteryWatch(vehicle.battery)
         self._burst_ns = round(S_NS / sensors.rate_hz)
         self._outbox: list[bytes] = []
-        self._command: tuple[int, ...] = ()
-        self._command_ns = 0
+        self._told_armed = False
+        self._kept_heard = kept.heard
         self._last_step_ns: int | None = None
         self._last_burst_ns: int | None = None
-        self._thrusters_us = [float(vehicle.thruster.neutral_us)] * THRUSTERS
-        self._ankles_us = [round(sum(vehicle.legs.ankle_us) / 2)] * THRUSTERS
-        self.armed = False
+        self._to_list = len(self.rules.parameters.table)  # parameters that are still to be told, from this one on
         self.burst_ms = -1  # board time of the last burst sent, as ATTITUDE carries it
-        self.overrides_received = 0  # every one that was for this board, refused ones too
-        self.overrides_refused = 0
 
     @property
     def pulses(self) -> tuple[int, ...]:
         """What is on the outputs, in us: 4 thrusters, 4 ankles."""
-        return (*(round(pulse) for pulse in self._thrusters_us), *self._ankles_us)
+        return self.rules.outputs_us
+
+    @property
+    def armed(self) -> bool:
+        """Whether thrusters follow overrides."""
+        return self.rules.armed
+
+    @property
+    def neutral(self) -> bool:
+        """Whether all thrusters stand still."""
+        return all(pulse == self.rules.parameters.neutral_us for pulse in self.rules.echo_us[:THRUSTERS])
+
+    @property
+    def unauthentic_frames(self) -> int:
+        """Frames that were dropped for their signature."""
+        return self._link.unauthentic_frames
 
     def receive(self, data: bytes, now_ns: int) -> None:
-        """Bytes from the robot's computer. Never raises, whatever they are."""
-        for event in self._link.receive(data, now_ns):
+        """Bytes from the robot's computer, or from somebody else on the link. Never raises, whatever they are."""
+        for asker, event in self._link.receive(data, now_ns):
             match event:
                 case Override(pulses_us):
-                    self._take(pulses_us, now_ns)
+                    self.rules.override(asker, pulses_us, now_ns)
                 case Arm(arm):
-                    self._outbox.append(self._link.acknowledge(COMPONENT_ARM_DISARM, self._order(arm, now_ns)))
+                    self._remember()
+                    result = self.rules.arm(arm, now_ns)
+                    self._tell()
+                    self._outbox.append(self._link.acknowledge(asker, COMPONENT_ARM_DISARM, result))
                 case Timesync(sent_ns):
                     self._outbox.append(self._link.timesync(max(now_ns, 1), sent_ns))
+                case TellVersion():
+                    self._outbox += [self._link.acknowledge(asker, REQUEST_MESSAGE, mavlink.ACCEPTED), self._link.version()]
                 case Unsupported(command):
-                    self._outbox.append(self._link.acknowledge(command, mavlink.UNSUPPORTED))
+                    self._outbox.append(self._link.acknowledge(asker, command, mavlink.UNSUPPORTED))
+                case ListParameters():
+                    self._to_list = 0
+                case ReadParameter(name, index):
+                    table = self.rules.parameters.table
+                    self._answer(asker, table[index].name if 0 <= index < len(table) else "" if index >= 0 else name, None)
+                case SetParameter(name, value, real):
+                    self._remember()
+                    self._answer(asker, name, self.rules.change(name, value) if real else Refusal.TYPE)
+                    self._remember()
+                case Heartbeat():
+                    pass
+
+    def _answer(self, asker: Peer, name: str, refusal: Refusal | None) -> None:
+        """Tell a parameter's value as it is now, and why somebody did not get what they wanted."""
+        index = self.rules.parameters.index.get(name, -1)
+        refusal = refusal if index >= 0 else Refusal.UNKNOWN
+        if index >= 0:
+            self._outbox.append(self._value(index))
+        if refusal is not None:
+            self._outbox.append(self._link.parameter_error(asker, name, index, refusal.code))
+            self._outbox.append(self._link.text(WARNING, f"{name}: {refusal.words}"))
+
+    def _value(self, index: int) -> bytes:
+        parameters = self.rules.parameters
+        return self._link.parameter(parameters.table[index].name, parameters.values[index], len(parameters.table), index)
+
+    def _remember(self) -> None:
+        """Put down what must not be forgotten: before an order is carried out, so that it cannot count again."""
+        parameters, self._kept_heard = self.rules.parameters, self.rules.gate.newest
+        self._keep(Kept(dict(zip(parameters.index, parameters.values, strict=True)), self._kept_heard, self._link.stamp))
 
     def measures(self, now_ns: int) -> bool:
         """Whether the step to this instant reads the sensors."""
@@ -115,13 +162,12 @@ class Board:
         `measures`. `supply_v` is the battery's voltage without load (default: the experiment's), `tilt` begins with roll and
         pitch.
         """
-        if self.armed and self._is_stale(now_ns):
-            self._disarm(WARNING, f"disarmed: no override for {self._rules.neutral_after_s * 1000:.0f} ms")
         voltage = None
         if self.measures(now_ns):
             voltage = self.sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())
-            self._watch(voltage, _seconds(self._last_burst_ns, now_ns))
-        self._move(_seconds(self._last_step_ns, now_ns))
+            self.rules.battery(voltage, _seconds(self._last_burst_ns, now_ns))
+        self.rules.step(now_ns)
+        self._tell()
         if voltage is not None:
             self._burst(now_ns, self.sensors.read(eta, nu, acceleration, tilt), voltage)
             self._last_burst_ns = now_ns
@@ -130,99 +176,45 @@ class Board:
         self._outbox.clear()
         return data
 
-    def _is_stale(self, now_ns: int) -> bool:
-        return not self._command or now_ns - self._command_ns > self._rules.neutral_after_s * S_NS
-
-    def _take(self, pulses_us: tuple[int, ...], now_ns: int) -> None:
-        self.overrides_received += 1
-        if not self._is_allowed(pulses_us):
-            self.overrides_refused += 1
-            return
-        self._command, self._command_ns = pulses_us, now_ns
-
-    def _is_allowed(self, pulses_us: tuple[int, ...]) -> bool:
-        curve, (lowest, highest) = self._vehicle.thruster.curve, self._vehicle.legs.ankle_us
-        thrusters, ankles = pulses_us[:THRUSTERS], pulses_us[THRUSTERS:]
-        return all(curve[0][0] <= pulse <= curve[-1][0] for pulse in thrusters) and all(
-            lowest <= pulse <= highest or pulse == IGNORED for pulse in ankles
-        )
-
-    def _order(self, arm: bool, now_ns: int) -> int:
-        """Arm or disarm; returns the MAV_RESULT."""
-        if not arm:
-            if self.armed:
-                self._disarm(INFO, "disarmed")
-            return mavlink.ACCEPTED
-        if self.armed:
-            return mavlink.ACCEPTED
-        reason = self._why_not_arm(now_ns)
-        if reason:
-            self._outbox.append(self._link.text(WARNING, f"not armed: {reason}"))
-            return mavlink.REJECTED
-        self.armed = True
-        self._outbox += [self._link.text(INFO, "armed"), self._heartbeat()]
-        return mavlink.ACCEPTED
-
-    def _why_not_arm(self, now_ns: int) -> str:
-        if self._is_stale(now_ns):
-            return "no override is arriving"
-        if self._vehicle.thruster.force_n(np.array(self._command[:THRUSTERS])).any():
-            return "thruster pulses are not neutral"
-        if self._battery.charge >= Charge.NO_ARM:
-            return "battery low"
-        return ""
-
-    def _disarm(self, severity: int, reason: str) -> None:
-        self.armed = False
-        self._outbox += [self._link.text(severity, reason), self._heartbeat()]
+    def _tell(self) -> None:
+        """Say what has changed."""
+        self._outbox += [self._link.text(said.severity, said.text) for said in self.rules.said]
+        self.rules.said.clear()
+        if self.rules.armed is not self._told_armed:
+            self._told_armed = self.rules.armed
+            self._outbox.append(self._heartbeat())
 
     def _heartbeat(self) -> bytes:
-        return self._link.heartbeat(self.armed, healthy=self._battery.charge < Charge.NO_ARM)
-
-    def _move(self, elapsed_s: float) -> None:
-        """Neutral at once when disarmed; otherwise towards the command, thrusters no faster than the slew rate."""
-        if not self.armed:
-            self._thrusters_us = [float(self._vehicle.thruster.neutral_us)] * THRUSTERS
-            return
-        reach = self._rules.slew_us_per_s * elapsed_s
-        wanted, ankles = self._command[:THRUSTERS], self._command[THRUSTERS:]
-        pairs = zip(self._thrusters_us, wanted, strict=True)
-        self._thrusters_us = [now + min(max(goal - now, -reach), reach) for now, goal in pairs]
-        held = zip(self._ankles_us, ankles, strict=True)
-        self._ankles_us = [now if goal == IGNORED else goal for now, goal in held]
+        return self._link.heartbeat(self.rules.armed, healthy=self.rules.charge < Charge.NO_ARM)
 
     def _burst(self, now_ns: int, reading: Reading, voltage: float) -> None:
         """All that the board measures, ATTITUDE last: whoever has that has the whole burst."""
-        link = self._link
+        link, rules = self._link, self.rules
         self.burst_ms = now_ns // MS_NS % 2**32
         self._outbox += [
             link.imu(self.burst_ms, reading.acceleration_mps2, reading.yaw_rate_radps),
             link.pressure(self.burst_ms, reading.depth_m),
-            link.servo_output(now_ns // 1000, self.pulses),
+            link.servo_output(now_ns // 1000, rules.echo_us),
         ]
         if _crosses(STATUS_NS, self._last_burst_ns, now_ns):
             sensors = GYRO | ACCELEROMETER | PRESSURE | MOTORS | BATTERY
-            healthy = sensors if self._battery.charge is Charge.GOOD else sensors & ~BATTERY
-            self._outbox.append(link.status(voltage, sensors, healthy, self.overrides_refused + link.refused_frames))
+            healthy = sensors if rules.charge is Charge.GOOD else sensors & ~BATTERY
+            self._outbox.append(link.status(voltage, sensors, healthy, rules.overrides_refused + link.refused_frames))
+            self._outbox.append(link.battery(voltage, CHARGE_STATES[rules.charge]))
         if _crosses(HEARTBEAT_NS, self._last_burst_ns, now_ns):
             self._outbox.append(self._heartbeat())
+        if self._to_list < len(rules.parameters.table):
+            self._outbox.append(self._value(self._to_list))
+            self._to_list += 1
         self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps))
+        if _crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._kept_heard:
+            self._remember()
 
     def _load(self) -> float:
         """Thrust asked of the battery, as a fraction of all thrusters at full."""
         thruster = self._vehicle.thruster
-        force_n = np.abs(thruster.force_n(np.array(self._thrusters_us)))
+        force_n = np.abs(thruster.force_n(np.array(self.pulses[:THRUSTERS], dtype=np.float64)))
         return float(force_n.sum()) / (THRUSTERS * thruster.max_thrust_n)
-
-    def _watch(self, voltage: float, elapsed_s: float) -> None:
-        before = self._battery.charge
-        charge = self._battery.update(voltage, elapsed_s)
-        if charge is before:
-            return
-        severity = CRITICAL if charge is Charge.NEUTRAL else WARNING if charge > before else INFO
-        self._outbox.append(self._link.text(severity, f"battery {charge.name}: {voltage:.1f} V"))
-        if charge is Charge.NEUTRAL and self.armed:
-            self._disarm(CRITICAL, "disarmed: battery empty")
 
 
 def _crosses(period_ns: int, since_ns: int | None, now_ns: int) -> bool:

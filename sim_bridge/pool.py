@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sim_bridge.board import Board
+from sim_bridge.board_memory import MakeBoard
 from sim_bridge.camera import Renderer
 from sim_bridge.camera_faults import CameraTrouble
 from sim_bridge.located import Located
@@ -44,10 +46,18 @@ class Pool:
     """The pool's shell: world, sockets, camera, bus."""
 
     def __init__(
-        self, experiment: Experiment, bus: Bus, base_port: int, stop: Stop, lockstep: bool, poses: bool = False
+        self,
+        experiment: Experiment,
+        bus: Bus,
+        base_port: int,
+        stop: Stop,
+        lockstep: bool,
+        poses: bool = False,
+        make: MakeBoard = Board,
     ) -> None:
-        """With `poses` there is no camera: poses go out in the localizer's place."""
+        """With `poses` there is no camera: poses go out in the localizer's place. `make` makes the thruster boards."""
         self._experiment, self._bus, self._stop = experiment, bus, stop
+        self._make = make
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = Sockets(base_port, experiment.robot_ids, experiment.seed)
@@ -71,7 +81,7 @@ class Pool:
             starts = self._starts()
             if starts is None:
                 return
-            world = World(self._experiment, self._experiment.seed, starts)
+            world = World(self._experiment, self._experiment.seed, starts, self._make)
             self._bus.announce("sim-bridge")
             log.info("robots are in the water")
             if self._lockstep is not None:

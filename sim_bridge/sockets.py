@@ -8,11 +8,60 @@ from sim_bridge.world import World
 from wire.mavlink import is_override
 
 READ_BYTES = 65536
+PEERS = 8  # the robot's computer, and ground stations beside it
+PEER_GONE_NS = 10_000_000_000  # a MAVLink program sends a heartbeat each second
+
+
+class Port:
+    """A board's UDP port. It answers to everybody who has spoken lately."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Port 0 is any free one. Raises OSError."""
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self.socket.bind((host, port))
+        except OSError:
+            self.socket.close()
+            raise
+        self.socket.setblocking(False)
+        self._heard_ns: dict[tuple[str, int], int] = {}
+
+    @property
+    def heard(self) -> bool:
+        """Whether anybody is there to answer to."""
+        return bool(self._heard_ns)
+
+    def read(self, now_ns: int) -> list[bytes]:
+        """The datagrams that have arrived, in order."""
+        datagrams: list[bytes] = []
+        while True:
+            try:
+                data, peer = self.socket.recvfrom(READ_BYTES)
+            except (BlockingIOError, ConnectionRefusedError):
+                return datagrams
+            if peer in self._heard_ns or len(self._heard_ns) < PEERS:
+                self._heard_ns[peer] = now_ns
+            datagrams.append(data)
+
+    def send(self, data: bytes, now_ns: int) -> None:
+        """To all who are there."""
+        for peer, heard_ns in list(self._heard_ns.items()):
+            if now_ns - heard_ns > PEER_GONE_NS and len(self._heard_ns) > 1:
+                del self._heard_ns[peer]
+                continue
+            try:
+                self.socket.sendto(data, peer)
+            except OSError:  # its computer is gone; the board times out by itself
+                continue
+
+    def close(self) -> None:
+        """Free the port."""
+        self.socket.close()
 
 
 class Sockets:
-    """One UDP port per thruster board. A board answers to where it was last spoken to from. Between a port and its board lies
-    the link that faults can cut, slow down or make noisy."""
+    """One UDP port per thruster board. Between a port and its board lies the link that faults can cut, slow down or make
+    noisy."""
 
     def __init__(self, base_port: int, robots: tuple[int, ...], seed: int) -> None:
         self.commands = [0] * len(robots)  # sets of pulses that reached each port, whatever the link made of them
@@ -20,22 +69,12 @@ class Sockets:
         self._measured_ms = [0] * len(robots)
         self._to_board = [LossyLink(seed, robot, 0) for robot in robots]
         self._from_board = [LossyLink(seed, robot, 1) for robot in robots]
-        self._sockets = []
-        self._peers: list[tuple[str, int] | None] = [None] * len(robots)
-        for robot in robots:
-            board = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-            board.bind(("127.0.0.1", base_port + robot))
-            board.setblocking(False)
-            self._sockets.append(board)
+        self._ports = [Port("127.0.0.1", base_port + robot) for robot in robots]
 
     def exchange(self, world: World) -> None:
         """Take what has arrived; give the boards what the links let through by now."""
-        for i, board in enumerate(self._sockets):
-            while True:
-                try:
-                    data, self._peers[i] = board.recvfrom(READ_BYTES)
-                except (BlockingIOError, ConnectionRefusedError):
-                    break
+        for i, port in enumerate(self._ports):
+            for data in port.read(world.now_ns):
                 self.commands[i] += is_override(data)
                 self._to_board[i].push(data, world.now_ns, world.faults.links[i])
         self.deliver(world)
@@ -46,13 +85,13 @@ class Sockets:
             for data, _ in there.pop(world.now_ns):
                 world.receive(i, data)
             for data, burst_ms in back.pop(world.now_ns):
-                self._send(i, data)
+                self._ports[i].send(data, world.now_ns)
                 self.burst_ms[i] = max(self.burst_ms[i], burst_ms)
 
     @property
     def all_heard(self) -> bool:
         """Whether every board knows whom to answer."""
-        return None not in self._peers
+        return all(port.heard for port in self._ports)
 
     def send(self, i: int, data: bytes, world: World) -> None:
         """Hand a board's bytes to its link."""
@@ -62,20 +101,11 @@ class Sockets:
             self._measured_ms[i] = burst_ms
             self._from_board[i].push(data, world.now_ns, world.faults.links[i], tag)
 
-    def _send(self, i: int, data: bytes) -> None:
-        """Put a board's bytes on the wire, if somebody has spoken to it."""
-        peer = self._peers[i]
-        if peer is not None:
-            try:
-                self._sockets[i].sendto(data, peer)
-            except OSError:  # its computer is gone; the board times out by itself
-                return
-
     def wait(self, timeout_s: float) -> None:
         """Sleep until something arrives."""
-        select.select(self._sockets, [], [], max(timeout_s, 0.0))
+        select.select([port.socket for port in self._ports], [], [], max(timeout_s, 0.0))
 
     def close(self) -> None:
         """Free the ports."""
-        for board in self._sockets:
-            board.close()
+        for port in self._ports:
+            port.close()

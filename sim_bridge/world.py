@@ -6,6 +6,8 @@
 `step` moves everything by one plant step. sim_bridge/pool.py puts it on the wires; time here is only the plant's.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from sim_bridge.board import Board
@@ -19,11 +21,12 @@ from wire.messages import Truth
 class World:
     """The fleet in the water from the moment the robots are put in at `starts`, poses (n, 4) in the pool frame."""
 
-    def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
+    def __init__(
+        self, experiment: Experiment, seed: int, starts: Array, make: Callable[[Experiment, int, int], Board] = Board
+    ) -> None:
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
-        self._boards = [Board(experiment, robot, seed) for robot in experiment.robot_ids]
-        self._neutral_us = experiment.vehicle.thruster.neutral_us
+        self._boards = [make(experiment, robot, seed) for robot in experiment.robot_ids]
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
@@ -67,7 +70,7 @@ class World:
 
     def neutral(self, i: int) -> bool:
         """Whether the i-th board's thruster outputs are all at neutral."""
-        return all(pulse == self._neutral_us for pulse in self._boards[i].pulses[:4])
+        return self._boards[i].neutral
 
     @property
     def flown_s(self) -> float:

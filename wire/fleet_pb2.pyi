@@ -177,7 +177,7 @@ class Plan(_message.Message):
     def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[int] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id")
+    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s")
     MODE_FIELD_NUMBER: _ClassVar[int]
     FAULT_FIELD_NUMBER: _ClassVar[int]
     EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
@@ -209,6 +209,8 @@ class RobotState(_message.Message):
     SLACK_M_FIELD_NUMBER: _ClassVar[int]
     HEARD_FIELD_NUMBER: _ClassVar[int]
     TUNING_ID_FIELD_NUMBER: _ClassVar[int]
+    BOARD_ROUND_TRIP_MS_FIELD_NUMBER: _ClassVar[int]
+    BOARD_CLOCK_OFFSET_S_FIELD_NUMBER: _ClassVar[int]
     mode: Mode
     fault: str
     experiment_hash: str
@@ -240,7 +242,9 @@ class RobotState(_message.Message):
     slack_m: float
     heard: _containers.RepeatedScalarFieldContainer[int]
     tuning_id: str
-    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ...) -> None: ...
+    board_round_trip_ms: float
+    board_clock_offset_s: float
+    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ...) -> None: ...
 
 class StationHeartbeat(_message.Message):
     __slots__ = ("experiment_hash", "emergency_stop", "mission")

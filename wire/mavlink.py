@@ -1,18 +1,20 @@
-"""The thruster link, sans-IO: MAVLink 2 (common dialect) between a robot's computer and its thruster board, both ends.
+"""The thruster link, sans-IO: MAVLink 2 (common dialect) between a robot's computer and its thruster board.
 
-Bytes in, bytes out; sockets, serial ports and clocks belong to the callers. The robot's id is the MAVLink system id of both
-ends. What a firmware must do beyond the encoding is in docs/board.md; how frames are found in the stream, in
-wire/mavlink_frames.py.
+This is the computer's end; the board's is wire/mavlink_board.py. Bytes in, bytes out; sockets, serial ports and clocks belong
+to the callers. The robot's id is the MAVLink system id of both ends. What a firmware must do beyond the encoding is in
+docs/board.md; how frames are found in the stream, in wire/mavlink_frames.py.
 """
 
 import math
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
 from wire.mavlink_frames import LOSS_WINDOW_NS, MARKER, Receiver, Sender
+from wire.mavlink_signing import Gate, Key, Verdict
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -29,6 +31,7 @@ STANDARD_GRAVITY_MPS2 = 9.80665  # defines the mG of SCALED_IMU
 PROTOCOL_VERSION = 3  # what a HEARTBEAT says for MAVLink 2
 TEXT_LENGTH = 50  # of a STATUSTEXT
 TEXTS_KEPT = 16
+CLOCKS_KEPT = 16  # of these the quickest round trip tells the clock: what is slow was held up one way and not the other
 
 ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT; rejected: for now
 
@@ -60,49 +63,68 @@ class Telemetry:
     acceleration_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)  # specific force, body frame
     depth_m: float = 0.0
     battery_v: float = 0.0  # 0: not heard yet
+    charge: int = 0  # how low the battery is, for the board: MAV_BATTERY_CHARGE_STATE, 0 not heard yet
     armed: bool = False
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
     acknowledgements: int = 0
     texts: tuple[tuple[int, str], ...] = ()  # the last few STATUSTEXT: severity (0 worst, 7 debug), text
     texts_received: int = 0
-    clock_offset_ns: int = 0  # board's clock minus ours, from the last TIMESYNC
-    round_trip_ns: int = 0
+    clock_offset_ns: int = 0  # board's clock minus ours, by the quickest of the last TIMESYNCs
+    round_trip_ns: int = 0  # of the last TIMESYNC
+    round_trips: int = 0
     loss: float = 0.0  # fraction of the board's frames lost over 5 s
     bad_frames: int = 0
     foreign_frames: int = 0
     stale_frames: int = 0
     refused_frames: int = 0  # intact, but with a value that cannot be true
+    unsigned_frames: int = 0
+    forged_frames: int = 0  # signed with another key, or where no key is expected
+    replayed_frames: int = 0
 
 
-class _Refused(Exception):
+class Refused(Exception):
     """A frame is intact, but its content is not acceptable."""
 
 
-def _within(value: float, low: float, high: float) -> float:
+def within(value: float, low: float, high: float) -> float:
+    """The value, if it lies in its range. Raises Refused."""
     if not low <= value <= high:  # false for NaN too
-        raise _Refused
+        raise Refused
     return value
 
 
-def _pulses(message: Any, field: str, ignorable: bool) -> tuple[int, ...]:
-    """The 8 pulses of a message whose fields are named like `field`, e.g. servo{}_raw."""
+def pulses_of(message: Any, field: str, ignorable: bool) -> tuple[int, ...]:
+    """The 8 pulses of a message whose fields are named like `field`, e.g. servo{}_raw. Raises Refused."""
     pulses = tuple(getattr(message, field.format(i + 1)) for i in range(CHANNELS))
     low, high = PULSE_RANGE_US
     if not all(low <= pulse <= high or (ignorable and pulse == IGNORED) for pulse in pulses):
-        raise _Refused
+        raise Refused
     return pulses
 
 
 class AgentLink:
     """The robot's computer: packs commands, keeps the telemetry."""
 
-    def __init__(self, robot_id: int) -> None:
-        self._robot_id = robot_id
-        self._sender = Sender(robot_id, AGENT_COMPONENT)
-        self._receiver = Receiver(robot_id, BOARD_COMPONENT)
+    def __init__(self, robot_id: int, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
+        """With a `key` the link is signed; `now()` is the time in ticks, later than in any earlier life of this computer.
+
+        The board signs with times later than all it has heard, so what it says to this life is later than this life's start:
+        older telemetry is somebody's recording.
+        """
+        self._robot_id, self._board, self._me = robot_id, (robot_id, BOARD_COMPONENT), (robot_id, AGENT_COMPONENT)
+        gate = Gate(key, floor=now())
+        self._sender = Sender(self._me, key, lambda: max(now(), gate.newest + 1))
+        self._receiver = Receiver(lambda peer: peer == self._board, gate)
         self._refused = 0
+        self._asked_ns: int | None = None
+        self._clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)  # round trip, the board's clock minus ours
         self.telemetry = Telemetry()
+
+    @property
+    def stamp(self) -> int:
+        """The latest timestamp of a signature that this end has sent; 0 without a key."""
+        return self._sender.signer.last if self._sender.signer is not None else 0
 
     def pulses(self, pulses_us: Sequence[int]) -> bytes:
         """Command the 8 outputs in us: 4 thrusters, 4 ankles. Raises ValueError for a pulse that no servo can take."""
@@ -136,6 +158,7 @@ class AgentLink:
 
     def timesync(self, now_ns: int) -> bytes:
         """Ask for the board's time."""
+        self._asked_ns = now_ns
         return self._sender.pack(dialect.MAVLink_timesync_message(0, now_ns))
 
     def receive(self, data: bytes, now_ns: int) -> None:
@@ -144,17 +167,20 @@ class AgentLink:
         for message in self._receiver.receive(data, now_ns):
             try:
                 changes |= self._read(message, changes, now_ns)
-            except _Refused:
+            except Refused:
                 self._refused += 1
         receiver = self._receiver
         self.telemetry = replace(
             self.telemetry,
             **changes,
-            loss=receiver.loss,
+            loss=receiver.loss(self._board),
             bad_frames=receiver.bad_frames,
             foreign_frames=receiver.foreign_frames,
             stale_frames=receiver.stale_frames,
             refused_frames=self._refused,
+            unsigned_frames=receiver.refused[Verdict.UNSIGNED],
+            forged_frames=receiver.refused[Verdict.FORGED],
+            replayed_frames=receiver.refused[Verdict.REPLAYED],
         )
 
     def _read(self, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
@@ -162,8 +188,8 @@ class AgentLink:
         kind = message.get_type()
         if kind == "ATTITUDE":  # the last of a burst: its time is the burst's
             return {
-                "heading_rad": _within(message.yaw, -math.tau, math.tau),
-                "yaw_rate_radps": _within(message.yawspeed, -50.0, 50.0),
+                "heading_rad": within(message.yaw, -math.tau, math.tau),
+                "yaw_rate_radps": within(message.yawspeed, -50.0, 50.0),
                 "board_ms": message.time_boot_ms,
                 "arrival_ns": now_ns,
             }
@@ -171,164 +197,31 @@ class AgentLink:
             unit = STANDARD_GRAVITY_MPS2 / 1000.0
             return {"acceleration_mps2": (message.xacc * unit, message.yacc * unit, message.zacc * unit)}
         if kind == "SCALED_PRESSURE2":
-            return {"depth_m": hpa_to_depth(_within(message.press_abs, 500.0, 20_000.0))}
+            return {"depth_m": hpa_to_depth(within(message.press_abs, 500.0, 20_000.0))}
         if kind == "SERVO_OUTPUT_RAW":
-            return {"echo_us": _pulses(message, "servo{}_raw", ignorable=False)}
+            return {"echo_us": pulses_of(message, "servo{}_raw", ignorable=False)}
         if kind == "SYS_STATUS":
-            return {"battery_v": _within(message.voltage_battery, 0, IGNORED - 1) / 1000.0}
+            return {"battery_v": within(message.voltage_battery, 0, IGNORED - 1) / 1000.0}
+        if kind == "BATTERY_STATUS":
+            return {"charge": message.charge_state} if message.id == 0 else {}
         if kind == "HEARTBEAT":
             return {"armed": bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)}
         return self._read_answer(kind, message, changes, now_ns)
 
     def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
         if kind == "COMMAND_ACK":
+            if message.target_system and (message.target_system, message.target_component) != self._me:
+                return {}  # the answer to somebody else's
             count = changes.get("acknowledgements", self.telemetry.acknowledgements)
             return {"acknowledged": (message.command, message.result), "acknowledgements": count + 1}
         if kind == "STATUSTEXT":
             texts = changes.get("texts", self.telemetry.texts)
             count = changes.get("texts_received", self.telemetry.texts_received)
             return {"texts": (*texts, (message.severity, message.text))[-TEXTS_KEPT:], "texts_received": count + 1}
-        if kind == "TIMESYNC" and message.tc1 != 0:
-            round_trip_ns = int(_within(now_ns - message.ts1, 0, LOSS_WINDOW_NS))
-            return {"clock_offset_ns": message.tc1 - message.ts1 - round_trip_ns // 2, "round_trip_ns": round_trip_ns}
+        if kind == "TIMESYNC" and message.tc1 != 0 and message.ts1 == self._asked_ns:
+            round_trip_ns = int(within(now_ns - message.ts1, 0, LOSS_WINDOW_NS))
+            self._asked_ns = None
+            self._clocks.append((round_trip_ns, message.tc1 - message.ts1 - round_trip_ns // 2))
+            trips = changes.get("round_trips", self.telemetry.round_trips) + 1
+            return {"clock_offset_ns": min(self._clocks)[1], "round_trip_ns": round_trip_ns, "round_trips": trips}
         return {}
-
-
-@dataclass(frozen=True)
-class Override:
-    """Pulses for the 8 outputs, in us; `IGNORED` leaves an output as it is."""
-
-    pulses_us: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Arm:
-    """Arm or disarm."""
-
-    arm: bool
-
-
-@dataclass(frozen=True)
-class Heartbeat:
-    """The robot's computer is alive."""
-
-
-@dataclass(frozen=True)
-class Timesync:
-    """The computer asks for the board's time and gives its own, `sent_ns`."""
-
-    sent_ns: int
-
-
-@dataclass(frozen=True)
-class Unsupported:
-    """A command that this board does not have, or with parameters that it does not accept."""
-
-    command: int
-
-
-Event = Override | Arm | Heartbeat | Timesync | Unsupported
-
-
-class BoardLink:
-    """The thruster board: events in, packed answers and sensor messages out."""
-
-    def __init__(self, robot_id: int) -> None:
-        self._robot_id = robot_id
-        self._sender = Sender(robot_id, BOARD_COMPONENT)
-        self._receiver = Receiver(robot_id, AGENT_COMPONENT)
-        self.refused_frames = 0
-
-    @property
-    def bad_frames(self) -> int:
-        """Start bytes that led to no intact frame."""
-        return self._receiver.bad_frames
-
-    @property
-    def stale_frames(self) -> int:
-        """Intact frames that were old or repeated, and not looked at."""
-        return self._receiver.stale_frames
-
-    def receive(self, data: bytes, now_ns: int) -> list[Event]:
-        """What the computer asks for with these bytes. Never raises, whatever they are."""
-        events: list[Event] = []
-        for message in self._receiver.receive(data, now_ns):
-            try:
-                event = self._read(message)
-            except _Refused:
-                self.refused_frames += 1
-                continue
-            if event is not None:
-                events.append(event)
-        return events
-
-    def _read(self, message: Any) -> Event | None:
-        kind = message.get_type()
-        if kind == "HEARTBEAT":
-            return Heartbeat()
-        if kind == "TIMESYNC" and message.tc1 == 0:
-            return Timesync(message.ts1)
-        if kind not in ("RC_CHANNELS_OVERRIDE", "COMMAND_LONG"):
-            return None
-        if (message.target_system, message.target_component) != (self._robot_id, BOARD_COMPONENT):
-            raise _Refused
-        if kind == "RC_CHANNELS_OVERRIDE":
-            return Override(_pulses(message, "chan{}_raw", ignorable=True))
-        if message.command == dialect.MAV_CMD_COMPONENT_ARM_DISARM and message.param1 in (0.0, 1.0) and message.param2 == 0.0:
-            return Arm(message.param1 == 1.0)
-        return Unsupported(message.command)
-
-    def heartbeat(self, armed: bool, healthy: bool) -> bytes:
-        """Armed or not, and whether anything keeps it from working."""
-        mode = dialect.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | (dialect.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
-        working = dialect.MAV_STATE_ACTIVE if armed else dialect.MAV_STATE_STANDBY
-        state = working if healthy else dialect.MAV_STATE_CRITICAL
-        return self._sender.pack(
-            dialect.MAVLink_heartbeat_message(
-                dialect.MAV_TYPE_SUBMARINE, dialect.MAV_AUTOPILOT_GENERIC, mode, 0, state, PROTOCOL_VERSION
-            )
-        )
-
-    def attitude(self, board_ms: int, heading_rad: float, yaw_rate_radps: float) -> bytes:
-        """Heading and yaw rate; ends a burst."""
-        return self._sender.pack(dialect.MAVLink_attitude_message(board_ms, 0, 0, heading_rad, 0, 0, yaw_rate_radps))
-
-    def imu(self, board_ms: int, acceleration_mps2: Sequence[float], yaw_rate_radps: float) -> bytes:
-        """Specific force in the body frame (at rest: -1 g down) and the gyro about the vertical axis."""
-        unit = STANDARD_GRAVITY_MPS2 / 1000.0
-        force_mg = [_int16(value / unit) for value in acceleration_mps2]
-        gyro_mradps = _int16(yaw_rate_radps * 1000.0)
-        return self._sender.pack(dialect.MAVLink_scaled_imu_message(board_ms, *force_mg, 0, 0, gyro_mradps, 0, 0, 0))
-
-    def pressure(self, board_ms: int, depth_m: float) -> bytes:
-        """Water pressure."""
-        hpa = depth_to_hpa(depth_m)
-        return self._sender.pack(dialect.MAVLink_scaled_pressure2_message(board_ms, hpa, hpa - SURFACE_HPA, 2000))
-
-    def servo_output(self, board_us: int, pulses_us: Sequence[int]) -> bytes:
-        """Echo of what the outputs really are."""
-        return self._sender.pack(dialect.MAVLink_servo_output_raw_message(board_us % 2**32, 0, *pulses_us))
-
-    def status(self, battery_v: float, sensors: int, healthy: int, refused: int) -> bytes:
-        """Battery voltage, sensors present and healthy (MAV_SYS_STATUS_SENSOR bits), and overrides refused so far."""
-        errors = min(self.bad_frames, IGNORED), min(refused, IGNORED)
-        millivolt = min(max(round(battery_v * 1000.0), 0), IGNORED - 1)
-        return self._sender.pack(
-            dialect.MAVLink_sys_status_message(sensors, sensors, healthy, 0, millivolt, -1, -1, 0, *errors, 0, 0, 0)
-        )
-
-    def timesync(self, board_ns: int, sent_ns: int) -> bytes:
-        """The board's time, with the time that the question carried."""
-        return self._sender.pack(dialect.MAVLink_timesync_message(board_ns, sent_ns))
-
-    def text(self, severity: int, text: str) -> bytes:
-        """A line for people; severity 0 emergency to 7 debug."""
-        return self._sender.pack(dialect.MAVLink_statustext_message(severity, text.encode("ascii", "replace")[:TEXT_LENGTH]))
-
-    def acknowledge(self, command: int, result: int) -> bytes:
-        """Answer to a command: MAV_RESULT."""
-        return self._sender.pack(dialect.MAVLink_command_ack_message(command, result))
-
-
-def _int16(value: float) -> int:
-    return round(min(max(value, -32768.0), 32767.0))

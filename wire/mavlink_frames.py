@@ -6,9 +6,12 @@ half a second of commands. It also passes messages it does not know without look
 """
 
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
+
+from wire.mavlink_signing import SIGNATURE_BYTES, SIGNED, Gate, Key, Signer, Verdict
 
 MARKER = 0xFD
 HEADER_BYTES, CHECKSUM_BYTES = 10, 2
@@ -18,6 +21,9 @@ LOSS_WINDOW_NS = 5_000_000_000
 # After this any sequence number counts as new: the peer was restarted. Longer than a board stays armed on its last override
 # (0.3 s at most), or one frame repeated for ever could keep thrusters running.
 SILENCE_NS = 500_000_000
+PEERS = 16  # whose sequence numbers are followed at a time; who adds more within SILENCE_NS floods the link
+
+Peer = tuple[int, int]  # MAVLink system and component
 
 # An environment variable can switch pymavlink's checksums off. Not for thrusters.
 dialect.MAVLINK_IGNORE_CRC = 0
@@ -37,7 +43,7 @@ class Sequence8:
         step = (sequence - self._last) % 256
         if self._last < 0:
             step = 1
-        elif (step == 0 or step >= 128) and now_ns - self._last_ns < SILENCE_NS:
+        elif (step == 0 or step >= 128) and not self.silent(now_ns):
             return False
         self._last, self._last_ns = sequence, now_ns
         self._steps.append((now_ns, max(step, 1)))
@@ -46,6 +52,10 @@ class Sequence8:
             self._expected -= self._steps.popleft()[1]
         return True
 
+    def silent(self, now_ns: int) -> bool:
+        """Whether nothing came for so long that any number is new: there is nothing left to remember."""
+        return now_ns - self._last_ns >= SILENCE_NS
+
     @property
     def loss(self) -> float:
         """Fraction of the peer's frames that did not arrive, over the last 5 s."""
@@ -53,26 +63,28 @@ class Sequence8:
 
 
 class Receiver:
-    """Finds one peer's frames in a stream of bytes. After anything broken it looks again from the next byte, so that a
+    """Finds the frames of some peers in a stream of bytes. After anything broken it looks again from the next byte, so that a
     false start byte or a damaged length hides no intact frame behind it."""
 
-    def __init__(self, system: int, component: int) -> None:
-        self._peer = (system, component)
+    def __init__(self, wanted: Callable[[Peer], bool], gate: Gate) -> None:
+        """Takes frames of `wanted` peers that pass the `gate`."""
+        self._wanted, self._gate = wanted, gate
         self._mavlink = dialect.MAVLink(None)
         self._buffer = bytearray()
         self._waiting_since_ns: int | None = None
-        self._sequence = Sequence8()
+        self._sequences: dict[Peer, Sequence8] = {}
         self.bad_frames = 0  # start bytes that led to no frame: checksum, impossible header, never completed
         self.foreign_frames = 0  # intact, but from somebody else, or of a kind that the dialect does not have
-        self.stale_frames = 0  # old or repeated
+        self.stale_frames = 0  # old or repeated, by their sequence number
+        self.refused = dict.fromkeys(Verdict, 0)  # by their signature
 
-    @property
-    def loss(self) -> float:
-        """Fraction of the peer's frames that did not arrive, over the last 5 s."""
-        return self._sequence.loss
+    def loss(self, peer: Peer) -> float:
+        """Fraction of a peer's frames that did not arrive, over the last 5 s."""
+        sequence = self._sequences.get(peer)
+        return sequence.loss if sequence is not None else 0.0
 
     def receive(self, data: bytes, now_ns: int) -> list[Any]:
-        """The peer's messages, in order, that are complete with these bytes. Never raises, whatever the bytes are."""
+        """The peers' messages, in order, that are complete with these bytes. Never raises, whatever the bytes are."""
         self._buffer += data
         messages: list[Any] = []
         at = 0
@@ -82,13 +94,14 @@ class Receiver:
                 if not self._waited_too_long(now_ns):
                     break
                 size = 0
-            message = self._decode(self._buffer[at : at + size]) if size else None
+            frame = self._buffer[at : at + size]
+            message = self._decode(frame) if size else None
             self._waiting_since_ns = None
             if message is None:
                 at += 1
                 continue
             at += size
-            if self._is_wanted(message, now_ns):
+            if self._is_taken(message, frame, now_ns):
                 messages.append(message)
         del self._buffer[: len(self._buffer) if at < 0 else at]
         return messages
@@ -96,7 +109,7 @@ class Receiver:
     def _frame_size(self, at: int) -> int:
         """Bytes of the frame that starts at `at`, by its header; 0 if there can be no frame."""
         header = self._buffer[at : at + HEADER_BYTES]
-        if len(header) >= 3 and header[2] != 0:  # flags that a receiver must understand; we use none
+        if len(header) >= 3 and header[2] & ~SIGNED:  # flags that a receiver must understand
             self.bad_frames += 1
             return 0
         if len(header) < HEADER_BYTES:
@@ -108,7 +121,8 @@ class Receiver:
         if not 1 <= header[1] <= kind.unpacker.size + EXTENSION_BYTES:
             self.bad_frames += 1
             return 0
-        return HEADER_BYTES + header[1] + CHECKSUM_BYTES
+        signature = SIGNATURE_BYTES if header[2] & SIGNED else 0
+        return HEADER_BYTES + header[1] + CHECKSUM_BYTES + signature
 
     def _waited_too_long(self, now_ns: int) -> bool:
         if self._waiting_since_ns is None:
@@ -125,24 +139,46 @@ class Receiver:
             self.bad_frames += 1
             return None
 
-    def _is_wanted(self, message: Any, now_ns: int) -> bool:
-        if (message.get_srcSystem(), message.get_srcComponent()) != self._peer:
+    def _is_taken(self, message: Any, frame: bytearray, now_ns: int) -> bool:
+        """Signature before sequence: a forged frame must not make the true ones look old."""
+        peer = (message.get_srcSystem(), message.get_srcComponent())
+        if not self._wanted(peer):
             self.foreign_frames += 1
             return False
-        if not self._sequence.accept(message.get_seq(), now_ns):
+        verdict = self._gate.judge(bytes(frame), *peer)
+        if verdict is not Verdict.GOOD:
+            self.refused[verdict] += 1
+            return False
+        if peer not in self._sequences and not self._has_room(now_ns):
+            self.foreign_frames += 1
+            return False
+        if not self._sequences.setdefault(peer, Sequence8()).accept(message.get_seq(), now_ns):
             self.stale_frames += 1
             return False
         return True
 
+    def _has_room(self, now_ns: int) -> bool:
+        if len(self._sequences) >= PEERS:
+            self._sequences = {peer: each for peer, each in self._sequences.items() if not each.silent(now_ns)}
+        return len(self._sequences) < PEERS
+
 
 class Sender:
-    """Numbers and packs the frames of one end."""
+    """Numbers, packs and signs the frames of one end."""
 
-    def __init__(self, system: int, component: int) -> None:
-        self._mavlink = dialect.MAVLink(None, system, component)
+    def __init__(self, peer: Peer, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
+        """With a key frames are signed; `now()` is the time in ticks of a signature's timestamp."""
+        self._mavlink = dialect.MAVLink(None, *peer)
+        self.signer = Signer(key, now) if key is not None else None
 
     def pack(self, message: Any) -> bytes:
         """The frame of one message. Raises struct.error for a value that its field cannot hold."""
         frame: bytes = message.pack(self._mavlink)
         self._mavlink.seq = (self._mavlink.seq + 1) % 256
-        return frame
+        if self.signer is None:
+            return frame
+        # The checksum covers the flag, so the frame that pymavlink made is no longer right.
+        covered = bytes([frame[1], SIGNED]) + frame[3:-CHECKSUM_BYTES]
+        checksum = dialect.x25crc(covered)
+        checksum.accumulate(bytes([message.crc_extra]))
+        return self.signer.sign(bytes([MARKER]) + covered + checksum.crc.to_bytes(CHECKSUM_BYTES, "little"))

@@ -183,6 +183,8 @@ class RobotState:
     board_armed: bool = False
     board_age_ms: float = 0.0
     board_loss: float = 0.0  # fraction of the board's messages lost, last 5 s
+    board_round_trip_ms: float = 0.0  # to the board and back, last measured
+    board_clock_offset_s: float = 0.0  # the board's clock minus the robot's
     solve: Solve = Solve.NONE
     iterations: int = 0
     step_us: float = 0.0  # the whole control step

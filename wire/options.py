@@ -49,4 +49,10 @@ KeyRing = Annotated[
 Insecure = Annotated[
     bool, typer.Option("--insecure", help="Off this machine without keys: anybody on the network can command the robots.")
 ]
+LinkKey = Annotated[
+    Path | None, typer.Option("--link-key", metavar="FILE", help="Sign the link to the board with this key (mode 0600).")
+]
+LinkInsecure = Annotated[
+    bool, typer.Option("--link-insecure", help="Let an unsigned link to the board leave this machine over UDP.")
+]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Log details too.")]

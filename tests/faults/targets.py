@@ -30,7 +30,8 @@ from sim_bridge.board import Board
 from tests.wire.strategies import CLASSES, example, nested
 from wire.codec import LARGEST, DecodeError, Header, decode, encode
 from wire.experiment import Experiment, load_experiment
-from wire.mavlink import AgentLink, BoardLink, Telemetry
+from wire.mavlink import AgentLink, Telemetry
+from wire.mavlink_board import BoardLink
 from wire.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory
 from wire.toml_file import ConfigError, apply_setting, check, read_toml
 from wire.vehicle import Vehicle

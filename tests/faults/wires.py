@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wire.mavlink import AgentLink, BoardLink, Override
+from wire.mavlink import AgentLink
+from wire.mavlink_board import BoardLink, Override
 
 READ_BYTES = 65536
 IDLE_S = 0.02
@@ -88,7 +89,7 @@ class SerialWire:
         trouble, random, now_ns = self.trouble, self._random, time.monotonic_ns()
         if to_board:
             events = self._reader.receive(data, now_ns)
-            self.said += [(now_ns, event.pulses_us) for event in events if isinstance(event, Override)]
+            self.said += [(now_ns, event.pulses_us) for _, event in events if isinstance(event, Override)]
         if trouble.cut:
             return
         if trouble.junk and random.random() < trouble.junk:

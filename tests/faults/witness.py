@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 import sim_bridge.pool
-import sim_bridge.world
 from sim_bridge.board import Board
+from sim_bridge.board_memory import MakeBoard
 from sim_bridge.faults import Faults
 from sim_bridge.pool import Pool
 from sim_bridge.world import World
@@ -25,6 +25,7 @@ from wire.bus import Bus
 from wire.experiment import Experiment, load_experiment
 from wire.faults import Fault
 from wire.frames import Array
+from wire.mavlink_frames import Peer
 from wire.runtime import Stop, start_log
 from wire.transport import Endpoint, ZenohTransport
 
@@ -61,12 +62,14 @@ def watched_board(line: Line) -> type[Board]:
     class WatchedBoard(Board):
         def __init__(self, experiment: Experiment, robot_id: int, seed: int) -> None:
             super().__init__(experiment, robot_id, seed)
-            self._robot = robot_id
+            rules, override = self.rules, self.rules.override
 
-        def _take(self, pulses_us: tuple[int, ...], now_ns: int) -> None:
-            refused = self.overrides_refused
-            super()._take(pulses_us, now_ns)
-            line.tell(robot=self._robot, taken=self.overrides_refused == refused, pulses=list(pulses_us))
+            def watched(sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
+                refused = rules.overrides_refused
+                override(sender, pulses_us, now_ns)
+                line.tell(robot=robot_id, taken=rules.overrides_refused == refused, pulses=list(pulses_us))
+
+            vars(rules)["override"] = watched
 
     return WatchedBoard
 
@@ -75,8 +78,8 @@ def watched_world(line: Line) -> type[World]:
     """A world that tells of every change at the boards' outputs, and is broken by the harness."""
 
     class WatchedWorld(World):
-        def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
-            super().__init__(experiment, seed, starts)
+        def __init__(self, experiment: Experiment, seed: int, starts: Array, make: MakeBoard) -> None:
+            super().__init__(experiment, seed, starts, make)
             self._experiment = experiment
             self._said: list[tuple[bool, bool] | None] = [None] * len(starts)
 
@@ -112,13 +115,10 @@ def main() -> None:
     name, station, ports, harness, *options = sys.argv[1:]
     start_log("sim-bridge")
     line, stop = Line(int(harness)), Stop()
-    for module, place, watched in (
-        (sim_bridge.world, "Board", watched_board(line)),
-        (sim_bridge.pool, "World", watched_world(line)),
-    ):
-        setattr(module, place, watched)
+    vars(sim_bridge.pool)["World"] = watched_world(line)
     with Bus(ZenohTransport(Endpoint(station))) as bus:
-        Pool(load_experiment(name), bus, int(ports), stop, lockstep=False, poses="--poses" in options).run()
+        poses, make = "--poses" in options, watched_board(line)
+        Pool(load_experiment(name), bus, int(ports), stop, lockstep=False, poses=poses, make=make).run()
 
 
 if __name__ == "__main__":

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from groundstation import planner
-from robot_agent.link import Link
 from robot_agent.rerun import Rerun
 from robot_agent.shell import Shell
 from wire import topics
 from wire.bus import Bus, Received
 from wire.codec import Header, encode
 from wire.experiment import Experiment, load_experiment
-from wire.mavlink import BoardLink
+from wire.link import Link
+from wire.mavlink_board import BoardLink
 from wire.messages import Command, Event, Mode, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat, Track
 from wire.runtime import Stop
 from wire.topics import Topic
@@ -35,7 +35,7 @@ class Board(Link):
         self._link, self._ms, self._armed = BoardLink(ME), 0, False
 
     def send(self, data: bytes) -> None:
-        for event in self._link.receive(data, self._ms * 1_000_000):
+        for _, event in self._link.receive(data, self._ms * 1_000_000):
             self._armed = getattr(event, "arm", self._armed)
 
     def read(self) -> bytes:

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
 
-from sim_bridge.board import BatteryWatch, Board, Charge
+from sim_bridge.board import Board
+from sim_bridge.board_parameters import Parameters
+from sim_bridge.board_rules import Charge, Rules
 from sim_bridge.sensors import BoardSensors
 from wire import mavlink
 from wire.experiment import Experiment, load_experiment
@@ -68,6 +70,17 @@ class Bench:
         assert self.board.armed
 
 
+class BatteryWatch:
+    """The rules, seen through the battery alone."""
+
+    def __init__(self) -> None:
+        self.rules = Rules(Parameters.of(load_experiment("pool")), (1, mavlink.AGENT_COMPONENT))
+
+    def update(self, voltage: float, elapsed_s: float) -> Charge:
+        self.rules.battery(voltage, elapsed_s)
+        return self.rules.charge
+
+
 def thrusters(bench: Bench) -> tuple[int, ...]:
     return bench.board.pulses[:4]
 
@@ -90,7 +103,7 @@ def test_arms_at_neutral_and_follows() -> None:
     assert bench.seen.armed
     assert bench.seen.acknowledged == (400, mavlink.ACCEPTED)
     assert bench.seen.echo_us == AHEAD
-    assert bench.board.overrides_received == 8
+    assert bench.board.rules.overrides_received == 8
 
 
 def test_does_not_arm_without_overrides() -> None:
@@ -237,7 +250,7 @@ def test_one_pulse_out_of_range_and_the_whole_message_is_refused(channel: int, v
     pulses[(channel + 1) % 4] = 1600
     pulses[channel] = value
     assert bench.step(bench.agent.pulses(pulses)) == AHEAD
-    assert bench.board.overrides_refused == 1
+    assert bench.board.rules.overrides_refused == 1
     bench.drive(tuple(pulses), 0.3)
     assert thrusters(bench) == LEVEL  # and it does not keep the thrusters running
 
@@ -245,7 +258,7 @@ def test_one_pulse_out_of_range_and_the_whole_message_is_refused(channel: int, v
 def test_refused_overrides_are_reported_and_still_counted() -> None:
     bench = Bench()
     bench.drive((1099, *NEUTRAL[1:]), 0.7)
-    assert bench.board.overrides_received == bench.board.overrides_refused == 14
+    assert bench.board.rules.overrides_received == bench.board.rules.overrides_refused == 14
     data = b"".join(bench.board.step(bench.now_ns + i * STEP, STILL, STILL, STILL) for i in range(100))
     (status,) = (m for m in dialect.MAVLink(None).parse_buffer(data) or [] if m.get_type() == "SYS_STATUS")
     assert status.errors_count1 == 14
@@ -288,9 +301,8 @@ def test_the_slew_rate_does_not_depend_on_the_step() -> None:
 
 def test_battery_levels_in_order_and_without_chatter() -> None:
     """A falling ramp with noise of +-0.15 V, then a rising one: each level is entered once and left once."""
-    battery = load_experiment("pool").vehicle.battery
     for seed in range(8):
-        watch, random = BatteryWatch(battery), np.random.default_rng(seed)
+        watch, random = BatteryWatch(), np.random.default_rng(seed)
         ramp = np.concatenate([np.linspace(12.0, 9.0, 6000), np.linspace(9.0, 12.0, 6000)])
         levels = [watch.update(v + random.uniform(-0.15, 0.15), 0.02) for v in ramp]
         changes = [level for level, before in zip(levels[1:], levels[:-1], strict=True) if level is not before]
@@ -300,7 +312,7 @@ def test_battery_levels_in_order_and_without_chatter() -> None:
 
 def test_battery_levels_at_their_voltages() -> None:
     """Entered below 10.8, 10.5, 9.9 V; left 0.3 V above. Held long enough for the filter."""
-    watch = BatteryWatch(load_experiment("pool").vehicle.battery)
+    watch = BatteryWatch()
     sequence = [(10.81, 0), (10.79, 1), (11.09, 1), (11.11, 0), (10.49, 2), (10.79, 2), (10.81, 1), (9.89, 3), (10.19, 3)]
     sequence += [(10.21, 2), (9.0, 3), (12.0, 0)]
     for volts, level in sequence:
@@ -308,7 +320,7 @@ def test_battery_levels_at_their_voltages() -> None:
 
 
 def test_a_moment_of_full_thrust_is_no_empty_battery() -> None:
-    watch = BatteryWatch(load_experiment("pool").vehicle.battery)
+    watch = BatteryWatch()
     watch.update(11.0, 0.02)
     assert [watch.update(10.5, 0.02) for _ in range(20)] == [Charge.GOOD] * 20
 
@@ -430,7 +442,7 @@ def test_board_answers_timesync_and_unknown_commands() -> None:
     assert bench.seen.clock_offset_ns == 0
     order = dialect.MAVLink_command_long_message(1, 1, 246, 0, 1, 0, 0, 0, 0, 0, 0)
     fresh = Bench()
-    fresh.step(Sender(1, mavlink.AGENT_COMPONENT).pack(order))
+    fresh.step(Sender((1, mavlink.AGENT_COMPONENT)).pack(order))
     fresh.step()
     assert fresh.seen.acknowledged == (246, mavlink.UNSUPPORTED)
 
@@ -487,9 +499,9 @@ def test_whatever_arrives_the_rules_hold(actions: list[tuple[str, object]]) -> N
         assert isinstance(count, int)
         for _ in range(count):
             if action != "wait":
-                good = bench.board.overrides_received - bench.board.overrides_refused
+                good = bench.board.rules.overrides_received - bench.board.rules.overrides_refused
                 bench.board.receive(frame_for(bench, action, value), bench.now_ns)
-                if bench.board.overrides_received - bench.board.overrides_refused > good:
+                if bench.board.rules.overrides_received - bench.board.rules.overrides_refused > good:
                     last_valid_ns = bench.now_ns
                     sent |= set(value if isinstance(value, list) else NEUTRAL)
             now = bench.step()

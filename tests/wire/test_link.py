@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from robot_agent.link import SerialLink, UdpLink, open_link
+from wire.link import SerialLink, UdpLink, open_link
 from wire.toml_file import ConfigError
 
 

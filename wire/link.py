@@ -1,5 +1,6 @@
 """SHELL: the wire to the thruster board: a UDP socket or a serial port. Bytes only; wire/mavlink.py gives them meaning."""
 
+import ipaddress
 import select
 import socket
 from typing import Protocol
@@ -63,7 +64,7 @@ class SerialLink:
 
     def _reopen(self) -> None:
         try:
-            self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0)
+            self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
         except (OSError, serial.SerialException):
             self._port = None
 
@@ -96,12 +97,29 @@ class SerialLink:
         self._drop()
 
 
-def open_link(address: str) -> Link:
-    """The link of an address. Raises ConfigError naming the forms it may have."""
+def is_local(host: str) -> bool:
+    """Whether a host is this machine, by its loopback address. Raises ConfigError if it has none."""
+    try:
+        return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+    except OSError as error:
+        raise ConfigError(f"{host!r}: no address of a host: {error.strerror}") from None
+
+
+def open_link(address: str, secured: bool = False) -> Link:
+    """The link of an address. UDP to another machine has to be `secured`: signed, or said to be insecure. Raises ConfigError
+    naming what is allowed."""
     kind, _, rest = address.partition(":")
     first, _, last = rest.rpartition(":")
     if kind == "udp" and first and last.isdigit() and 0 < int(last) < 65536:
-        return UdpLink(first, int(last))
+        if not (secured or is_local(first)):
+            raise ConfigError(
+                f"--link {address!r}: unsigned UDP leaves this machine, and anybody on its way could drive the thrusters "
+                "(allowed: with --link-key FILE, which `robot-agent link-key` makes, or with --link-insecure)"
+            )
+        try:
+            return UdpLink(first, int(last))
+        except OSError as error:
+            raise ConfigError(f"--link {address!r}: {error.strerror}") from None
     if kind == "serial" and rest:
         device, baud = (first, int(last)) if first and last.isdigit() else (rest, 115200)
         return SerialLink(device, baud)

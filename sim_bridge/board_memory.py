@@ -1,0 +1,45 @@
+"""SHELL: what simulated boards keep without power: a folder with robot-N.json, and robot-N.key where links are signed."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+from sim_bridge.board import Board, Kept
+from wire.experiment import Experiment
+from wire.link_key import load_key
+from wire.toml_file import ConfigError
+
+MakeBoard = Callable[[Experiment, int, int], Board]  # of an experiment, for a robot, with a seed
+
+
+def boards_in(folder: Path) -> MakeBoard:
+    """Boards with their memory in a folder, which is made if it is not there. Raises ConfigError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: no folder for what boards keep: {error.strerror}") from None
+
+    def make(experiment: Experiment, robot: int, seed: int) -> Board:
+        key, memory = folder / f"robot-{robot}.key", folder / f"robot-{robot}.json"
+        signing = load_key(key) if key.exists() else None
+        return Board(experiment, robot, seed, signing, _read(memory), lambda kept: _write(memory, kept))
+
+    return make
+
+
+def _read(memory: Path) -> Kept:
+    if not memory.exists():
+        return Kept()
+    try:
+        found = json.loads(memory.read_text(encoding="utf-8"))
+        parameters = {str(name): float(value) for name, value in found["parameters"].items()}
+        return Kept(parameters, int(found["heard"]), int(found["sent"]))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ConfigError(f"{memory}: not what a board keeps: {error} (delete it for a board as new)") from None
+
+
+def _write(memory: Path, kept: Kept) -> None:
+    new = memory.with_suffix(".new")
+    new.write_text(json.dumps(asdict(kept), indent=1) + "\n", encoding="utf-8")
+    new.replace(memory)

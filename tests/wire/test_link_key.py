@@ -1,0 +1,107 @@
+"""Key files that only their owner can read, and times of signatures that never come back."""
+
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from wire.link import open_link
+from wire.link_key import AHEAD_TICKS, Signing, Stamps, load_key, new_key
+from wire.mavlink_signing import EPOCH_NS, TICK_NS
+from wire.toml_file import ConfigError
+
+
+def test_a_new_key_is_its_owners_alone_and_is_never_written_over(tmp_path: Path) -> None:
+    file = tmp_path / "robot-1.key"
+    new_key(file)
+    assert file.stat().st_mode & 0o777 == 0o600
+    key = load_key(file, 7)
+    assert (key.secret.hex(), key.link_id) == (file.read_text().strip(), 7)
+    with pytest.raises(ConfigError, match="File exists"):
+        new_key(file)
+    other = tmp_path / "other.key"
+    new_key(other)
+    assert load_key(other).secret != key.secret
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o777])
+def test_a_key_that_others_can_reach_is_refused(tmp_path: Path, mode: int) -> None:
+    file = tmp_path / "robot-1.key"
+    new_key(file)
+    file.chmod(mode)
+    with pytest.raises(ConfigError, match="allowed: 0600"):
+        load_key(file)
+
+
+@pytest.mark.parametrize("content", [b"", b"abc", b"zz" * 32, b"00" * 31, b"00" * 33, bytes([255]) * 64])
+def test_what_is_no_key_is_refused_without_being_shown(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "robot-1.key"
+    file.write_bytes(content)
+    file.chmod(0o600)
+    with pytest.raises(ConfigError, match=r"robot-1\.key: (not a|cannot be read as a) link key") as caught:
+        load_key(file)
+    assert not content or content.decode("latin-1") not in str(caught.value)
+
+
+def test_a_key_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no such link key"):
+        load_key(tmp_path / "robot-1.key")
+
+
+def test_times_go_on_after_a_restart_whatever_the_clock_says(tmp_path: Path) -> None:
+    file = tmp_path / "stamps"
+    used = 0
+    for hour in (5, 6, 2, 0, -100_000, 7):  # the clock is set, and set back, between the lives
+        now_ns = EPOCH_NS + hour * 3_600_000_000_000
+        stamps = Stamps(file, partial(int, now_ns))
+        assert stamps() > used or stamps() == used == 0
+        used = stamps() + 5000  # as many frames within one tick
+        stamps.renew(used)
+        assert int(file.read_text()) > used
+
+
+def test_the_file_is_renewed_long_before_it_is_used_up(tmp_path: Path) -> None:
+    now = [EPOCH_NS]
+    stamps = Stamps(tmp_path / "stamps", lambda: now[0])
+    written = []
+    for _ in range(200):
+        now[0] += 1_000_000_000
+        stamps.renew(stamps())
+        limit = int((tmp_path / "stamps").read_text())
+        assert limit - stamps() >= AHEAD_TICKS // 2 - 1
+        written.append(limit)
+    assert 5 <= len(set(written)) <= 8
+    assert TICK_NS * AHEAD_TICKS == 60_000_000_000
+
+
+@pytest.mark.parametrize("content", ["", "soon", "1.5"])
+def test_times_that_cannot_be_read_are_explained(tmp_path: Path, content: str) -> None:
+    (tmp_path / "stamps").write_text(content)
+    with pytest.raises(ConfigError, match="cannot be kept"):
+        Stamps(tmp_path / "stamps")
+
+
+def test_times_that_cannot_be_written_are_explained(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be kept"):
+        Stamps(tmp_path / "nowhere" / "stamps")
+
+
+def test_programs_with_one_key_have_times_of_their_own(tmp_path: Path) -> None:
+    new_key(tmp_path / "robot-1.key")
+    Signing.of(tmp_path / "robot-1.key", "agent")
+    Signing.of(tmp_path / "robot-1.key", "params", 1)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "robot-1.key",
+        "robot-1.key.agent-stamps",
+        "robot-1.key.params-stamps",
+    }
+
+
+def test_unsigned_udp_stays_on_this_machine() -> None:
+    open_link("udp:127.0.0.1:14551").close()
+    open_link("udp:localhost:14551").close()
+    with pytest.raises(ConfigError, match=r"unsigned UDP leaves this machine.*--link-key FILE.*--link-insecure"):
+        open_link("udp:192.0.2.1:14551")
+    open_link("udp:192.0.2.1:14551", secured=True).close()
+    with pytest.raises(ConfigError, match="no address of a host"):
+        open_link("udp:no-such-host.invalid:14551")
