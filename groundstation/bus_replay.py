@@ -14,7 +14,8 @@ from wire.bus import Bus
 from wire.runtime import SLICE_S, Stop
 
 SEEN_AND_SAID = (
-    topics.TRUTH, topics.PREVIEW, topics.POSE, topics.LOCALIZER, topics.OBSTACLES, topics.PLAN, topics.STATE, topics.EVENT
+    topics.TRUTH, topics.PREVIEW, topics.VIDEO, topics.PICTURE, topics.POSE, topics.LOCALIZER, topics.OBSTACLES, topics.PLAN,
+    topics.STATE, topics.EVENT,
 )  # fmt: skip
 
 

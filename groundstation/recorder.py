@@ -7,6 +7,8 @@ log, never the run.
     recorder.close()                    # in a finally
     recover(path)                       # later, if the process was killed
 
+When the disk fills, pictures are given up first: the rest of a log is small, and worth more.
+
 The wire's bytes go in unchanged, with protobuf schemas, so the usual viewers open the file. `log_time` is the arrival by the
 caller's clock (in lockstep the simulated one), `publish_time` the header's stamp. How fast the run went by the wall clock is
 told by pairs (stamp, monotonic time) in the closing metadata. A sender's restart opens a second channel on the same topic:
@@ -16,10 +18,11 @@ its session is in the channel's metadata.
 import importlib.metadata
 import json
 import os
+import shutil
 import struct
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -32,7 +35,8 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from wire.codec import Header, protobuf_class
 from wire.experiment import Experiment
-from wire.topics import STATE, Topic
+from wire.toml_file import ConfigError
+from wire.topics import STATE, Qos, Topic
 
 FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
 CHUNK_BYTES = 256 * 1024  # only previews reach it between flushes; several chunks a flush compress as well as one
@@ -55,6 +59,11 @@ def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
         "version": importlib.metadata.version("shoal"),
         "zenoh": importlib.metadata.version("eclipse-zenoh"),
     }
+
+
+def disk_free(folder: Path) -> int:
+    """Bytes that can still be written there."""
+    return shutil.disk_usage(folder).free
 
 
 class _Output:
@@ -94,9 +103,19 @@ class _Output:
 class Recorder:
     """Records messages into one file. `put` may be called from any thread and never waits for the disk."""
 
-    def __init__(self, path: Path, experiment_toml: str, metadata: Mapping[str, str]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        experiment_toml: str,
+        metadata: Mapping[str, str],
+        stop_pictures_below: int = 0,
+        free_bytes: Callable[[Path], int] = disk_free,
+    ) -> None:
         """Open the file and put what must survive any crash into it: the experiment and the metadata (mode, seed, hash,
-        versions). Raises OSError when that fails: without a log no run should begin."""
+        versions). With fewer than `stop_pictures_below` bytes free on its disk no pictures are recorded any longer. Raises
+        OSError when the file cannot be made: without a log no run should begin."""
+        self._free_bytes, self._folder = free_bytes, path.parent
+        self._stop_pictures_below, self._no_pictures, self._warning = stop_pictures_below, False, ""
         self._dropped = 0
         self._error = ""
         self._lock = threading.Lock()
@@ -126,6 +145,11 @@ class Recorder:
         return self._error
 
     @property
+    def warning(self) -> str:
+        """What is not recorded any more, and why; empty while everything is."""
+        return self._warning
+
+    @property
     def dropped(self) -> int:
         """Messages that did not get into the log."""
         return self._dropped
@@ -134,7 +158,7 @@ class Recorder:
         """Record a message that arrived at `log_time_ns`. Returns at once; counts what it must drop. After `close` the run
         is over, and what still arrives is no part of it."""
         with self._lock:
-            if self._closing.is_set():
+            if self._closing.is_set() or (self._no_pictures and topic.qos is Qos.IMAGE):
                 return
             if self._error or self._pending_bytes + len(payload) > MAX_PENDING_BYTES:
                 self._dropped += 1
@@ -152,6 +176,7 @@ class Recorder:
     def _run(self) -> None:
         try:
             while not self._closing.wait(FLUSH_PERIOD_S):
+                self._look_at_disk()
                 self._write_pending()
                 self._flush()
             self._write_pending()
@@ -167,6 +192,15 @@ class Recorder:
         else:
             self._output_close()
 
+    def _look_at_disk(self) -> None:
+        """Pictures given up stay so: a film that comes and goes with the last megabyte is of no use."""
+        if self._no_pictures or not self._stop_pictures_below:
+            return
+        free = self._free_bytes(self._folder)
+        if free < self._stop_pictures_below:
+            self._no_pictures = True
+            self._warning = f"pictures are not recorded any longer: {free / 1e9:.2f} GB are free on the log's disk"
+
     def _write_pending(self) -> None:
         with self._lock:
             batch, self._pending = self._pending, []
@@ -180,13 +214,13 @@ class Recorder:
             self._writer.add_message(channel, max(log_time_ns, 0), payload, stamp_ns, sequence)
 
     def _channel(self, topic: Topic, key: str, session: int) -> int:
-        if topic.type not in self._schemas:
-            cls = protobuf_class(topic.type)
+        cls = protobuf_class(topic.type)
+        if cls not in self._schemas:
             files = build_file_descriptor_set(cls).SerializeToString()
-            self._schemas[topic.type] = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+            self._schemas[cls] = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
         if (key, session) not in self._channels:
             self._channels[key, session] = self._writer.register_channel(
-                key, "protobuf", self._schemas[topic.type], {"session": f"{session:x}", "publisher": topic.publisher}
+                key, "protobuf", self._schemas[cls], {"session": f"{session:x}", "publisher": topic.publisher}
             )
         return self._channels[key, session]
 
@@ -206,6 +240,15 @@ class Recorder:
             self._output.close(cut)
         except OSError as error:
             self._error = self._error or f"log stopped: {error.strerror} (errno {error.errno})"
+
+
+def check_room(folder: Path, least_gb: float) -> None:
+    """Raises ConfigError where there is no room for a log."""
+    free_gb = disk_free(folder) / 1e9
+    if free_gb < least_gb:
+        raise ConfigError(
+            f"{folder}: {free_gb:.2f} GB free, a run needs {least_gb:g} (recording.min_free_gb): make room, or --out elsewhere"
+        )
 
 
 def is_complete(path: Path) -> bool:

@@ -18,7 +18,7 @@ from groundstation import planner
 from groundstation.fleet import Fleet, view
 from groundstation.laps import Laps
 from groundstation.mission import OVER, Answer, Mission, Phase
-from groundstation.recorder import Recorder, run_metadata
+from groundstation.recorder import Recorder, check_room, run_metadata
 from groundstation.tuner import TUNING, Tuner
 from groundstation.viewer_live import ViewerServer
 from groundstation.web.desk import Desk, Post, Status
@@ -55,6 +55,7 @@ class Station:
     told: str = ""
     insecure: bool = False
     recorder_told: bool = False
+    pictures_told: bool = False
     turn: threading.Lock = field(default_factory=threading.Lock)  # a person's wish comes from a network thread
 
     def cycle(self, now_ns: int, lockstep: bool) -> None:
@@ -123,6 +124,9 @@ class Station:
         return Status(mission.phase, mission.reason, self.recorder.error, self.insecure, self.tuner.status(), self.laps.rows())
 
     def _tell(self) -> None:
+        if self.recorder.warning and not self.pictures_told:
+            self.pictures_told = True
+            log.warning("recorder: %s", self.recorder.warning)
         if self.recorder.error and not self.recorder_told:
             self.recorder_told = True
             log.error("recorder: %s", self.recorder.error)
@@ -165,7 +169,9 @@ def run(
     trajectories = planner.plan(experiment)
     mode = "lockstep" if lockstep else "real-time"
     metadata = run_metadata(experiment, mode)
-    recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata)
+    stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
+    check_room(run_dir, experiment.recording.min_free_gb)
+    recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
     try:
         record_everything(bus, recorder, clock)
         with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool, contextlib.ExitStack() as served:

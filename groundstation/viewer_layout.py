@@ -10,6 +10,8 @@ from wire.experiment import Experiment
 
 Layout = dict[str, Any]
 
+_SEEN = {"none": topics.PREVIEW, "h264": topics.VIDEO, "jpeg": topics.PICTURE}  # what shows the camera, by `recording.video`
+
 
 def layout(experiment: Experiment, fleet: str) -> Layout:
     """The layout's file, for the robots of an experiment."""
@@ -34,7 +36,10 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
             "topics": {f"{fleet}/{name}": {"visible": True} for name in (MOVING, STANDING)},
             "layers": {},
         },
-        "Image!camera": {"imageMode": {"imageTopic": f"{fleet}/{topics.PREVIEW.name}"}, "foxglovePanelTitle": "camera"},
+        "Image!camera": {
+            "imageMode": {"imageTopic": f"{fleet}/{_SEEN[experiment.recording.video].name}"},
+            "foxglovePanelTitle": "camera",
+        },
         "Plot!error": _plot("distance from the reference [m]", _each(experiment, fleet, topics.PLAN, ".tracking_error_m")),
         "Plot!wrench": _plot(
             "surge [N], yaw [N m]",

@@ -24,7 +24,7 @@ from wire.topics import Topic
 SCENE_S = 0.1
 STANDING_S = 2.0  # a viewer that comes later waits no longer for the pool
 DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)
-SHOWN = (*DRAWN, topics.PREVIEW, topics.POSE, topics.LOCALIZER, topics.HEARTBEAT, topics.EVENT)
+SHOWN = (*DRAWN, topics.PREVIEW, topics.VIDEO, topics.PICTURE, topics.POSE, topics.LOCALIZER, topics.HEARTBEAT, topics.EVENT)
 
 
 class ViewerServer:

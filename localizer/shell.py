@@ -18,6 +18,7 @@ from localizer.page import Page
 from localizer.previews import Previews
 from localizer.shot import Shot, Source
 from localizer.sources import BUS, open_bus, open_own
+from localizer.video import VideoMaker
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import Experiment
@@ -74,12 +75,17 @@ class Shell:
         self._obstacles = Obstacles()
         self._status = LocalizerStatus()
         self._told = CameraHealth.OK
+        self._video: VideoMaker | None = None
 
     def run(self) -> None:
         """Localize until told to stop, or until a recording is over."""
         rate_hz = self._experiment.localizer.preview_rate_hz
         show = partial(draw, self._locator)
-        with closing(Previews(show, self._bus, self._clock, rate_hz, self._page, self._publish_frames)) as previews:
+        with ExitStack() as stack:
+            if self._experiment.recording.video != "none":
+                self._video = stack.enter_context(closing(VideoMaker(self._experiment, self._bus)))
+            previews = Previews(show, self._bus, self._clock, rate_hz, self._page, self._publish_frames)
+            stack.enter_context(closing(previews))
             log_to_bus(self._bus, self._clock, "localizer")
             self._bus.announce("localizer")
             log.info("ready, experiment %s", self._experiment.hash[:8])
@@ -101,6 +107,8 @@ class Shell:
         self._publish_status(status, shot.stamp_ns)
         self._look_for_obstacles(shot, located)
         previews.offer(shot, located, self._obstacles)
+        if self._video is not None:
+            self._video.offer(shot)
 
     def _look_for_obstacles(self, shot: Shot, located: Located) -> None:
         if self._watch is None:

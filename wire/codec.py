@@ -1,6 +1,6 @@
 """bytes <-> frozen dataclass. Decoding checks everything: a message that gets through is finite, sized and typed.
 
-Our own messages map to wire/fleet.proto field by field, by name; three messages travel as foxglove.* schemas so that logs
+Our own messages map to wire/fleet.proto field by field, by name; some messages travel as foxglove.* schemas so that logs
 open in the usual viewers. A `Header` travels beside every message.
 """
 
@@ -16,13 +16,14 @@ from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hin
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
 from wire import fleet_pb2
-from wire.messages import Event, Frame, Message, Preview
+from wire.messages import Event, Frame, Message, Picture, Preview, Video
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
@@ -212,16 +213,28 @@ def _frame_from_protobuf(image: Any) -> Frame:
     return Frame(np.frombuffer(image.data, np.uint8).reshape(image.height, image.width))
 
 
-def _encode_preview(preview: Preview, stamp_ns: int) -> bytes:
-    image = CompressedImage(frame_id="camera", format="jpeg", data=preview.jpeg)
+def _encode_jpeg(picture: Preview | Picture, stamp_ns: int) -> bytes:
+    image = CompressedImage(frame_id="camera", format="jpeg", data=picture.jpeg)
     _stamp(image, stamp_ns)
     return image.SerializeToString()
 
 
-def _preview_from_protobuf(image: Any) -> Preview:
+def _jpeg_from_protobuf(image: Any) -> bytes:
     if image.format != "jpeg":
         raise _Invalid("format", f"{image.format[:20]!r} is not allowed (allowed: jpeg)")
-    return Preview(image.data)
+    return bytes(image.data)
+
+
+def _encode_video(video: Video, stamp_ns: int) -> bytes:
+    image = CompressedVideo(frame_id="camera", format="h264", data=video.h264)
+    _stamp(image, stamp_ns)
+    return image.SerializeToString()
+
+
+def _video_from_protobuf(image: Any) -> Video:
+    if image.format != "h264":
+        raise _Invalid("format", f"{image.format[:20]!r} is not allowed (allowed: h264)")
+    return Video(image.data)
 
 
 def _encode_event(event: Event, stamp_ns: int) -> bytes:
@@ -239,7 +252,9 @@ def _event_from_protobuf(log: Any) -> Event:
 
 _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]] = {
     Frame: (RawImage, _encode_frame, _frame_from_protobuf),
-    Preview: (CompressedImage, _encode_preview, _preview_from_protobuf),
+    Preview: (CompressedImage, _encode_jpeg, lambda image: Preview(_jpeg_from_protobuf(image))),
+    Picture: (CompressedImage, _encode_jpeg, lambda image: Picture(_jpeg_from_protobuf(image))),
+    Video: (CompressedVideo, _encode_video, _video_from_protobuf),
     Event: (Log, _encode_event, _event_from_protobuf),
 }
 

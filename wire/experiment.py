@@ -18,6 +18,7 @@ from pydantic import Field, model_validator
 
 from wire.faults import fault_table
 from wire.frames import Array
+from wire.recording import Recording
 from wire.scene import Formation, Island, PathSpec, Pool, Robot
 from wire.shapes import SHAPES, shape_nodes
 from wire.sight import LANDMARKS_NEEDED, Camera, CameraFile, Landmark, Localizer
@@ -69,6 +70,7 @@ class Experiment(Section):
     camera: Camera
     landmarks: tuple[Landmark, ...] = ()  # with any, the camera is taken to move
     localizer: Localizer = Localizer()
+    recording: Recording = Recording()
     sim: Sim = Sim()
     limits: Limit = Limit()
     article: tuple[ArticleRow, ...] = ()

@@ -324,6 +324,20 @@ class Preview:
 
 
 @dataclass(frozen=True, eq=False)
+class Video:
+    """One picture of a film: H.264 in Annex B form, nothing that looks ahead. On the wire a foxglove.CompressedVideo."""
+
+    h264: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One picture of the camera as JPEG, nothing drawn on it. On the wire a foxglove.CompressedImage."""
+
+    jpeg: bytes
+
+
+@dataclass(frozen=True, eq=False)
 class Event:
     """Something worth a line in the log. On the wire a foxglove.Log."""
 
@@ -334,5 +348,5 @@ class Event:
 
 Message = (
     Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning | Command
-    | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Event
+    | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture | Event
 )  # fmt: skip

@@ -72,6 +72,8 @@ TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMU
 TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OUTSIDE)
 FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, SEEING)
 PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
+VIDEO = Topic("camera/video", messages.Video, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
+PICTURE = Topic("camera/picture", messages.Picture, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
 POSE = Topic("robot/{robot}/pose", messages.Pose, 20, 0.2, Qos.CONTROL, True, SEEING)
 LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, (Role.LOCALIZER,))
 OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, SEEING)
@@ -85,8 +87,8 @@ ORDERS = Topic("robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING)
 
 TOPICS = (
-    TICK, TRUTH, FRAME, PREVIEW, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, TUNING, INPUTS, ORDERS,
-    EVENT,
+    TICK, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, TUNING,
+    INPUTS, ORDERS, EVENT,
 )  # fmt: skip
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered

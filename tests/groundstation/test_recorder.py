@@ -17,10 +17,12 @@ from mcap.records import Message
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
-from groundstation.recorder import MAX_PENDING_BYTES, Recorder, is_complete, recover, valid_records
+from groundstation.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room, is_complete, recover, valid_records
+from sim_bridge.sil import free_port
 from wire import topics
 from wire.codec import Header, decode, encode
-from wire.messages import Event, Pose, Preview, Track
+from wire.messages import Event, Pose, Preview, Track, Video
+from wire.toml_file import ConfigError
 
 SECOND = 1_000_000_000
 
@@ -317,3 +319,52 @@ def test_put_costs_the_caller_nothing_while_the_disk_hangs(tmp_path: Path) -> No
     release.set()
     recorder.close()
     assert recorder.dropped == 0
+
+
+def test_when_the_disk_fills_pictures_go_first_and_somebody_says_so(tmp_path: Path) -> None:
+    """What is said goes on into the log; room that comes back later changes nothing."""
+    path, free = tmp_path / "run.mcap", [10_000]
+    recorder = Recorder(path, "", {}, stop_pictures_below=1000, free_bytes=lambda folder: free[0])
+
+    def put(k: int) -> None:
+        recorder.put(topics.VIDEO, "shoal/camera/video", Header(1, k, k), encode(Video(b"film"), k), k)
+        recorder.put(topics.POSE, "shoal/robot/1/pose", Header(1, k, k), encode(pose(k)), k)
+
+    put(1)
+    time.sleep(2.5 * FLUSH_PERIOD_S)
+    assert recorder.warning == ""
+    free[0] = 999
+    deadline = time.monotonic() + 2.0  # as soon as this somebody must know
+    while not recorder.warning and time.monotonic() < deadline:
+        time.sleep(0.01)
+    assert "pictures are not recorded any longer: 0.00 GB" in recorder.warning
+    put(2)
+    free[0] = 10_000
+    time.sleep(1.5 * FLUSH_PERIOD_S)
+    put(3)
+    recorder.close()
+    assert (recorder.error, recorder.dropped) == ("", 0)
+    with path.open("rb") as file:
+        found = [(channel.topic, message.sequence) for _, channel, message in make_reader(file).iter_messages()]
+    assert sorted(found) == [("shoal/camera/video", 1), *(("shoal/robot/1/pose", k) for k in (1, 2, 3))]
+
+
+def test_no_run_begins_without_room_for_its_log(tmp_path: Path) -> None:
+    check_room(tmp_path, 0.0)
+    with pytest.raises(ConfigError, match=r"GB free, a run needs 1e\+06 \(recording.min_free_gb\)"):
+        check_room(tmp_path, 1e6)
+    command = [
+        sys.executable,
+        "-m",
+        "groundstation",
+        "run",
+        "pool",
+        "--no-web",
+        "--set",
+        "recording.min_free_gb=1e6",
+    ]
+    listen = ["--listen", f"tcp/127.0.0.1:{free_port()}", "--run-dir", str(tmp_path / "run")]
+    done = subprocess.run([*command, *listen], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "recording.min_free_gb" in done.stderr
+    assert not (tmp_path / "run" / "run.mcap").exists()

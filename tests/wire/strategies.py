@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from wire import codec
-from wire.messages import Event, Frame, Message, Preview
+from wire.messages import Event, Frame, Message, Picture, Preview, Video
 
 CLASSES: tuple[type, ...] = get_args(Message)
-OWN = tuple(cls for cls in CLASSES if cls not in (Frame, Preview, Event))  # the others have schemas of their own
+FOREIGN = (Frame, Preview, Video, Picture, Event)
+OWN = tuple(cls for cls in CLASSES if cls not in FOREIGN)  # the others have schemas of their own
 
 _LIMITS = {
     FieldDescriptor.TYPE_INT64: (-(2**63), 2**63 - 1),
@@ -62,8 +63,8 @@ def valid(cls: type) -> st.SearchStrategy[Any]:
     if cls is Frame:
         pictures = arrays(np.uint8, st.tuples(st.integers(1, 6), st.integers(1, 6)))
         return pictures.map(Frame)
-    if cls is Preview:
-        return st.binary(max_size=50).map(Preview)
+    if cls in (Preview, Video, Picture):
+        return st.binary(max_size=50).map(cls)
     if cls is Event:
         return st.builds(Event, st.integers(1, 5), st.text(), st.text())
     return _own(cls)
@@ -71,8 +72,9 @@ def valid(cls: type) -> st.SearchStrategy[Any]:
 
 def example(cls: Any) -> Any:
     """One fixed valid message, with two rows in every array and no field at its default."""
-    if cls in (Frame, Preview, Event):
-        fixed = {Frame: Frame(np.eye(3, dtype=np.uint8)), Preview: Preview(b"jpeg"), Event: Event(2, "me", "hello")}
+    if cls in FOREIGN:
+        pictures: dict[Any, Any] = {Preview: Preview(b"jpeg"), Video: Video(b"h264"), Picture: Picture(b"jpeg")}
+        fixed = {Frame: Frame(np.eye(3, dtype=np.uint8)), Event: Event(2, "me", "hello"), **pictures}
         return fixed[cls]
     hints = get_type_hints(cls)
     values: dict[str, Any] = {}

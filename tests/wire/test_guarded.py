@@ -36,7 +36,8 @@ ROLES = {
 }
 SERVED = {0: "groundstation", 1: "agent-1", 2: "agent-2"}
 PERIOD_S = 0.05
-PICTURES: dict[type, Any] = {messages.Frame: np.zeros((4, 4), np.uint8), messages.Preview: b"jpeg"}
+PICTURES: dict[type, Any] = {messages.Frame: np.zeros((4, 4), np.uint8), messages.Preview: b"jpeg",
+    messages.Video: b"h264", messages.Picture: b"jpeg"}  # fmt: skip
 PLAIN: dict[Any, Any] = {int: 2, float: PERIOD_S, str: "text"}
 
 

@@ -15,7 +15,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSe
 
 from tests.wire.strategies import CLASSES, OWN, nested
 from wire import codec, fleet_pb2, messages, topics
-from wire.messages import BoardReading, Command, Event, Frame, Preview, Reply
+from wire.messages import BoardReading, Command, Event, Frame, Picture, Preview, Reply, Video
 from wire.topics import TOPICS, Qos, Topic
 
 ROOT = Path(__file__).parents[2]
@@ -67,7 +67,7 @@ def test_a_periodic_topic_may_lose_one_message_and_stay_fresh(topic: Topic) -> N
 
 @each_topic
 def test_a_picture_waits_for_commands(topic: Topic) -> None:
-    assert (topic.qos is Qos.IMAGE) == (topic.type in (Frame, Preview))
+    assert (topic.qos is Qos.IMAGE) == (topic.type in (Frame, Preview, Video, Picture))
 
 
 @each_topic
@@ -88,7 +88,7 @@ def test_every_message_has_a_topic_or_is_part_of_another() -> None:
 # --- dataclasses and protobuf
 
 
-@pytest.mark.parametrize("cls", [Frame, Preview, Event], ids=lambda cls: cls.__name__)
+@pytest.mark.parametrize("cls", [Frame, Preview, Video, Picture, Event], ids=lambda cls: cls.__name__)
 def test_viewers_know_these_schemas(cls: type) -> None:
     assert codec.descriptor(cls).full_name.startswith("foxglove.")
 
