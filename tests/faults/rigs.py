@@ -21,7 +21,8 @@ def small_disk(seed: int) -> Iterator[Rig]:
     mounting = ["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", str(folder)]
     mounted = os.geteuid() == 0 and subprocess.run(mounting, capture_output=True, check=False).returncode == 0
     try:
-        with Rig(seed=seed, run_dir=folder / "run", own_router=True) as rig:
+        small = ("recording.min_free_gb=0", "recording.stop_video_below_gb=0")
+        with Rig(seed=seed, run_dir=folder / "run", own_router=True, settings=small) as rig:
             yield rig
     finally:
         if mounted:
