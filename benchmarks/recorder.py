@@ -1,0 +1,291 @@
+"""The recorder under the load of a fleet: 20 robots at 20 Hz and the camera's film. Its share of a core, what SIGKILL costs,
+and what the robots' control notices of it.
+
+    python -m benchmarks recorder                  # a minute
+    python -m benchmarks.recorder --kills 200      # the kills of the requirement, four at a time (3 minutes)
+
+Beside it the writer that Foxglove's SDK brings (Rust, bytes handed over from the same callbacks), and no recorder at all: the
+station's process as router only.
+"""
+
+import mmap
+import multiprocessing
+import random
+import resource
+import signal
+import struct
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Annotated, Any
+
+import foxglove
+import numpy as np
+import typer
+from mcap.records import Message
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from benchmarks.harness import Row
+from groundstation import planner
+from groundstation.recorder import Recorder, recover, valid_records
+from groundstation.station import record_everything
+from robot_agent.agent import Agent, Inputs, Seen
+from robot_agent.orders import StationView
+from sim_bridge.sil import free_port
+from wire import topics
+from wire.bus import Bus
+from wire.codec import Header, encode, protobuf_class
+from wire.experiment import load_experiment
+from wire.mavlink import Telemetry
+from wire.messages import (
+    BoardReading,
+    LocalizerStatus,
+    Plan,
+    Pose,
+    RobotState,
+    StationHeartbeat,
+    StepInputs,
+    Track,
+    Truth,
+    Video,
+)
+from wire.runtime import WallClock
+from wire.topics import Topic
+from wire.transport import Endpoint, ZenohTransport
+
+ROBOTS, RATE_HZ, HORIZON = 20, 20, 50
+FILM_BYTES = 26_000  # of a picture: 1280 x 960 as H.264 at 4 Mbit/s
+VARIANTS = 40  # of each message, so that compression finds no repetition within a flush
+SETTLE_S, MEASURE_S = 2.0, 15.0
+KILLS, AT_ONCE = 12, 4
+KILL_AFTER_S = (1.5, 3.0)  # of recording: several flushes, at any phase of the next
+SECOND = 1_000_000_000
+
+Load = list[list[tuple[Topic, int | None, bytes]]]  # per variant: what one control period brings
+
+
+def load(seed: int = 1) -> Load:
+    """All messages of a control period, `VARIANTS` times over."""
+    chance = np.random.default_rng(seed)
+    return [list(_period(chance)) for _ in range(VARIANTS)]
+
+
+def _period(chance: np.random.Generator) -> Iterator[tuple[Topic, int | None, bytes]]:
+    robots = range(1, ROBOTS + 1)
+    heartbeat = StationHeartbeat("0" * 64, False, "RUNNING")
+    for robot in robots:
+        others = tuple(r for r in robots if r != robot)
+        eta = np.cumsum(chance.normal(0.0, 0.01, (HORIZON + 1, 4)), axis=0)
+        x_m, y_m, yaw_rad = chance.normal(0.0, 1.0, 3).tolist()
+        pose = Pose(x_m, y_m, yaw_rad, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+        four, three = chance.normal(0.0, 1.0, 4), chance.normal(0.0, 1.0, 3)
+        state = RobotState(
+            experiment_hash="0" * 64, trajectory_id="0" * 12, eta=four, nu=four, disturbance=four, eta_reference=four,
+            eta_command=four, wrench=three, wrench_step=three, wrench_wanted=three, wrench_delivered=three,
+            pulse_us=(1500,) * 8, echo_us=(1500,) * 8, heard=others,
+        )  # fmt: skip
+        inputs = StepInputs(
+            int(chance.integers(2**31)), pose, SECOND, 5_000_000, heartbeat, 2**62, SECOND, SECOND, BoardReading(depth_m=0.3),
+            others, tuple(2**62 + r for r in others), tuple(int(k) for k in chance.integers(2**31, size=len(others))),
+            tuple(int(k) for k in chance.integers(2**62, size=len(others))),
+        )  # fmt: skip
+        for topic, message in (
+            (topics.POSE, pose), (topics.PLAN, Plan(0.05, eta, eta + 0.01)), (topics.STATE, state), (topics.INPUTS, inputs)
+        ):  # fmt: skip
+            yield topic, robot, encode(message)
+    rows = chance.normal(0.0, 1.0, (ROBOTS, 4))
+    yield topics.TRUTH, None, encode(Truth(tuple(robots), rows, rows, rows[:, :3], rows))
+    yield topics.HEARTBEAT, None, encode(heartbeat)
+    yield topics.LOCALIZER, None, encode(LocalizerStatus(frame_ms=4.0))
+    yield topics.VIDEO, None, encode(Video(chance.bytes(FILM_BYTES)))
+
+
+# --- three processes: who sends, who records (or only routes), and one robot's control beside them
+
+
+def _send(address: str, stop: Any) -> None:
+    messages, clock = load(), WallClock()
+    with Bus(ZenohTransport(Endpoint(address))) as bus:
+        begin_s, k = time.monotonic(), 0
+        while not stop.is_set():
+            for topic, robot, payload in messages[k % VARIANTS]:
+                bus.forward(topic, payload, clock.now_ns(), robot)
+            k += 1
+            time.sleep(max(begin_s + k / RATE_HZ - time.monotonic(), 0.0))
+
+
+def _foxglove_writer(bus: Bus, path: Path) -> Callable[[], None]:
+    """Foxglove's own MCAP writer behind the same subscriptions."""
+    context = foxglove.Context()
+    writer = foxglove.open_mcap(path, context=context)
+    channels: dict[str, Any] = {}
+
+    def raw(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        if key not in channels:
+            cls = protobuf_class(topic.type)
+            files = build_file_descriptor_set(cls).SerializeToString()
+            schema = foxglove.Schema(name=cls.DESCRIPTOR.full_name, encoding="protobuf", data=files)
+            channels[key] = foxglove.Channel(key, schema=schema, message_encoding="protobuf", context=context)
+        channels[key].log(payload, log_time=time.time_ns())
+
+    for topic in topics.TOPICS:
+        if topic.recorded:
+            bus.subscribe(topic, None, raw)
+    return writer.close
+
+
+def _record(address: str, kind: str, folder: str, told: Connection, stop: Any) -> None:
+    """Be the router, and perhaps record. Tells its CPU time over the measurement, and how much was written."""
+    with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
+        path = Path(folder) / "run.mcap"
+        close: Callable[[], None] | None = None
+        if kind == "ours":
+            recorder = Recorder(path, "", {}, stop_pictures_below=1)
+            record_everything(bus, recorder, WallClock())
+            close = recorder.close
+        elif kind == "foxglove-sdk":
+            close = _foxglove_writer(bus, path)
+        told.send("ready")
+        time.sleep(SETTLE_S)
+        begin = resource.getrusage(resource.RUSAGE_SELF)
+        time.sleep(MEASURE_S)
+        end = resource.getrusage(resource.RUSAGE_SELF)
+        told.send(end.ru_utime - begin.ru_utime + end.ru_stime - begin.ru_stime)
+        stop.wait(30.0)
+        if close is not None:
+            close()
+        told.send(sum(isinstance(record, Message) for record in valid_records(path)) if path.exists() else 0)
+
+
+def _control(address: str, told: Connection, stop: Any) -> None:
+    """One robot's control loop on what goes round: from the pose's arrival to its state on the bus, in ms."""
+    experiment = load_experiment("pool")
+    agent, clock = Agent(experiment, 1), WallClock()
+    planner.plan(experiment)
+    took_ms: list[float] = []
+    with Bus(ZenohTransport(Endpoint(address))) as bus:
+        poses = bus.inbox(topics.POSE, Pose, 1)
+        seen = None
+        while not stop.is_set():
+            if not bus.wait(lambda last=seen: poses.newest_header() is not last, 0.2):  # type: ignore[misc]
+                continue
+            seen, received = poses.newest_header(), poses.newest()
+            if received is None:
+                continue
+            now_ns = clock.now_ns()
+            pose = Pose(0.3, 0.2, 0.1, received.message.covariance, Track.MARKER, True, 0.9, 0.3)
+            inputs = Inputs(Seen(pose, now_ns), Telemetry(board_ms=1, arrival_ns=now_ns), StationView(1, now_ns, 0.0))
+            bus.publish(topics.STATE, agent.step(inputs, now_ns).state, now_ns, 99)
+            took_ms.append((time.monotonic_ns() - received.arrived_ns) * 1e-6)
+    told.send(took_ms[round(SETTLE_S * RATE_HZ) :])
+
+
+@dataclass(frozen=True)
+class Measured:
+    """With one way of recording."""
+
+    share: float  # of a core
+    messages: int
+    control_ms: list[float]
+
+
+def measure(kind: str) -> Measured:
+    """Run the three processes."""
+    processes = multiprocessing.get_context("spawn")
+    stop, address = processes.Event(), f"tcp/127.0.0.1:{free_port()}"
+    recorded, recorder_tells = processes.Pipe(duplex=False)
+    controlled, control_tells = processes.Pipe(duplex=False)
+    with tempfile.TemporaryDirectory() as folder:
+        recording = processes.Process(target=_record, args=(address, kind, folder, recorder_tells, stop))
+        recording.start()
+        recorded.recv()
+        others = [
+            processes.Process(target=_send, args=(address, stop)),
+            processes.Process(target=_control, args=(address, control_tells, stop)),
+        ]
+        for other in others:
+            other.start()
+        cpu_s = recorded.recv()
+        stop.set()
+        control_ms, messages = controlled.recv(), recorded.recv()
+        for process in (recording, *others):
+            process.join(10.0)
+    return Measured(cpu_s / MEASURE_S, messages, control_ms)
+
+
+# --- SIGKILL
+
+
+def _until_killed(path: str, shared: str) -> None:
+    """Record the same load at its pace, telling in shared memory when the last message was handed over."""
+    messages = load()
+    with Path(shared).open("r+b") as file, mmap.mmap(file.fileno(), 8) as memory:
+        recorder = Recorder(Path(path), "", {}, stop_pictures_below=1)
+        begin_s, k = time.monotonic(), 0
+        while True:
+            for topic, robot, payload in messages[k % VARIANTS]:
+                now_ns = time.monotonic_ns()
+                recorder.put(topic, f"shoal/{topic.key(robot)}", Header(1, k, now_ns), payload, now_ns)
+                memory[:] = struct.pack("<q", now_ns)
+            k += 1
+            time.sleep(max(begin_s + k / RATE_HZ - time.monotonic(), 0.0))
+
+
+def kill_once(seed: int) -> float:
+    """Seconds of log that a kill at a random moment costs."""
+    processes = multiprocessing.get_context("spawn")
+    with tempfile.TemporaryDirectory() as folder:
+        path, shared = Path(folder) / "run.mcap", Path(folder) / "last"
+        shared.write_bytes(bytes(8))
+        child = processes.Process(target=_until_killed, args=(str(path), str(shared)))
+        child.start()
+        while not struct.unpack("<q", shared.read_bytes())[0]:
+            time.sleep(0.01)
+        time.sleep(random.Random(seed).uniform(*KILL_AFTER_S))
+        assert child.pid is not None
+        child.kill()
+        child.join()
+        assert child.exitcode == -signal.SIGKILL
+        last_ns = struct.unpack("<q", shared.read_bytes())[0]
+        recover(path)
+        kept_ns = max(record.log_time for record in valid_records(path) if isinstance(record, Message))
+        return float(last_ns - kept_ns) * 1e-9
+
+
+def kills(count: int) -> Row:
+    """Losses over many kills."""
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        lost_s = list(pool.map(kill_once, range(count)))
+    return Row.of("recorder", "lost by SIGKILL", "ours", "s", lost_s)
+
+
+def run(count: int = KILLS) -> Iterator[Row]:
+    """Share of a core, control beside it, kills."""
+    case = f"{ROBOTS} robots at {RATE_HZ} Hz, film"
+    measured = {kind: measure(kind) for kind in ("no recorder", "ours", "foxglove-sdk")}
+    for kind, found in measured.items():
+        yield Row.of("recorder", f"{case}: station's process", kind, "% of a core", [100.0 * found.share])
+    for kind in ("ours", "foxglove-sdk"):
+        share = 100.0 * (measured[kind].share - measured["no recorder"].share)
+        yield Row.of("recorder", f"{case}: of it recording", kind, "% of a core", [share])
+    for kind, found in measured.items():
+        yield Row.of("recorder", "control beside it, pose to state", kind, "ms", found.control_ms)
+    for kind in ("ours", "foxglove-sdk"):
+        yield Row.of("recorder", "messages recorded", kind, "1", [measured[kind].messages])
+    yield kills(count)
+
+
+def main(count: Annotated[int, typer.Option("--kills", help="How many.")] = 200) -> None:
+    """Only the kills."""
+    row = kills(count)
+    print(
+        f"{row.n} kills: lost {row.p50:.2f} s in the median, {row.p99:.2f} s at the 99th percentile, {row.max:.2f} s at worst"
+    )
+
+
+if __name__ == "__main__":
+    typer.run(main)
