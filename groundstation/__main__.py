@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from groundstation.deploy_commands import deploy
 from groundstation.keys_commands import keys_cli
 from groundstation.rerun_commands import moment, rerun
 from groundstation.viewer_commands import Foxglove, address, foxglove_layout
@@ -41,6 +42,7 @@ DEFAULT_WEB = "127.0.0.1:8000"
 WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Where the operator's page is served.")]
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 cli.add_typer(keys_cli, name="keys")
+cli.command()(deploy)
 FLEET_ORDERS = ("load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop")
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from robot_agent.check import Finding, Verdict, exit_code, to_json
-from robot_agent.config import DEFAULT_LINK, load_board, template
+from robot_agent.config import DEFAULT_LINK, choose, load_board, template
 from wire.experiment import Experiment
 from wire.network import parse_address
 from wire.options import DEFAULT_FLEET
@@ -26,7 +26,9 @@ def init(
     experiment: Annotated[str, typer.Option(help="What is flown.")] = "pool",
     fleet: Annotated[str, typer.Option(help="Name of the fleet.")] = DEFAULT_FLEET,
     link: Annotated[str, typer.Option(help="The thruster board.")] = DEFAULT_LINK,
+    link_key: Annotated[str | None, typer.Option(metavar="FILE", help="What signs the link, relative to the file.")] = None,
     keys: Annotated[str | None, typer.Option(metavar="FOLDER", help="The key ring, relative to the file.")] = None,
+    insecure: Annotated[bool, typer.Option("--insecure", help="An open network, without keys.")] = False,
     out: Annotated[Path, typer.Option(metavar="FILE", help="Where to write it.")] = DEFAULT_CONFIG,
     force: Annotated[bool, typer.Option("--force", help="Write over a file that is there.")] = False,
 ) -> None:
@@ -40,8 +42,9 @@ def init(
     open_link(link, secured=True).close()
     if out.exists() and not force:
         raise ConfigError(f"{out}: is there already (--force writes over it)")
-    out.write_text(template(out.name, robot, experiment, station, fleet, link, keys), encoding="utf-8")
-    load_board(out)
+    given = {"experiment": experiment, "robot": robot, "link": link, "station": station, "fleet": fleet}
+    board = choose({**given, "link_key": link_key, "keys": keys, "insecure": insecure}, None)
+    out.write_text(template(out.name, board), encoding="utf-8")
     typer.echo(f"{out}: written; `robot-agent check --config {out}` looks the board over")
 
 

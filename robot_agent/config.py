@@ -31,12 +31,12 @@ fleet = "{fleet}"
 link = "{link}"
 # A key that signs this link (`robot-agent link-key FILE`; the board has the same). UDP to another machine needs one, or
 # link_insecure = true:
-# link_key = "link.key"
+{link_key}
 
 # The key ring, with this robot's folder (agent-{robot}) in it. Off this machine a fleet needs keys; without them the network
 # is open to everybody who is on it, and that must be said (insecure = true):
 {keys}
-# insecure = true
+{insecure}
 
 [realtime]
 # What the operating system allows is done, and the rest is told in the log. The systemd unit allows all of it.
@@ -111,7 +111,16 @@ def open_board(board: Board) -> tuple[Link, Signing | None]:
     return open_link(board.link, secured=signing is not None or board.link_insecure), signing
 
 
-def template(name: str, robot: int, experiment: str, station: str, fleet: str, link: str, keys: str | None) -> str:
-    """A commented file."""
-    line = f'keys = "{keys}"' if keys is not None else '# keys = "keys"'
-    return TEMPLATE.format(name=name, robot=robot, experiment=experiment, station=station, fleet=fleet, link=link, keys=line)
+def template(name: str, board: Board) -> str:
+    """The commented file of a board, as `init` writes it."""
+    return TEMPLATE.format(
+        name=name,
+        robot=board.robot,
+        experiment=board.experiment,
+        station=board.station,
+        fleet=board.fleet,
+        link=board.link,
+        link_key=f'link_key = "{board.link_key}"' if board.link_key is not None else '# link_key = "link.key"',
+        keys=f'keys = "{board.keys}"' if board.keys is not None else '# keys = "keys"',
+        insecure="insecure = true" if board.insecure else "# insecure = true",
+    )
