@@ -56,7 +56,7 @@ class BusSource:
     def _shot(self, received: Received[Frame]) -> Shot:
         header, instant_ns = received.header, self._clock.instant_ns(received)
         return Shot(
-            received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns,
+            received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns + received.late_ns,
             dropped=self._sequence.note(received), stamped=header.age_ns > 0,
         )  # fmt: skip
 

@@ -18,6 +18,7 @@ from typing import Any, Generic, TypeVar
 
 from wire import topics
 from wire.codec import DecodeError, Header, decode, encode
+from wire.lateness import Lateness
 from wire.messages import Command, Message, Reply
 from wire.once import Once
 from wire.topics import Topic
@@ -37,6 +38,7 @@ class Received(Generic[M]):
     message: M
     header: Header
     arrived_ns: int  # receiver's monotonic clock
+    late_ns: int = 0  # how much longer it was on its way than the fastest of late
 
 
 class Inbox(Generic[M]):
@@ -51,7 +53,8 @@ class Inbox(Generic[M]):
         self.last_error = ""
         self.name = topic.key(robot)
         self._bus, self._topic, self._kind = bus, topic, kind
-        self._kept: deque[tuple[Header, bytes, int]] = deque(maxlen=KEPT)
+        self._kept: deque[tuple[Header, bytes, int, int]] = deque(maxlen=KEPT)
+        self._lateness = Lateness()
         self._decoded: dict[tuple[int, int], Received[M] | None] = {}
         bus.subscribe(topic, robot, self._store)
 
@@ -61,7 +64,9 @@ class Inbox(Generic[M]):
             if last is not None and last.session == header.session and header.sequence <= last.sequence:
                 self.dropped += 1
                 return
-            self._kept.append((header, payload, time.monotonic_ns()))
+            arrived_ns = time.monotonic_ns()
+            late_ns = self._lateness.of(header.session, header.stamp_ns + header.age_ns, arrived_ns)
+            self._kept.append((header, payload, arrived_ns, late_ns))
             self._bus.arrival.notify_all()
 
     def newest_header(self) -> Header | None:
@@ -72,26 +77,26 @@ class Inbox(Generic[M]):
         """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none."""
         with self._bus.arrival:
             kept = list(self._kept)
-        self._decoded = {k: v for k, v in self._decoded.items() if any(k == (h.session, h.sequence) for h, _, _ in kept)}
-        for header, payload, arrived_ns in reversed(kept):
+        self._decoded = {k: v for k, v in self._decoded.items() if any(k == (h.session, h.sequence) for h, *_ in kept)}
+        for header, payload, arrived_ns, late_ns in reversed(kept):
             if up_to_ns is not None and header.stamp_ns > up_to_ns:
                 continue
             identity = (header.session, header.sequence)
             if identity not in self._decoded:
-                self._decoded[identity] = self._decode(header, payload, arrived_ns)
+                self._decoded[identity] = self._decode(header, payload, arrived_ns, late_ns)
             found = self._decoded[identity]
             if found is not None:
                 return found
         return None
 
-    def _decode(self, header: Header, payload: bytes, arrived_ns: int) -> Received[M] | None:
+    def _decode(self, header: Header, payload: bytes, arrived_ns: int, late_ns: int) -> Received[M] | None:
         try:
             message = decode(self._kind, payload, f"session {header.session:x}", self._topic.name)
         except DecodeError as error:
             self.bad += 1
             self.last_error = str(error)
             return None
-        return Received(message, header, arrived_ns)
+        return Received(message, header, arrived_ns, late_ns)
 
 
 class Bus:

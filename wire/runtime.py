@@ -46,8 +46,9 @@ class WallClock:
         return time.monotonic_ns() + self._offset_ns
 
     def instant_ns(self, received: Received[Any]) -> int:
-        """Arrival here, less the age that the sender states. The sender's clock plays no part."""
-        return received.arrived_ns + self._offset_ns - received.header.age_ns
+        """Arrival here, less the age that the sender states and what it was held up on its way. What the sender's clock shows
+        plays no part."""
+        return received.arrived_ns + self._offset_ns - received.header.age_ns - received.late_ns
 
 
 class LockstepClock:

@@ -1,0 +1,31 @@
+"""Which messages were held up on their way, though no clock is shared. Pure.
+
+What a network or a stopped process has held back comes in a burst, and each message looks as if it had just been sent. But
+between the sender's clock and ours there is, up to drift, one constant and the time on the way: a message that took longer
+than the fastest of the last while is late by the difference. What all messages take alike cannot be seen so.
+"""
+
+WINDOW_NS = 10_000_000_000  # the fastest is looked for in one to two of these: clocks drift by 1 ms meanwhile, at the worst
+ANOTHER_CLOCK_NS = 5_000_000_000  # nothing is held up that long (a link that is cut for 1 s is given up): a clock was set
+
+
+class Lateness:
+    """Of one sender's messages, as they come in."""
+
+    def __init__(self) -> None:
+        self._session: int | None = None
+        self._least_ns = self._least_before_ns = 0  # in this window and in the one before: arrived minus sent
+        self._since_ns = 0
+
+    def of(self, session: int, sent_ns: int, arrived_ns: int) -> int:
+        """By how much a message is late that was sent at `sent_ns` by the sender's clock, and came at `arrived_ns` by ours."""
+        took_ns = arrived_ns - sent_ns
+        least_ns = min(self._least_ns, self._least_before_ns)
+        if session != self._session or took_ns - least_ns > ANOTHER_CLOCK_NS:
+            self._session, self._since_ns = session, arrived_ns
+            self._least_ns = self._least_before_ns = took_ns
+            return 0
+        if arrived_ns - self._since_ns > WINDOW_NS:
+            self._least_before_ns, self._least_ns, self._since_ns = self._least_ns, took_ns, arrived_ns
+        self._least_ns = min(self._least_ns, took_ns)
+        return took_ns - min(self._least_ns, self._least_before_ns)
