@@ -11,7 +11,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run test test-slow faults fuzz bench lint format proto docs lock clean
+.PHONY: help page run test test-slow faults fuzz soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -32,6 +32,9 @@ faults: $(INSTALLED) ## break everything in docs/faults.md, many times, and meas
 fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step. ARGS="--target mavlink --runs 10000"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]' || echo "atheris cannot be installed here: without it, then"
 	$(BIN)/python -m tests.faults.fuzz $(ARGS)
+
+soak: $(INSTALLED) ## fly for hours while things break, look for what grows. ARGS="--hours 8"
+	$(BIN)/python -m tests.faults.soak $(ARGS)
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)

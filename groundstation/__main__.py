@@ -73,6 +73,8 @@ def run(
     (`groundstation order start`).
     Exit code 0 if the mission succeeded, 1 if not.
     """
+    loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
+
     from groundstation import station
     from groundstation.web.guard import web_options
     from wire.bus import Bus
@@ -85,7 +87,6 @@ def run(
     viewer = address(foxglove) if foxglove is not None else None
     start_log("groundstation", verbose)
     stop = Stop()
-    loaded = load_experiment(experiment, settings or ())
     me = process_name(Role.STATION)
     where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
     folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"

@@ -22,7 +22,7 @@ from sim_bridge.sil import free_base_port, free_port
 from tests.faults.wires import NetWire, SerialWire
 from wire import topics
 from wire.bus import Bus
-from wire.codec import Header, decode
+from wire.codec import DecodeError, Header, decode
 from wire.experiment import dump_experiment, load_experiment
 from wire.messages import Command, Event, Mode, Order, Reply, RobotState, StationHeartbeat
 from wire.topics import Topic
@@ -202,7 +202,10 @@ class Rig:
 
     def _heard(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         ns = time.monotonic_ns()
-        message: Any = decode(topic.type, payload, "bus", topic.name)
+        try:
+            message: Any = decode(topic.type, payload, "bus", topic.name)
+        except DecodeError:
+            return
         with self._changed:
             if topic is topics.STATE:
                 self.states[int(key.split("/")[-2])].append(Heard(ns, message))

@@ -113,7 +113,7 @@ ROWS: tuple[Row, ...] = (
         {"of the log lost": SECONDS(1.0), "unreadable logs": TIMES()}, rows_station.log_killed, times=50, rig="disk",
     ),
     Row(
-        "flood", "Malformed, oversized, flood", "10,000 messages a second: damaged, of 4 MB, of other types",
+        "flood", "Malformed, oversized, flood", "10,000 messages a second in robot 2's name: damaged, of 4 MB, of other types",
         {"share of deadlines missed": Measure(0.001, ""), "robots that left their path": TIMES(), "processes ended": TIMES()},
         rows_station.flood, times=10,
     ),

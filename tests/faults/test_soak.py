@@ -1,26 +1,18 @@
 """Flights in which anything may break at any time: nothing crashes, and no number is ever not finite."""
 
+import subprocess
+import sys
+import time
+
 import numpy as np
 import pytest
 
 from benchmarks.flights import prepared
 from sim_bridge.measures import measures
 from sim_bridge.numeric import fly
+from tests.faults.soak import Watch, random_faults
 from wire.experiment import load_experiment
 from wire.messages import Event
-
-
-def random_faults(random: np.random.Generator, robots: tuple[int, ...], duration_s: float) -> list[str]:
-    """Half a dozen lines for `--fault`."""
-    effects = ("thruster {r}/{t} dead", "thruster {r}/{t} stuck", "thruster {r}/{t} reversed", "thruster {r}/{t} weak {f}",
-               "imu {r} heading {f}", "imu {r} gyro {f}", "battery {r} sag {f}")  # fmt: skip
-    lines = []
-    for _ in range(6):
-        what = effects[int(random.integers(len(effects)))].format(
-            r=int(random.choice(robots)), t=int(random.integers(1, 5)), f=round(float(random.uniform(0.05, 1.0)), 2)
-        )
-        lines.append(f"t={random.uniform(0, duration_s):.1f} for={random.uniform(0.5, 8):.1f} {what}")
-    return lines
 
 
 def soak(name: str, seed: int, duration_s: float) -> None:
@@ -52,8 +44,26 @@ def test_a_short_flight_with_everything_breaking() -> None:
     soak("pool", 1, 12.0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["pool", "figure-eight", "open-water"])
-@pytest.mark.parametrize("seed", range(20))
-def test_many_long_ones(name: str, seed: int) -> None:
-    soak(name, seed, 55.0)
+LEAK = """
+import time
+kept = []
+while True:
+    kept = [*kept, bytearray(500_000)] if {keeps} else [bytearray(500_000)]
+    time.sleep(0.01)
+"""
+
+
+@pytest.mark.parametrize("keeps", [0, 1])
+def test_a_process_that_grows_is_told_from_one_that_does_not(keeps: int) -> None:
+    process = subprocess.Popen([sys.executable, "-c", LEAK.format(keeps=keeps)])
+    watch = Watch()
+    try:
+        for _ in range(16):
+            time.sleep(0.1)
+            watch.look({"one": process.pid})
+    finally:
+        process.kill()
+        process.wait()
+    trends = {trend.what: trend for trend in watch.trends()}
+    assert trends["memory MB"].steady is not bool(keeps)
+    assert trends["threads"].steady and trends["threads"].last == 1.0
