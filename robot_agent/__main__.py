@@ -8,6 +8,7 @@ import typer
 
 from robot_agent.commands import check, init, unit
 from robot_agent.config import DEFAULT_LINK, choose, open_board
+from robot_agent.params import cli as params
 from wire.experiment import load_experiment
 from wire.options import (
     DEFAULT_STATION,
@@ -33,6 +34,9 @@ cli = typer.Typer(
 cli.command()(init)
 cli.command()(unit)
 cli.command()(check)
+
+
+cli.add_typer(params, name="params")
 
 
 @cli.command()

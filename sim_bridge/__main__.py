@@ -7,6 +7,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from sim_bridge.compare_commands import compare, tune
+from sim_bridge.conformance_shell import board_conformance
 from wire.experiment import Experiment, load_experiment
 from wire.options import (
     DEFAULT_FLEET,
@@ -21,7 +22,7 @@ from wire.options import (
     StationAddress,
     Verbose,
 )
-from wire.runtime import Stop, run_app, start_log
+from wire.runtime import Stop, log, run_app, start_log
 
 cli = typer.Typer(
     help="The pool in software: water, robots, thruster boards and an overhead camera, on the same wires as the real ones.",
@@ -238,6 +239,36 @@ def pool(
         Pool(loaded, bus, ports, stop, lockstep, poses, make).run()
 
 
+@cli.command()
+def board(
+    experiment: ExperimentName,
+    port: Annotated[str, typer.Option(help="Where to be plugged in: udp:HOST:PORT or pty:PATH.")] = "udp:127.0.0.1:14551",
+    robot: Annotated[int, typer.Option(help="Which robot's board this is.")] = 1,
+    boards: BoardFolder = None,
+    settings: Settings = None,
+    verbose: Verbose = False,
+) -> None:
+    """Be one thruster board on a bench, at rest: for programs that talk to boards.
+
+    Example:  sim-bridge board pool --port pty:/tmp/board, and then: robot-agent params list --link serial:/tmp/board
+    """
+    from sim_bridge import bench
+    from sim_bridge.board import Board
+    from sim_bridge.board_memory import boards_in
+
+    start_log(f"board-{robot}", verbose)
+    stop, loaded = Stop(), load_experiment(experiment, settings or ())
+    loaded.robot(robot)
+    made = (boards_in(boards) if boards is not None else Board)(loaded, robot, loaded.seed)
+    socket = bench.open_socket(port, signed=made.signed)
+    try:
+        log.info("%s, at %s", "signed" if made.signed else "not signed", port)
+        bench.run(made, socket, stop)
+    finally:
+        socket.close()
+
+
+cli.command("board-conformance")(board_conformance)
 cli.command()(compare)
 cli.command()(tune)
 

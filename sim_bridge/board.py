@@ -61,6 +61,7 @@ class Board:
     ) -> None:
         """Switch the board on, with what it `kept`; `keep` is called with what must survive the next loss of power."""
         vehicle, sensors, kept = experiment.vehicle, experiment.sim.sensors, kept or Kept()
+        self.signed = key is not None
         self._vehicle, self._supply_v, self._keep = vehicle, sensors.battery_v, keep
         computer = (robot_id, mavlink.AGENT_COMPONENT)
         self.rules = Rules(Parameters.of(experiment).restored(kept.parameters), computer, key, kept.heard)
@@ -162,6 +163,7 @@ class Board:
         `measures`. `supply_v` is the battery's voltage without load (default: the experiment's), `tilt` begins with roll and
         pitch.
         """
+        self.receive(b"", now_ns)  # what has begun and not ended may be overdue
         voltage = None
         if self.measures(now_ns):
             voltage = self.sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())

@@ -54,6 +54,10 @@ class Port:
             except OSError:  # its computer is gone; the board times out by itself
                 continue
 
+    def fileno(self) -> int:
+        """For `select`."""
+        return self.socket.fileno()
+
     def close(self) -> None:
         """Free the port."""
         self.socket.close()
@@ -103,7 +107,7 @@ class Sockets:
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until something arrives."""
-        select.select([port.socket for port in self._ports], [], [], max(timeout_s, 0.0))
+        select.select(self._ports, [], [], max(timeout_s, 0.0))
 
     def close(self) -> None:
         """Free the ports."""

@@ -126,6 +126,10 @@ class AgentLink:
         """The latest timestamp of a signature that this end has sent; 0 without a key."""
         return self._sender.signer.last if self._sender.signer is not None else 0
 
+    def pack(self, message: Any) -> bytes:
+        """Any message, numbered and signed as this end's."""
+        return self._sender.pack(message)
+
     def pulses(self, pulses_us: Sequence[int]) -> bytes:
         """Command the 8 outputs in us: 4 thrusters, 4 ankles. Raises ValueError for a pulse that no servo can take."""
         low, high = PULSE_RANGE_US

@@ -71,7 +71,8 @@ class Receiver:
         self._wanted, self._gate = wanted, gate
         self._mavlink = dialect.MAVLink(None)
         self._buffer = bytearray()
-        self._waiting_since_ns: int | None = None
+        self._waiting_since_ns = 0
+        self._waiting_bytes = 0  # of the buffer, from its beginning, were there when the wait began
         self._sequences: dict[Peer, Sequence8] = {}
         self.bad_frames = 0  # start bytes that led to no frame: checksum, impossible header, never completed
         self.foreign_frames = 0  # intact, but from somebody else, or of a kind that the dialect does not have
@@ -91,19 +92,20 @@ class Receiver:
         while (at := self._buffer.find(MARKER, at)) >= 0:
             size = self._frame_size(at)
             if size > len(self._buffer) - at:
-                if not self._waited_too_long(now_ns):
+                if not self._waited_too_long(at, now_ns):
                     break
                 size = 0
             frame = self._buffer[at : at + size]
             message = self._decode(frame) if size else None
-            self._waiting_since_ns = None
             if message is None:
                 at += 1
                 continue
             at += size
             if self._is_taken(message, frame, now_ns):
                 messages.append(message)
-        del self._buffer[: len(self._buffer) if at < 0 else at]
+        done = len(self._buffer) if at < 0 else at
+        del self._buffer[:done]
+        self._waiting_bytes = max(self._waiting_bytes - done, 0)
         return messages
 
     def _frame_size(self, at: int) -> int:
@@ -124,9 +126,10 @@ class Receiver:
         signature = SIGNATURE_BYTES if header[2] & SIGNED else 0
         return HEADER_BYTES + header[1] + CHECKSUM_BYTES + signature
 
-    def _waited_too_long(self, now_ns: int) -> bool:
-        if self._waiting_since_ns is None:
-            self._waiting_since_ns = now_ns
+    def _waited_too_long(self, at: int, now_ns: int) -> bool:
+        """Whether the frame that begins at `at` is overdue. False start bytes that came together are so together."""
+        if at >= self._waiting_bytes:
+            self._waiting_since_ns, self._waiting_bytes = now_ns, len(self._buffer)
         if now_ns - self._waiting_since_ns <= FRAME_TIMEOUT_NS:
             return False
         self.bad_frames += 1

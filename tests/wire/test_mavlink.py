@@ -279,6 +279,26 @@ def test_false_headers_hide_nothing_for_long() -> None:
     assert sum(len(events) for _, events in heard) == 5
 
 
+def test_false_headers_that_came_together_are_given_up_together() -> None:
+    """Each announces the longest frame there is; what follows them is heard as soon as the first is overdue."""
+    false = bytes([0xFD, 255, 0, 0, 0, 1, 191]) + (131).to_bytes(3, "little")
+    agent, board = AgentLink(1), BoardLink(1)
+    assert board.events(false * 5 + agent.pulses(PULSES), 0) == []
+    assert board.events(b"", FRAME_TIMEOUT_NS) == []
+    assert board.events(b"", FRAME_TIMEOUT_NS + 1) == [Override(PULSES)]
+    assert board.bad_frames == 5
+
+
+def test_a_frame_that_begins_behind_a_false_header_has_its_own_time() -> None:
+    false = bytes([0xFD, 255, 0, 0, 0, 1, 191]) + (131).to_bytes(3, "little")
+    agent, board = AgentLink(1), BoardLink(1)
+    frame = agent.pulses(PULSES)
+    assert board.events(false, 0) == []
+    assert board.events(frame[:15], FRAME_TIMEOUT_NS) == []
+    assert board.events(b"", FRAME_TIMEOUT_NS + MS) == []
+    assert board.events(frame[15:], 2 * FRAME_TIMEOUT_NS) == [Override(PULSES)]
+
+
 def test_frames_that_pymavlink_passes_unchecked_are_dropped() -> None:
     unknown = bytes([0xFD, 4, 0, 0, 0, 1, 191]) + (16_000_000).to_bytes(3, "little") + b"\1\2\3\4\0\0"
     assert dialect.MAVLink(None).decode(bytearray(unknown)).get_type().startswith("UNKNOWN")

@@ -1,0 +1,115 @@
+"""SHELL: `robot-agent params`: the parameters of the thruster board, read and written."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robot_agent.config import DEFAULT_LINK
+from wire.link import Link, open_link
+from wire.link_key import Signing
+from wire.mavlink_params import LINK_ID, ParameterClient
+from wire.options import LinkInsecure, LinkKey
+from wire.toml_file import ConfigError
+
+AGAIN_S = 0.3  # between one question and its repetition
+WITHIN_S = 5.0  # for an answer
+
+LinkAddress = Annotated[str, typer.Option("--link", help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")]
+WhichRobot = Annotated[int | None, typer.Option("--robot", help="Whose board; default: the one that is heard first.")]
+Name = Annotated[str, typer.Argument(help="The parameter's name, for example SLEW_US_S.")]
+
+cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They change only while it is disarmed.")
+
+
+class Talk:
+    """A board, and whoever asks it."""
+
+    def __init__(self, link: Link, client: ParameterClient) -> None:
+        self._link, self.client = link, client
+
+    def until(self, done: Callable[[], bool], ask: Callable[[], bytes]) -> bool:
+        """Ask, and ask again, until `done()`; whether it came to that."""
+        end_s = time.monotonic() + WITHIN_S
+        asked_s = 0.0
+        while time.monotonic() < end_s:
+            if time.monotonic() - asked_s > AGAIN_S:
+                asked_s = time.monotonic()
+                self._link.send(self.client.heartbeat() + ask())
+            self._link.wait(0.05)
+            self.client.receive(self._link.read(), time.monotonic_ns())
+            if done():
+                return True
+        return False
+
+
+@contextmanager
+def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[Talk]:
+    signing = Signing.of(key, "params", LINK_ID) if key is not None else None
+    client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
+    wires = open_link(link, secured=signing is not None or insecure)
+    try:
+        talk = Talk(wires, client)
+        if not talk.until(lambda: client.robot_id is not None, lambda: b""):
+            raise ConfigError(f"--link {link}: no board is heard (is it powered, and does the link need --link-key?)")
+        yield talk
+    finally:
+        wires.close()
+
+
+@cli.command("list")
+def list_all(
+    link: LinkAddress = DEFAULT_LINK, robot: WhichRobot = None, key: LinkKey = None, insecure: LinkInsecure = False
+) -> None:
+    """Print all parameters, one a line: name, value."""
+    with _talk(link, robot, key, insecure) as talk:
+        if not talk.until(lambda: talk.client.complete, talk.client.ask_all):
+            raise ConfigError(f"--link {link}: the board told {len(talk.client.values)} parameters, and then no more")
+        for name, value in talk.client.values.items():
+            typer.echo(f"{name:16} {value:.7g}")
+
+
+@cli.command()
+def get(
+    name: Name, link: LinkAddress = DEFAULT_LINK, robot: WhichRobot = None, key: LinkKey = None, insecure: LinkInsecure = False
+) -> None:
+    """Print one parameter's value."""
+    with _talk(link, robot, key, insecure) as talk:
+        client = talk.client
+        talk.until(lambda: name in client.values or client.error is not None, lambda: client.ask(name))
+        typer.echo(f"{_found(client, name):.7g}")
+
+
+@cli.command("set")
+def set_one(
+    name: Name,
+    value: Annotated[float, typer.Argument(help="Its new value.")],
+    link: LinkAddress = DEFAULT_LINK,
+    robot: WhichRobot = None,
+    key: LinkKey = None,
+    insecure: LinkInsecure = False,
+) -> None:
+    """Give a parameter another value. Exit code 2 if the board refuses it, with the reason.
+
+    Example:  robot-agent params set THR1_TRIM_US -- -12
+    """
+    with _talk(link, robot, key, insecure) as talk:
+        client, close = talk.client, 1e-6 * max(abs(value), 1.0)  # it comes back in single precision
+        done = talk.until(
+            lambda: client.error is not None or abs(client.values.get(name, math.inf) - value) <= close,
+            lambda: client.set(name, value),
+        )
+        now = _found(client, name)
+        if client.error is not None or not done:
+            raise ConfigError(f"{name} is still {now:.7g}: {client.said or 'the board does not say why'}")
+        typer.echo(f"{name} = {now:.7g}")
+
+
+def _found(client: ParameterClient, name: str) -> float:
+    if name not in client.values:
+        raise ConfigError(f"{name}: {'the board has no such parameter' if client.error is not None else 'no answer'}")
+    return client.values[name]

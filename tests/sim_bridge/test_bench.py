@@ -1,0 +1,156 @@
+"""A board on a bench as a process of its own, on a real pseudo-terminal and on UDP: parameters, conformance, unplugging."""
+
+import json
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from robot_agent.params import cli as params
+from sim_bridge.__main__ import cli as sim_bridge
+from sim_bridge.bench import Terminal, open_socket
+from wire.link import SerialLink, open_link
+from wire.link_key import Signing, agent_end, new_key
+from wire.mavlink import AgentLink
+from wire.toml_file import ConfigError
+
+ROOT = Path(__file__).parents[2]
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+@contextmanager
+def board(port: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """A board that is plugged in when this begins."""
+    command = [sys.executable, "-m", "sim_bridge", "board", "pool", "--port", port, "--boards", str(folder)]
+    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    try:
+        assert process.stderr is not None
+        assert "signed, at" in process.stderr.readline()
+        yield process
+    finally:
+        process.terminate()
+        process.communicate(timeout=20)
+
+
+def say(*arguments: str) -> tuple[int, str]:
+    """`robot-agent params` in this process: exit code, output."""
+    result = CliRunner().invoke(params, arguments)
+    return result.exit_code, result.output + (str(result.exception) if isinstance(result.exception, ConfigError) else "")
+
+
+def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> None:
+    link = f"serial:{tmp_path}/plug"
+    with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
+        code, listed = say("list", "--link", link)
+        assert (code, len(listed.splitlines())) == (0, 43)
+        assert "SLEW_US_S        8000\n" in listed
+        assert say("set", "--link", link, "THR1_TRIM_US", "--", "-12") == (0, "THR1_TRIM_US = -12\n")
+        code, said = say("set", "--link", link, "CMD_AGE_MS", "5000")
+        assert code == 1 and "CMD_AGE_MS is still 250: CMD_AGE_MS: out of range" in said
+        code, said = say("get", "--link", link, "NO_SUCH_THING")
+        assert code == 1 and "the board has no such parameter" in said
+    with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
+        assert say("get", "--link", link, "THR1_TRIM_US") == (0, "-12\n")
+
+
+def test_parameters_over_signed_udp(tmp_path: Path) -> None:
+    folder = tmp_path / "boards"
+    folder.mkdir()
+    new_key(folder / "robot-1.key")
+    port = free_port()
+    with board(f"udp:127.0.0.1:{port}", folder):
+        signed = ("--link", f"udp:127.0.0.1:{port}", "--link-key", str(folder / "robot-1.key"))
+        assert say("set", *signed, "SLEW_US_S", "5000") == (0, "SLEW_US_S = 5000\n")
+        assert say("get", *signed, "SLEW_US_S") == (0, "5000\n")
+        agent, wires = agent_end(1, Signing.of(folder / "robot-1.key", "agent")), open_link(f"udp:127.0.0.1:{port}")
+        stranger = AgentLink(1)
+        try:
+            deadline = time.monotonic() + 20
+            while not (agent.telemetry.armed and agent.telemetry.round_trips) and time.monotonic() < deadline:
+                now_ns = time.monotonic_ns()
+                wires.send(agent.pulses([1500] * 8))
+                wires.send(agent.arm(True) + agent.timesync(now_ns))
+                wires.wait(0.05)
+                data = wires.read()
+                agent.receive(data, time.monotonic_ns())
+                stranger.receive(data, now_ns)
+            assert agent.telemetry.armed
+            assert agent.telemetry.round_trip_ns > 0
+            assert (stranger.telemetry.board_ms, stranger.telemetry.forged_frames > 0) == (-1, True)
+        finally:
+            wires.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["pty", "udp"])
+def test_the_reference_board_conforms_over_a_real_wire(kind: str, tmp_path: Path) -> None:
+    folder, port = tmp_path / "boards", free_port()
+    folder.mkdir()
+    new_key(folder / "robot-1.key")
+    ours, theirs = (f"pty:{tmp_path}/plug", f"{tmp_path}/plug") if kind == "pty" else (f"udp:127.0.0.1:{port}",) * 2
+    with board(ours, folder):
+        run = ["board-conformance", "--port", theirs, "--link-key", str(folder / "robot-1.key"), "--yes", "--json"]
+        result = CliRunner().invoke(sim_bridge, run)
+    report = json.loads(result.output)
+    assert [rule for rule in report["rules"] if rule["verdict"] != "passed"] == []
+    assert (result.exit_code, report["board"], report["failed"]) == (0, 1, 0)
+
+
+def test_a_serial_board_that_is_pulled_out_and_put_back(tmp_path: Path) -> None:
+    """The computer goes on sending; the port comes back under another number, as USB's do."""
+    link = open_link(f"serial:{tmp_path}/plug")
+    assert isinstance(link, SerialLink)
+    try:
+        for _ in range(3):
+            terminal = Terminal(tmp_path / "plug")
+            said = heard = b""
+            deadline = time.monotonic() + 10
+            while not (said and heard) and time.monotonic() < deadline:
+                link.send(b"override")
+                terminal.send(b"burst", 0)
+                said += b"".join(terminal.read(0))
+                heard += link.read()
+            assert b"override" in said and b"burst" in heard
+            terminal.close()
+            for _ in range(5):
+                link.send(b"into the void")
+                assert link.read() == b""
+                link.wait(0.001)
+    finally:
+        link.close()
+
+
+def test_a_terminal_that_nobody_reads_does_not_hold_the_board_up(tmp_path: Path) -> None:
+    terminal = Terminal(tmp_path / "plug")
+    try:
+        for _ in range(1000):
+            terminal.send(bytes(1000), 0)
+        assert str((tmp_path / "plug").readlink()).startswith("/dev/")
+    finally:
+        terminal.close()
+    assert not (tmp_path / "plug").is_symlink()
+
+
+@pytest.mark.parametrize(
+    "port", ["udp:127.0.0.1", "udp:127.0.0.1:99999", "serial:/dev/x", "pty:", "", "pty:/no/such/folder/x"]
+)
+def test_nowhere_to_be_plugged_in_is_explained(port: str) -> None:
+    with pytest.raises(ConfigError, match="--port"):
+        open_socket(port, signed=True)
+
+
+def test_an_unsigned_board_stays_on_this_machine() -> None:
+    with pytest.raises(ConfigError, match="needs a key"):
+        open_socket("udp:0.0.0.0:0", signed=False)
