@@ -4,21 +4,23 @@ A robot's reference at an instant is where its own trajectory clock (RobotState.
 stands (holding, dead) leaves the reference standing, and the run counts as incomplete.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from groundstation.runlog import Entry, RunLog
-from groundstation.series import CHANNELS, Happening, RobotSeries, Series, States
+from groundstation.series import CHANNELS, HOPS, Happening, RobotSeries, Series, States
 from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array, pose_error
-from wire.messages import Event, LocalizerStatus, Mode, Pose, RobotState, Track, Trajectory, Truth
+from wire.messages import Event, LocalizerStatus, Mode, Pose, RobotState, StepInputs, Track, Trajectory, Truth
 from wire.scene import Circle, PathSpec
 
 LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
+OLD_POSE_MS = 150.0  # a step that goes by an older one came without a pose: its age is no latency
 WARNING = 3  # level of an Event from which on something is wrong
 
 
@@ -51,6 +53,8 @@ class _Recorded:
     truth: _Samples
     disturbance: _Samples
     poses: list[Entry[Pose]]
+    inputs: dict[int, StepInputs]  # by their stamps
+    lost: dict[str, int]
     clock_ns: Array  # (m,) stamps, and
     clock_s: Array  # (m,) where on its trajectory the robot was; empty if it never flew
 
@@ -89,6 +93,7 @@ def align(experiment: Experiment, log: RunLog) -> Series:
 
 def _gather(log: RunLog, robot: int, known: bool) -> _Recorded:
     states = log.of(topics.STATE, RobotState, robot)
+    inputs = log.of(topics.INPUTS, StepInputs, robot)
     poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
     flying = [e for e in states if e.message.mode is Mode.TRACKING and e.message.trajectory_s > 0.0]
     # from the first step under way on, whatever the mode: while the robot holds, its clock stands
@@ -104,6 +109,8 @@ def _gather(log: RunLog, robot: int, known: bool) -> _Recorded:
         truth=truth,
         disturbance=disturbance,
         poses=poses,
+        inputs={e.stamp_ns: e.message for e in inputs},
+        lost={"poses": _lost(log.of(topics.POSE, Pose, robot)), "states": _lost(states), "inputs": _lost(inputs)},
         clock_ns=np.array([e.stamp_ns for e in since], dtype=np.float64),
         clock_s=np.array([e.message.trajectory_s for e in since], dtype=np.float64),
     )
@@ -157,7 +164,7 @@ def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns:
 
 def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
     stamps = start_ns + time_s * 1e9
-    states = _states(r.states, start_ns)
+    states = _states(r.states, r.inputs, start_ns)
     state_stamps = np.array([e.stamp_ns for e in r.states], dtype=np.float64)
     pose = np.array([[e.message.x_m, e.message.y_m, e.message.yaw_rad] for e in r.poses], dtype=np.float64).reshape(-1, 3)
     pose_stamps = np.array([e.stamp_ns for e in r.poses], dtype=np.float64)
@@ -174,6 +181,7 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
         pose_time_s=(pose_stamps - start_ns) * 1e-9,
         pose=pose,
         pose_error=error,
+        lost=r.lost,
     )
 
 
@@ -197,7 +205,24 @@ def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) ->
     return np.asarray(trajectory.eta[: round(duration_s / trajectory.period_s) + 1].mean(axis=0))
 
 
-def _states(entries: Sequence[Entry[RobotState]], start_ns: int) -> States:
+def _hops_ms(state: Entry[RobotState], inputs: StepInputs | None) -> Array:
+    """How the time from the exposure to the PWM was spent, by HOPS; NaN where the pose was an old one, or nothing is known."""
+    unknown = np.full(len(HOPS), np.nan)
+    if inputs is None or inputs.pose is None or state.message.exposure_to_pwm_ms <= 0.0:
+        return unknown
+    told_ms, age_ms = inputs.pose_told_age_ns * 1e-6, (state.stamp_ns - inputs.pose_instant_ns) * 1e-6
+    answered_ms, step_ms = state.message.exposure_to_pwm_ms - state.message.pose_age_ms, state.message.step_us * 1e-3
+    hops = np.array([told_ms, age_ms - told_ms, step_ms, max(answered_ms - step_ms, 0.0)])
+    return hops if age_ms <= OLD_POSE_MS else unknown
+
+
+def _lost(entries: Sequence[Entry[Any]]) -> int:
+    """Numbers left out; a sender that begins anew begins at 1."""
+    steps = np.diff([e.sequence for e in entries]) if len(entries) > 1 else np.zeros(0)
+    return int((steps[steps > 1] - 1).sum())
+
+
+def _states(entries: Sequence[Entry[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
     messages = [e.message for e in entries]
 
     def column(values: Sequence[float]) -> Array:
@@ -225,6 +250,9 @@ def _states(entries: Sequence[Entry[RobotState]], start_ns: int) -> States:
         step_us=column([m.step_us for m in messages]),
         iterations=column([m.iterations for m in messages]),
         missed_deadlines=column([m.missed_deadlines for m in messages]),
+        slack_m=column([m.slack_m for m in messages]),
+        board_loss=column([m.board_loss for m in messages]),
+        hops_ms=rows([_hops_ms(e, inputs.get(e.stamp_ns)) for e in entries], len(HOPS)),
     )
 
 

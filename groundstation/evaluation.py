@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.results import Check, Errors, PairResult, Quantiles, Result, RobotResult, Spread, Three
 from groundstation.runlog import RunLog
-from groundstation.series import THRUSTERS, Mask, RobotSeries, Series
+from groundstation.series import HOPS, THRUSTERS, Mask, RobotSeries, Series, active_limits
 from wire.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
 
@@ -56,6 +56,11 @@ def evaluate(series: Series, log: RunLog) -> Result:
         experiment_hash=experiment.hash,
         notes=tuple(_notes(series, log)),
         checks=(),
+        latency_hops_ms=_hops(each, flying),
+        at_limit=_at_limit(series, flying),
+        slack_m=_most(r.states.slack_m[rows] for r, rows in zip(each, flying, strict=True)),
+        board_loss=_most(r.states.board_loss[rows] for r, rows in zip(each, flying, strict=True)),
+        messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
         faults=tuple(h for h in series.happenings if h.fault and (0.0 <= h.time_s <= series.end_s or not series.started)),
     )
     checks = tuple(_checks(result, series))
@@ -129,6 +134,29 @@ def _errors(error: Array, time_s: Array) -> Errors:
         max_m=_axes(whole, _largest),
         max_after_20s_m=_axes(settled, _largest),
     )
+
+
+# --- the controller's limits, and its links
+
+
+def _hops(robots: Iterable[RobotSeries], flying: Sequence[Mask]) -> dict[str, Quantiles | None]:
+    hops = np.concatenate([r.states.hops_ms[rows] for r, rows in zip(robots, flying, strict=True)])
+    known = hops[np.isfinite(hops).all(axis=1)]
+    return {name: _quantiles(known[:, k]) for k, name in enumerate(HOPS)} if len(known) else {}
+
+
+def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
+    shares = [
+        {name: float(active[rows].mean()) for name, active in active_limits(series, r).items()}
+        for r, rows in zip(series.robots.values(), flying, strict=True)
+        if rows.any()
+    ]
+    return {name: max(share[name] for share in shares) for name in shares[0]} if shares else {}
+
+
+def _most(values: Iterable[Array]) -> float | None:
+    found = np.concatenate(list(values))
+    return float(found.max()) if found.size else None
 
 
 # --- statistics; None for no values

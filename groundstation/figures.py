@@ -14,6 +14,7 @@ from matplotlib.patches import Rectangle
 
 from groundstation.colours import colour
 from groundstation.evaluation import SETTLED_S
+from groundstation.figures_timeline import latency_budget, limits, links, slack, timeline
 from groundstation.plotting import (
     BOTTOM_IN,
     GREY,
@@ -332,6 +333,12 @@ def separation(series: Series) -> Figure | None:
 
 FIGURES = (
     Kind(
+        "timeline",
+        "Modes and faults",
+        "What each robot was doing. Triangles: a fault was noticed (in words below). Crosses: made or over, in simulation.",
+        timeline,
+    ),
+    Kind(
         "references", "Planned paths", "Seen from above, from their stars, and the heading of the path's tangent.", references
     ),
     Kind(
@@ -347,6 +354,8 @@ FIGURES = (
     Kind("yaw", "Heading errors", "To the path's tangent, and to the heading commanded (with crab angle).", yaw),
     Kind("inputs", "Control inputs", "Surge, heave and yaw asked for, with their limits.", inputs),
     Kind("steps", "Input steps", "Change per control step. Smooth is part of good: chatter wears thrusters out.", input_steps),
+    Kind("limits", "Active limits", "When a limit held an input back, or a plan entered another robot's space.", limits),
+    Kind("slack", "Slack", "By how much a robot's plan enters the space of another.", slack),
     Kind("pulses", "Thruster pulses", "The grey band is the thrusters' dead zone.", pulses),
     Kind(
         "disturbance",
@@ -356,7 +365,14 @@ FIGURES = (
     ),
     Kind("step-times", "Control step", "Time of a whole control step on the robot.", step_times),
     Kind("latency", "Exposure to PWM", "From the middle of an exposure to the PWM that answers it.", latency),
+    Kind(
+        "latency-budget",
+        "Where the time goes",
+        "From exposure to PWM, hop by hop. Time on the wire counts with the wait for the control step.",
+        latency_budget,
+    ),
     Kind("frame-times", "Localizer", "Processing time of a camera frame.", frame_times),
     Kind("pose-error", "Localizer's error", "Located minus true pose.", pose_error),
+    Kind("links", "Links to the boards", "Share of each board's messages that did not arrive.", links),
     Kind("separation", "Separation", "Distance between centres; dashed: 2 R.", separation),
 )

@@ -89,7 +89,8 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
             facts=_facts(recorded, result),
             rows=_rows(result),
             article_axes=_article_axes(series.experiment),
-            timings=[("control step [µs]", result.control_step_us), ("exposure to PWM [ms]", result.exposure_to_pwm_ms)],
+            timings=[("control step [µs]", result.control_step_us), ("exposure to PWM [ms]", result.exposure_to_pwm_ms)]
+            + [(f"of it: {hop} [ms]", found) for hop, found in result.latency_hops_ms.items()],
             figures=[_draw(series, index) for index in range(len(FIGURES))],
             happenings=shown,
             omitted=len(series.happenings) - len(shown),

@@ -6,7 +6,7 @@ a figure that this run cannot give.
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from groundstation.series import Happening
@@ -112,6 +112,11 @@ class Result:
     notes: tuple[str, ...]
     checks: tuple[Check, ...]
     faults: tuple[Happening, ...]
+    latency_hops_ms: dict[str, Quantiles | None] = field(default_factory=dict)  # of exposure to PWM, in order
+    at_limit: dict[str, float] = field(default_factory=dict)  # share of the steps held back; the worst robot's
+    slack_m: float | None = None  # the most by which a plan entered the space of another robot
+    board_loss: float | None = None  # the most of a board's messages that were lost within 5 s
+    messages_lost: dict[str, int] = field(default_factory=dict)  # on the way to the log, by kind, all robots
 
     def to_json(self) -> str:
         """As result.json."""

@@ -15,7 +15,16 @@ from wire.topics import Topic
 
 M = TypeVar("M")
 
-READ = (topics.TRUTH, topics.POSE, topics.LOCALIZER, topics.STATE, topics.TRAJECTORY, topics.TUNING, topics.EVENT)
+READ = (
+    topics.TRUTH,
+    topics.POSE,
+    topics.LOCALIZER,
+    topics.STATE,
+    topics.INPUTS,
+    topics.TRAJECTORY,
+    topics.TUNING,
+    topics.EVENT,
+)
 # below any fleet's name: "shoal/robot/3/pose" is topic POSE of robot 3
 _PATTERNS = tuple((re.compile(r"(?:.*/)?" + topic.name.replace("{robot}", r"(\d+)")), topic) for topic in topics.TOPICS)
 

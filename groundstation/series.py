@@ -14,6 +14,9 @@ from wire.frames import Array, pose_error
 from wire.messages import Mode
 
 THRUSTERS, CHANNELS = 4, 8
+HOPS = ("localizer", "network, waiting", "control step", "to the board")  # of a pose, from the exposure to the PWM
+SLACK_M = 0.001  # less is the solver's own tolerance
+AT_LIMIT = 0.999  # of a bound: the solver stops that close to it
 Mask = NDArray[np.bool_]
 
 
@@ -36,6 +39,9 @@ class States:
     step_us: Array
     iterations: Array
     missed_deadlines: Array  # cumulative
+    slack_m: Array  # by how much the plan enters the space of another robot
+    board_loss: Array  # fraction of the board's messages lost, last 5 s
+    hops_ms: Array  # (m, len(HOPS)) from the exposure on; NaN where the log does not say
 
     @property
     def tracking(self) -> Mask:
@@ -56,6 +62,7 @@ class RobotSeries:
     pose_time_s: Array  # (k,)
     pose: Array  # (k, 3) x, y, yaw as located
     pose_error: Array  # (k, 3) against the truth, NaN where there is none
+    lost: dict[str, int] = field(default_factory=dict)  # messages that never reached the log, by kind: gaps in their numbers
 
     @property
     def error(self) -> Array:
@@ -96,3 +103,13 @@ class Series:
     def separation_m(self, a: int, b: int) -> Array:
         """Distance of the two centres, (n,)."""
         return np.asarray(np.linalg.norm(self.robots[a].truth[:, :3] - self.robots[b].truth[:, :3], axis=1))
+
+
+def active_limits(series: Series, robot: RobotSeries) -> dict[str, Mask]:
+    """Which limits held a robot's inputs back, (m,) each, by name; and where its plan entered another's space."""
+    bounds, states = series.experiment.vehicle.limits, robot.states
+    found = {}
+    for k, axis in enumerate(("surge", "heave", "yaw")):
+        found[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * bounds.wrench[k])
+        found[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * bounds.wrench_step[k])
+    return found | {"others' space": np.asarray(states.slack_m > SLACK_M)}

@@ -54,6 +54,12 @@ def _columns(name: str, value: Any) -> dict[str, Any]:
         return {name: value.name}
     if isinstance(value, np.ndarray):
         value = value.ravel().tolist()
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {
+            k: cell
+            for f in dataclasses.fields(value)
+            for k, cell in _columns(f"{name}_{f.name}", getattr(value, f.name)).items()
+        }
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):

@@ -103,7 +103,8 @@ def test_ids_are_unique_and_every_reference_has_its_target(folder: Path, page: P
 
 def test_every_figure_is_there(page: Page) -> None:
     assert page.tags["figure"] == len(figures.FIGURES)
-    assert page.tags["svg"] == len(figures.FIGURES) - 1  # robots that keep their depth need no picture in space
+    # robots that keep their depth need no picture in space; no limit was active; nothing says where the time went
+    assert page.tags["svg"] == len(figures.FIGURES) - 3
 
 
 def test_table_shows_ours_beside_the_articles(folder: Path, page: Page) -> None:
