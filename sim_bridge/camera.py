@@ -15,7 +15,7 @@ from sim_bridge.image_noise import ImageNoise
 from sim_bridge.optics import optical_path_m, project
 from sim_bridge.plates import Plate, Sight
 from sim_bridge.scene import Scene
-from sim_bridge.sprites import Pose, Sprite, parts, shade, shadow_box
+from sim_bridge.sprites import Pose, Sprite, attitude, parts, shade, shadow_box
 from sim_bridge.textures import Bytes, Float
 from sim_bridge.view import Window
 from wire.experiment import Experiment
@@ -24,6 +24,8 @@ from wire.frames import Array
 CAMERA_STREAM = 3  # keeps this use of the seed apart from the others
 MARGIN_PX = 4.0  # around a robot's picture: ripples and soft edges
 PROBE_M = 0.02  # distance over which the local scale is measured
+
+Body = tuple[Sprite, Array, Array, Array]  # with eta (4,), nu (4,), and roll and pitch (2,)
 
 
 class Renderer:
@@ -52,10 +54,11 @@ class Renderer:
         """From now on draw these robots, by index, without their markers, and the others with."""
         self._sprites = [sprite.unmarked() if i in bare else sprite for i, sprite in enumerate(self._whole)]
 
-    def render(self, eta: Array, nu: Array, time_s: float, frame_index: int) -> NDArray[np.uint8]:
+    def render(self, eta: Array, nu: Array, time_s: float, frame_index: int, tilt: Array | None = None) -> NDArray[np.uint8]:
         """Raw RGGB picture (height, width): COLOR_BayerRGGB2BGR gives right colours.
 
-        eta (n, 4) and nu (n, 4) are the robots, in the experiment's order, in the middle of the exposure at `time_s`.
+        eta (n, 4) and nu (n, 4) are the robots, in the experiment's order, in the middle of the exposure at `time_s`; `tilt`
+        (n, 2 or more) begins with their roll and pitch, and they are level without it.
         Robots outside the picture are not in it; numbers that are not finite are a bug of the plant: ValueError.
         """
         for i, robot in enumerate(self._robots):
@@ -63,21 +66,21 @@ class Renderer:
                 raise ValueError(f"robot {robot}: eta = {eta[i]}, nu = {nu[i]} must be finite")
         scene, raw = self._backdrop.at(time_s)
         self._draw_landmarks(raw, scene, time_s)
-        bodies: list[tuple[Sprite, Array, Array]] = [*zip(self._sprites, eta, nu, strict=True), *self._adrift(time_s)]
+        roll_pitch = np.zeros((len(eta), 2)) if tilt is None else tilt[:, :2]
+        bodies: list[Body] = [*zip(self._sprites, eta, nu, roll_pitch, strict=True), *self._adrift(time_s)]
         if self._picture.shadows:
-            for sprite, pose, _ in bodies:
+            for sprite, pose, _, _ in bodies:
                 self._draw_shadow(raw, scene, sprite, pose)
-        far_m = optical_path_m(scene.view.camera, np.array([pose[:3] for _, pose, _ in bodies]))
+        far_m = optical_path_m(scene.view.camera, np.array([pose[:3] for _, pose, _, _ in bodies]))
         for i in np.argsort(-far_m, kind="stable"):  # the farthest first
-            sprite, pose, velocity = bodies[i]
-            self._draw_body(raw, scene, sprite, pose, velocity, time_s)
+            self._draw_body(raw, scene, bodies[i], time_s)
         return self._noise.add(raw, frame_index)
 
-    def _adrift(self, time_s: float) -> list[tuple[Sprite, Array, Array]]:
-        """The balls that are in the water, as sprite, eta and nu: heading 0, so that body and pool axes agree."""
+    def _adrift(self, time_s: float) -> list[Body]:
+        """The balls that are in the water: heading 0, so that body and pool axes agree."""
         places = [(sprite, drifter, drifter.place_m(time_s)) for drifter, sprite in self._balls]
         return [
-            (sprite, np.append(place, 0.0), np.append(drifter.velocity_mps, 0.0))
+            (sprite, np.append(place, 0.0), np.append(drifter.velocity_mps, 0.0), np.zeros(2))
             for sprite, drifter, place in places
             if place is not None
         ]
@@ -89,7 +92,7 @@ class Renderer:
             if window is None:
                 continue
             slopes = scene.slopes(window, time_s)
-            colour, cover = plate.layer(_sight(scene, window, slopes, place[2], time_s), place, landmark.yaw_rad)
+            colour, cover = plate.layer(_sight(scene, window, slopes, place[2], time_s), place, attitude(landmark.yaw_rad))
             _lay(raw, scene, window, slopes, colour, cover)
 
     def _draw_shadow(self, raw: Bytes, scene: Scene, sprite: Sprite, eta: Array) -> None:
@@ -97,19 +100,22 @@ class Renderer:
         if window is not None:
             shade(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
 
-    def _draw_body(self, raw: Bytes, scene: Scene, sprite: Sprite, eta: Array, nu: Array, time_s: float) -> None:
+    def _draw_body(self, raw: Bytes, scene: Scene, body: Body, time_s: float) -> None:
+        sprite, eta, nu, roll_pitch = body
         probe = eta[:3] + np.array([[0.0, 0.0, 0.0], [PROBE_M, 0.0, 0.0], [0.0, PROBE_M, 0.0]])
         seen = project(scene.view.camera, probe)
         px_per_m = float(np.mean(np.linalg.norm(seen[1:] - seen[0], axis=1))) / PROBE_M
         if not np.isfinite(px_per_m):
             return  # above the lens
         instants = parts(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
-        window = scene.view.window(np.concatenate([sprite.box(instants[0]), sprite.box(instants[-1])]), MARGIN_PX)
+        lean = float(np.hypot(*roll_pitch))
+        box = np.concatenate([sprite.box(instant, lean) for instant in (instants[0], instants[-1])])
+        window = scene.view.window(box, MARGIN_PX)
         if window is None:
             return
         slopes = scene.slopes(window, time_s)
         sight = _sight(scene, window, slopes, eta[2], time_s)
-        layers = [sprite.layer(sight, _pose(instant, px_per_m)) for instant in instants]
+        layers = [sprite.layer(sight, _pose(instant, roll_pitch, px_per_m)) for instant in instants]
         colour, cover = (np.asarray(sum(planes) / np.float32(len(planes))) for planes in zip(*layers, strict=True))
         _lay(raw, scene, window, slopes, colour, cover)
 
@@ -128,6 +134,6 @@ def _sight(scene: Scene, window: Window, slopes: Float, depth_m: float, time_s: 
     return Sight(bent, light)
 
 
-def _pose(eta: Array, px_per_m: float) -> Pose:
+def _pose(eta: Array, roll_pitch: Array, px_per_m: float) -> Pose:
     x_m, y_m, z_m, yaw_rad = (float(value) for value in eta)
-    return Pose(x_m, y_m, z_m, yaw_rad, px_per_m)
+    return Pose(x_m, y_m, z_m, attitude(yaw_rad, *roll_pitch.tolist()), px_per_m)

@@ -35,6 +35,7 @@ class Shot:
 
     eta: Array
     nu: Array
+    tilt: Array
     time_s: float
     index: int
     stamp_ns: int
@@ -170,7 +171,7 @@ class Pool:
     def _shot(self, world: World, stamp_ns: int) -> Shot:
         self._frame_index += 1
         broken, bare = world.faults.camera, world.faults.bare
-        return Shot(world.eta, world.nu, world.now_ns * 1e-9, self._frame_index, stamp_ns, broken, bare)
+        return Shot(world.eta, world.nu, world.tilt, world.now_ns * 1e-9, self._frame_index, stamp_ns, broken, bare)
 
     def _camera(self, shots: "queue.Queue[Shot | None]") -> None:
         while (shot := shots.get()) is not None:
@@ -196,7 +197,7 @@ class Pool:
             renderer.lose_markers(shot.bare)
         pixels = self._prepared_picture(shot)
         if pixels is None:
-            pixels = renderer.render(shot.eta, shot.nu, shot.time_s, shot.index)
+            pixels = renderer.render(shot.eta, shot.nu, shot.time_s, shot.index, shot.tilt)
         pixels = self._camera_trouble.apply(pixels, shot.broken)
         age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
         self._bus.publish(topics.FRAME, Frame(pixels), shot.stamp_ns, age_ns=age_ns)
@@ -209,7 +210,7 @@ class Pool:
         if expected is None or not isinstance(self._eye, Renderer):
             return
         shot = Shot(*expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, bare=self._bare)
-        self._prepared = shot, self._eye.render(shot.eta, shot.nu, shot.time_s, shot.index)
+        self._prepared = shot, self._eye.render(shot.eta, shot.nu, shot.time_s, shot.index, shot.tilt)
 
     def _prepared_picture(self, shot: Shot) -> NDArray[np.uint8] | None:
         """The picture that was rendered ahead, if all came as expected, to the bit."""
@@ -217,7 +218,8 @@ class Pool:
             return None
         (expected, pixels), self._prepared = self._prepared, None
         same = (expected.time_s, expected.index, expected.bare) == (shot.time_s, shot.index, shot.bare)
-        if same and np.array_equal(expected.eta, shot.eta) and np.array_equal(expected.nu, shot.nu):
+        moved = ((expected.eta, shot.eta), (expected.nu, shot.nu), (expected.tilt, shot.tilt))
+        if same and all(np.array_equal(then, now) for then, now in moved):
             return pixels
         log.debug("frame %d came otherwise than expected", shot.index)
         return None

@@ -35,7 +35,7 @@ class Pose:
     x_m: float
     y_m: float
     z_m: float
-    yaw_rad: float
+    attitude: Array  # (3, 3), body to pool
     px_per_m: float
 
 
@@ -46,8 +46,7 @@ class Sprite:
     def __init__(self, radius_m: float, skin: Bytes, plate: Plate | None = None, height_m: float = 0.0) -> None:
         self.radius_m, self.height_m = radius_m, height_m
         self._skin, self._plate = skin, plate
-        half_plate_m = 0.0 if plate is None else plate.half_m
-        self._reach_m = max(radius_m, np.sqrt(2.0) * half_plate_m)
+        self._half_m = 0.0 if plate is None else float(np.sqrt(2.0) * plate.half_m)
 
     @classmethod
     def robot(cls, robot: Robot, experiment: Experiment, random: np.random.Generator) -> "Sprite":
@@ -72,11 +71,13 @@ class Sprite:
         bare._plate = None
         return bare
 
-    def box(self, eta: Array) -> Array:
-        """Corners (8, 3) of a box in the pool frame that holds the body at eta."""
+    def box(self, eta: Array, tilt_rad: float = 0.0) -> Array:
+        """Corners (8, 3) of a box in the pool frame that holds the body at eta, tilted by so much."""
         corner = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (0, 1)], dtype=np.float64)
-        top, bottom = max(self.height_m, self.radius_m), self.radius_m
-        corner = corner * [self._reach_m, self._reach_m, top + bottom] - [0.0, 0.0, top]
+        lean = abs(float(np.sin(tilt_rad)))
+        reach = max(self.radius_m, self._half_m + lean * self.height_m)
+        top, bottom = max(self.radius_m, self.height_m + lean * self._half_m), self.radius_m
+        corner = corner * [reach, reach, top + bottom] - [0.0, 0.0, top]
         return np.asarray(eta[:3] + corner)
 
     def layer(self, sight: Sight, pose: Pose) -> tuple[Float, Float]:
@@ -84,8 +85,8 @@ class Sprite:
         colour, cover = self._sphere(sight, pose)
         if self._plate is None:
             return colour, cover
-        top = np.array([pose.x_m, pose.y_m, pose.z_m - self.height_m])
-        plate_colour, plate_cover = self._plate.layer(sight, top, pose.yaw_rad)
+        top = np.array([pose.x_m, pose.y_m, pose.z_m]) - self.height_m * pose.attitude[:, 2]
+        plate_colour, plate_cover = self._plate.layer(sight, top, pose.attitude)
         rest = 1.0 - plate_cover
         return colour * rest + plate_colour, cover * rest + plate_cover
 
@@ -93,19 +94,30 @@ class Sprite:
         normal_x, normal_y, up, cover = _hit(sight.lines, sight.lines.water_x, sight.lines.water_y, pose, self.radius_m)
         if pose.z_m < self.radius_m:  # it breaks the surface: what is above is seen straight
             dry = _hit(sight.lines, sight.lines.air_x, sight.lines.air_y, pose, self.radius_m)
-            above = (up if pose.z_m > 0 else dry[2]) * self.radius_m > pose.z_m
+            emerged = (up if pose.z_m > 0 else dry[2]) * self.radius_m > pose.z_m
             normal_x, normal_y, up, cover = (
-                np.where(above, d, w) for d, w in zip(dry, (normal_x, normal_y, up, cover), strict=True)
+                np.where(emerged, d, w) for d, w in zip(dry, (normal_x, normal_y, up, cover), strict=True)
             )
-        flat = np.float32(SHELL_PX / 2.0) / np.sqrt(2.0 * (1.0 + np.maximum(up, np.float32(-0.999))))
-        cos, sin = np.float32(np.cos(pose.yaw_rad)), np.float32(np.sin(pose.yaw_rad))
-        column = (cos * normal_x + sin * normal_y) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
-        row = (cos * normal_y - sin * normal_x) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
+        ahead, aside, down = np.float32(pose.attitude.T)
+        above = down[2] * up - down[0] * normal_x - down[1] * normal_y  # along the body's own axes
+        flat = np.float32(SHELL_PX / 2.0) / np.sqrt(2.0 * (1.0 + np.maximum(above, np.float32(-0.999))))
+        column = (ahead[0] * normal_x + ahead[1] * normal_y - ahead[2] * up) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
+        row = (aside[0] * normal_x + aside[1] * normal_y - aside[2] * up) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
         skin = mosaic(np.asarray(cv2.remap(self._skin, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)))
         lamp_x, lamp_y, lamp_up = LAMP.astype(np.float32)
         lamp = np.maximum(normal_x * lamp_x + normal_y * lamp_y + up * lamp_up, np.float32(0.0))
         colour = skin * ((AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp) * sight.light) + GLOSS * _power(lamp, GLOSS_POWER)
         return through_water(colour, 2.0 * max(pose.z_m - 0.7 * self.radius_m, 0.0)) * cover, cover
+
+
+def attitude(yaw_rad: float, roll_rad: float = 0.0, pitch_rad: float = 0.0) -> Array:
+    """Body to pool (3, 3): Rz(yaw) Ry(pitch) Rx(roll)."""
+    (cy, cp, cr), (sy, sp, sr) = np.cos([yaw_rad, pitch_rad, roll_rad]), np.sin([yaw_rad, pitch_rad, roll_rad])
+    return np.array([
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ])  # fmt: skip
 
 
 def parts(eta: Array, nu: Array, exposure_s: float, reach_m: float, px_per_m: float) -> list[Array]:

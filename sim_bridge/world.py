@@ -56,6 +56,11 @@ class World:
         """Velocities now, (n, 4)."""
         return self._state.nu
 
+    @property
+    def tilt(self) -> Array:
+        """Roll, pitch and their rates now, (n, 4)."""
+        return self._state.tilt
+
     def truth(self) -> Truth:
         """The state now, for the log and for nobody who controls."""
         return self._plant.truth(self._state)
@@ -84,16 +89,16 @@ class World:
             board.sensors.error = (error[0], error[1])
         return changes
 
-    def next_exposure(self) -> tuple[Array, Array] | None:
-        """Poses and velocities (n, 4) at the next exposure, if it is so near that no pulse sent from now on can change them.
-        What breaks meanwhile can: compare before use."""
+    def next_exposure(self) -> tuple[Array, Array, Array] | None:
+        """Poses, velocities and tilts (n, 4) at the next exposure, if it is so near that no pulse sent from now on can change
+        them. What breaks meanwhile can: compare before use."""
         steps = (self.exposure_ns - self.now_ns) // self._step_ns
         if not 0 < steps <= self._plant.dead_steps:
             return None
         state, pulses = self._state, self.faults.pulses(self._pulses())
         for _ in range(steps):
             state = self._plant.step(state, pulses, self.faults.harm)
-        return state.eta, state.nu
+        return state.eta, state.nu, state.tilt
 
     def _pulses(self) -> Array:
         """On the boards' outputs, (n, 8)."""

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project, rays
@@ -41,12 +42,12 @@ def poses(*eta: tuple[float, ...]) -> Array:
     return np.array(eta, dtype=np.float64)
 
 
-def corners_px(setup: Experiment, eta: Array) -> Array:
-    """Where a marker's corners must be seen: front port, front starboard, rear starboard, rear port."""
-    half = setup.vehicle.marker.side_m / 2.0
-    body = half * np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
-    flat = eta[:2] + body_to_pool(body, eta[3])
-    return project(setup.camera, np.column_stack([flat, np.full(4, eta[2] - setup.vehicle.marker.height_m)]))
+def corners_px(setup: Experiment, eta: Array, tilt: tuple[float, float] = (0.0, 0.0)) -> Array:
+    """Where a marker's corners must be seen: front port, front starboard, rear starboard, rear port. `tilt`: roll, pitch."""
+    half, height = setup.vehicle.marker.side_m / 2.0, setup.vehicle.marker.height_m
+    body = np.array([[half, -half, -height], [half, half, -height], [-half, half, -height], [-half, -half, -height]])
+    roll, pitch = tilt
+    return project(setup.camera, eta[:3] + Rotation.from_euler("ZYX", [eta[3], pitch, roll]).apply(body))
 
 
 def detect(raw: Bytes) -> dict[int, Array]:
@@ -79,14 +80,18 @@ def test_markers_are_read_with_their_top_ahead(x: float, y: float, z: float, yaw
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, 1.1, 2.5, -2.0])
 @pytest.mark.parametrize("x,y,z", [(0.0, 0.0, 0.3), (1.1, 0.7, 0.2), (-0.9, 0.6, 0.7), (1.2, -0.8, 0.1), (-0.3, 0.9, -0.05)])
-def test_markers_are_drawn_to_a_twentieth_of_a_pixel(x: float, y: float, z: float, yaw: float) -> None:
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.15, -0.3)], ids=["level", "tilted"])
+def test_markers_are_drawn_to_a_twentieth_of_a_pixel(
+    x: float, y: float, z: float, yaw: float, tilt: tuple[float, float]
+) -> None:
     """Shift, turn and scale against the marker drawn by a homography at eight times the resolution, on the green pixels
     (no demosaicing in between). At z <= 0.15 the marker stands in air, above a robot that breaks the surface."""
     pose = np.array([x, y, z, yaw])
-    corners = corners_px(experiment(*CLEAN), pose)
+    corners = corners_px(experiment(*CLEAN), pose, tilt)
     left, top = np.floor(corners.min(axis=0)).astype(int) // 2 * 2 - 2
     right, bottom = np.ceil(corners.max(axis=0)).astype(int) + 3
-    raw = renderer(*CLEAN).render(poses(tuple(pose), AWAY), REST, 0.0, 0)[top:bottom, left:right].astype(float)
+    picture = renderer(*CLEAN).render(poses(tuple(pose), AWAY), REST, 0.0, 0, np.array([tilt, (0.0, 0.0)]))
+    raw = picture[top:bottom, left:right].astype(float)
     drawn = _ideal_marker(experiment(*CLEAN).robots[0].marker, corners - [left, top], raw.shape)
     rows, columns = np.mgrid[: raw.shape[0], : raw.shape[1]]
     dy, dx = np.gradient(drawn)
@@ -97,7 +102,7 @@ def test_markers_are_drawn_to_a_twentieth_of_a_pixel(x: float, y: float, z: floa
     used = ((rows + columns) % 2 == 1) & (np.abs(body).max(axis=-1) < reach)
     gain, _, shift_x, shift_y, turn, scale = np.linalg.lstsq(shapes[used], raw[used], rcond=None)[0]
     assert np.hypot(shift_x, shift_y) / gain < 0.05
-    assert abs(turn) / gain < 0.003 and abs(scale) / gain < 0.005
+    assert abs(turn) / gain < 0.003 and abs(scale) / gain < 0.007
 
 
 def _ideal_marker(marker_id: int, corners: Array, shape: tuple[int, ...], fine: int = 8) -> Array:
