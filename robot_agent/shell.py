@@ -19,7 +19,7 @@ from wire.codec import Header
 from wire.experiment import Experiment
 from wire.link import Link
 from wire.link_key import Signing, agent_end
-from wire.messages import Command, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, StepInputs, Tick
+from wire.messages import Command, LocalizerStatus, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, StepInputs, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 
 EARLY = 0.25  # of a period: a step may come this much before its time, for a pose
@@ -52,6 +52,7 @@ class Shell:
         self._signing = signing
         self._mavlink = agent_end(robot, signing)
         self._poses = bus.inbox(topics.POSE, Pose, robot)
+        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
         self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids if r != robot}
         self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
@@ -179,7 +180,9 @@ class Shell:
         lockstep = Lockstep(self._bus, self._stop, self._clock)
         while (tick := lockstep.next(meanwhile=self._greet)) is not None:
             others = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in tick.robots]
-            lockstep.await_all([(self._poses, tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
+            # Of a robot that it does not see the localizer tells nothing, and then that it is done with the picture.
+            seen = (self._poses, self._localizer)
+            lockstep.await_all([(seen, tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
             self._await_board(tick)
             # What was seen in this tick's picture is told after its poses; in the one before, it was told before them.
             self._obstacles_up_to_ns = tick.frame_ns - 1

@@ -128,17 +128,17 @@ class Lockstep:
         header = self._ticks.newest_header()
         return header is not None and header.stamp_ns > self._last_ns
 
-    def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> None:
-        """Wait until each inbox holds a message with at least the stamp given. A negative stamp asks for nothing: there was
-        no step before the first."""
-        wanted = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
+    def await_all(self, inputs: Iterable[tuple[Inbox[Any] | tuple[Inbox[Any], ...], int]]) -> None:
+        """Wait until each inbox, or one of several, holds a message with at least the stamp given. A negative stamp asks for
+        nothing: there was no step before the first."""
+        wanted = [(i if isinstance(i, tuple) else (i,), stamp_ns) for i, stamp_ns in inputs if stamp_ns >= 0]
 
-        def here(inbox: Inbox[Any], stamp_ns: int) -> bool:
-            header = inbox.newest_header()
-            return header is not None and header.stamp_ns >= stamp_ns
+        def here(inboxes: tuple[Inbox[Any], ...], stamp_ns: int) -> bool:
+            headers = [inbox.newest_header() for inbox in inboxes]
+            return any(header is not None and header.stamp_ns >= stamp_ns for header in headers)
 
         if not wait(self._bus, self._stop, lambda: all(here(i, s) for i, s in wanted), LOCKSTEP_PATIENCE_S):
-            missing = ", ".join(i.name for i, s in wanted if not here(i, s))
+            missing = ", ".join(" or ".join(inbox.name for inbox in i) for i, s in wanted if not here(i, s))
             if missing and not self._stop.requested:
                 log.error("lockstep: no %s for %.3f s; going on without", missing, self._clock.tick_ns * 1e-9)
 

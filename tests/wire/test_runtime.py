@@ -8,7 +8,7 @@ import pytest
 
 from wire import runtime, topics
 from wire.bus import Bus
-from wire.messages import Event, StationHeartbeat, Tick
+from wire.messages import Event, LocalizerStatus, StationHeartbeat, Tick
 from wire.runtime import Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -87,10 +87,14 @@ def test_lockstep_waits_for_every_input_and_in_the_end_goes_on_without(
     threading.Timer(0.05, lambda: simulator.publish(topics.HEARTBEAT, StationHeartbeat(), 100)).start()
     lockstep.await_all([(inbox, 100)])
     assert inbox.newest() is not None
+    tidings = process.inbox(topics.LOCALIZER, LocalizerStatus)
+    threading.Timer(0.05, lambda: simulator.publish(topics.LOCALIZER, LocalizerStatus(), 101)).start()
+    lockstep.await_all([((inbox, tidings), 101)])  # one of both is enough
+    assert tidings.newest() is not None
     monkeypatch.setattr(runtime, "LOCKSTEP_PATIENCE_S", 0.05)
     monkeypatch.setattr(log, "propagate", True)
     started_s = time.monotonic()
-    lockstep.await_all([(inbox, 101)])
+    lockstep.await_all([(inbox, 102)])
     assert time.monotonic() - started_s >= 0.05
     assert "no station/heartbeat" in caplog.text
 
