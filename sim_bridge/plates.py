@@ -39,7 +39,7 @@ class Plate:
         `attitude` (3, 3) are the plate's axes in the pool: up in its picture, right in it, and away from who looks at it."""
         lines, (x0, y0, z0) = sight.lines, (np.float32(value) for value in place_m)
         slope_x, slope_y = (lines.water_x, lines.water_y) if z0 > 0 else (lines.air_x, lines.air_y)
-        along, across, normal = np.float32(attitude.T)
+        along, across, normal = attitude.T.astype(np.float32)
         x, y = lines.surface_x - x0, lines.surface_y - y0  # and (slope, 1) deeper per metre, to the plate's plane
         if normal[0] or normal[1]:
             deep = (z0 * normal[2] - x * normal[0] - y * normal[1]) / (normal[2] + slope_x * normal[0] + slope_y * normal[1])

@@ -98,7 +98,7 @@ class Sprite:
             normal_x, normal_y, up, cover = (
                 np.where(emerged, d, w) for d, w in zip(dry, (normal_x, normal_y, up, cover), strict=True)
             )
-        ahead, aside, down = np.float32(pose.attitude.T)
+        ahead, aside, down = pose.attitude.T.astype(np.float32)
         above = down[2] * up - down[0] * normal_x - down[1] * normal_y  # along the body's own axes
         flat = np.float32(SHELL_PX / 2.0) / np.sqrt(2.0 * (1.0 + np.maximum(above, np.float32(-0.999))))
         column = (ahead[0] * normal_x + ahead[1] * normal_y - ahead[2] * up) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
