@@ -95,8 +95,8 @@ def router(listen: str = DEFAULT_STATION, ring: Ring = DEFAULT_RING, fleet: Flee
 
     Example:  groundstation keys router --listen tls/0.0.0.0:7447 > zenohd.json5
     """
+    from wire.endpoint import settings
     from wire.network import endpoint
-    from wire.transport import settings
 
     flat = settings(endpoint(listen, "groundstation", ring, router=True, fleet=fleet))
     nested: dict[str, object] = {}

@@ -7,7 +7,6 @@ import platform
 import stat
 import time
 from collections.abc import Callable, Iterator
-from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 
@@ -15,24 +14,16 @@ import numpy as np
 
 from robot_agent import check, realtime
 from robot_agent.check import Finding, Verdict
+from robot_agent.check_network import look_at_network
 from robot_agent.config import Board, open_board
 from robot_agent.rehearsal import rehearse
-from wire import topics
-from wire.bus import Bus
 from wire.experiment import Experiment, load_experiment
-from wire.keys import Keys, open_keys
 from wire.link_key import agent_end
 from wire.mavlink import Telemetry
-from wire.messages import StationHeartbeat
-from wire.network import endpoint, is_loopback, parse_address
-from wire.reach import trouble_reaching
 from wire.toml_file import ConfigError
-from wire.topics import Role, process_name
-from wire.transport import Unreached, ZenohTransport
 
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
 BOARD_WITHIN_S = 2.0
-STATION_WITHIN_S = 3.0
 
 
 def look_over(board: Board, thrusters: Callable[[Experiment], Iterator[Finding]] | None) -> Iterator[Finding]:
@@ -50,13 +41,16 @@ def look_over(board: Board, thrusters: Callable[[Experiment], Iterator[Finding]]
         yield Finding("vehicle", Verdict.OK, detail)
     except ConfigError as error:
         yield Finding("experiment", Verdict.FAIL, str(error))
-    yield from _device(board)
-    yield from _board(board)
-    yield from _network(board)
+    flying = yield from look_at_network(board)
     yield from _computer(board)
     if experiment is not None:
         yield _timing(experiment, board.robot)
-    if thrusters is None or experiment is None:
+    yield from _device(board)
+    if flying:  # two programs on one thruster board: what one sends the other would spoil
+        yield Finding("thruster board", Verdict.SKIPPED, "this robot's agent has it (systemctl stop shoal-agent)")
+    else:
+        yield from _board(board)
+    if thrusters is None or experiment is None or flying:
         yield Finding("thrusters", Verdict.SKIPPED, "not turned (--thrusters turns them one by one)")
     else:
         yield from thrusters(experiment)
@@ -111,58 +105,6 @@ def hear_board(board: Board) -> Telemetry | None:
         return heard
     finally:
         wires.close()
-
-
-def _network(board: Board) -> Iterator[Finding]:
-    process = process_name(Role.ROBOT, board.robot)
-    keys = None
-    if board.keys is not None:
-        try:
-            keys = open_keys(Path(board.keys), process)
-            yield _certificate(keys, process)
-        except ConfigError as error:
-            yield Finding("certificate", Verdict.FAIL, str(error))
-            return
-    try:
-        where = endpoint(board.station, process, None if keys is None else Path(board.keys or ""), insecure=board.insecure)
-    except ConfigError as error:
-        yield Finding("station", Verdict.FAIL, str(error))
-        return
-    if keys is None and not is_loopback(parse_address(board.station)[1]):
-        yield Finding("certificate", Verdict.WARN, "none: the network is open, anybody on it can command the robots")
-    trouble = trouble_reaching(where.address, where.keys)
-    if trouble:
-        yield Finding("station", Verdict.FAIL, f"{where.address}: {trouble}")
-        return
-    try:
-        with Bus(ZenohTransport(where, patience_s=STATION_WITHIN_S), board.fleet) as bus:
-            beats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
-            bus.wait(lambda: beats.newest_header() is not None, STATION_WITHIN_S)
-            received, now_ns = beats.newest(), time.time_ns()
-    except Unreached as error:
-        yield Finding("station", Verdict.FAIL, str(error))
-        return
-    if received is None:
-        why = "a router answers, but no station is heard; is `groundstation run` on, under the same --fleet?"
-        yield Finding("station", Verdict.FAIL, f"{where.address}: {why}")
-        return
-    yield Finding("station", Verdict.OK, f"{where.address}: heard, its mission is {received.message.mission}")
-    since_ns = received.header.age_ns + time.monotonic_ns() - received.arrived_ns
-    yield check.clock((now_ns - received.header.stamp_ns - since_ns) * 1e-9)
-
-
-def _certificate(keys: Keys, process: str) -> Finding:
-    from cryptography import x509  # only here: a flying agent has no use for it
-    from cryptography.x509.oid import NameOID
-
-    try:
-        found = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
-        found.verify_directly_issued_by(x509.load_pem_x509_certificate(keys.ca.read_bytes()))
-    except Exception as error:  # the library has a dozen ways to say that a file is no good; each is the answer here
-        return Finding("certificate", Verdict.FAIL, f"{keys.certificate}: not of the authority beside it: {error}")
-    names = found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    name = str(names[0].value) if names else "nobody"
-    return check.certificate(name, process, found.not_valid_before_utc, found.not_valid_after_utc, datetime.now(UTC))
 
 
 def _computer(board: Board) -> Iterator[Finding]:

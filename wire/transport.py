@@ -8,14 +8,15 @@ import json
 import logging
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import zenoh
 import zenoh.ext
 
-from wire.keys import Keys
+from wire.endpoint import Endpoint as Endpoint  # whoever opens a transport needs one
+from wire.endpoint import settings
 from wire.reach import trouble_reaching
 from wire.topics import Qos
 
@@ -27,9 +28,6 @@ Presence = Callable[[str, bool], None]  # key, is it there
 
 EVENT_CACHE = 1000  # messages a publisher of events keeps for late or returning subscribers
 JOURNAL_CACHE = 400  # 20 s of control steps: longer than a link is down in a run that goes on
-PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
-LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
-TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
 TRY_AGAIN_S = 0.2
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
 
@@ -50,18 +48,6 @@ class Transport(Protocol):
     def close(self) -> None: ...
 
 
-@dataclass(frozen=True)
-class Endpoint:
-    """Where the fleet's Zenoh router is, and whether this process is it."""
-
-    address: str = "tcp/127.0.0.1:7447"
-    router: bool = False
-    lossless: bool = False  # wait for a congested peer instead of dropping: only where no robot waits meanwhile (lockstep)
-    keys: Keys | None = None  # mutual TLS
-    access: Mapping[str, Any] | None = None  # router: Zenoh's access_control section (wire/access.py)
-    insecure: bool = False  # open to other machines, as was asked for
-
-
 class Unreached(Exception):
     """The station's router cannot be reached, or not be opened, or the process is to stop before it could be."""
 
@@ -76,53 +62,11 @@ _QOS: dict[Qos, dict[str, Any]] = {
 _CACHED = {Qos.EVENT: EVENT_CACHE, Qos.JOURNAL: JOURNAL_CACHE}
 
 
-def settings(endpoint: Endpoint) -> dict[str, Any]:
-    """Every setting of Zenoh that differs from its default, by its path in the configuration."""
-    found: dict[str, Any] = {
-        "mode": "router" if endpoint.router else "client",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "transport/link/tx/lease": PATIENT_MS if endpoint.lossless else LEASE_MS,
-        "transport/link/tx/queue/size/data_low": 16,  # a whole frame fits; with 2 (default) a busy machine lost 3 % of them
-        "transport/shared_memory/enabled": False,  # not needed at these rates, and leaks files when killed
-        "timestamping/enabled": True,  # the advanced publisher's cache needs it
-    }
-    if endpoint.lossless:
-        found["transport/link/tx/queue/congestion_control/block/wait_before_close"] = PATIENT_MS * 1000
-    if endpoint.router:
-        found["listen/endpoints"] = [endpoint.address]
-    else:
-        found["connect/endpoints"] = [endpoint.address]
-        found["connect/timeout_ms"] = TRY_MS
-        found["connect/exit_on_failure"] = True
-        found["connect/retry"] = {"period_init_ms": 200, "period_max_ms": 1000, "period_increase_factor": 2}
-    if endpoint.keys is not None:
-        found |= _tls(endpoint.keys, endpoint.router)
-    if endpoint.access is not None:
-        found["access_control"] = endpoint.access
-    return found
-
-
 def _config(endpoint: Endpoint) -> zenoh.Config:
     config = zenoh.Config()
     for key, value in settings(endpoint).items():
         config.insert_json5(key, json.dumps(value))
     return config
-
-
-def _tls(keys: Keys, router: bool) -> dict[str, Any]:
-    """Both sides show a certificate of the fleet's authority; the router's must name the host that was asked for."""
-    found: dict[str, Any] = {
-        "transport/link/protocols": ["tls"],
-        "transport/link/tls/root_ca_certificate": str(keys.ca),
-        "transport/link/tls/enable_mtls": True,
-        "transport/link/tls/verify_name_on_connect": True,
-        "transport/link/tls/close_link_on_expiration": True,
-    }
-    for side in ("listen", "connect") if router else ("connect",):
-        found[f"transport/link/tls/{side}_certificate"] = str(keys.certificate)
-        found[f"transport/link/tls/{side}_private_key"] = str(keys.private_key)
-    return found
 
 
 def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) -> zenoh.Session:

@@ -178,6 +178,14 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     assert [found[f"thruster {i}"][0] for i in (1, 2, 3, 4)] == ["ok"] * 4
     assert checked(site)[1]["thrusters"][0] == "skipped"
     assert "disarmed" in checked(site)[1]["thruster board"][1]  # as it was left
+    board = load_board(site / "agent.toml")
+    agent = Bus(ZenohTransport(endpoint(board.station, "agent-1", site / "keys"), patience_s=5.0))
+    try:
+        agent.announce("agent-1")  # it flies: hands off its thrusters
+        found = checked(site, "--thrusters", "--yes")[1]
+        assert [found[what][0] for what in ("thruster board", "thrusters")] == ["skipped", "skipped"]
+    finally:
+        agent.close()
 
 
 def test_what_is_wrong_is_named(tmp_path: Path) -> None:

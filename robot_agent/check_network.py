@@ -1,0 +1,76 @@
+"""SHELL: the network's part of `robot-agent check`: certificate, way to the station, its clock, and who is there already."""
+
+import time
+from collections.abc import Generator
+from datetime import UTC, datetime
+from pathlib import Path
+
+from robot_agent import check
+from robot_agent.check import Finding, Verdict
+from robot_agent.config import Board
+from wire import topics
+from wire.bus import Bus
+from wire.keys import Keys, open_keys
+from wire.messages import StationHeartbeat
+from wire.network import endpoint, is_loopback, parse_address
+from wire.reach import trouble_reaching
+from wire.toml_file import ConfigError
+from wire.topics import Role, process_name
+from wire.transport import Unreached, ZenohTransport
+
+STATION_WITHIN_S = 3.0
+
+
+def look_at_network(board: Board) -> Generator[Finding, None, bool]:
+    """Certificate, way to the station, clock. Returns whether an agent of this robot is on the network already."""
+    process = process_name(Role.ROBOT, board.robot)
+    keys = None
+    if board.keys is not None:
+        try:
+            keys = open_keys(Path(board.keys), process)
+            yield _certificate(keys, process)
+        except ConfigError as error:
+            yield Finding("certificate", Verdict.FAIL, str(error))
+            return False
+    try:
+        where = endpoint(board.station, process, None if keys is None else Path(board.keys or ""), insecure=board.insecure)
+    except ConfigError as error:
+        yield Finding("station", Verdict.FAIL, str(error))
+        return False
+    if keys is None and not is_loopback(parse_address(board.station)[1]):
+        yield Finding("certificate", Verdict.WARN, "none: the network is open, anybody on it can command the robots")
+    trouble = trouble_reaching(where.address, where.keys)
+    if trouble:
+        yield Finding("station", Verdict.FAIL, f"{where.address}: {trouble}")
+        return False
+    try:
+        with Bus(ZenohTransport(where, patience_s=STATION_WITHIN_S), board.fleet) as bus:
+            beats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+            bus.watch_presence()
+            bus.wait(lambda: beats.newest_header() is not None, STATION_WITHIN_S)
+            received, now_ns, flying = beats.newest(), time.time_ns(), process in bus.present
+    except Unreached as error:
+        yield Finding("station", Verdict.FAIL, str(error))
+        return False
+    if received is None:
+        why = "a router answers, but no station is heard; is `groundstation run` on, under the same --fleet?"
+        yield Finding("station", Verdict.FAIL, f"{where.address}: {why}")
+        return flying
+    yield Finding("station", Verdict.OK, f"{where.address}: heard, its mission is {received.message.mission}")
+    since_ns = received.header.age_ns + time.monotonic_ns() - received.arrived_ns
+    yield check.clock((now_ns - received.header.stamp_ns - since_ns) * 1e-9)
+    return flying
+
+
+def _certificate(keys: Keys, process: str) -> Finding:
+    from cryptography import x509  # only here: a flying agent has no use for it
+    from cryptography.x509.oid import NameOID
+
+    try:
+        found = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
+        found.verify_directly_issued_by(x509.load_pem_x509_certificate(keys.ca.read_bytes()))
+    except Exception as error:  # the library has a dozen ways to say that a file is no good; each is the answer here
+        return Finding("certificate", Verdict.FAIL, f"{keys.certificate}: not of the authority beside it: {error}")
+    names = found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    name = str(names[0].value) if names else "nobody"
+    return check.certificate(name, process, found.not_valid_before_utc, found.not_valid_after_utc, datetime.now(UTC))
