@@ -24,11 +24,11 @@ from wire import topics
 from wire.bus import Bus
 from wire.codec import DecodeError, Header, decode
 from wire.experiment import dump_experiment, load_experiment
-from wire.messages import Command, Event, Mode, Order, Reply, RobotState, StationHeartbeat
+from wire.messages import Command, Event, Mode, Order, Reply, RobotState, StationHeartbeat, Truth
 from wire.topics import Topic
 from wire.transport import Endpoint, ZenohTransport
 
-PATIENCE_S = 40.0  # for what must come and has no limit of its own
+PATIENCE_S = 60.0  # for what must come and has no limit of its own
 WARNING = 3  # an event's level
 
 
@@ -96,6 +96,7 @@ class Rig:
         self.events: deque[tuple[int, Event]] = deque(maxlen=4000)
         self.beats: deque[int] = deque(maxlen=4000)
         self.poses_ns: deque[int] = deque(maxlen=4000)
+        self.truth = Truth()
         self.not_finite = 0
         self._seed, self._poses, self._with_wires = seed, poses, wires
         self.station_options, self._own_router, self._clocks_s = list(station_options), own_router, clocks_s
@@ -144,7 +145,7 @@ class Rig:
             self._launch(f"agent-{robot}", "robot_agent", arguments)
         if not self._own_router:
             self.bus = Bus(ZenohTransport(Endpoint(self.address)))
-        for topic in (topics.STATE, topics.EVENT, topics.HEARTBEAT, topics.POSE):
+        for topic in (topics.STATE, topics.EVENT, topics.HEARTBEAT, topics.POSE, topics.TRUTH):
             self.bus.subscribe(topic, None, self._heard)
 
     def __exit__(self, *exception: Any) -> None:
@@ -213,6 +214,8 @@ class Rig:
                 self.events.append((ns, message))
             elif topic is topics.POSE:
                 self.poses_ns.append(ns)
+            elif topic is topics.TRUTH:
+                self.truth = message
             else:
                 self.beats.append(ns)
                 self._mission = message.mission if isinstance(message, StationHeartbeat) else ""

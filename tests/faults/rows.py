@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.rig import Rig
+from tests.faults.rig import WARNING, Rig
 from tests.faults.wires import LineTrouble, forgeries
 from wire.messages import Mode, Order, Solve
 
@@ -19,6 +19,8 @@ Sample = Mapping[str, float]
 STEP_S = 0.1  # two control steps: what a limit "after 3 s" may be late
 HELD = {Mode.HOLDING, Mode.FAULT, Mode.DISARMED}
 OFF = {Mode.FAULT, Mode.DISARMED}
+POWERED = {Mode.TRACKING, Mode.HOLDING}
+NEVER_S = 999.0
 RESUMED = "thrust again unasked"  # a measure of all rows whose robots must stay where they are
 
 
@@ -226,6 +228,23 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
         "board in step again": (next(at for at, _ in board.taken if at > ns) - ns) * 1e-9,
         "agent in step again": (heard_ns - ns) * 1e-9,
     }
+
+
+# --- the thrusters
+
+
+def thruster_broken(rig: Rig, random: Random) -> Sample:
+    """What the observer makes of it, and whether anybody says so."""
+    robot, number = int(random.choice(rig.robots)), int(random.integers(1, 5))
+    ns = rig.break_(f"thruster {robot}/{number} {random.choice(['dead', 'stuck', 'reversed', 'weak 0.3'])}")
+    off_m, i = 0.0, rig.robots.index(robot)
+    while time.monotonic_ns() - ns < 5e9:
+        time.sleep(0.05)
+        if rig.mode(robot) in POWERED:
+            off_m = max(off_m, float(np.hypot(*(rig.states[robot][-1].state.eta - rig.truth.eta[i])[:2])))
+    said = [at for at, event in list(rig.events) if at >= ns and event.level >= WARNING]
+    rig.break_()
+    return {"flagged": (said[0] - ns) * 1e-9 if said else NEVER_S, "estimate off the truth": off_m}
 
 
 # --- what a person sees and does

@@ -11,6 +11,7 @@ from typing import Any
 
 import tomli_w
 
+from tests.faults import targets
 from tests.faults.rows import Random, Sample
 from tests.localizer.test_crossings import check_encounter
 from wire.experiment import Experiment, load_experiment
@@ -27,6 +28,30 @@ def identity_swap(rig: None, random: Random) -> Sample:
     except AssertionError:
         return {"undetected swaps": 1.0}
     return {"undetected swaps": 0.0}
+
+
+def not_finite(rig: None, random: Random) -> Sample:
+    try:
+        targets.agent(random.bytes(600))
+    except AssertionError:
+        return {"bad pulses, or beliefs": 1.0}
+    return {"bad pulses, or beliefs": 0.0}
+
+
+def stranger(rig: None, random: Random) -> Sample:
+    return {"let in, heard or obeyed": _failed("tests/wire/test_guarded.py")}
+
+
+def old_traffic(rig: None, random: Random) -> Sample:
+    return {"obeyed": _failed("tests/wire/test_replay.py") + _failed("tests/wire/test_once.py")}
+
+
+def _failed(tests: str) -> float:
+    """How many of these tests fail; they use real sessions, certificates and processes."""
+    ran = subprocess.run([sys.executable, "-m", "pytest", "-q", tests], capture_output=True, text=True, check=False)
+    if ran.returncode not in (0, 1):
+        raise RuntimeError(f"{tests}: {ran.stdout[-500:]}{ran.stderr[-500:]}")
+    return float(ran.stdout.count("FAILED ") + ran.stdout.count("ERROR ")) if ran.returncode else 0.0
 
 
 # --- a bad link

@@ -76,6 +76,10 @@ ROWS: tuple[Row, ...] = (
         {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows.link_garbage,
     ),
     Row(
+        "thruster-broken", "Thruster dead, stuck, reversed, weak", "in the plant",
+        {"flagged": SECONDS(2.0), "estimate off the truth": Measure(0.05, "m")}, rows.thruster_broken, times=20,
+    ),
+    Row(
         "battery-empty", "Battery low", "the voltage sags by 3.5 V within 0.6 s",
         {"neutral": SECONDS(3.0), "armed on an empty battery": TIMES()}, rows.battery_empty, times=20,
     ),
@@ -125,6 +129,20 @@ ROWS: tuple[Row, ...] = (
         "lossy-network", "Loss, duplicates, reordering, delay",
         "10 % of what goes to and from the boards lost, as much doubled, as much late by up to 50 ms",
         {"RMS error over that without": Measure(1.5, "")}, rows_alone.lossy_network, times=5, rig="",
+    ),
+    Row(
+        "not-finite", "NaN, infinity, outside the pool",
+        "a robot that flies is given poses, plans, sensors and obstacles of any numbers, past the decoders",
+        {"bad pulses, or beliefs": TIMES()}, rows_alone.not_finite, times=1000, rig="",
+    ),
+    Row(
+        "stranger", "Stranger on the network",
+        "no certificate, another authority's, expired, revoked, another robot's, a viewer's",
+        {"let in, heard or obeyed": TIMES()}, rows_alone.stranger, times=5, rig="",
+    ),
+    Row(
+        "old-traffic", "Replay of old traffic", "recorded orders sent again, live and after restarts of either side",
+        {"obeyed": TIMES()}, rows_alone.old_traffic, times=5, rig="",
     ),
     Row(
         "bad-configuration", "Bad configuration", "a key, drawn from all, with a value that cannot be; a real process each",

@@ -2,10 +2,12 @@
 are is measured by `make faults` on a quiet machine; here a busy one must not fail, so times may be longer by SLACK_S."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.faults.page import write_page
 from tests.faults.rig import Rig, phase
 from tests.faults.rows import Row
 from tests.faults.table import ROWS
@@ -18,6 +20,12 @@ FAST = ("localizer-killed", "agent-hung", "agent-killed", "link-garbage", "parti
 def lab() -> Iterator[Rig]:
     with Rig() as rig:
         yield rig
+
+
+def test_the_page_is_what_the_results_say(tmp_path: Path) -> None:
+    write_page(tmp_path / "faults.md", ROWS)
+    said = Path("docs/faults.md").read_text(encoding="utf-8")
+    assert (tmp_path / "faults.md").read_text(encoding="utf-8") == said, "docs/faults.md is old: make faults writes it"
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.key in FAST], ids=lambda row: row.key)

@@ -172,8 +172,8 @@ class NetWire:
                 threading.Thread(target=self._pump, args=(source, sink, is_up), daemon=True).start()
 
     def _pump(self, source: socket.socket, sink: socket.socket, is_up: bool) -> None:
-        source.settimeout(None)
         try:
+            source.settimeout(None)
             while not self._stop.is_set() and (data := source.recv(READ_BYTES)):
                 if self.jitter_s:
                     time.sleep(float(self._random.uniform(0.0, self.jitter_s)))
