@@ -106,10 +106,10 @@ percentage holds for that share of them. One row again: `make faults ARGS="--row
 
 What a robot does by itself is in `docs/modes.md`, what a board does in `docs/board.md`. Known gaps:
 
-* Nobody says that a thruster is broken. The observer takes the force that is missing for a push of the water and works against
-  it: the robot flies on, less well.
-* When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then goes
-  to neutral. A marker that is only unreadable (glare, a cable) is bridged.
+* Nobody says that a thruster is broken. The observer takes the force that is missing for a push of the water and works
+  against it: the robot flies on, less well.
+* When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
+  goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
 * A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number of
   8 bits has come round by then.
 """
