@@ -1,5 +1,6 @@
 # Everything runs in .venv, which any target makes when it is missing and renews when pyproject.toml or constraints.txt change.
 # There is one environment, with the development tools in it: users of `make run` download some 40 MB more and have one thing less to know.
+# MAVProxy comes without what it asks for: its opencv-python breaks opencv-python-headless, and its VTK is large.
 # A robot's board does not use this file: `pip install -c constraints.txt .` there installs the agent alone.
 
 PYTHON ?= $(firstword $(foreach p,python3 python3.13 python3.12 python3.11,$(shell $(p) -c 'import sys; print("$(p)" if sys.version_info >= (3, 11) else "")' 2>/dev/null)) python3)
@@ -62,6 +63,7 @@ lock: ## resolve the newest versions pyproject.toml allows into constraints.txt
 	rm -rf .venv-lock
 	$(PYTHON) -m venv .venv-lock
 	.venv-lock/bin/python -m pip install --quiet -e '.[dev]'
+	.venv-lock/bin/python -m pip install --quiet --no-deps MAVProxy
 	.venv-lock/bin/python -m pip freeze --exclude-editable | LC_ALL=C sort -f > constraints.txt
 	rm -rf .venv-lock
 
@@ -76,4 +78,5 @@ $(INSTALLED): pyproject.toml constraints.txt
 	    rm -rf .venv; echo "$(PYTHON) cannot make environments; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
 	@echo "Installing the pinned packages into .venv (a minute or two the first time) ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt --no-deps MAVProxy
 	@touch $@

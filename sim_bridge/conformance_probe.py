@@ -17,6 +17,7 @@ from wire.mavlink_signing import Key
 
 MS, S = 1_000_000, 1_000_000_000
 PERIOD_NS = 50 * MS  # of overrides, as in flight
+STALL_NS = 15 * MS  # later than asked for by so much: what was measured meanwhile says nothing about the board
 NUDGE_US = 60.0  # from neutral: a thruster turns, slowly
 
 
@@ -48,6 +49,7 @@ class Probe:
         self._other = Sender((254, 190), None if key is None else Key(key.secret, 2), now)
         self.samples: list[Sample] = []
         self.bytes_heard = 0
+        self.stalls = 0  # how often this machine was held up
         self._heartbeat_ns = -S
 
     # --- time goes on
@@ -61,8 +63,10 @@ class Probe:
             if self.wire.now_ns() - self._heartbeat_ns >= S:
                 self._heartbeat_ns = self.wire.now_ns()
                 self.wire.send(self.computer.heartbeat())
-            data = self.wire.receive(min(end_ns, self.wire.now_ns() + 5 * MS))
+            until_ns = min(end_ns, self.wire.now_ns() + 5 * MS)
+            data = self.wire.receive(until_ns)
             now_ns = self.wire.now_ns()
+            self.stalls += now_ns - until_ns > STALL_NS
             self.bytes_heard += len(data)
             self.computer.receive(data, now_ns)
             self.station.receive(data, now_ns)

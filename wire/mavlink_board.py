@@ -3,6 +3,7 @@
 What a board does with a question is sim_bridge/board_rules.py; the other end is wire/mavlink.py.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,7 @@ from wire.mavlink import (
 from wire.mavlink_frames import Peer, Receiver, Sender
 from wire.mavlink_signing import Gate, Key
 
+ALL_COMPONENTS = 0  # some ground stations ask everybody of a system
 NOT_MEASURED = -1  # current, remaining charge
 CAPABILITIES = (
     dialect.MAV_PROTOCOL_CAPABILITY_MAVLINK2
@@ -149,7 +151,8 @@ class BoardLink:
         reader = _READERS.get(kind)
         if reader is None:
             return None
-        if (message.target_system, message.target_component) != (self._robot_id, BOARD_COMPONENT):
+        components = (BOARD_COMPONENT,) if kind == "RC_CHANNELS_OVERRIDE" else (BOARD_COMPONENT, ALL_COMPONENTS)
+        if message.target_system != self._robot_id or message.target_component not in components:
             raise Refused
         return reader(message)
 
@@ -232,7 +235,8 @@ class BoardLink:
 
 
 def _command(message: Any) -> Event:
-    if message.command == dialect.MAV_CMD_COMPONENT_ARM_DISARM and message.param1 in (0.0, 1.0) and message.param2 == 0.0:
+    force = 0.0 if math.isnan(message.param2) else message.param2  # in a command NaN is "not given"
+    if message.command == dialect.MAV_CMD_COMPONENT_ARM_DISARM and message.param1 in (0.0, 1.0) and force == 0.0:
         return Arm(message.param1 == 1.0)
     version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     if message.command == dialect.MAV_CMD_REQUEST_MESSAGE and message.param1 == version:
