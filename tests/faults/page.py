@@ -110,8 +110,8 @@ What a robot does by itself is in `docs/modes.md`, what a board does in `docs/bo
   against it: the robot flies on, less well.
 * When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
   goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
-* A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number of
-  8 bits has come round by then.
+* A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number
+  of 8 bits has come round by then.
 """
 
 
