@@ -1,17 +1,19 @@
 """What a robot's program takes of its board: from start to ready, memory, and CPU while it flies at 20 Hz.
 
-All processes of the pool experiment run for real, in real time; the simulator stands for camera and localizer. One of the two
-agents is watched from outside. The requirement: 2 s, 120 MB, 10 % of a core.
+All processes of the pool experiment run for real, in real time, with keys, as over a network; the simulator stands for camera
+and localizer. One of the two agents is watched from outside. The requirement: 2 s, 120 MB, 10 % of a core.
 """
 
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 
 import psutil
 
 from benchmarks.harness import Row
+from groundstation import keys
 from sim_bridge.processes import Child, Children
 from sim_bridge.sil import free_base_port, free_port
 from wire.experiment import load_experiment
@@ -37,33 +39,46 @@ def _said(child: Child, what: str) -> bool:
     return what in child.log.read_text(encoding="utf-8", errors="replace")
 
 
-def _agent(children: Children, robot: int, ports: int, address: str, name: str = "") -> Child:
+def _agent(children: Children, robot: int, ports: int, common: list[str], name: str = "") -> Child:
     link = f"udp:127.0.0.1:{ports + robot}"
-    command = ["run", "pool", "--robot", str(robot), "--link", link, "--station", address]
+    command = ["run", "pool", "--robot", str(robot), "--link", link, *common]
     return children.start(name or f"agent-{robot}", "robot_agent", command)
 
 
 def run() -> Iterator[Row]:
     """Start robot 1's agent some times, then fly both and watch it."""
-    address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(load_experiment("pool").robot_ids)
+    address, ports = f"tls/127.0.0.1:{free_port()}", free_base_port(load_experiment("pool").robot_ids)
     with tempfile.TemporaryDirectory() as folder:
-        children = Children(Path(folder) / "logs")
+        children, ring = Children(Path(folder) / "logs"), Path(folder) / "keys"
+        keys.init(ring, [], "shoal", datetime.now(UTC))
+        for robot in (1, 2):
+            keys.add(ring, "robot", robot, datetime.now(UTC))
+        common = ["--station", address, "--keys", str(ring)]
         try:
-            command = ["run", "pool", "--no-web", "--auto", "--listen", address, "--run-dir", f"{folder}/run"]
+            command = [
+                "run",
+                "pool",
+                "--no-web",
+                "--auto",
+                "--listen",
+                address,
+                "--keys",
+                str(ring),
+                "--run-dir",
+                f"{folder}/run",
+            ]
             station = children.start("groundstation", "groundstation", command)
             _until(lambda: _said(station, "mission: waiting"), "station")
-            children.start(
-                "sim-bridge", "sim_bridge", ["pool", "pool", "--poses", "--station", address, "--ports", str(ports)]
-            )
+            children.start("sim-bridge", "sim_bridge", ["pool", "pool", "--poses", "--ports", str(ports), *common])
             starts = []
             for i in range(STARTS):
-                agent = _agent(children, 1, ports, address, f"start-{i}")
+                agent = _agent(children, 1, ports, common, f"start-{i}")
                 starts.append(_until(lambda agent=agent: _said(agent, "ready"), "agent"))  # type: ignore[misc]
                 if i < STARTS - 1:
                     agent.process.kill()
                     agent.process.wait()
             yield Row.of("agent", "start to ready", "ours", "s", starts)
-            _agent(children, 2, ports, address)
+            _agent(children, 2, ports, common)
             _until(lambda: _said(station, "mission: running"), "mission")
             watched = psutil.Process(agent.process.pid)
             yield from _watch(watched)

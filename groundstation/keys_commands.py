@@ -17,7 +17,6 @@ keys_cli = typer.Typer(
 
 Ring = Annotated[Path, typer.Option("--keys", metavar="FOLDER", envvar="SHOAL_KEYS", help="The key ring.")]
 DEFAULT_RING = Path("keys")
-SOON_DAYS = 30
 
 
 @keys_cli.command()
@@ -78,12 +77,12 @@ def list_members(ring: Ring = DEFAULT_RING) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from wire.keys import read_members
+    from wire.keys import EXPIRES_SOON, read_members
 
     now, table = datetime.now(UTC), Table("process", "role", "common name", "valid until (UTC)", "")
     for m in read_members(ring).member:
         state = "revoked" if m.revoked else "expired" if m.expires <= now else ""
-        if not state and (m.expires - now).days < SOON_DAYS:
+        if not state and m.expires - now < EXPIRES_SOON:
             state = f"expires in {(m.expires - now).days} days"
         table.add_row(m.process, m.role, m.common_name, f"{m.expires:%Y-%m-%d %H:%M}", state)
     Console().print(table)

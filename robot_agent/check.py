@@ -6,7 +6,8 @@ from dataclasses import asdict, dataclass
 from datetime import datetime
 from enum import Enum
 
-EXPIRES_SOON_DAYS = 30
+from wire.keys import EXPIRES_SOON
+
 CLOCK_APART_S = 1.0  # TLS and the order of logs depend on the clocks; no age and no order does
 MINUTE = "%Y-%m-%d %H:%M"
 BUDGET = 0.5  # of a period: what a control step may take
@@ -51,7 +52,7 @@ def certificate(common_name: str, process: str, starts: datetime, expires: datet
         return Finding(
             "certificate", Verdict.FAIL, f"expired on {expires:%Y-%m-%d %H:%M} UTC; `groundstation keys add` renews it"
         )
-    verdict = Verdict.WARN if days < EXPIRES_SOON_DAYS else Verdict.OK
+    verdict = Verdict.WARN if expires - now < EXPIRES_SOON else Verdict.OK
     return Finding("certificate", verdict, f"{common_name}, valid for {days} days more")
 
 

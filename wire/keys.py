@@ -10,7 +10,7 @@ A key ring is a folder with one folder per process, named as the process is:
 
 import stat
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +21,7 @@ from wire.toml_file import ConfigError, Section, check, read_toml
 from wire.topics import Role
 
 CA, CERTIFICATE, PRIVATE_KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.toml"
+EXPIRES_SOON = timedelta(days=30)
 ROLE_NAMES = {
     "station": Role.STATION,
     "operator": Role.OPERATOR,
@@ -91,6 +92,11 @@ def open_keys(ring: Path, process: str) -> Keys:
 def read_members(ring: Path) -> MemberList:
     """Everybody who has a certificate. Raises ConfigError where there is no such list, or it is no good."""
     return check(MemberList, read_toml(ring / MEMBERS), str(ring / MEMBERS))
+
+
+def expiring(ring: Path, now: datetime) -> tuple[Issued, ...]:
+    """Whose certificate ends within EXPIRES_SOON: links are closed when it does, also in flight."""
+    return tuple(m for m in read_members(ring).valid(now) if m.expires - now < EXPIRES_SOON)
 
 
 def admitted(ring: Path, now: datetime) -> tuple[Member, ...]:

@@ -8,9 +8,10 @@ import logging
 from datetime import UTC, datetime
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Any
 
 from wire.access import INSECURE, access_control
-from wire.keys import admitted, open_keys
+from wire.keys import admitted, expiring, open_keys
 from wire.toml_file import ConfigError
 from wire.transport import Endpoint
 
@@ -54,8 +55,8 @@ def endpoint(
         if insecure:
             raise ConfigError("--insecure and --keys: with keys the network is not open; leave one of them out")
         where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-        access = access_control(fleet, admitted(ring, datetime.now(UTC))) if router else None
-        return Endpoint(f"tls/{where}", router, lossless, open_keys(ring, process), access)
+        keys = open_keys(ring, process)
+        return Endpoint(f"tls/{where}", router, lossless, keys, _access(fleet, ring) if router else None)
     if protocol == "tls":
         raise ConfigError(f"{address}: TLS needs --keys FOLDER (`groundstation keys init` makes them)")
     if not is_loopback(host) and not insecure:
@@ -66,3 +67,10 @@ def endpoint(
     if not is_loopback(host):
         log.warning(INSECURE)
     return Endpoint(address, router, lossless, insecure=not is_loopback(host))
+
+
+def _access(fleet: str, ring: Path) -> dict[str, Any]:
+    now = datetime.now(UTC)
+    for member in expiring(ring, now):
+        log.warning("the certificate of %s ends on %s UTC", member.process, f"{member.expires:%Y-%m-%d %H:%M}")
+    return access_control(fleet, admitted(ring, now))

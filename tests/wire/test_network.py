@@ -57,6 +57,15 @@ def test_with_keys_it_is_always_tls_and_only_a_router_has_access_control(ring: P
     assert router.access["enabled"] is True
 
 
+def test_the_station_says_whose_certificate_ends_soon(
+    ring: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logging.getLogger("shoal"), "propagate", True)
+    keys.add(ring, "robot", 4, datetime.now(UTC), days=29.0)
+    endpoint("tls/127.0.0.1:7447", "groundstation", ring, router=True)
+    assert [record.getMessage()[:29] for record in caplog.records] == ["the certificate of agent-4 en"]
+
+
 def test_keys_that_others_can_read_are_refused(ring: Path) -> None:
     (ring / "viewer" / "key.pem").chmod(0o640)
     with pytest.raises(ConfigError, match=r"key\.pem: mode 0640 lets others read it; chmod 600"):
