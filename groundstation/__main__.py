@@ -13,7 +13,7 @@ from groundstation.deploy_commands import deploy
 from groundstation.keys_commands import keys_cli
 from groundstation.rerun_commands import moment, rerun
 from groundstation.viewer_commands import Foxglove, address, foxglove_layout
-from wire.experiment import dump_experiment, load_experiment
+from wire.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import Command, Order, Tuning
 from wire.options import (
     DEFAULT_FLEET,
@@ -38,12 +38,18 @@ cli = typer.Typer(
 )
 
 ORDER_TIMEOUT_S = 2.0
+AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON, for a script.")]
 DEFAULT_WEB = "127.0.0.1:8000"
 WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Where the operator's page is served.")]
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 cli.add_typer(keys_cli, name="keys")
 cli.command()(deploy)
 FLEET_ORDERS = ("load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop")
+
+
+def _orders(begun: str) -> list[str]:
+    """How an order may go on, for the shell."""
+    return [order for order in FLEET_ORDERS if order.startswith(begun)]
 
 
 @cli.command()
@@ -66,12 +72,16 @@ def run(
     web_key: Annotated[Path | None, typer.Option(help="Its private key (PEM).")] = None,
     web_token_file: Annotated[Path | None, typer.Option(help="File with the token that a page must know.")] = None,
     foxglove: Foxglove = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be flown, or why it cannot be.")] = False,
 ) -> None:
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
     Without --auto the station waits for orders: from the operator's page, or from another terminal
     (`groundstation order start`).
     Exit code 0 if the mission succeeded, 1 if not.
+
+    Examples:  groundstation run pool --listen tcp/0.0.0.0:7447 --keys keys
+               groundstation run pool --auto --dry-run
     """
     loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
 
@@ -85,6 +95,9 @@ def run(
     token = web_token_file.read_text(encoding="utf-8").strip() if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)
     viewer = address(foxglove) if foxglove is not None else None
+    if dry_run:
+        typer.echo(_intent(loaded, run_dir or out))
+        return
     start_log("groundstation", verbose)
     stop = Stop()
     me = process_name(Role.STATION)
@@ -111,15 +124,35 @@ def run(
     raise typer.Exit(0 if succeeded else 1)
 
 
+def _intent(experiment: Experiment, folder: Path) -> str:
+    """What a run of it would be. Raises ConfigError for what cannot be flown."""
+    from groundstation import planner
+    from groundstation.recorder import check_room
+
+    starts = planner.start_poses(experiment, planner.plan(experiment))
+    check_room(
+        next(place for place in (folder, *folder.resolve().parents) if place.is_dir()), experiment.recording.min_free_gb
+    )
+    lines = [
+        f"{experiment.title or experiment.name}: {experiment.duration_s:g} s, experiment {experiment.hash[:8]}, into {folder}"
+    ]
+    for robot, (x_m, y_m, z_m, yaw_rad) in starts.items():
+        lines.append(f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad")
+    return "\n".join(lines)
+
+
 @cli.command()
 def order(
-    what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_ORDERS)}.")],
+    what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_ORDERS)}.", autocompletion=_orders)],
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
     keys: KeyRing = None,
     insecure: Insecure = False,
 ) -> None:
-    """Give the whole fleet an order through the running station. Exit code 1 and the reason if it refuses."""
+    """Give the whole fleet an order through the running station. Exit code 1 and the reason if it refuses.
+
+    Example:  groundstation order start
+    """
     if what not in FLEET_ORDERS:
         raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_ORDERS)})")
     _tell_station(what, Command(Order[what.upper().replace("-", "_")], robot=0), station, fleet, keys, insecure)
@@ -150,7 +183,11 @@ def tune(
     keys: KeyRing = None,
     insecure: Insecure = False,
 ) -> None:
-    """Change weights and gains while the fleet flies: all robots at the same instant, or none. Exit code 1 if refused."""
+    """Change weights and gains while the fleet flies: all robots at the same instant, or none. Exit code 1 if refused.
+
+    Examples:  groundstation set controller.mpc.q=[2,2,1,1]
+               groundstation set --undo
+    """
     from wire.tunable import values_of
 
     values = values_of(changes or ())
@@ -167,13 +204,19 @@ def stop(
     keys: KeyRing = None,
     insecure: Insecure = False,
 ) -> None:
-    """Emergency stop: every robot to neutral, latched until `groundstation order clear-stop`."""
+    """Emergency stop: every robot to neutral, latched until `groundstation order clear-stop`.
+
+    Example:  groundstation stop
+    """
     order("stop", station, fleet, keys, insecure)
 
 
 @cli.command()
 def plan(experiment: ExperimentName, settings: Settings = None) -> None:
-    """Plan an experiment's trajectories without flying: prints them as JSON, or says why they cannot be flown."""
+    """Plan an experiment's trajectories without flying: prints them as JSON, or says why they cannot be flown.
+
+    Example:  groundstation plan islands > plan.json
+    """
     from groundstation import planner
 
     loaded = load_experiment(experiment, settings or ())
@@ -249,7 +292,10 @@ def record(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder with experiment.toml; run.mcap goes there.")],
     mode: Annotated[str, typer.Option(help="How time went in the run; told in the report.")] = "numeric",
 ) -> None:
-    """Write the log of a run that another program hands over on stdin, as `sim-bridge numeric` does."""
+    """Write the log of a run that another program hands over on stdin, as `sim-bridge numeric` does.
+
+    Example:  sim-bridge numeric numeric        (starts it, and hands over what is flown)
+    """
     from groundstation import piped
 
     problem = piped.record(load_experiment(str(run_folder / "experiment.toml")), run_folder, mode, sys.stdin.buffer)
@@ -262,13 +308,21 @@ def record(
 def report(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
     pdf: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write every figure there as a PDF, too.")] = None,
+    as_json: AsJson = False,
 ) -> None:
-    """Write result.json and report.html of a run again, from its log."""
+    """Write result.json and report.html of a run again, from its log.
+
+    Example:  groundstation report runs/pool-20260101-120000 --pdf figures
+    """
     from groundstation import report as reporting
 
-    reporting.write_report(run_folder)
+    result = reporting.write_report(run_folder)
+    figures = reporting.write_figures(run_folder, pdf) if pdf is not None else []
+    if as_json:
+        typer.echo(result.to_json(), nl=False)
+        return
     typer.echo(f"report: {run_folder / 'report.html'}")
-    for path in reporting.write_figures(run_folder, pdf) if pdf is not None else ():
+    for path in figures:
         typer.echo(path)
 
 
@@ -276,10 +330,11 @@ def report(
 def compare(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of two or more runs.")],
     out: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("compare.html"),
+    as_json: AsJson = False,
 ) -> None:
     """Put runs side by side: their figures, in what their experiments differ, and a page with their errors over time.
 
-    For example: groundstation compare runs/pool-20260101-120000 runs/pool-20260101-130000 --out why.html
+    Example:  groundstation compare runs/pool-20260101-120000 runs/pool-20260101-130000 --out why.html
     """
     from rich.console import Console
     from rich.markup import escape
@@ -299,6 +354,12 @@ def compare(
     for name, folder in zip(names, runs, strict=True):
         series, _, result = reporting.evaluated(folder)
         read.append(Run(name, series, result))
+    reporting.write_comparison(read, out)
+    if as_json:
+        figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in figures_of(read)]
+        changed = [{"key": key, "values": values} for key, values in differences(read)]
+        typer.echo(json.dumps({"runs": names, "figures": figures, "differences": changed}, indent=1))
+        return
     console = Console()
     for title, rows in (
         ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in figures_of(read)]),
@@ -310,7 +371,6 @@ def compare(
         for row in rows:
             table.add_row(*(f"{v:.4g}" if isinstance(v, float) else "–" if v is None else escape(str(v)) for v in row))
         console.print(table)
-    reporting.write_comparison(read, out)
     console.print(f"page: {out}", soft_wrap=True)
 
 
@@ -342,7 +402,10 @@ def export(
 
 @cli.command()
 def recover(log_file: Annotated[Path, typer.Argument(metavar="FILE", help="A log that was cut off.")]) -> None:
-    """Make a cut log whole: everything up to the cut, and the index that readers want. Reports do this by themselves."""
+    """Make a cut log whole: everything up to the cut, and the index that readers want. Reports do this by themselves.
+
+    Example:  groundstation recover runs/pool-20260101-120000/run.mcap
+    """
     from groundstation import recorder
 
     if not log_file.is_file():
@@ -356,7 +419,10 @@ def comparison(
         Path, typer.Argument(metavar="FOLDER", help="Where comparison.json is, as `sim-bridge compare` writes it.")
     ],
 ) -> None:
-    """Print the table of a comparison and write comparison.html beside it. Exit code 1 if a flight failed."""
+    """Print the table of a comparison and write comparison.html beside it. Exit code 1 if a flight failed.
+
+    Example:  groundstation comparison runs/compare-pool
+    """
     from groundstation import compare_report
 
     raise typer.Exit(0 if compare_report.write(folder) else 1)

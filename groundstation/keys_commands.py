@@ -64,6 +64,8 @@ def revoke(
 
     Zenoh has no revocation lists: the certificate stays good for TLS until it expires, but its name may no longer say or hear
     anything. The router reads the list when it starts.
+
+    Example:  groundstation keys revoke agent-2
     """
     from groundstation import keys
 
@@ -73,7 +75,10 @@ def revoke(
 
 @keys_cli.command("list")
 def list_members(ring: Ring = DEFAULT_RING) -> None:
-    """Who has a certificate, and until when."""
+    """Who has a certificate, and until when.
+
+    Example:  groundstation keys list
+    """
     from rich.console import Console
     from rich.table import Table
 

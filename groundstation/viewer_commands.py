@@ -8,7 +8,7 @@ import typer
 
 from groundstation.viewer_layout import layout
 from wire.experiment import load_experiment
-from wire.options import DEFAULT_FLEET, FleetName
+from wire.options import DEFAULT_FLEET, FleetName, experiments
 from wire.toml_file import ConfigError
 
 LayoutFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write it there instead of to stdout.")]
@@ -22,7 +22,10 @@ Foxglove = Annotated[
 
 def foxglove_layout(
     experiment: Annotated[
-        str, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, or a path ending in .toml.")
+        str,
+        typer.Argument(
+            metavar="EXPERIMENT", help="A shipped experiment, or a path ending in .toml.", autocompletion=experiments
+        ),
     ] = "pool",
     out: LayoutFile = None,
     fleet: FleetName = DEFAULT_FLEET,

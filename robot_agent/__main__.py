@@ -125,7 +125,10 @@ def rerun(
 
 @cli.command()
 def link_key(file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it.")]) -> None:
-    """Make a key for signing the link to a thruster board. Board and agent get the same; no two boards share one."""
+    """Make a key for signing the link to a thruster board. Board and agent get the same; no two boards share one.
+
+    Example:  robot-agent link-key board-1.key
+    """
     from wire.link_key import new_key
 
     new_key(file)
@@ -134,7 +137,10 @@ def link_key(file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to
 
 @cli.command()
 def modes() -> None:
-    """Print the tables of modes: which order is accepted when, and what a robot does by itself."""
+    """Print the tables of modes: which order is accepted when, and what a robot does by itself.
+
+    Example:  robot-agent modes
+    """
     from robot_agent.mode import table
 
     typer.echo(table(), nl=False)

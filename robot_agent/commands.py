@@ -70,6 +70,8 @@ def check(
     """Look this board over: software, experiment, devices, permissions, certificate, station, clock, CPU, thrusters.
 
     Exit code 0 if nothing has failed, 1 if something has.
+
+    Example:  robot-agent check --json
     """
     from robot_agent.check_shell import look_over
     from robot_agent.thruster_test import turn_thrusters

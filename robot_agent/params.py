@@ -65,7 +65,10 @@ def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Ite
 def list_all(
     link: LinkAddress = DEFAULT_LINK, robot: WhichRobot = None, key: LinkKey = None, insecure: LinkInsecure = False
 ) -> None:
-    """Print all parameters, one a line: name, value."""
+    """Print all parameters, one a line: name, value.
+
+    Example:  robot-agent params list --link serial:/dev/ttyACM0
+    """
     with _talk(link, robot, key, insecure) as talk:
         if not talk.until(lambda: talk.client.complete, talk.client.ask_all):
             raise ConfigError(f"--link {link}: the board told {len(talk.client.values)} parameters, and then no more")
@@ -77,7 +80,10 @@ def list_all(
 def get(
     name: Name, link: LinkAddress = DEFAULT_LINK, robot: WhichRobot = None, key: LinkKey = None, insecure: LinkInsecure = False
 ) -> None:
-    """Print one parameter's value."""
+    """Print one parameter's value.
+
+    Example:  robot-agent params get SLEW_US_S --link serial:/dev/ttyACM0
+    """
     with _talk(link, robot, key, insecure) as talk:
         client = talk.client
         talk.until(lambda: name in client.values or client.error is not None, lambda: client.ask(name))

@@ -21,6 +21,7 @@ from wire.options import (
     Settings,
     StationAddress,
     Verbose,
+    experiments,
 )
 from wire.runtime import Stop, log, run_app, start_log
 
@@ -49,7 +50,12 @@ OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder."
 @cli.command()
 def sil(
     experiment: Annotated[
-        str | None, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, e.g. `pool`, or a path ending in .toml.")
+        str | None,
+        typer.Argument(
+            metavar="EXPERIMENT",
+            help="A shipped experiment, e.g. `pool`, or a path ending in .toml.",
+            autocompletion=experiments,
+        ),
     ] = None,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
@@ -221,7 +227,10 @@ def pool(
     insecure: Insecure = False,
     verbose: Verbose = False,
 ) -> None:
-    """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water."""
+    """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water.
+
+    Example:  sim-bridge pool pool --station tcp/192.168.1.10:7447
+    """
     from sim_bridge.board import Board
     from sim_bridge.board_memory import boards_in
     from sim_bridge.pool import Pool

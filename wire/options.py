@@ -1,9 +1,12 @@
-"""Command line options that all four programs share, so that they read the same everywhere."""
+"""SHELL: command line options that all four programs share, so that they read the same everywhere, and how a shell completes
+them."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from wire.experiment import EXPERIMENTS
 
 DEFAULT_STATION = "tcp/127.0.0.1:7447"
 DEFAULT_FLEET = "shoal"
@@ -17,8 +20,22 @@ def live_fleet(fleet: str | None) -> str | None:
     return fleet
 
 
+def experiments(begun: str) -> list[str]:
+    """What an experiment's name may go on to: a shipped one, or a file or folder here."""
+    folder, _, name = begun.rpartition("/")
+    here = Path(folder or ("/" if begun.startswith("/") else "."))
+    shipped = [path.stem for path in EXPERIMENTS.glob(f"{begun}*.toml")] if "/" not in begun else []
+    files = [path for path in here.glob(f"{name}*") if path.is_dir() or path.suffix == ".toml"] if here.is_dir() else []
+    return sorted(shipped) + sorted(f"{path}/" if path.is_dir() else str(path) for path in files)
+
+
 ExperimentName = Annotated[
-    str, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, for example `pool`, or a path ending in .toml.")
+    str,
+    typer.Argument(
+        metavar="EXPERIMENT",
+        help="A shipped experiment, for example `pool`, or a path ending in .toml.",
+        autocompletion=experiments,
+    ),
 ]
 Settings = Annotated[
     list[str] | None,

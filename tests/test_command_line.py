@@ -1,0 +1,146 @@
+"""The four command lines as a person and a script meet them: help with examples, completion, exit codes, JSON."""
+
+import importlib
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from groundstation.__main__ import cli as groundstation
+from wire.options import experiments
+
+ROOT = Path(__file__).parents[1]
+PROGRAMS = {
+    "groundstation": "groundstation",
+    "robot-agent": "robot_agent",
+    "localizer": "localizer",
+    "sim-bridge": "sim_bridge",
+}
+
+
+def commands(node: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
+    """Every command that a person can see."""
+    for name, below in getattr(node, "commands", {}).items():
+        if not below.hidden:
+            yield from commands(below, (*path, name))
+    if not hasattr(node, "commands"):
+        yield path, node
+
+
+def all_commands() -> list[tuple[tuple[str, ...], Any]]:
+    found: list[tuple[tuple[str, ...], Any]] = []
+    for program, module in PROGRAMS.items():
+        root = typer.main.get_command(importlib.import_module(f"{module}.__main__").cli)
+        found += commands(root, (program,))
+    return found
+
+
+each = pytest.mark.parametrize(
+    ("path", "command"), all_commands(), ids=lambda part: " ".join(part) if isinstance(part, tuple) else ""
+)
+
+
+@each
+def test_help_has_an_example_that_is_this_very_command(path: tuple[str, ...], command: Any) -> None:
+    text = " ".join((command.help or "").split())
+    assert "Example" in text
+    if path != ("groundstation", "record"):  # nobody types it
+        assert " ".join(path) in text.partition("Example")[2]
+
+
+@each
+def test_every_option_says_what_it_is_for(path: tuple[str, ...], command: Any) -> None:
+    unexplained = [p.name for p in command.params if getattr(p, "help", "unused") is None]
+    assert not unexplained or set(unexplained) <= UNEXPLAINED.get(path, set())
+
+
+UNEXPLAINED: dict[tuple[str, ...], set[str]] = {("groundstation", "keys", "router"): {"listen"}}
+
+
+@each
+def test_the_page_of_commands_names_it(path: tuple[str, ...], command: Any) -> None:
+    page = (ROOT / "docs" / "commands.md").read_text()
+    row = next(line for line in page.splitlines() if line.startswith(f"| `{path[0]}`"))
+    assert f"`{path[1]}`" in row
+
+
+def completed(words: str, program: str = "groundstation") -> set[str]:
+    """What bash would offer for a line that ends here."""
+    variable = f"_{program.replace('-', '_').upper()}_COMPLETE"
+    environment = {**os.environ, variable: "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
+    script = f"from {PROGRAMS[program]}.__main__ import cli; cli(prog_name={program!r})"
+    done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
+    return set(done.stdout.split())
+
+
+def test_a_shell_completes_commands_options_experiments_and_orders() -> None:
+    assert completed("groundstation re") == {"recover", "record", "replay", "report", "rerun"}
+    assert {"--set", "--robot", "--json"} <= completed("groundstation rerun --")
+    assert completed("groundstation order s") == {"start", "stop"}
+    assert completed("sim-bridge sil open", "sim-bridge") == {"open-water"}
+
+
+def test_an_experiments_name_completes_to_files_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "poolside.toml").touch()
+    (tmp_path / "notes.txt").touch()
+    (tmp_path / "polo").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert experiments("po") == ["pool", "polo/", "poolside.toml"]
+    assert experiments(f"{tmp_path}/po") == [f"{tmp_path}/polo/", f"{tmp_path}/poolside.toml"]
+    assert experiments("nowhere/") == []
+
+
+def test_codes_for_what_cannot_be_done() -> None:
+    for arguments in (["rerun"], ["order", "fly"], ["run", "pool", "--warp"], ["nonsense"]):
+        assert CliRunner().invoke(groundstation, arguments).exit_code == 2
+
+
+def ended(*arguments: str) -> tuple[int, str, str]:
+    done = subprocess.run([sys.executable, "-m", *arguments], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_a_dry_run_says_what_would_be_flown_and_leaves_nothing(tmp_path: Path) -> None:
+    code, said, _ = ended("groundstation", "run", "pool", "--dry-run", "--out", str(tmp_path))
+    assert code == 0
+    assert re.search(r"120 s, experiment [0-9a-f]{8}, into", said)
+    assert said.count("starts at x") == 2
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_dry_run_of_what_cannot_be_flown_says_why(tmp_path: Path) -> None:
+    code, _, said = ended("groundstation", "run", "pool", "--dry-run", "--out", str(tmp_path), "--set", "path.lap_s=1")
+    assert code == 2
+    assert "robot 1" in said and "Traceback" not in said
+
+
+def test_a_run_that_is_none_is_named(tmp_path: Path) -> None:
+    for command in ("rerun", "replay", "export"):
+        more = ["--out", str(tmp_path / "out"), "--foxglove"] if command == "export" else []
+        code, _, said = ended("groundstation", command, str(tmp_path), *more)
+        assert (code, "Traceback" in said) == (2, False)
+        assert str(tmp_path) in said
+
+
+def test_json_is_json_and_nothing_else(tmp_path: Path) -> None:
+    from tests.groundstation.synthetic import Script, write_run
+
+    runs = [tmp_path / name for name in ("one", "two")]
+    for run, settings in zip(runs, ((), ("safety.radius_m=0.31",)), strict=True):
+        run.mkdir()
+        write_run(run, Script(duration_s=2.0, settings=settings))
+    code, said, _ = ended("groundstation", "report", str(runs[0]), "--json")
+    assert code == 0 and json.loads(said) == json.loads((runs[0] / "result.json").read_text())
+    page = tmp_path / "compare.html"
+    code, said, _ = ended("groundstation", "compare", *map(str, runs), "--json", "--out", str(page))
+    compared = json.loads(said)
+    assert compared["runs"] == ["one", "two"] and page.is_file()
+    assert {"key": "safety.radius_m", "values": ["0.3", "0.31"]} in compared["differences"]
