@@ -118,6 +118,22 @@ def test_a_pose_outside_the_pool_is_none(place: dict[str, float]) -> None:
     assert modes[:3] == [Mode.TRACKING] * 3 and modes[4] is Mode.HOLDING and modes[10:] == [Mode.FAULT] * 10
 
 
+def test_a_step_is_due_when_the_pose_gets_too_old_for_what_the_robot_does() -> None:
+    pool = flying()
+    agent, safety = pool.robots[0].agent, pool.experiment.safety
+    pool.camera_works = False
+    pool.run(0.05)
+    seen_ns = pool.seen[-1][0]
+    hold_ns, neutral_ns = (seen_ns + round(limit_s * 1e9) + 1 for limit_s in (safety.pose_hold_s, safety.pose_neutral_s))
+    found = [(agent.react_by_ns, agent.mode)]
+    for now_ns in (hold_ns - 1, hold_ns, neutral_ns - 1, neutral_ns):
+        telemetry = replace(agent._inputs.telemetry, arrival_ns=now_ns)
+        agent.step(replace(agent._inputs, station=pool.station(), telemetry=telemetry), now_ns)
+        found.append((agent.react_by_ns, agent.mode))
+    assert found[:2] == [(hold_ns, Mode.TRACKING)] * 2
+    assert found[2:] == [(neutral_ns, Mode.HOLDING)] * 2 + [(None, Mode.FAULT)]
+
+
 def test_a_trajectory_that_leaves_the_pool_is_not_loaded() -> None:
     pool = DryPool(load_experiment("pool"))
     pool.run(0.5)

@@ -269,7 +269,7 @@ def emergency_stop_lossy(rig: Rig, random: Random) -> Sample:
 def battery_empty(rig: Rig, random: Random) -> Sample:
     """The voltage falls below the neutral level within a second."""
     robot = int(random.choice(rig.robots))
-    for volts in (1.0, 2.0):
+    for volts in (0.8, 1.5):
         rig.break_(f"battery {robot} sag {volts}")
         time.sleep(0.3)
     ns = rig.break_(f"battery {robot} sag 3.5")
