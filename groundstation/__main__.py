@@ -44,7 +44,9 @@ WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Whe
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 cli.add_typer(keys_cli, name="keys")
 cli.command()(deploy)
-FLEET_ORDERS = ("load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop")
+FLEET_ORDERS = (
+    "load", "arm", "start", "hold", "resume", "return", "rejoin", "test", "stop", "disarm", "clear-stop",
+)  # fmt: skip
 
 
 def _orders(begun: str) -> list[str]:
@@ -209,6 +211,49 @@ def stop(
     Example:  groundstation stop
     """
     order("stop", station, fleet, keys, insecure)
+
+
+@cli.command("return")
+def come_back(
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+) -> None:
+    """Every robot back to where it started, clear of one another, of islands and of what the camera sees; then disarm.
+
+    Example:  groundstation return
+    """
+    order("return", station, fleet, keys, insecure)
+
+
+@cli.command(context_settings={"ignore_unknown_options": True})
+def go(
+    places: Annotated[list[float], typer.Argument(metavar="X Y [X Y ...]", help="Places for the formation's centre, in m.")],
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+) -> None:
+    """Lead the running formation to other places than planned, by the shortest clear way, without stopping it.
+
+    Example:  groundstation go 2.0 -1.5 4.0 0.5
+    """
+    if len(places) % 2:
+        raise typer.BadParameter(f"{len(places)} numbers: each place has two, x and y")
+    command = Command(Order.GO, robot=0, via=np.array(places).reshape(-1, 2))
+    _tell_station("go", command, station, fleet, keys, insecure)
+
+
+@cli.command()
+def phases() -> None:
+    """Print the mission's table: its states, which order counts when, and what it does by itself.
+
+    Example:  groundstation phases
+    """
+    from groundstation.phases import markdown
+
+    typer.echo(markdown(), nl=False)
 
 
 @cli.command()

@@ -100,7 +100,7 @@ def _gather(log: RunLog, robot: int, known: bool) -> _Recorded:
     first_ns = flying[0].stamp_ns if flying else float("inf")
     since = [e for e in states if e.stamp_ns >= first_ns and e.message.trajectory_s > 0.0]
     trajectories = log.of(topics.TRAJECTORY, Trajectory, robot)
-    named = flying[0].message.trajectory_id if flying else ""
+    named = flying[-1].message.trajectory_id if flying else ""  # it holds what was flown before it as well
     chosen = [e.message for e in trajectories if e.message.id == named] or [e.message for e in trajectories]
     truth, disturbance = _truth(log, robot) if known else (_located(states, poses), _samples([], []))
     return _Recorded(

@@ -1,25 +1,39 @@
-"""What the station knows of its robots, and whether they are fit to start. Pure: time and messages are arguments."""
+"""What the station knows of its robots, and whether they are well: ONE list of checks for preflight, flight and alarms. Pure:
+messages with their ages are arguments.
+"""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
 
 from wire import topics
 from wire.bus import Received
+from wire.codec import Header
 from wire.experiment import Experiment
-from wire.messages import Mode, Pose, RobotState, Track
+from wire.frames import Array
+from wire.messages import Mode, Plan, Pose, RobotState, Solve, Track
 from wire.runtime import Clock, age_s
 
-READY_TO_START_M = 0.5  # a robot further than this from the start of its trajectory is in the wrong place
+LOSSY = 0.2  # share of messages: above it echoes, batteries and poses are old
+LATE_SHARE = 0.5  # of the control period: the budget of a step
+DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the basin is wrong
+CLOSE_M = 0.01  # of slack: less than this inside another robot's space is nothing
+LINK_WINDOW = 100  # messages: 5 s at 20 Hz
 
 
 @dataclass(frozen=True)
 class RobotView:
-    """The newest of one robot, with ages in seconds; None is "never heard"."""
+    """The newest of one robot, with ages in seconds; infinity is "never heard"."""
 
     state: RobotState | None = None
     state_age_s: float = float("inf")
     pose: Pose | None = None
     pose_age_s: float = float("inf")
+    plan_age_s: float = float("inf")
+    clock_offset_s: float = 0.0  # of the robot's clock from the station's
+    loss: float = 0.0  # share of its messages that did not arrive lately
 
     @property
     def mode(self) -> Mode:
@@ -35,47 +49,185 @@ class RobotView:
 Fleet = Mapping[int, RobotView]
 
 
-def view(state: Received[RobotState] | None, pose: Received[Pose] | None, clock: Clock) -> RobotView:
-    """A robot's view from its two inboxes' newest messages, aged by the process's clock."""
-    return RobotView(
+def view(
+    state: Received[RobotState] | None,
+    pose: Received[Pose] | None,
+    clock: Clock,
+    plan: Received[Plan] | None = None,
+    ear: "Ear | None" = None,
+) -> RobotView:
+    """A robot's view from its inboxes' newest messages, aged by the process's clock."""
+    seen = RobotView(
         state.message if state else None,
         age_s(clock, state) if state else float("inf"),
         pose.message if pose else None,
         age_s(clock, pose) if pose else float("inf"),
+        age_s(clock, plan) if plan else float("inf"),
+    )
+    return seen if ear is None else replace(seen, clock_offset_s=ear.clock_offset_s, loss=ear.loss)
+
+
+@dataclass
+class Ear:
+    """What the headers of one robot's states tell of its link and its clock, over the last LINK_WINDOW of them."""
+
+    heard: deque[tuple[int, int, float]] = field(default_factory=lambda: deque(maxlen=LINK_WINDOW))
+
+    def hear(self, header: Header, instant_ns: int) -> None:
+        """A message that was true at `instant_ns` on our clock, as far as we can tell."""
+        if self.heard and self.heard[-1][:2] == (header.session, header.sequence):
+            return
+        if self.heard and self.heard[-1][0] != header.session:
+            self.heard.clear()
+        self.heard.append((header.session, header.sequence, (header.stamp_ns - instant_ns) * 1e-9))
+
+    @property
+    def loss(self) -> float:
+        """Of the numbers that were given out, the share that did not come."""
+        if len(self.heard) < 2:
+            return 0.0
+        return max(0.0, 1.0 - (len(self.heard) - 1) / (self.heard[-1][1] - self.heard[0][1]))
+
+    @property
+    def clock_offset_s(self) -> float:
+        """A message is late, never early: of all, the one that took least time says most."""
+        return max((ahead_s for _, _, ahead_s in self.heard), default=0.0)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is not as it should be. `level`: critical, warning, notice (as an alarm); `bars`: nobody arms with it."""
+
+    robot: int
+    key: str
+    level: str
+    bars: bool
+    text: str
+    remedy: str
+
+
+def findings(experiment: Experiment, robot: int, seen: RobotView, start: Array | None = None) -> tuple[Finding, ...]:
+    """Everything amiss with one robot. `start`: the pose (4,) in which it should begin; None once it has begun."""
+    state = seen.state
+    if state is None or not seen.heard:
+        known = state is not None
+        text = f"not heard for {seen.state_age_s:.1f} s" if known else "not heard"
+        level = "critical" if known else "warning"
+        return (Finding(robot, "silent", level, True, text, f"start its agent (robot-agent run ... --robot {robot})"),)
+    found = [Finding(robot, *finding) for check in CHECKS for finding in check(experiment, seen, state)]
+    if start is not None:
+        found += [Finding(robot, *finding) for finding in _start(experiment, state, start)]
+    return tuple(found)
+
+
+Check = Iterator[tuple[str, str, bool, str, str]]  # key, level, bars, text, remedy
+
+
+def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    if state.experiment_hash != experiment.hash:
+        text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
+        yield "experiment", "critical", True, text, "start its agent with this run's experiment.toml"
+
+
+def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    pose, limit_s = seen.pose, topics.POSE.max_age_s
+    if pose is None or seen.pose_age_s > limit_s:
+        age = "none yet" if pose is None else f"{seen.pose_age_s:.1f} s old"
+        yield "pose", "warning", True, f"no fresh pose ({age})", "is the localizer running, the robot in the picture?"
+    elif pose.track < Track.KCF:
+        yield "pose", "warning", True, f"pose is {pose.track.name}", "move it where the camera sees it; look for glare"
+    elif experiment.localizer.markers and not pose.identity_verified:
+        yield "identity", "warning", True, f"pose is {pose.track.name}, identity not verified", "let the camera see its marker"
+
+
+def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    age_s = state.board_age_ms * 1e-3
+    if age_s > topics.STATE.max_age_s:
+        yield "board", "critical", True, f"thruster board silent for {min(age_s, 999.0):.1f} s", "check its cable and power"
+        return
+    if state.board_loss > LOSSY:
+        text = f"{state.board_loss:.0%} of the board's messages are lost"
+        yield "loss", "warning", True, text, "check the cable between computer and board"
+    depth_m = experiment.pool.size_m[2]
+    if not -DEPTH_SLACK_M <= state.depth_m <= depth_m + DEPTH_SLACK_M:
+        text = f"depth {state.depth_m:.2f} m in a basin of {depth_m:g} m"
+        yield "depth", "warning", True, text, "check its pressure sensor, or its zero"
+    battery = experiment.vehicle.battery
+    if state.battery_v < battery.no_arm_v:
+        text = f"battery {state.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
+        yield "battery", "critical", True, text, "charge it"
+    elif state.battery_v < battery.warn_v:
+        yield "battery", "warning", False, f"battery {state.battery_v:.1f} V", "charge it soon"
+
+
+def _link(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    if seen.loss > LOSSY:
+        yield "link", "warning", True, f"{seen.loss:.0%} of its messages are lost", "check the radio link"
+    limit_ms, offset_s = experiment.mission.clock_offset_ms, seen.clock_offset_s
+    if abs(offset_s) > limit_ms * 1e-3:
+        how = "ahead of" if offset_s > 0 else "behind"
+        text = f"its clock is {abs(offset_s) * 1e3:.0f} ms {how} the station's"
+        yield "clock", "notice", True, text, f"synchronise both (chrony), and start its agent again; allowed: {limit_ms:g} ms"
+
+
+def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    if state.mode in (Mode.STOPPED, Mode.FAULT):
+        remedy = "clear the stop" if state.mode is Mode.STOPPED else "disarm it, and look for the cause"
+        yield "mode", "critical", True, f"is {state.mode.name}: {state.fault}", remedy
+    elif state.fault:
+        yield "fault", "warning", False, state.fault, ""
+    flies = state.mode in (Mode.TRACKING, Mode.HOLDING)
+    if flies and topics.PLAN.max_age_s < seen.plan_age_s < float("inf"):
+        yield "plan", "warning", False, f"its plan is {seen.plan_age_s:.1f} s old", "others give it room"
+    if experiment.mission.thruster_test and not flies and state.thruster_test != "passed":
+        text = f"thruster test: {state.thruster_test or 'not done'}"
+        yield "thrusters", "notice", True, text, "groundstation order test"
+
+
+def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    if state.solve is Solve.FAILED:
+        yield "solve", "critical", False, "the solver failed: neutral", ""
+    elif state.solve is Solve.SHIFTED:
+        yield "solve", "notice", False, "an old plan is flown on", ""
+    if state.step_us * 1e-6 > LATE_SHARE * experiment.controller.period_s:
+        yield "late", "notice", False, f"control step takes {state.step_us * 1e-3:.0f} ms", ""
+    if state.slack_m > CLOSE_M:
+        yield "close", "warning", False, f"its plan enters another robot's space by {state.slack_m * 1e3:.0f} mm", ""
+
+
+CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], Check], ...] = (
+    _mode, _experiment, _board, _pose, _link, _control,
+)  # fmt: skip
+
+
+def _start(experiment: Experiment, state: RobotState, start: Array) -> Check:
+    away_m = float(np.hypot(*(state.eta[:2] - start[:2])))
+    if state.pose_age_ms <= topics.POSE.max_age_s * 1e3 and away_m > experiment.mission.start_within_m:
+        text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
+        yield "start", "notice", True, text, "bring it there, or: groundstation return"
+
+
+def preflight(
+    experiment: Experiment, fleet: Fleet, starts: Mapping[int, Array] | None = None, but: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """Every reason not to arm the robots in `fleet`, with what to do about it, but for findings of these keys; empty when they
+    are ready."""
+    return tuple(
+        f"robot {robot}: {finding.text} ({finding.remedy})"
+        for robot in experiment.robot_ids
+        if robot in fleet
+        for finding in findings(experiment, robot, fleet[robot], starts[robot] if starts is not None else None)
+        if finding.bars and finding.key not in but
     )
 
 
-def preflight(experiment: Experiment, fleet: Fleet) -> tuple[str, ...]:
-    """Every reason not to arm, robot by robot; empty when the fleet is ready."""
-    return tuple(f"robot {robot}: {why}" for robot in experiment.robot_ids for why in _not_ready(experiment, fleet[robot]))
-
-
-def _not_ready(experiment: Experiment, robot: RobotView) -> list[str]:
-    state = robot.state
-    if state is None or not robot.heard:
-        return ["not heard"]
-    reasons = []
-    if state.experiment_hash != experiment.hash:
-        reasons.append(f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})")
-    if robot.pose is None or robot.pose_age_s > topics.POSE.max_age_s:
-        reasons.append("no fresh pose")
-    elif robot.pose.track < Track.KCF or (experiment.localizer.markers and not robot.pose.identity_verified):
-        reasons.append(f"pose is {robot.pose.track.name}, identity {'' if robot.pose.identity_verified else 'not '}verified")
-    if state.board_age_ms * 1e-3 > topics.STATE.max_age_s:
-        reasons.append("thruster board silent")
-    if state.battery_v < experiment.vehicle.battery.no_arm_v:
-        reasons.append(f"battery {state.battery_v:.1f} V, needs {experiment.vehicle.battery.no_arm_v:.1f} V")
-    if state.mode in (Mode.STOPPED, Mode.FAULT):
-        reasons.append(f"is {state.mode.name}: {state.fault}")
-    return reasons
-
-
-def casualty(experiment: Experiment, fleet: Fleet) -> str:
-    """The first robot that fell out of a running mission, and why; empty while all fly."""
-    for robot in experiment.robot_ids:
+def casualty(robots: Sequence[int], fleet: Fleet, disarmed_counts: bool = True) -> tuple[int, str] | None:
+    """The first of these robots that fell out of a running mission, and why; None while all fly."""
+    fallen = {Mode.STOPPED, Mode.FAULT} | ({Mode.DISARMED} if disarmed_counts else set())
+    for robot in robots:
         if not fleet[robot].heard:
-            return f"robot {robot}: silent"
+            return robot, "silent"
         state = fleet[robot].state
-        if state is not None and state.mode in (Mode.STOPPED, Mode.FAULT, Mode.DISARMED):
-            return f"robot {robot}: {state.mode.name.lower()}{f' ({state.fault})' if state.fault else ''}"
-    return ""
+        if state is not None and state.mode in fallen:
+            return robot, f"{state.mode.name.lower()}{f' ({state.fault})' if state.fault else ''}"
+    return None

@@ -119,7 +119,7 @@ def node_motion(centre: PathState, course: Course, mode: Literal["translate", "r
 def _heading_where_it_goes(
     position: Array, velocity: Array, acceleration: Array, centre: PathState, period_s: float
 ) -> NodeMotion:
-    yaw, yaw_rate = _own_heading(velocity, acceleration, centre)
+    yaw, yaw_rate = own_heading(velocity, acceleration, centre.yaw_rad, centre.yaw_rate_radps)
     return NodeMotion(
         np.column_stack([position, yaw]),
         np.column_stack([velocity, yaw_rate]),
@@ -128,12 +128,12 @@ def _heading_where_it_goes(
     )
 
 
-def _own_heading(velocity: Array, acceleration: Array, centre: PathState) -> tuple[Array, Array]:
+def own_heading(velocity: Array, acceleration: Array, else_rad: Array, else_radps: Array) -> tuple[Array, Array]:
     """Unwrapped direction of a node's own horizontal motion (n,), and its rate (13). A robot cannot push sideways, so it
-    must head where its node goes. Where the node stands still (it may be the pivot), the centre's heading serves."""
+    must head where its node goes. Where the node stands still (it may be the pivot), what is given serves."""
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     moving = speed > STANDSTILL_MPS
     square = np.where(moving, speed, 1.0) ** 2
-    yaw = np.where(moving, np.arctan2(velocity[:, 1], velocity[:, 0]), centre.yaw_rad)
+    yaw = np.where(moving, np.arctan2(velocity[:, 1], velocity[:, 0]), else_rad)
     turning = (velocity[:, 0] * acceleration[:, 1] - velocity[:, 1] * acceleration[:, 0]) / square
-    return np.unwrap(yaw), np.where(moving, turning, centre.yaw_rate_radps)
+    return np.unwrap(yaw), np.where(moving, turning, else_radps)

@@ -1,48 +1,43 @@
-"""READ FIRST. The mission: from robots lying in the water to a run that is over, as one table of phases.
+"""READ FIRST. The mission: from robots lying in the water to a run that is over, along the table in groundstation/phases.py.
 
-    WAITING -> LOADING -> ARMING -> STARTING -> RUNNING -> ENDING -> DONE
-                                     RUNNING -> PAUSED -> RESUMING -> RUNNING;  on trouble -> ABORTING -> FAILED
-                                     red button, from anywhere -> STOPPED
-
-Pure: `step(fleet, replies, wish, now_ns)` returns the orders to send; groundstation/station.py sends them. An order that is
-refused or unanswered is sent again, at most once in RETRY_S, until PATIENCE_S have gone by in a phase.
+Pure: `step(fleet, answers, now_ns, things)` returns the orders to send; groundstation/station.py sends them. An order that is
+refused or unanswered is sent again, at most once in RETRY_S, until PATIENCE_S have gone by in a phase. Plans take time: the
+mission says which one it wants (`wanted`) and is told what came of it (`planned`).
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from enum import Enum
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+
+from groundstation import legs
+from groundstation.checks import PlanError
 from groundstation.fleet import Fleet, RobotView, casualty, preflight
+from groundstation.legs import Leg
+from groundstation.pacing import Pace
+from groundstation.phases import FLYING, ON_COURSE, OVER, Event, Phase, after, refusal
 from wire import topics
 from wire.experiment import Experiment
+from wire.frames import Array
 from wire.messages import Command, Mode, Order, Reply, Trajectory
+
+__all__ = ["OVER", "Answer", "Mission", "Phase"]
 
 START_IN_S = 0.5  # from the order to the first step along the trajectory, so that all have heard it
 RETRY_S = 0.25
 PATIENCE_S = 10.0  # in a phase that waits for robots to obey
+TEST_PATIENCE_S = 12.0
 SETTLE_S = 1.0  # an automatic mission goes on this long after everybody holds and is well again
-
-
-class Phase(Enum):
-    """Where the mission stands."""
-
-    WAITING = "waiting for the fleet"
-    LOADING = "loading trajectories"
-    ARMING = "arming"
-    STARTING = "starting"
-    RUNNING = "running"
-    PAUSED = "holding"
-    RESUMING = "resuming"
-    ENDING = "disarming"
-    DONE = "done"
-    ABORTING = "aborting"
-    FAILED = "failed"
-    STOPPED = "emergency stop"
-    CLEARING = "clearing the emergency stop"
-
+AHEAD_S = 2.0  # from asking for another path to where it begins: planning, and telling everybody
+LAST_CALL_S = 0.3  # before that, everybody must have it
+LOOK_S = 25.0  # along the path, for things that lie on it
+SURE_S = 0.5  # that long something must have lain there
+AT_REST_MPS = 0.03
+REST_WITHIN_S = 8.0  # robots that hold against waves never quite rest
 
 LIVE = frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING})
-OVER = frozenset({Phase.DONE, Phase.FAILED})
+UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
+BEFORE_REST = frozenset({Phase.HALTING, Phase.RELOADING, Phase.REARMING, Phase.RELEASING, Phase.RESUMING})
 
 
 @dataclass(frozen=True)
@@ -51,30 +46,24 @@ class Stage:
 
     order: Order
     obeyed: Callable[[Mode, bool], bool]  # (mode, trajectory loaded) -> done
-    then: Phase
 
 
+ARMED = (Mode.ARMED, Mode.HOLDING)
 STAGES: dict[Phase, Stage] = {
-    Phase.LOADING: Stage(Order.LOAD, lambda mode, loaded: loaded, Phase.ARMING),
-    Phase.ARMING: Stage(Order.ARM, lambda mode, loaded: mode in (Mode.ARMED, Mode.HOLDING), Phase.STARTING),
-    Phase.STARTING: Stage(Order.START, lambda mode, loaded: mode is Mode.TRACKING, Phase.RUNNING),
-    Phase.RESUMING: Stage(Order.RESUME, lambda mode, loaded: mode is Mode.TRACKING, Phase.RUNNING),
-    Phase.ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED, Phase.DONE),
-    Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode is not Mode.STOPPED, Phase.WAITING),
-    Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode not in LIVE, Phase.FAILED),
+    Phase.LOADING: Stage(Order.LOAD, lambda mode, loaded: loaded),
+    Phase.ARMING: Stage(Order.ARM, lambda mode, loaded: mode in ARMED),
+    Phase.STARTING: Stage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
+    Phase.RESUMING: Stage(Order.RESUME, lambda mode, loaded: mode is Mode.TRACKING),
+    Phase.RELOADING: Stage(Order.LOAD, lambda mode, loaded: loaded),
+    Phase.REARMING: Stage(Order.ARM, lambda mode, loaded: mode in ARMED),
+    Phase.RELEASING: Stage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
+    Phase.ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
+    Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode is not Mode.STOPPED),
+    Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode not in LIVE),
+    Phase.TEST_ARMING: Stage(Order.ARM, lambda mode, loaded: mode is Mode.ARMED),
+    Phase.TEST_ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
 }
-
-# What a person may ask for, in which phases, and where that leads.
-WISHES: dict[Order, tuple[frozenset[Phase], Phase]] = {
-    Order.LOAD: (frozenset({Phase.WAITING, Phase.DONE, Phase.FAILED}), Phase.LOADING),
-    Order.ARM: (frozenset({Phase.WAITING, Phase.LOADING}), Phase.LOADING),
-    Order.START: (frozenset({Phase.WAITING, Phase.LOADING, Phase.ARMING}), Phase.LOADING),
-    Order.HOLD: (frozenset({Phase.RUNNING}), Phase.PAUSED),
-    Order.RESUME: (frozenset({Phase.PAUSED}), Phase.RESUMING),
-    Order.DISARM: (frozenset(Phase) - {Phase.STOPPED}, Phase.ENDING),
-    Order.STOP: (frozenset(Phase), Phase.STOPPED),
-    Order.CLEAR_STOP: (frozenset({Phase.STOPPED}), Phase.CLEARING),
-}
+STARTS = frozenset({Phase.STARTING, Phase.RELEASING, Phase.RESUMING})
 
 
 @dataclass(frozen=True)
@@ -85,111 +74,405 @@ class Answer:
     reply: Reply
 
 
+@dataclass(frozen=True)
+class Wanted:
+    """A plan that the mission waits for. Whoever computes it calls `plan` and gives the mission what comes of it."""
+
+    what: str
+    plan: Callable[[], Leg]
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What the station knows besides its robots: things that lie in the pool, (k, 3: x, y, radius), and their numbers."""
+
+    ids: tuple[int, ...] = ()
+    things: Array = field(default_factory=lambda: legs.NOTHING)
+
+
 class Mission:
     """One run of an experiment. `automatic` goes from WAITING to DONE by itself; otherwise START asks for it."""
 
-    def __init__(self, experiment: Experiment, trajectories: dict[int, Trajectory], automatic: bool) -> None:
+    def __init__(self, experiment: Experiment, leg: Leg, starts: Mapping[int, Array], automatic: bool) -> None:
+        """`starts`: poses (4,) in which the robots begin."""
         self.phase = Phase.WAITING
         self.reason = ""  # why it waits, or why it failed
         self.failed = False
         self.automatic = automatic
-        self._experiment, self._trajectories = experiment, trajectories
+        self.leg = leg
+        self.pace = Pace(experiment.mission)
+        self.wanted: Wanted | None = None
+        self.out: dict[int, str] = {}  # robots that fell out of a run that goes on, and why
+        self._experiment, self._first, self._starts = experiment, leg, dict(starts)
+        self._slots = {r: r for r in experiment.robot_ids}
+        self._next: Leg | None = None  # flown from its beginning on, once all have it
         self._since_ns = 0
         self._asked_ns: dict[int, int] = {}
-        self._reached_s = 0.0  # along the trajectory; common to all, so that a resumed formation is still in step
+        self._accepted: set[int] = set()  # robots that hold the next leg's trajectory
+        self._reached_s = 0.0  # along the trajectories; common to all, so that a resumed formation is still in step
         self._stop_after: Phase | None = None  # a person asked for no more than this stage
         self._held_by_person = False
+        self._seen_since_ns: dict[int, int] = {}
+        self._around = Surroundings()
+        self._purpose: Callable[[Fleet, float], Leg] | None = None  # of coming to rest
+        self._deadline_s = 0.0  # of SWITCHING, on the trajectories' clock
+        self._asked_by_person = False  # for another path
+        self._tested: set[int] = set()
+        self._paths: dict[int, Trajectory] = dict(leg.trajectories)
 
-    def wish(self, order: Order, fleet: Fleet, now_ns: int) -> str:
+    @property
+    def active(self) -> tuple[int, ...]:
+        """Robots that take part."""
+        return tuple(r for r in self._experiment.robot_ids if r not in self.out)
+
+    def paths(self) -> dict[int, Trajectory]:
+        """What each robot flies, from the run's beginning on: for people and for logs."""
+        return dict(self._paths)
+
+    # --- what people ask for
+
+    def wish(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = ()) -> str:
         """What a person at the station asks for. Returns why not, or nothing when it is under way."""
-        if order not in WISHES:
-            return f"{order.name} is not for a whole mission (allowed: {', '.join(o.name for o in WISHES)})"
-        allowed, target = WISHES[order]
-        if self.phase not in allowed:
-            names = ", ".join(p.name for p in Phase if p in allowed)
-            return f"{order.name} is not possible when {self.phase.name} (only when {names})"
-        if order in (Order.ARM, Order.START):
-            reasons = preflight(self._experiment, fleet)
-            if reasons:
-                return "; ".join(reasons)
-            self.failed = False
+        reason = refusal(order, self.phase) or self._objection(order, fleet, via)
+        if reason:
+            return reason
+        if order in (Order.LOAD, Order.ARM, Order.START):
+            self._begin_anew()
         self._stop_after = {Order.LOAD: Phase.LOADING, Order.ARM: Phase.ARMING}.get(order)
         self._held_by_person = order is Order.HOLD
-        self._enter(target, now_ns)
+        if order is Order.RETURN:
+            self._come_home(fleet)
+        if order is Order.REJOIN:
+            free = [s for s in self._experiment.robot_ids if s not in {self._slots[r] for r in self.active}]
+            self._slots |= dict(zip(self.out, free, strict=True))
+            self.out, self._purpose = {}, self._into_place
+        self._go(order, now_ns)
+        if order is Order.GO:
+            self._want_detour(fleet, now_ns, tuple(via))
         return ""
 
-    def step(self, fleet: Fleet, answers: Sequence[Answer], now_ns: int) -> tuple[Command, ...]:
+    def _objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]]) -> str:
+        if order in (Order.ARM, Order.START):
+            return "; ".join(preflight(self._experiment, fleet, self._starts))
+        if order is Order.TEST:
+            return "; ".join(preflight(self._experiment, fleet, but=("thrusters",)))
+        if order is Order.GO:
+            if not via:
+                return "where to? (places for the formation's centre, x and y in m)"
+            if not legs.can_detour(self._experiment):
+                return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
+        if order is Order.REJOIN:
+            if not self.out:
+                return "nobody is out"
+            unfit = preflight(self._experiment, {r: fleet[r] for r in self.out}, but=("thrusters",))
+            return "; ".join(unfit)
+        if order is Order.RETURN and not any(self._can_move(fleet[r]) for r in self.active):
+            return "no robot is fit to move"
+        return ""
+
+    def _can_move(self, robot: RobotView) -> bool:
+        return robot.heard and robot.mode not in UNFIT
+
+    def _begin_anew(self) -> None:
+        self.failed, self.leg, self.out = False, self._first, {}
+        self._slots = {r: r for r in self._experiment.robot_ids}
+        self._reached_s = 0.0
+        self._paths = dict(self._first.trajectories)
+        self.pace.start()
+
+    def _come_home(self, fleet: Fleet) -> None:
+        if self.phase in (Phase.WAITING, *OVER):
+            self._begin_anew()
+        self.out |= {r: "not fit to move" for r in self.active if not self._can_move(fleet[r])}
+        self._purpose = lambda seen, begin_s: legs.homeward(
+            self._experiment, begin_s, self._rests(seen), self._starts, self._in_the_way(seen)
+        )
+
+    def _into_place(self, fleet: Fleet, begin_s: float) -> Leg:
+        rests, slots = self._rests(fleet), {r: self._slots[r] for r in self.active}
+        return legs.gathered(self._experiment, self.leg, begin_s, self._reached_s, rests, slots, self._in_the_way(fleet))
+
+    # --- the cycle
+
+    def step(
+        self, fleet: Fleet, answers: Sequence[Answer], now_ns: int, around: Surroundings | None = None
+    ) -> tuple[Command, ...]:
         """One cycle: the orders to send now."""
-        for answer in answers:
-            if not answer.reply.accepted:
-                self.reason = f"robot {answer.command.robot} refuses {answer.command.order.name}: {answer.reply.reason}"
+        self._listen(answers)
+        self._around = around if around is not None else self._around
+        self._sight(now_ns)
         if self.phase is Phase.WAITING:
             return self._wait(fleet, now_ns)
-        if self.phase in (Phase.RUNNING, Phase.PAUSED):
+        if self.phase in FLYING or self.phase is Phase.PAUSED or self.phase in BEFORE_REST:
             self._watch(fleet, now_ns)
+        self._keep_pace(fleet)
         if self.phase in STAGES:
             return self._drive(STAGES[self.phase], fleet, now_ns)
+        if self.phase is Phase.SWITCHING:
+            return self._switch(fleet, now_ns)
+        if self.phase is Phase.HALTING:
+            return self._halt(fleet, now_ns)
+        if self.phase is Phase.TESTING:
+            return self._test(fleet, now_ns)
         if self.phase is Phase.PAUSED:
             return self._pause(fleet, now_ns)
         if self.phase is Phase.STOPPED:
-            return self._ask(Order.STOP, self._not_in(Mode.STOPPED, fleet), now_ns)
+            return self._ask(Order.STOP, self._not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
+
+    def _listen(self, answers: Sequence[Answer]) -> None:
+        for answer in answers:
+            command = answer.command
+            if command.robot not in self._slots:
+                continue
+            if not answer.reply.accepted:
+                self.reason = f"robot {command.robot} refuses {command.order.name}: {answer.reply.reason}"
+            elif command.order is Order.LOAD and command.trajectory_id == self._trajectory_id(self._next, command.robot):
+                self._accepted.add(command.robot)
+            elif command.order is Order.TEST:
+                self._tested.add(command.robot)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        reasons = preflight(self._experiment, fleet)
+        reasons = preflight(self._experiment, fleet, self._starts)
         self.reason = "; ".join(reasons)
         if self.automatic and not reasons:
-            self._enter(Phase.LOADING, now_ns)
+            self._begin_anew()
+            self._go(Event.FIT, now_ns)
         return ()
 
+    def _sight(self, now_ns: int) -> None:
+        self._seen_since_ns = {i: self._seen_since_ns.get(i, now_ns) for i in self._around.ids}
+
     def _watch(self, fleet: Fleet, now_ns: int) -> None:
-        """Look for the end of the run, and for robots that fell out of it."""
-        trouble = casualty(self._experiment, fleet)
-        if trouble:
-            self._fail(trouble, now_ns)
+        """Look for the end of the run, for robots that fell out of it, for what lies in the way."""
+        self._count_losses(fleet, now_ns)
+        if self.phase in BEFORE_REST or not self.active or self.phase not in FLYING | {Phase.PAUSED}:
             return
-        self._reached_s = min(_trajectory_s(fleet[r]) for r in self._experiment.robot_ids)
-        if self._reached_s >= self._experiment.duration_s:
-            self._enter(Phase.ENDING, now_ns)
+        self._reached_s = min(_trajectory_s(fleet[r]) for r in self.active)
+        if self.phase in FLYING and self._reached_s >= self.leg.end_s:
+            self._go(Event.ARRIVED, now_ns)
             return
-        holding = [r for r in self._experiment.robot_ids if fleet[r].mode is Mode.HOLDING]
-        if self.phase is Phase.RUNNING and holding and now_ns - self._since_ns > topics.STATE.max_age_s * 1e9:
+        if self.phase is Phase.PAUSED:
+            return
+        holding = [r for r in self.active if fleet[r].mode is Mode.HOLDING]
+        if holding and now_ns - self._since_ns > topics.STATE.max_age_s * 1e9:
             state = fleet[holding[0]].state
-            self._enter(Phase.PAUSED, now_ns)
+            self._go(Event.HELD, now_ns)
             self.reason = f"robot {holding[0]} holds: {state.fault if state else ''}"
+            return
+        if self.phase is Phase.RUNNING and self.leg.home:
+            self._go(Event.HOMEWARD, now_ns)
+        elif self.phase is Phase.RUNNING and self.out:
+            self._go(Event.MISSING, now_ns)
+            self.reason = "; ".join(f"robot {r}: {why}" for r, why in self.out.items())
+        elif self.phase in ON_COURSE:
+            self._look_ahead(fleet, now_ns)
 
-    def _pause(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Everybody holds. Only an automatic mission goes on by itself, when all are well again."""
-        moving = self._not_in(Mode.HOLDING, fleet)
-        if moving or preflight(self._experiment, fleet):
-            self._since_ns = now_ns
-        elif self.automatic and not self._held_by_person and now_ns - self._since_ns > SETTLE_S * 1e9:
-            self._enter(Phase.RESUMING, now_ns)
-        return self._ask(Order.HOLD, moving, now_ns)
+    def _count_losses(self, fleet: Fleet, now_ns: int) -> None:
+        """Robots that are gone: what then is the experiment's policy."""
+        under_way = self.phase in FLYING or self.phase is Phase.PAUSED
+        trouble = casualty(self.active, fleet, disarmed_counts=under_way)
+        if trouble is None:
+            return
+        robot, why = trouble
+        policy = self._experiment.mission.lost
+        if policy == "abort" or len(self.active) == 1:
+            self._fail(f"robot {robot}: {why}", now_ns)
+            return
+        self.out[robot] = why
+        self.reason = f"robot {robot}: {why}"
+        if policy == "hold" and self.phase in FLYING:
+            self._go(Event.LOST_HOLD, now_ns)
+            self._held_by_person = True  # who decides what then is a person
+        if policy == "close-up" and under_way and not self.leg.home:
+            self._close_up(fleet)
+            self._go(Event.LOST_CLOSE_UP, now_ns)
+        self.reason = f"robot {robot}: {why}"
 
-    def _not_in(self, mode: Mode, fleet: Fleet) -> list[int]:
-        return [r for r in self._experiment.robot_ids if fleet[r].mode is not mode]
+    def _close_up(self, fleet: Fleet) -> None:
+        """The others take the slots of the file's first robots, by the shortest ways."""
+        slots = self._experiment.robot_ids[: len(self.active)]
+        eta = {r: _eta(fleet[r]) for r in self.active}
+        self._slots |= legs.assigned(self.leg, self._reached_s, eta, slots)
+        self._purpose = self._into_place
+
+    def _keep_pace(self, fleet: Fleet) -> None:
+        if self.phase in FLYING:
+            self.pace.step(max((_error_m(fleet[r]) for r in self.active), default=0.0), self._experiment.controller.period_s)
+        else:
+            self.pace.reset()
+
+    # --- stages
 
     def _drive(self, stage: Stage, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        waiting = [r for r in self._experiment.robot_ids if not stage.obeyed(fleet[r].mode, self._loaded(fleet, r))]
+        concerned = self._concerned(fleet)
+        waiting = [r for r in concerned if not stage.obeyed(fleet[r].mode, self._loaded(fleet, r))]
         if not waiting:
-            if self.phase is self._stop_after:
-                return ()
-            self._enter(Phase.FAILED if stage.then is Phase.DONE and self.failed else stage.then, now_ns)
+            if self.phase is not self._stop_after:
+                self._go(Event.OBEYED, now_ns)
             return ()
         if now_ns - self._since_ns > PATIENCE_S * 1e9:
-            why = self.reason or "no answer"
             late = ", ".join(str(r) for r in waiting)
-            if self.phase is Phase.ABORTING:
-                self._enter(Phase.FAILED, now_ns)
-            else:
-                self._fail(f"robot {late} does not follow {stage.order.name}: {why}", now_ns)
+            self._unheeded(f"robot {late} does not follow {stage.order.name}: {self.reason or 'no answer'}", now_ns)
             return ()
         return self._ask(stage.order, waiting, now_ns)
 
-    def _loaded(self, fleet: Fleet, robot: int) -> bool:
+    def _concerned(self, fleet: Fleet) -> Sequence[int]:
+        """Who gets a stage's orders: to be disarmed, also robots that are out but can hear."""
+        everybody = self._experiment.robot_ids
+        if self.phase in (Phase.ABORTING, Phase.CLEARING):
+            return everybody
+        if self.phase is Phase.ENDING:
+            return [r for r in everybody if r not in self.out or (fleet[r].heard and fleet[r].mode is not Mode.STOPPED)]
+        return self.active
+
+    def _unheeded(self, why: str, now_ns: int) -> None:
+        if self.phase is not Phase.SWITCHING:
+            self.failed = True
+        self._go(Event.UNHEEDED, now_ns)
+        self.reason = why
+
+    def _pause(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Everybody holds. Only an automatic mission goes on by itself, when all are well again."""
+        moving = self._not_in(Mode.HOLDING, fleet, self.active)
+        unfit = preflight(self._experiment, {r: fleet[r] for r in self.active})
+        if moving or unfit or self._blocked(fleet):
+            self._since_ns = now_ns
+        elif self.automatic and not self._held_by_person and now_ns - self._since_ns > SETTLE_S * 1e9:
+            self._go(Event.WELL, now_ns)
+        return self._ask(Order.HOLD, moving, now_ns)
+
+    def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Bring everybody who moves to rest, then ask for the plan."""
+        flying = [r for r in self.active if fleet[r].mode is Mode.TRACKING]
+        waited_s = (now_ns - self._since_ns) * 1e-9
+        if flying:
+            if waited_s > PATIENCE_S:
+                self._unheeded(f"robot {', '.join(map(str, flying))} does not follow HOLD", now_ns)
+                return ()
+            return self._ask(Order.HOLD, flying, now_ns)
+        fast = any(_speed_mps(fleet[r]) > AT_REST_MPS for r in self.active if fleet[r].mode is Mode.HOLDING)
+        if self.wanted is None and self._purpose is not None and (not fast or waited_s > REST_WITHIN_S):
+            period_s = self._experiment.controller.period_s
+            begin_s = legs.on_grid(self._reached_s + period_s, period_s)
+            purpose, seen = self._purpose, dict(fleet)
+            self.wanted = Wanted("a way for everybody from rest", lambda: purpose(seen, begin_s))
+        return ()
+
+    def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        states = {r: fleet[r].state for r in self.active}
+        results = {r: s.thruster_test if s is not None and r in self._tested else "" for r, s in states.items()}
+        if all(result not in ("", "running") for result in results.values()):
+            self._go(Event.OBEYED, now_ns)
+            failed = [f"robot {r}: {result}" for r, result in results.items() if result != "passed"]
+            self.reason = "; ".join(failed) or "all thrusters as asked"
+            return ()
+        if now_ns - self._since_ns > TEST_PATIENCE_S * 1e9:
+            self._unheeded(f"the thruster test does not end: {results}", now_ns)
+            return ()
+        return self._ask(Order.TEST, [r for r in self.active if r not in self._tested], now_ns)
+
+    # --- another path under way
+
+    def _things(self, now_ns: int | None = None) -> Array:
+        """What lies there, and has for a while."""
+        sure = [now_ns is None or now_ns - self._seen_since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._around.ids]
+        return self._around.things[np.array(sure, dtype=bool)] if self._around.ids else legs.NOTHING
+
+    def _in_the_way(self, fleet: Fleet, now_ns: int | None = None, room_m: float | None = None) -> Array:
+        """Things, and robots that are out: they lie where they were last seen, and as robots keep a growing bubble around one
+        that is silent, plans leave room for it."""
+        safety = self._experiment.safety
+        wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
+        lost = [(*_eta(fleet[r])[:2], wide_m) for r in self.out if fleet[r].pose or fleet[r].state]
+        return np.vstack([self._things(now_ns), np.array(lost).reshape(-1, 3)])
+
+    def _blocked(self, fleet: Fleet, now_ns: int | None = None) -> str:
+        in_shape = not self.leg.home and self._reached_s >= self.leg.own_ways_until_s
+        if not (self._experiment.mission.detours and legs.can_detour(self._experiment) and in_shape):
+            return ""
+        flown = {r: self.leg.trajectories[self._slots[r]] for r in self.active}
+        leg, until_s = replace(self.leg, trajectories=flown), self._reached_s + LOOK_S
+        return legs.first_contact(self._experiment, leg, self._reached_s, until_s, self._in_the_way(fleet, now_ns, 0.0))
+
+    def _look_ahead(self, fleet: Fleet, now_ns: int) -> None:
+        contact = self._blocked(fleet, now_ns)
+        if contact:
+            self._go(Event.OBSTACLE, now_ns)
+            self.reason = f"something lies {contact}"
+            self._want_detour(fleet, now_ns, ())
+            return
+        if self.phase is Phase.SLOWED and not self.pace.slowed:
+            self._go(Event.CAUGHT_UP, now_ns)
+        elif self.phase is not Phase.SLOWED and self.pace.slowed:
+            self._go(Event.LAGGING, now_ns)
+            worst = max(self.active, key=lambda r: _error_m(fleet[r]))
+            self.reason = f"robot {worst} is {_error_m(fleet[worst]):.2f} m from its place"
+
+    def _want_detour(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...]) -> None:
+        begin_s = legs.on_grid(self._reached_s + AHEAD_S, self._experiment.controller.period_s)
+        leg, things = self.leg, self._in_the_way(fleet, now_ns)
+        self._deadline_s, self._asked_by_person = begin_s - LAST_CALL_S, bool(via)
+        self.wanted = Wanted("another path", lambda: legs.detour(self._experiment, leg, begin_s, things, via))
+
+    def planned(self, outcome: Leg | PlanError, now_ns: int) -> None:
+        """What came of the plan that was wanted."""
+        self.wanted = None
+        if self.phase is Phase.HALTING:
+            if isinstance(outcome, Leg):
+                self._adopt(outcome)
+                self._go(Event.PLANNED, now_ns)
+            else:
+                self._go(Event.NO_PLAN, now_ns)
+                self._held_by_person, self.reason = True, f"no way from here: {outcome}"
+        elif self.phase is Phase.SWITCHING:
+            if isinstance(outcome, Leg):
+                self._next, self._accepted = outcome, set()
+                return
+            before = self.reason
+            self._go(Event.NO_PLAN if self._asked_by_person else Event.BLOCKED, now_ns)
+            self.reason = f"no way there: {outcome}" if self._asked_by_person else f"{before}; no way round: {outcome}"
+
+    def _adopt(self, leg: Leg) -> None:
+        self.leg, self._next = leg, None
+        if leg.home:
+            self._slots = {r: r for r in self._experiment.robot_ids}
+        for robot in self.active:
+            if self._slots[robot] in leg.trajectories:
+                self._paths[robot] = legs.continued(self._paths[robot], leg.trajectories[self._slots[robot]])
+
+    def _switch(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Give everybody the next leg; when all have it, let all go over where it begins."""
+        if self._next is None:
+            late = self._reached_s > self._deadline_s
+            if late:
+                self._unheeded("no plan in time", now_ns)
+            return ()
+        going = [r for r in self.active if not self._on(self._next, fleet, r)]
+        if not going:
+            self._adopt(self._next)
+            self._go(Event.OBEYED, now_ns)
+            return ()
+        if self._reached_s > self._deadline_s:
+            self._unheeded(f"robot {', '.join(map(str, going))} has not gone over in time: {self.reason}", now_ns)
+            return ()
+        missing = [r for r in going if r not in self._accepted]
+        return self._ask(Order.LOAD, missing, now_ns) if missing else self._ask(Order.SWITCH, going, now_ns)
+
+    # --- orders
+
+    def _not_in(self, mode: Mode, fleet: Fleet, robots: Sequence[int]) -> list[int]:
+        return [r for r in robots if fleet[r].mode is not mode]
+
+    def _trajectory_id(self, leg: Leg | None, robot: int) -> str | None:
+        return leg.trajectories[self._slots[robot]].id if leg is not None and self._slots[robot] in leg.trajectories else None
+
+    def _on(self, leg: Leg, fleet: Fleet, robot: int) -> bool:
         state = fleet[robot].state
-        return state is not None and state.trajectory_id == self._trajectories[robot].id
+        return state is not None and state.trajectory_id == self._trajectory_id(leg, robot)
+
+    def _loaded(self, fleet: Fleet, robot: int) -> bool:
+        return self._on(self.leg, fleet, robot)
 
     def _ask(self, order: Order, robots: Sequence[int], now_ns: int) -> tuple[Command, ...]:
         """Orders for those robots that have not been asked within RETRY_S."""
@@ -199,29 +482,73 @@ class Mission:
         return tuple(self._command(order, robot, now_ns) for robot in due)
 
     def _command(self, order: Order, robot: int, now_ns: int) -> Command:
-        trajectory = self._trajectories[robot]
+        leg = self._next if self._next is not None and order in (Order.LOAD, Order.SWITCH) else self.leg
+        trajectory = leg.trajectories.get(self._slots[robot])
+        starts = order in (Order.START, Order.RESUME)
         left_s = START_IN_S - (now_ns - self._since_ns) * 1e-9  # a second try starts at the same instant as the first
+        from_s = self._reached_s if self.phase is Phase.RESUMING else self.leg.centre.begin_s
         return Command(
             order,
             robot,
             experiment_hash=self._experiment.hash,
-            trajectory_id=trajectory.id,
-            start_in_s=max(left_s, 0.0) if order in (Order.START, Order.RESUME) else 0.0,
-            trajectory_s=self._reached_s if order is Order.RESUME else 0.0,
+            trajectory_id=trajectory.id if trajectory is not None else "",
+            start_in_s=max(left_s, 0.0) if starts else 0.0,
+            trajectory_s=from_s + self.pace.lag_s if starts else 0.0,
             trajectory=trajectory if order is Order.LOAD else None,
         )
 
+    def _rests(self, fleet: Fleet) -> dict[int, Array]:
+        """Where robots rest: the place they hold, or where they are if they hold none."""
+        return {r: _rest(fleet[r]) for r in self.active}
+
     def _fail(self, reason: str, now_ns: int) -> None:
         self.failed = True
-        self._enter(Phase.ABORTING, now_ns)
+        self._go(Event.LOST if after(self.phase, Event.LOST) else Event.UNHEEDED, now_ns)
         self.reason = reason
 
-    def _enter(self, phase: Phase, now_ns: int) -> None:
-        if phase is not self.phase and phase not in (Phase.FAILED, Phase.DONE, Phase.ABORTING):
+    def _go(self, cause: Order | Event, now_ns: int) -> None:
+        """Along the table, and in no other way."""
+        phase = after(self.phase, cause)
+        if phase is None:
+            raise RuntimeError(f"{cause.name} leads nowhere from {self.phase.name}")
+        if phase is Phase.DONE and self.failed:
+            phase = Phase.FAILED
+        if phase not in (Phase.FAILED, Phase.DONE, Phase.ABORTING):
             self.reason = ""
+        if phase is not Phase.SWITCHING:
+            self._next = None
+        if phase is not Phase.HALTING and phase is not Phase.SWITCHING:
+            self.wanted = None
+        self._tested = set() if phase is Phase.TEST_ARMING else self._tested
         self.phase, self._since_ns = phase, now_ns
         self._asked_ns.clear()
 
 
 def _trajectory_s(robot: RobotView) -> float:
     return robot.state.trajectory_s if robot.state is not None else 0.0
+
+
+def _error_m(robot: RobotView) -> float:
+    """How far a robot that flies is from its reference."""
+    if robot.state is None or robot.state.mode is not Mode.TRACKING:
+        return 0.0
+    return float(np.linalg.norm(robot.state.eta[:3] - robot.state.eta_reference[:3]))
+
+
+def _speed_mps(robot: RobotView) -> float:
+    return float(np.linalg.norm(robot.state.nu[:3])) if robot.state is not None else 0.0
+
+
+def _eta(robot: RobotView) -> Array:
+    """The best there is of where a robot is: what it says if it is heard, else what the localizer says."""
+    if robot.state is not None and (robot.heard or robot.pose is None):
+        return robot.state.eta
+    if robot.pose is not None:
+        return np.array([robot.pose.x_m, robot.pose.y_m, robot.pose.depth_m, robot.pose.yaw_rad])
+    return np.zeros(4)
+
+
+def _rest(robot: RobotView) -> Array:
+    if robot.state is not None and robot.mode is Mode.HOLDING:
+        return np.array([*robot.state.eta_reference[:3], robot.state.eta[3]])
+    return _eta(robot)

@@ -22,6 +22,7 @@ SMOOTHER = (1.0, 0.7, 0.5, 0.3, 0.15, 0.05)  # of what was asked for: as smooth 
 SPARE_M = (0.02, 0.1, 0.2, 0.4)  # smoothing cuts corners: how much further from islands the way is sought, tried in turn
 SPACING_M = 0.25  # of waypoints along the way: straight lines then stay straight under the spline
 CHECK_M = 0.02  # spacing of the points at which the spline is looked at
+REACH = 4.5  # standard deviations, and half a sample for rounding, after which a Gaussian is cut off
 TOUCHING = 1.0 - 1e-9
 
 
@@ -139,7 +140,8 @@ def _smoothed(line: Array, smooth_m: float) -> Array:
     points = np.column_stack([np.interp(places, arc, line[:, 0]), np.interp(places, arc, line[:, 1])])
     n = len(points) - 1
     mirrored = np.vstack([2.0 * points[0] - points[n:0:-1], points, 2.0 * points[n] - points[n - 1 :: -1]])
-    return np.asarray(gaussian_filter1d(mirrored, smooth_m / places[1], axis=0, mode="nearest")[n : 2 * n + 1])
+    spread = min(smooth_m / places[1], n / REACH)  # no wider than the mirrored ends are long, or the ends would move
+    return np.asarray(gaussian_filter1d(mirrored, spread, axis=0, mode="nearest", truncate=REACH - 0.5)[n : 2 * n + 1])
 
 
 def _clear(points: Array, discs: Array, half_m: tuple[float, float]) -> bool:

@@ -8,16 +8,20 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from groundstation import planner
-from groundstation.fleet import Fleet, view
+import numpy as np
+
+from groundstation import legs, planner
+from groundstation.checks import PlanError
+from groundstation.fleet import Ear, Fleet, preflight, view
 from groundstation.laps import Laps
-from groundstation.mission import OVER, Answer, Mission, Phase
+from groundstation.legs import Leg
+from groundstation.mission import OVER, Answer, Mission, Phase, Surroundings
 from groundstation.recorder import Recorder, check_room, run_metadata
 from groundstation.tuner import TUNING, Tuner
 from groundstation.viewer_live import ViewerServer
@@ -29,11 +33,14 @@ from wire.access import INSECURE
 from wire.bus import Bus, Inbox
 from wire.codec import Header
 from wire.experiment import Experiment
-from wire.messages import Command, Order, Pose, Reply, RobotState, StationHeartbeat, Tick
-from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+from wire.frames import Array
+from wire.messages import Command, LocalizerStatus, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat, Tick
+from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
 from wire.topics import WHOLE_FLEET, Topic
 
 ORDER_TIMEOUT_S = 0.5
+TROUBLED = frozenset({Phase.FAILED, Phase.ABORTING, Phase.STOPPED, Phase.DEGRADED})
+DRIFTS_MPS = 0.05  # what moves faster will lie elsewhere when the formation comes by
 
 
 @dataclass
@@ -49,7 +56,16 @@ class Station:
     laps: Laps
     states: dict[int, Inbox[RobotState]]
     poses: dict[int, Inbox[Pose]]
+    plans: dict[int, Inbox[Plan]]
+    obstacles: Inbox[Obstacles]
+    localizer: Inbox[LocalizerStatus]
     pool: ThreadPoolExecutor
+    starts: dict[int, Array]
+    ears: dict[int, Ear] = field(default_factory=dict)
+    seen: Fleet = field(default_factory=dict)  # as of the last cycle
+    planning: "Future[Leg | PlanError] | None" = None
+    published: Leg | None = None
+    obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
     answers: deque[Answer] = field(default_factory=lambda: deque(maxlen=256))  # for people; taken from the left
     told: str = ""
@@ -61,11 +77,15 @@ class Station:
     def cycle(self, now_ns: int, lockstep: bool) -> None:
         """Read the fleet, run the mission, send its orders, beat."""
         with self.turn:
-            fleet, answers = self.fleet(), self._answers()
+            self.seen, answers = self.fleet(), self._answers()
             for_tuner = [answer for answer in answers if answer.command.order in TUNING]
-            commands = self.mission.step(fleet, [answer for answer in answers if answer not in for_tuner], now_ns)
-            commands += self.tuner.step(fleet, for_tuner, now_ns)
-            self.laps.note(fleet)
+            for_mission = [answer for answer in answers if answer not in for_tuner]
+            self._plan(lockstep, now_ns)
+            commands = self.mission.step(self.seen, for_mission, now_ns, self._around())
+            self._plan(lockstep, now_ns)
+            self.publish_paths(now_ns)
+            commands += self.tuner.step(self.seen, for_tuner, now_ns)
+            self.laps.note(self.seen)
             new_gains = self.tuner.untold()
         for gains in new_gains:
             self.bus.publish(topics.TUNING, gains, now_ns)
@@ -75,13 +95,45 @@ class Station:
             for _, future in self.pending:
                 future.result()
         stopped = self.mission.phase is Phase.STOPPED
-        beat = StationHeartbeat(self.experiment.hash, stopped, self.mission.phase.name)
+        pace = self.mission.pace
+        beat = StationHeartbeat(self.experiment.hash, stopped, self.mission.phase.name, pace.lag_s, 1.0 - pace.rate)
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self._tell()
 
     def fleet(self) -> Fleet:
         """What is known of the robots now."""
-        return {r: view(self.states[r].newest(), self.poses[r].newest(), self.clock) for r in self.experiment.robot_ids}
+        found = {}
+        for robot in self.experiment.robot_ids:
+            state, ear = self.states[robot].newest(), self.ears.setdefault(robot, Ear())
+            if state is not None:
+                ear.hear(state.header, self.clock.instant_ns(state))
+            found[robot] = view(state, self.poses[robot].newest(), self.clock, self.plans[robot].newest(), ear)
+        return found
+
+    def _around(self) -> Surroundings:
+        """What the localizer sees lying in the pool; what drifts is left to the robots, who see it too."""
+        received = self.obstacles.newest(self.obstacles_up_to_ns)
+        if received is None or age_s(self.clock, received) > topics.OBSTACLES.max_age_s:
+            return Surroundings()
+        return surroundings(received.message)
+
+    def _plan(self, lockstep: bool, now_ns: int) -> None:
+        """Have made what the mission waits for: beside the cycle, which must beat on; in lockstep at once."""
+        if self.planning is None and self.mission.wanted is not None:
+            self.planning = self.pool.submit(_planned, self.mission.wanted.plan)
+        if self.planning is not None and (lockstep or self.planning.done()):
+            outcome, self.planning = self.planning.result(), None
+            if self.mission.wanted is not None:
+                self.mission.planned(outcome, now_ns)
+
+    def publish_paths(self, now_ns: int) -> None:
+        """Tell who shows or records it what is flown from now on: each robot's whole run, with what was flown before."""
+        leg = self.mission.leg
+        if leg is self.published:
+            return
+        for robot, trajectory in self.mission.paths().items():
+            self.bus.publish(topics.TRAJECTORY, trajectory, now_ns, robot)
+        self.published = leg
 
     def _answers(self) -> list[Answer]:
         done = [(command, future) for command, future in self.pending if future.done()]
@@ -96,13 +148,13 @@ class Station:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
             reason = self.tune(keys or None, next_lap=False)
         else:
-            reason = self.ask(command.order)
+            reason = self.ask(command.order, [(x, y) for x, y in command.via.tolist()])
         return Reply(WHOLE_FLEET, not reason, reason)
 
-    def ask(self, order: Order) -> str:
+    def ask(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
         """A person's order for the whole fleet. Why not, or nothing when it is under way."""
         with self.turn:
-            reason = self.mission.wish(order, self.fleet(), self.clock.now_ns())
+            reason = self.mission.wish(order, self.seen, self.clock.now_ns(), via)
         log.info("%s asked for: %s", order.name, reason or "under way")
         return reason
 
@@ -120,8 +172,9 @@ class Station:
 
     def status(self) -> Status:
         """Where mission and gains stand."""
-        mission = self.mission
-        return Status(mission.phase, mission.reason, self.recorder.error, self.insecure, self.tuner.status(), self.laps.rows())
+        mission, barred = self.mission, preflight(self.experiment, self.seen, self.starts)
+        tuning, laps = self.tuner.status(), self.laps.rows()
+        return Status(mission.phase, mission.reason, self.recorder.error, self.insecure, tuning, laps, barred)
 
     def _tell(self) -> None:
         if self.recorder.warning and not self.pictures_told:
@@ -133,9 +186,24 @@ class Station:
         line = f"{self.mission.phase.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
         if line != self.told:
             self.told = line
-            (log.warning if self.mission.phase in (Phase.FAILED, Phase.ABORTING, Phase.STOPPED) else log.info)(
-                "mission: %s", line
-            )
+            (log.warning if self.mission.phase in TROUBLED else log.info)("mission: %s", line)
+
+
+def _planned(make: Callable[[], Leg]) -> Leg | PlanError:
+    try:
+        return make()
+    except PlanError as error:
+        return error
+
+
+def surroundings(seen: Obstacles) -> Surroundings:
+    """Obstacles that lie still, as circles around their outlines."""
+    found = []
+    for number, outline, velocity in zip(seen.ids, seen.outline, seen.velocity, strict=False):
+        if float(np.hypot(*velocity)) <= DRIFTS_MPS:
+            middle = outline.mean(axis=0)
+            found.append((number, *middle.tolist(), float(np.hypot(*(outline - middle).T).max())))
+    return Surroundings(tuple(int(n) for n, *_ in found), np.array([thing for _, *thing in found]).reshape(-1, 3))
 
 
 def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
@@ -166,7 +234,9 @@ def run(
     """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
     are served. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
-    trajectories = planner.plan(experiment)
+    leg = legs.first_leg(experiment)
+    trajectories = dict(leg.trajectories)
+    starts = planner.start_poses(experiment, trajectories)
     mode = "lockstep" if lockstep else "real-time"
     metadata = run_metadata(experiment, mode)
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
@@ -175,18 +245,24 @@ def run(
     try:
         record_everything(bus, recorder, clock)
         with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool, contextlib.ExitStack() as served:
-            mission = Mission(experiment, trajectories, automatic)
+            mission = Mission(experiment, leg, starts, automatic)
             states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
             poses = {r: bus.inbox(topics.POSE, Pose, r) for r in experiment.robot_ids}
+            plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids}
+            obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
             tuner = Tuner(experiment)
             laps = Laps(tuner.lap_s)
-            station = Station(experiment, bus, clock, recorder, mission, tuner, laps, states, poses, pool, insecure=insecure)
+            station = Station(
+                experiment, bus, clock, recorder, mission, tuner, laps, states, poses, plans, obstacles,
+                bus.inbox(topics.LOCALIZER, LocalizerStatus), pool, starts,
+                insecure=insecure,
+            )  # fmt: skip
+            station.seen = station.fleet()
             bus.serve(WHOLE_FLEET, station.wish)
             log_to_bus(bus, clock, "groundstation")
             if insecure:
                 log.warning(INSECURE)  # once more: now the recorder has it
-            for robot, trajectory in trajectories.items():
-                bus.publish(topics.TRAJECTORY, trajectory, clock.now_ns(), robot)
+            station.publish_paths(clock.now_ns())
             bus.watch_presence()
             if web is not None:
                 post = Post(station.status, station.ask, station.answers, station.tune)
@@ -224,14 +300,17 @@ def _lockstep_loop(station: Station, stop: Stop) -> None:
     lockstep = Lockstep(station.bus, stop, station.clock)
     while (tick := lockstep.next()) is not None:
         lockstep.await_all(_inputs(station, tick))
+        station.obstacles_up_to_ns = tick.frame_ns - 1  # the last picture's poses are here, what else it showed may not be
         station.cycle(tick.now_ns, lockstep=True)
         if _over(station) and station.mission.automatic:
             return
 
 
-def _inputs(station: Station, tick: Tick) -> list[tuple[Inbox[Any], int]]:
-    """What the station needs before it may act on a tick: every robot's state of the step before."""
-    return [(station.states[r], tick.previous_ns) for r in tick.robots]
+def _inputs(station: Station, tick: Tick) -> list[tuple[Inbox[Any] | tuple[Inbox[Any], ...], int]]:
+    """What the station needs before it may act on a tick: every robot's state of the step before, and its newest pose, or the
+    localizer's word that it is done with the picture."""
+    states = [(station.states[r], tick.previous_ns) for r in tick.robots]
+    return [*states, *(((station.poses[r], station.localizer), tick.frame_ns) for r in tick.robots)]
 
 
 def _never() -> bool:

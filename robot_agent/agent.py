@@ -11,13 +11,13 @@ Nothing here knows whether it runs in a pool or in a simulator; robot_agent/shel
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
-from robot_agent.controller import Controller, ControlOutput, Follow, Goal, Hold, Measurement, Neighbour, Sighting
+from robot_agent.controller import Controller, ControlOutput, Goal, Hold, Measurement, Neighbour, Sighting
+from robot_agent.course import Course
 from robot_agent.gains import Gains
 from robot_agent.mode import LIVE, ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
 from robot_agent.orders import StationView, unacceptable
+from robot_agent.pulse_test import ThrusterTest
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
@@ -95,10 +95,8 @@ class Agent:
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
         self._fault = ""
-        self._trajectory: Trajectory | None = None
-        self._time_zero_ns = 0  # when the trajectory's time was, or will be, 0
-        self._earliest_s = 0.0  # waits at this point of the trajectory until its time has come
-        self._reached_s = 0.0
+        self._course = Course(experiment.pool.size_m)
+        self._test: ThrusterTest | None = None
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
         self._inputs = Inputs()
@@ -118,16 +116,15 @@ class Agent:
         reason = refusal(command.order, self.mode) or self._objection(command, station, now_ns)
         if not reason:
             # Counted from when the order was given: robots that got it at different instants still start together.
-            self._follow(command, now_ns - (station.clock_ns - header.stamp_ns))
+            self._follow(command, station, now_ns - (station.clock_ns - header.stamp_ns))
         return Reply(self._me.id, not reason, reason, self.mode)
 
     def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
-        if command.order is Order.LOAD:
-            return _bad_trajectory(command.trajectory, self._experiment.pool.size_m)
+        reason = self._course.objection(command, self.mode is Mode.TRACKING)
+        if reason:
+            return reason
         if command.order is Order.ARM:
             return self._unfit(station, now_ns)
-        if command.order in (Order.START, Order.RESUME) and self._trajectory is None:
-            return "no trajectory is loaded"
         if command.order in (Order.START, Order.RESUME) and not self._located:
             return "the robot does not know where it is"
         return self._gains.objection(command)
@@ -152,15 +149,13 @@ class Agent:
             return f"the battery has {health.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
         return ""
 
-    def _follow(self, command: Command, given_ns: int) -> None:
+    def _follow(self, command: Command, station: StationView, given_ns: int) -> None:
         """Carry out an order that is accepted, given at that instant on our clock."""
-        if command.order is Order.LOAD:
-            self._trajectory = command.trajectory
-            self._reached_s = 0.0
         self._gains.follow(command, given_ns)
-        if command.order in (Order.START, Order.RESUME):
-            self._earliest_s = command.trajectory_s if command.order is Order.RESUME else 0.0
-            self._time_zero_ns = given_ns + round((command.start_in_s - self._earliest_s) * 1e9)
+        self._course.follow(command, self.mode is Mode.TRACKING, station, given_ns)
+        if command.order is Order.TEST:
+            neutral_us = self._last.pulse_us if self._last is not None else ()
+            self._test = ThrusterTest(self._experiment.vehicle, neutral_us)
         if command.order is Order.STOP:
             self._fault = "emergency stop"
         target = ORDERS[command.order].to
@@ -172,6 +167,8 @@ class Agent:
             self._hold = None
         if mode not in POWERED:
             self._gains.leave_run()
+        if mode is not Mode.TRACKING:
+            self._course.drop_next()
         self.mode, self._fault = mode, fault
 
     # --- the control step
@@ -188,12 +185,22 @@ class Agent:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
         things, goal = self._things(inputs, now_ns), self._goal(now_ns)
-        self._gains.step(now_ns, self._reached_s)
+        self._gains.step(now_ns, self._course.reached_s)
         output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
         self._last = output
+        pulses = self._pulses(output, inputs.telemetry, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
-        return Outputs(output.pulse_us, self._arming(inputs, now_ns), plan, self._state(output, health, inputs, heard))
+        return Outputs(pulses, self._arming(inputs, now_ns), plan, self._state(output, pulses, health, inputs, heard))
+
+    def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
+        """The controller's; those of a thruster test while it lasts."""
+        if self._test is None or self._test.result != "running":
+            return output.pulse_us
+        if self.mode is not Mode.ARMED:
+            self._test = None
+            return output.pulse_us
+        return self._test.step(telemetry.armed, telemetry.echo_us, now_ns)
 
     def acted(self, state: RobotState, now_ns: int) -> None:
         """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
@@ -202,7 +209,7 @@ class Agent:
     @property
     def trajectory(self) -> Trajectory | None:
         """What is loaded."""
-        return self._trajectory
+        return self._course.trajectory
 
     @property
     def react_by_ns(self) -> int | None:
@@ -247,10 +254,8 @@ class Agent:
 
     def _goal(self, now_ns: int) -> Goal | None:
         """What the mode asks the controller for; None is neutral."""
-        if self.mode is Mode.TRACKING and self._trajectory is not None:
-            time_s = max((now_ns - self._time_zero_ns) * 1e-9, self._earliest_s)
-            self._reached_s = time_s
-            return Follow(self._trajectory, time_s)
+        if self.mode is Mode.TRACKING:
+            return self._course.goal(self._inputs.station, now_ns)
         if self.mode is Mode.HOLDING:
             if self._hold is None and self._last is not None:
                 self._hold = Hold(self._last.eta)
@@ -297,7 +302,9 @@ class Agent:
             heard,
         )
 
-    def _state(self, output: ControlOutput, health: Health, inputs: Inputs, heard: tuple[int, ...]) -> RobotState:
+    def _state(
+        self, output: ControlOutput, pulse_us: tuple[int, ...], health: Health, inputs: Inputs, heard: tuple[int, ...]
+    ) -> RobotState:
         telemetry, seen = inputs.telemetry, inputs.pose
         unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
         return RobotState(
@@ -305,8 +312,8 @@ class Agent:
             fault=self._fault,
             experiment_hash=self._experiment.hash,
             tuning_id=self._gains.id,
-            trajectory_s=self._reached_s,
-            trajectory_id=self._trajectory.id if self._trajectory is not None else "",
+            trajectory_s=self._course.reached_s,
+            trajectory_id=self._course.id,
             eta=output.eta,
             nu=output.nu,
             disturbance=output.disturbance,
@@ -316,7 +323,7 @@ class Agent:
             wrench_step=output.wrench_step,
             wrench_wanted=output.wrench_wanted,
             wrench_delivered=output.wrench_delivered,
-            pulse_us=output.pulse_us,
+            pulse_us=pulse_us,
             echo_us=telemetry.echo_us,
             track=seen.pose.track if seen is not None else Track.LOST,
             pose_age_ms=min(health.pose_age_s * 1e3, unheard),
@@ -328,6 +335,7 @@ class Agent:
             solve=output.solve,
             iterations=output.iterations,
             slack_m=output.slack_m,
+            thruster_test=self._test.result if self._test is not None else "",
             heard=heard,
         )
 
@@ -343,21 +351,3 @@ def _measurement(inputs: Inputs) -> Measurement:
         yaw_rate_radps=telemetry.yaw_rate_radps if known else None,
         board_ns=telemetry.arrival_ns if known else None,
     )
-
-
-def _bad_trajectory(trajectory: Trajectory | None, pool_m: Sequence[float]) -> str:
-    """Why a trajectory cannot be flown at all; empty if it can. (The planner has checked it against the vehicle's limits.)"""
-    if trajectory is None:
-        return "carries no trajectory"
-    if not trajectory.id:
-        return "trajectory.id is empty"
-    if not 0.001 <= trajectory.period_s <= 1.0:
-        return f"trajectory.period_s = {trajectory.period_s:g}: must be 0.001 to 1"
-    lengths = {len(trajectory.eta), len(trajectory.velocity), len(trajectory.acceleration)}
-    if len(lengths) != 1 or min(lengths) < 2:
-        return "trajectory: eta, velocity and acceleration must have the same number of samples, at least 2"
-    if float(np.abs(np.diff(trajectory.eta, axis=0)).max()) > 1.0:
-        return "trajectory.eta jumps by more than 1 m or 1 rad between samples"
-    if (np.abs(trajectory.eta[:, :3]) > [0.5 * pool_m[0], 0.5 * pool_m[1], pool_m[2]]).any():
-        return "trajectory.eta leaves the pool"
-    return ""

@@ -7,6 +7,7 @@ The robot's program makes the record first and steps on what it says, so that no
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -87,7 +88,9 @@ def station_view(record: StepInputs | OrderTaken, now_ns: int) -> StationView:
     if not record.station_session:
         return StationView()
     age_ns = now_ns - record.station_instant_ns
-    return StationView(record.station_session, record.station_stamp_ns + age_ns, age_ns * 1e-9)
+    view = StationView(record.station_session, record.station_stamp_ns + age_ns, age_ns * 1e-9)
+    beat = record.heartbeat if isinstance(record, StepInputs) else None
+    return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing)
 
 
 def answered(record: OrderTaken, reply: Reply) -> OrderTaken:

@@ -30,7 +30,9 @@ class Transition:
 
 
 ORDERS: dict[Order, Transition] = {
-    Order.LOAD: Transition(frozenset({Mode.DISARMED, Mode.ARMED, Mode.HOLDING}), None),
+    Order.LOAD: Transition(frozenset({Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), None),  # TRACKING: for later
+    Order.SWITCH: Transition(frozenset({Mode.TRACKING}), None),
+    Order.TEST: Transition(frozenset({Mode.ARMED}), None),
     Order.ARM: Transition(frozenset({Mode.DISARMED}), Mode.ARMED),
     Order.START: Transition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
     Order.HOLD: Transition(frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), Mode.HOLDING),

@@ -15,11 +15,14 @@ ALWAYS_SAFE = frozenset({Order.STOP, Order.DISARM})  # whatever experiment they 
 
 @dataclass(frozen=True)
 class StationView:
-    """The station as last heard: its session, what its clock says now, and how long ago it was heard."""
+    """The station as last heard: its session, what its clock says now, how long ago it was heard, and the formation's pace as
+    it was then (wire.messages.StationHeartbeat)."""
 
     session: int = 0
     clock_ns: int = 0
     age_s: float = float("inf")
+    lag_s: float = 0.0
+    slowing: float = 0.0
 
 
 def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:

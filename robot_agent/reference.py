@@ -1,4 +1,4 @@
-"""What the robot should do next: goals, sampled over the horizon."""
+"""What the robot should do next: goals, sampled over the horizon; and going over from one trajectory to another under way."""
 
 from dataclasses import dataclass
 
@@ -10,10 +10,12 @@ from wire.messages import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Follow:
-    """Fly a trajectory; `time_s` is the time along it now (negative: not started, wait at its first pose)."""
+    """Fly a trajectory; `time_s` is the time along it now (before its beginning: not started, wait at its first pose), and
+    `rate` how fast that goes: 1 as planned, 0 where the formation waits for somebody."""
 
     trajectory: Trajectory
     time_s: float
+    rate: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +50,10 @@ class Sampler:
         if isinstance(goal, Hold):
             count = len(self._offsets_s)
             return Path(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
-        rows = self._sample(goal.trajectory, goal.time_s + self._offsets_s)
+        rows = self._sample(goal.trajectory, goal.time_s + goal.rate * self._offsets_s)
+        if goal.rate != 1.0:  # the same way at another pace (chain rule); how the pace will change is not known
+            rows[:, 4:8] *= goal.rate
+            rows[:, 8:] *= goal.rate**2
         return Path(rows[:, :4], rows[:, 4:8], rows[:, 8:])
 
     def _sample(self, trajectory: Trajectory, time_s: Array) -> Array:
@@ -56,7 +61,7 @@ class Sampler:
         if trajectory is not self._known:
             self._table = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
             self._known = trajectory
-        place = time_s / trajectory.period_s
+        place = (time_s - trajectory.begin_s) / trajectory.period_s
         rows = interpolate(self._table, place)
         last = len(self._table) - 1
         if place[0] < 0.0 or place[-1] > last:
@@ -70,3 +75,44 @@ def interpolate(table: Array, place: Array) -> Array:
     share = (place - low)[:, None]
     first = table.take(low, axis=0, mode="clip")
     return first + share * (table.take(low + 1, axis=0, mode="clip") - first)
+
+
+SEAM_M, SEAM_MPS, SEAM_MPS2 = 1e-6, 1e-6, 1e-6  # and radians: the station continues the very samples that the robot has
+ON_GRID = 1e-6  # of a period
+
+
+def spliced(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
+    """The old trajectory from `from_s` on, and the new one from its beginning on; under the new one's id."""
+    seam = _row(old, new.begin_s)
+    first = min(max(int(_row(old, from_s)), 0), round(seam))
+    kept = slice(first, round(seam))
+    return Trajectory(
+        new.id,
+        old.period_s,
+        np.concatenate([old.eta[kept], new.eta]),
+        np.concatenate([old.velocity[kept], new.velocity]),
+        np.concatenate([old.acceleration[kept], new.acceleration]),
+        old.begin_s + first * old.period_s,
+    )
+
+
+def seam_trouble(old: Trajectory, new: Trajectory) -> str:
+    """Why one cannot go over from `old` to `new` where that begins; empty if one can, with nothing that jumps."""
+    row = _row(old, new.begin_s)
+    if abs(new.period_s - old.period_s) > 1e-9 or abs(row - round(row)) > ON_GRID:
+        return "its samples are not at the instants of the trajectory that is flown"
+    if not 0 <= round(row) < len(old.eta):
+        return f"begins at {new.begin_s:.2f} s, outside the trajectory that is flown"
+    for what, unit, limit, before, after in (
+        ("pose", "m or rad", SEAM_M, old.eta, new.eta),
+        ("velocity", "m/s or rad/s", SEAM_MPS, old.velocity, new.velocity),
+        ("acceleration", "m/s2", SEAM_MPS2, old.acceleration[:, :3], new.acceleration[:, :3]),
+    ):
+        jump = float(np.abs(after[0] - before[round(row)]).max())
+        if not jump <= limit:
+            return f"its {what} jumps by {jump:.3g} {unit} at the seam"
+    return ""
+
+
+def _row(trajectory: Trajectory, time_s: float) -> float:
+    return (time_s - trajectory.begin_s) / trajectory.period_s

@@ -82,7 +82,7 @@ def completed(words: str, program: str = "groundstation") -> set[str]:
 
 
 def test_a_shell_completes_commands_options_experiments_and_orders() -> None:
-    assert completed("groundstation re") == {"recover", "record", "replay", "report", "rerun"}
+    assert completed("groundstation re") == {"recover", "record", "replay", "report", "rerun", "return"}
     assert {"--set", "--robot", "--json"} <= completed("groundstation rerun --")
     assert completed("groundstation order s") == {"start", "stop"}
     assert completed("sim-bridge sil open", "sim-bridge") == {"open-water"}

@@ -16,6 +16,7 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
+from wire.conduct import Conduct
 from wire.faults import fault_table
 from wire.frames import Array
 from wire.recording import Recording
@@ -66,6 +67,7 @@ class Experiment(Section):
     robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=49)]
     islands: tuple[Island, ...] = ()
     safety: Safety = Safety()
+    mission: Conduct = Conduct()
     controller: Controller = Controller()
     camera: Camera
     landmarks: tuple[Landmark, ...] = ()  # with any, the camera is taken to move

@@ -43,6 +43,11 @@ class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ORDER_CLEAR_STOP: _ClassVar[Order]
     ORDER_TUNE: _ClassVar[Order]
     ORDER_ADOPT: _ClassVar[Order]
+    ORDER_RETURN: _ClassVar[Order]
+    ORDER_REJOIN: _ClassVar[Order]
+    ORDER_GO: _ClassVar[Order]
+    ORDER_SWITCH: _ClassVar[Order]
+    ORDER_TEST: _ClassVar[Order]
 
 class CameraHealth(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -76,6 +81,11 @@ ORDER_DISARM: Order
 ORDER_CLEAR_STOP: Order
 ORDER_TUNE: Order
 ORDER_ADOPT: Order
+ORDER_RETURN: Order
+ORDER_REJOIN: Order
+ORDER_GO: Order
+ORDER_SWITCH: Order
+ORDER_TEST: Order
 CAMERA_ABSENT: CameraHealth
 CAMERA_OK: CameraHealth
 CAMERA_FROZEN: CameraHealth
@@ -177,7 +187,7 @@ class Plan(_message.Message):
     def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[int] = ...) -> None: ...
 
 class RobotState(_message.Message):
-    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s")
+    __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s", "thruster_test")
     MODE_FIELD_NUMBER: _ClassVar[int]
     FAULT_FIELD_NUMBER: _ClassVar[int]
     EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
@@ -211,6 +221,7 @@ class RobotState(_message.Message):
     TUNING_ID_FIELD_NUMBER: _ClassVar[int]
     BOARD_ROUND_TRIP_MS_FIELD_NUMBER: _ClassVar[int]
     BOARD_CLOCK_OFFSET_S_FIELD_NUMBER: _ClassVar[int]
+    THRUSTER_TEST_FIELD_NUMBER: _ClassVar[int]
     mode: Mode
     fault: str
     experiment_hash: str
@@ -244,31 +255,38 @@ class RobotState(_message.Message):
     tuning_id: str
     board_round_trip_ms: float
     board_clock_offset_s: float
-    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ...) -> None: ...
+    thruster_test: str
+    def __init__(self, mode: _Optional[_Union[Mode, str]] = ..., fault: _Optional[str] = ..., experiment_hash: _Optional[str] = ..., trajectory_s: _Optional[float] = ..., trajectory_id: _Optional[str] = ..., eta: _Optional[_Iterable[float]] = ..., nu: _Optional[_Iterable[float]] = ..., disturbance: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., eta_command: _Optional[_Iterable[float]] = ..., wrench: _Optional[_Iterable[float]] = ..., wrench_step: _Optional[_Iterable[float]] = ..., wrench_delivered: _Optional[_Iterable[float]] = ..., wrench_wanted: _Optional[_Iterable[float]] = ..., pulse_us: _Optional[_Iterable[int]] = ..., echo_us: _Optional[_Iterable[int]] = ..., track: _Optional[_Union[Track, str]] = ..., pose_age_ms: _Optional[float] = ..., exposure_to_pwm_ms: _Optional[float] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., board_armed: _Optional[bool] = ..., board_age_ms: _Optional[float] = ..., board_loss: _Optional[float] = ..., solve: _Optional[_Union[Solve, str]] = ..., iterations: _Optional[int] = ..., step_us: _Optional[float] = ..., missed_deadlines: _Optional[int] = ..., slack_m: _Optional[float] = ..., heard: _Optional[_Iterable[int]] = ..., tuning_id: _Optional[str] = ..., board_round_trip_ms: _Optional[float] = ..., board_clock_offset_s: _Optional[float] = ..., thruster_test: _Optional[str] = ...) -> None: ...
 
 class StationHeartbeat(_message.Message):
-    __slots__ = ("experiment_hash", "emergency_stop", "mission")
+    __slots__ = ("experiment_hash", "emergency_stop", "mission", "lag_s", "slowing")
     EXPERIMENT_HASH_FIELD_NUMBER: _ClassVar[int]
     EMERGENCY_STOP_FIELD_NUMBER: _ClassVar[int]
     MISSION_FIELD_NUMBER: _ClassVar[int]
+    LAG_S_FIELD_NUMBER: _ClassVar[int]
+    SLOWING_FIELD_NUMBER: _ClassVar[int]
     experiment_hash: str
     emergency_stop: bool
     mission: str
-    def __init__(self, experiment_hash: _Optional[str] = ..., emergency_stop: _Optional[bool] = ..., mission: _Optional[str] = ...) -> None: ...
+    lag_s: float
+    slowing: float
+    def __init__(self, experiment_hash: _Optional[str] = ..., emergency_stop: _Optional[bool] = ..., mission: _Optional[str] = ..., lag_s: _Optional[float] = ..., slowing: _Optional[float] = ...) -> None: ...
 
 class Trajectory(_message.Message):
-    __slots__ = ("id", "period_s", "eta", "velocity", "acceleration")
+    __slots__ = ("id", "period_s", "eta", "velocity", "acceleration", "begin_s")
     ID_FIELD_NUMBER: _ClassVar[int]
     PERIOD_S_FIELD_NUMBER: _ClassVar[int]
     ETA_FIELD_NUMBER: _ClassVar[int]
     VELOCITY_FIELD_NUMBER: _ClassVar[int]
     ACCELERATION_FIELD_NUMBER: _ClassVar[int]
+    BEGIN_S_FIELD_NUMBER: _ClassVar[int]
     id: str
     period_s: float
     eta: _containers.RepeatedScalarFieldContainer[float]
     velocity: _containers.RepeatedScalarFieldContainer[float]
     acceleration: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, id: _Optional[str] = ..., period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., acceleration: _Optional[_Iterable[float]] = ...) -> None: ...
+    begin_s: float
+    def __init__(self, id: _Optional[str] = ..., period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., velocity: _Optional[_Iterable[float]] = ..., acceleration: _Optional[_Iterable[float]] = ..., begin_s: _Optional[float] = ...) -> None: ...
 
 class Tuning(_message.Message):
     __slots__ = ("id", "keys", "values")
@@ -281,7 +299,7 @@ class Tuning(_message.Message):
     def __init__(self, id: _Optional[str] = ..., keys: _Optional[_Iterable[str]] = ..., values: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -293,6 +311,7 @@ class Command(_message.Message):
     TUNING_ID_FIELD_NUMBER: _ClassVar[int]
     TUNING_FIELD_NUMBER: _ClassVar[int]
     RECIPIENT_FIELD_NUMBER: _ClassVar[int]
+    VIA_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -304,7 +323,8 @@ class Command(_message.Message):
     tuning_id: str
     tuning: Tuning
     recipient: int
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ...) -> None: ...
+    via: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Reply(_message.Message):
     __slots__ = ("robot", "accepted", "reason", "mode", "session")

@@ -67,6 +67,11 @@ class Order(IntEnum):
     CLEAR_STOP = 8
     TUNE = 9  # check these gains and keep them ready; nothing changes yet
     ADOPT = 10  # fly with the gains that are ready
+    RETURN = 11  # to the station only: everybody back to where it started
+    REJOIN = 12  # to the station only: robots that fell out take their places again
+    GO = 13  # to the station only: on to other places than planned
+    SWITCH = 14  # go over to the trajectory loaded under way, where that begins
+    TEST = 15  # pulse each thruster, and watch what the board says it put out
 
 
 class CameraHealth(IntEnum):
@@ -190,6 +195,7 @@ class RobotState:
     step_us: float = 0.0  # the whole control step
     missed_deadlines: int = 0
     slack_m: float = 0.0  # by how much the plan enters the space of another robot
+    thruster_test: str = ""  # "", "running", "passed", or what was wrong
     heard: tuple[int, ...] = ()  # neighbours whose plans are fresh
 
 
@@ -200,17 +206,20 @@ class StationHeartbeat:
     experiment_hash: str = ""
     emergency_stop: bool = False
     mission: str = ""  # the mission's state, for people
+    lag_s: float = 0.0  # by how much the virtual structure is behind its timetable at the header's stamp
+    slowing: float = 0.0  # and how fast that grows: 0 at full pace, 1 where it stands
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One robot's reference, sampled every period_s from its start. Yaw is the path's tangent, unwrapped."""
+    """One robot's reference, sampled every period_s from `begin_s` on. Yaw is the path's tangent, unwrapped."""
 
     id: str
     period_s: float = field(metadata=POSITIVE)
     eta: Array = array(-1, 4)
     velocity: Array = array(-1, 4)  # d eta / dt, pool frame
     acceleration: Array = array(-1, 4)  # d2 eta / dt2, pool frame
+    begin_s: float = 0.0  # of the first sample, on the clock that runs along the trajectories
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,11 +243,12 @@ class Command:
     experiment_hash: str = ""
     trajectory_id: str = ""
     start_in_s: float = 0.0  # START, RESUME, ADOPT: when, from now
-    trajectory_s: float = 0.0  # RESUME: where along the trajectory to go on; ADOPT: not before it has got there
+    trajectory_s: float = 0.0  # START, RESUME: the timetable then (less the station's lag, where to be); ADOPT: not before
     trajectory: Trajectory | None = None
     tuning_id: str = ""  # ADOPT: which
     tuning: Tuning | None = None
     recipient: int = 0  # session of the process that it is for, as its replies tell it: an earlier life's orders are void
+    via: Array = array(-1, 2)  # GO: places for the formation's centre, x, y
 
 
 @dataclass(frozen=True, eq=False)

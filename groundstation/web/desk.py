@@ -11,7 +11,8 @@ from typing import Any, Protocol
 
 from groundstation.fleet import preflight, view
 from groundstation.laps import Lap
-from groundstation.mission import WISHES, Answer, Phase
+from groundstation.mission import Answer
+from groundstation.phases import Phase, allowed
 from groundstation.tuner import TuningStatus
 from groundstation.web import editor
 from groundstation.web.alarms import alarms
@@ -55,6 +56,7 @@ class Status:
     insecure: bool = False  # the network is open, as was asked for
     tuning: TuningStatus | None = None
     laps: Sequence[Lap] = ()
+    preflight: tuple[str, ...] | None = None  # why not to arm; None: whoever asks looks for himself
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +124,8 @@ class Desk:
                 phase=status.phase.name,
                 phase_text=status.phase.value,
                 reason=status.reason,
-                allowed=[
-                    order.name.lower().replace("_", "-") for order, (phases, _) in WISHES.items() if status.phase in phases
-                ],
-                preflight=preflight(self._experiment, fleet),
+                allowed=[order.name.lower().replace("_", "-") for order in Order if status.phase in allowed(order)],
+                preflight=preflight(self._experiment, fleet) if status.preflight is None else status.preflight,
                 emergency_stop=status.phase is Phase.STOPPED,
                 alarms=alarms(
                     self._experiment,

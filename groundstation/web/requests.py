@@ -11,7 +11,7 @@ Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Gain = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # its own bounds are the station's business
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-OrderName = Literal["load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop"]
+OrderName = Literal["load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop", "return", "rejoin", "test"]
 
 
 class Hello(msgspec.Struct, tag_field="kind", tag="hello", forbid_unknown_fields=True, frozen=True):

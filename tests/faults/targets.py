@@ -17,7 +17,9 @@ from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 
+from groundstation.checks import PlanError
 from groundstation.fleet import RobotView
+from groundstation.legs import Leg
 from groundstation.mission import Answer, Mission
 from groundstation.planner import plan
 from groundstation.recorder import valid_records
@@ -256,7 +258,8 @@ def board(data: bytes) -> None:
 def mission(data: bytes) -> None:
     """Robots that say anything, and answer anything."""
     experiment, bites, now_ns = _pool(), Bites(data), 10**12
-    flight = Mission(experiment, {r: dataclasses.replace(_trajectory(), id=str(r)) for r in experiment.robot_ids}, True)
+    leg = Leg({r: dataclasses.replace(_trajectory(), id=str(r)) for r in experiment.robot_ids}, _trajectory(), 1.0)
+    flight = Mission(experiment, leg, dict.fromkeys(experiment.robot_ids, np.zeros(4)), True)
     while bites.left:
         fleet = {
             robot: RobotView(bites.message(RobotState), abs(bites.number()), bites.message(Pose), abs(bites.number()))
@@ -269,6 +272,9 @@ def mission(data: bytes) -> None:
         commands = flight.step(fleet, [Answer(bites.message(Command), bites.message(Reply))], now_ns)
         for command in commands:
             decode(Command, encode(command), "station", "command")
+        if flight.wanted is not None:
+            with contextlib.suppress(PlanError):
+                flight.planned(flight.wanted.plan(), now_ns)
         now_ns += PERIOD_NS * (1 + bites.byte())
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from groundstation.checks import PlanError
 from groundstation.pace import SlowedPath
-from groundstation.planner import PlanError, plan
+from groundstation.planner import plan
 from groundstation.spline import make_path
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array

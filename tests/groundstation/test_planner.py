@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from groundstation.planner import PlanError, plan, start_poses, starts_json
+from groundstation.checks import PlanError
+from groundstation.planner import plan, start_poses, starts_json
 from wire.codec import decode, encode
 from wire.experiment import EXPERIMENTS, Experiment, load_experiment
 from wire.messages import Trajectory

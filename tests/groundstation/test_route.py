@@ -59,6 +59,12 @@ def test_nothing_in_the_way_is_a_straight_line() -> None:
     assert np.abs(points[:, 0] - points[:, 1]).max() < 1e-12
 
 
+def test_ends_stay_however_short_the_way() -> None:
+    for length_m in (0.02, 0.3, 0.8, 1.7):
+        points = route([(0.0, 0.0), (length_m, 0.0)], np.array([[0.0, 3.0, 0.5]]), WIDE, smooth_m=2.0)
+        assert np.abs(points[[0, -1]] - [(0.0, 0.0), (length_m, 0.0)]).max() < 1e-12
+
+
 @pytest.mark.parametrize("radius", [0.4, 1.0, 2.5])
 def test_around_one_island_it_is_two_tangents_and_an_arc(radius: float) -> None:
     distance = 5.0

@@ -191,7 +191,8 @@ def test_no_text_does_harm(text: str | bytes) -> None:
 
 
 def _view(**changes: Any) -> RobotView:
-    state: dict[str, Any] = {"mode": Mode.TRACKING, "battery_v": 12.0, "track": Track.MARKER, "board_age_ms": 20.0, **changes}
+    state: dict[str, Any] = {"mode": Mode.TRACKING, "battery_v": 12.0, "track": Track.MARKER, "board_age_ms": 20.0}
+    state |= {"experiment_hash": POOL.hash, **changes}
     pose = Pose(0.0, 0.0, 0.0, track=Track.MARKER, identity_verified=True)
     return RobotView(RobotState(**state), 0.05, pose, 0.05)
 
@@ -208,11 +209,11 @@ def test_a_well_fleet_raises_no_alarm() -> None:
 def test_each_trouble_is_named_and_the_worst_comes_first() -> None:
     found = _texts(_view(fault="pose late", battery_v=10.7), _view(mode=Mode.FAULT, fault="no pose"), recorder="no space")
     assert found[0].startswith("critical the log")
-    assert found[1] == "critical robot 2: fault: no pose"
+    assert found[1] == "critical robot 2: is FAULT: no pose"
     assert "warning robot 1: pose late" in found and "warning robot 1: battery 10.7 V" in found
     assert _texts(_view(), _view(), camera=CameraHealth.FROZEN) == ["critical the camera is frozen"]
     assert _texts(_view(), _view(), age_s=1.0) == ["critical the localizer is silent"]
-    assert _texts(RobotView(), _view()) == ["warning robot 1: not heard yet"]
+    assert _texts(RobotView(), _view()) == ["warning robot 1: not heard"]
 
 
 def test_a_localizer_is_missed_only_where_poses_are() -> None:

@@ -1,0 +1,119 @@
+"""What keeps a plan from being flown: limits of the robots, walls, islands, one another. Pure."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from groundstation.formation import NodeMotion
+from wire.experiment import Experiment
+from wire.frames import Array
+from wire.toml_file import ConfigError
+from wire.vehicle import Vehicle
+
+TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
+
+
+class PlanError(ConfigError):
+    """A plan that must not be flown. One line per problem: robot, time, place, by how much."""
+
+
+@dataclass(frozen=True)
+class _Worst:
+    """The sample at which a quantity exceeds its limit most."""
+
+    index: int
+    value: float
+
+
+def _limited(vehicle: Vehicle, motion: NodeMotion) -> Iterator[tuple[str, str, int, float, Array]]:
+    """What a motion takes and what there is: name, unit, power of the pace it grows with, limit, values (n,)."""
+    limits, v = vehicle.limits, motion.velocity
+    speed = np.hypot(v[:, 0], v[:, 1])
+    yield "speed", "m/s", 1, limits.speed_mps, speed
+    yield "heave", "m/s", 1, limits.heave_mps, np.abs(v[:, 2])
+    yield "yaw rate", "rad/s", 1, limits.yaw_rate_radps, np.abs(v[:, 3])
+    flow = np.column_stack([speed, speed, np.abs(v[:, 2]), np.abs(v[:, 3])])
+    force = vehicle.inertia * motion.acceleration + (vehicle.drag_linear + vehicle.drag_quadratic * flow) * v
+    surge_n, heave_n, yaw_nm = limits.wrench
+    # no side thruster: in a bend the robot turns inwards until surge gives the side force too
+    yield "thrust", "N", 2, surge_n, np.hypot(force[:, 0], force[:, 1])
+    yield "heave thrust", "N", 2, heave_n, np.abs(force[:, 2])
+    yield "yaw moment", "N m", 2, yaw_nm, np.abs(force[:, 3])
+
+
+def too_fast(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
+    """By what factor the worst robot should be slower, at each sample (n,); 1 is at its limit."""
+    limited = (entry for motion in motions.values() for entry in _limited(experiment.vehicle, motion))
+    return np.asarray(np.max([(value / limit) ** (1.0 / power) for _, _, power, limit, value in limited], axis=0))
+
+
+def robot_problems(
+    experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
+) -> Iterator[str]:
+    """What each robot could not fly of its first `flown` samples, the first of them at `begin_s`: one line for each kind."""
+    for robot, motion in motions.items():
+        eta = motion.eta[:flown]
+        for what, unit, _, limit, values in _limited(experiment.vehicle, motion):
+            worst = _worst(values[:flown], limit)
+            if worst is not None:
+                over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
+                yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, eta[worst.index])}"
+        for what, excess in outside(experiment, eta[:, :3]).items():
+            worst = _worst(excess, 0.0)
+            if worst is not None:
+                where = _moment(experiment, begin_s, worst.index, eta[worst.index])
+                yield f"robot {robot}: {worst.value:.3f} m beyond {what} {where}"
+
+
+def pair_problems(
+    experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
+) -> Iterator[str]:
+    """Who comes too near to whom; on different paths only at the end."""
+    closest_m = 2.0 * experiment.safety.radius_m
+    for a, b in combinations(sorted(motions), 2):
+        together = experiment.path_of(experiment.robot(a)) == experiment.path_of(experiment.robot(b))
+        counts = slice(flown) if together else slice(flown - 1, flown)
+        apart = np.full(flown, np.inf)
+        apart[counts] = np.linalg.norm(motions[a].eta[counts, :3] - motions[b].eta[counts, :3], axis=1)
+        index = int(np.argmin(apart))
+        if apart[index] < closest_m - TOLERANCE:
+            short = f"{apart[index]:.3f} m apart, {closest_m - apart[index]:.3f} less than 2 safety.radius_m = {closest_m:g}"
+            yield f"robots {a} and {b}: {short} {_moment(experiment, begin_s, index, motions[a].eta[index])}"
+
+
+def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
+    """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of islands and each side of the basin, in m.
+
+    At the surface the centre counts, not the hull: a robot may float. Open water has no sides.
+    """
+    radius = experiment.vehicle.radius_m
+    x, y, z = position_m.T
+    beyond = {}
+    for i, island in enumerate(experiment.islands, 1):
+        shore_m = np.hypot(x - island.position_m[0], y - island.position_m[1]) - island.radius_m
+        beyond[f"the clearance of island {i}"] = radius - shore_m
+    if experiment.sim.plant.walls:
+        length, width, depth = experiment.pool.size_m
+        beyond |= {
+            "the wall's clearance in x": np.abs(x) + radius - length / 2.0,
+            "the wall's clearance in y": np.abs(y) + radius - width / 2.0,
+            "the floor's clearance": z + radius - depth,
+            "the surface": -z,
+        }
+    return beyond
+
+
+def _worst(values: Array, limit: float) -> _Worst | None:
+    index = int(np.argmax(values))
+    return _Worst(index, float(values[index])) if values[index] > limit + TOLERANCE else None
+
+
+def _moment(experiment: Experiment, begin_s: float, index: int, eta: Array) -> str:
+    return f"at t = {begin_s + index * experiment.controller.period_s:.2f} s, {place(eta)}"
+
+
+def place(eta: Array) -> str:
+    """A position for people."""
+    return f"({eta[0]:.2f}, {eta[1]:.2f}, {eta[2]:.2f}) m"

@@ -1,0 +1,218 @@
+"""Whole missions flown in the dry pool: the station's decisions, the robots' programs, boards and water, one with another."""
+
+import numpy as np
+import pytest
+
+from groundstation.phases import Phase
+from sim_bridge.dynamics import Harm
+from tests.closed_loop.crewed_pool import CrewedPool
+from wire.experiment import load_experiment
+from wire.messages import Mode, Order
+
+
+def flying(scene: str, *settings: str) -> CrewedPool:
+    pool = CrewedPool(load_experiment(scene, settings))
+    pool.run(0.5)
+    assert pool.wish(Order.START) == ""
+    pool.until(Phase.RUNNING, within_s=4.0)
+    return pool
+
+
+def test_everybody_comes_home_and_disarms() -> None:
+    pool = flying("pool", "duration_s=60")
+    pool.run(15.0)
+    begin = len(pool.truth)
+    assert pool.wish(Order.RETURN) == ""
+    pool.until(Phase.DONE, Phase.FAILED, within_s=60.0)
+    assert pool.mission.phase is Phase.DONE and not pool.mission.failed
+    assert Phase.RETURNING in pool.phases
+    assert {robot.states[-1].mode for robot in pool.robots} == {Mode.DISARMED}
+    for i, start in enumerate(pool.starts.values()):
+        assert np.hypot(*(pool.truth[-1][i][:2] - start[:2])) < 0.1
+    assert pool.separation_m(begin) > 0.6
+    pool.run(1.0)
+    assert np.all(pool.pulses[-1][:, :4] == 1500)
+
+
+def test_who_was_stopped_comes_home_later() -> None:
+    pool = flying("pool", "duration_s=60")
+    pool.run(8.0)
+    assert pool.wish(Order.DISARM) == ""
+    pool.until(Phase.DONE, within_s=3.0)
+    pool.run(2.0)
+    assert pool.wish(Order.RETURN) == ""
+    pool.until(Phase.RETURNING, within_s=5.0)
+    pool.until(Phase.DONE, within_s=60.0)
+    for i, start in enumerate(pool.starts.values()):
+        assert np.hypot(*(pool.truth[-1][i][:2] - start[:2])) < 0.1
+
+
+@pytest.mark.parametrize("order", [Order.HOLD, Order.STOP])
+def test_on_the_way_home_one_can_hold_and_stop(order: Order) -> None:
+    pool = flying("pool", "duration_s=60")
+    pool.run(10.0)
+    pool.wish(Order.RETURN)
+    pool.until(Phase.RETURNING, within_s=15.0)
+    assert pool.wish(order) == ""
+    pool.run(2.0)
+    assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING if order is Order.HOLD else Mode.STOPPED}
+    if order is Order.HOLD:
+        assert pool.wish(Order.RESUME) == ""
+        pool.until(Phase.DONE, within_s=60.0)
+
+
+BALL = np.array([[1.0, 0.1, 0.2]])  # where blocked-path's own ball comes to lie
+
+
+def jumps(pool: CrewedPool, begin: int, end: int) -> tuple[float, float, float]:
+    """The largest jump in any robot's reference between two steps, in position, velocity and acceleration, beyond what the
+    derivatives explain."""
+    goal = np.array(pool.references[begin:end])
+    p, v, a = goal[..., :3], goal[..., 4:7], goal[..., 8:11]
+    return (
+        float(np.abs(np.diff(p, axis=0) - 0.025 * (v[1:] + v[:-1])).max()),
+        float(np.abs(np.diff(v, axis=0) - 0.025 * (a[1:] + a[:-1])).max()),
+        float(np.abs(np.diff(a, axis=0)).max()),
+    )
+
+
+def test_a_formation_goes_round_what_comes_to_lie_on_its_path() -> None:
+    pool = flying("blocked-path")
+    pool.run(2.0)
+    begin = len(pool.references)
+    pool.run(9.0)
+    pool.things = BALL
+    pool.until(Phase.SWITCHING, within_s=3.0)
+    assert "something lies at (1.00, 0.10) m, on the path of robot" in pool.mission.reason
+    pool.until(Phase.RUNNING, within_s=3.0)
+    pool.run(33.0)
+    truth = np.array(pool.truth[begin:])
+    assert truth[-1, :, 0].min() > 0.3 and Phase.PAUSED not in pool.phases
+    assert np.hypot(*(truth[:, :, :2] - BALL[0, :2]).transpose(2, 0, 1)).min() > 0.2 + pool.experiment.safety.radius_m + 0.2
+    assert pool.separation_m(begin) > 0.85  # of 0.9: the triangle stays one
+    position, velocity, acceleration = jumps(pool, begin, len(pool.references))
+    assert position < 1e-4 and velocity < 1e-4 and acceleration < 0.015
+    for robot in pool.robots:
+        assert max(np.hypot(*(s.eta - s.eta_reference)[:2]) for s in robot.states[begin:]) < 0.04
+
+
+def test_where_there_is_no_way_round_it_holds_says_why_and_goes_on_when_it_is_clear() -> None:
+    pool = CrewedPool(load_experiment("blocked-path", ["sim.drifters=[]"]), automatic=True)
+    pool.until(Phase.RUNNING, within_s=6.0)
+    pool.run(3.0)
+    pool.things = np.array([[0.0, y, 0.3] for y in np.arange(-4.0, 4.1, 0.5)])
+    pool.until(Phase.PAUSED, within_s=3.0)
+    assert "no way round" in pool.mission.reason
+    pool.run(4.0)
+    assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING}
+    pool.things = np.zeros((0, 3))
+    pool.until(Phase.RUNNING, within_s=4.0)
+
+
+def test_a_person_sends_the_formation_elsewhere_under_way() -> None:
+    pool = flying("blocked-path", "sim.drifters=[]")
+    pool.run(4.0)
+    begin = len(pool.references) - 20
+    assert "where to?" in pool.wish(Order.GO)
+    assert pool.wish(Order.GO, [(-2.0, 1.0)]) == ""
+    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.run(8.0)
+    assert max(jumps(pool, begin, len(pool.references))[:2]) < 1e-4
+    assert pool.mission.leg.via == ((-2.0, 1.0),)
+    pool.run(12.0)
+    centre = np.mean([truth[:2] for truth in pool.truth[-1]], axis=0)
+    assert np.hypot(*(centre - [-2.0, 1.0])) < 0.05
+
+
+def lagging(*settings: str) -> tuple[CrewedPool, float]:
+    """A formation with a robot that has a sixth of its thrust from 3 s on, and its worst error in the 14 s after that."""
+    pool = flying("blocked-path", "sim.drifters=[]", "path.speed_mps=0.25", "duration_s=45", *settings)
+    pool.run(3.0)
+    harm = pool.world.faults.harm
+    thrust = harm.thrust.copy()
+    thrust[1] = 0.15
+    pool.world.faults.harm = Harm(thrust, harm.sag_v)
+    begin = len(pool.truth)
+    pool.run(14.0)
+    return pool, max(float(np.hypot(*(s.eta - s.eta_reference)[:2])) for s in pool.robots[1].states[begin:])
+
+
+def test_the_formation_waits_for_a_robot_that_lags() -> None:
+    without, far = lagging()
+    waited, near = lagging("mission.wait_from_m=0.1", "mission.wait_at_m=0.4")
+    assert without.mission.pace.lag_s == 0.0 and Phase.SLOWED not in without.phases
+    assert far > 0.8 and near < 0.4
+    assert Phase.SLOWED in waited.phases and waited.mission.pace.lag_s > 2.0
+    reached = [robot.states[-1].trajectory_s for robot in waited.robots]
+    assert np.ptp(reached) < 1e-9  # all at the same place of the plan, though one is slow
+    goal = np.array(waited.references[-300:])
+    assert np.abs(np.diff(goal[..., 4:7], axis=0)).max() < 0.02  # m/s in a step: nobody's reference jumps
+
+
+def lose(pool: CrewedPool, i: int) -> None:
+    """The i-th robot's program dies; its board goes to neutral by itself."""
+    pool.agents_work[i] = False
+
+
+@pytest.mark.parametrize(
+    ("policy", "ends_in"),
+    [("abort", Phase.FAILED), ("hold", Phase.PAUSED), ("go-on", Phase.DEGRADED), ("close-up", Phase.DEGRADED)],
+)
+def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
+    pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
+    pool.run(4.0)
+    begin = len(pool.truth)
+    lose(pool, 0)
+    pool.until(ends_in, within_s=40.0)
+    said = pool.mission.reason if policy != "abort" else " ".join(pool.reasons)
+    assert "robot 1: silent" in said
+    pool.run(4.0)
+    modes = [robot.states[-1].mode for robot in pool.robots[1:]]
+    flies = {Phase.FAILED: Mode.DISARMED, Phase.PAUSED: Mode.HOLDING, Phase.DEGRADED: Mode.TRACKING}
+    assert modes == [flies[ends_in]] * 2
+    assert pool.separation_m(begin) > 0.5  # hulls touch at 0.3; who is out drifts
+    if policy == "close-up":
+        slots = {pool.mission._slots[r] for r in (2, 3)}
+        assert slots == {1, 2} and Phase.HALTING in pool.phases
+    assert np.all(pool.pulses[-1][0, :4] == 1500)
+
+
+@pytest.mark.parametrize("policy", ["go-on", "close-up"])
+def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str) -> None:
+    pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
+    pool.run(4.0)
+    lose(pool, 1)
+    pool.until(Phase.DEGRADED, within_s=40.0)
+    pool.run(5.0)
+    assert "robot 2: not heard" in pool.wish(Order.REJOIN)
+    pool.restart(1)
+    pool.run(1.0)
+    assert pool.robots[1].states[-1].mode is Mode.DISARMED  # nothing arms it but a person's order
+    begin = len(pool.truth)
+    assert pool.wish(Order.REJOIN) == ""
+    pool.until(Phase.RELEASING, within_s=15.0)
+    pool.until(Phase.RUNNING, within_s=3.0)
+    while pool.mission._reached_s < pool.mission.leg.own_ways_until_s + 5.0:
+        pool.run(1.0)
+    assert pool.mission.out == {} and {robot.states[-1].mode for robot in pool.robots} == {Mode.TRACKING}
+    assert pool.separation_m(begin) > 0.5  # hulls touch at 0.3; who is out drifts
+    goal = np.array(pool.references[-1])
+    apart = [float(np.linalg.norm(goal[a, :2] - goal[b, :2])) for a, b in ((0, 1), (0, 2), (1, 2))]
+    assert apart == pytest.approx([0.9] * 3, abs=0.01)  # the triangle is whole again
+    for robot in pool.robots:
+        assert np.hypot(*(robot.states[-1].eta - robot.states[-1].eta_reference)[:2]) < 0.15
+
+
+def test_thrusters_are_tested_on_request_and_a_test_may_be_made_a_condition() -> None:
+    pool = CrewedPool(load_experiment("pool", ["mission.thruster_test=true", "duration_s=20"]))
+    pool.run(0.5)
+    assert "robot 1: thruster test: not done (groundstation order test)" in pool.wish(Order.START)
+    assert pool.wish(Order.TEST) == ""
+    pool.until(Phase.TESTING, within_s=3.0)
+    begin = len(pool.pulses)
+    pool.until(Phase.WAITING, within_s=10.0)
+    moved = np.array(pool.pulses[begin:])[:, :, :4] != 1500
+    assert np.all(moved.any(axis=0)) and moved.sum(axis=2).max() == 1  # every thruster of every robot, one at a time
+    assert {robot.states[-1].mode for robot in pool.robots} == {Mode.DISARMED}
+    assert pool.wish(Order.START) == ""
+    pool.until(Phase.RUNNING, within_s=4.0)

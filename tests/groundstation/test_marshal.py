@@ -1,0 +1,116 @@
+"""Ways from rest to rest: clear of everybody all along, and motions that a robot can follow."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from groundstation.checks import PlanError
+from groundstation.formation import NodeMotion
+from groundstation.marshal import glide, marshal
+from wire.experiment import Experiment, load_experiment
+from wire.frames import Array
+from wire.scene import Island
+
+PERIOD_S = 0.05
+NOTHING = np.zeros((0, 3))
+
+
+def pool(*islands: tuple[float, float, float], size_m: tuple[float, float, float] = (12.0, 10.0, 3.0)) -> Experiment:
+    base = load_experiment("open-water")
+    plant = base.sim.plant.model_copy(update={"walls": True})
+    return base.model_copy(
+        update={
+            "islands": tuple(Island(position_m=(x, y), radius_m=r) for x, y, r in islands),
+            "pool": base.pool.model_copy(update={"size_m": size_m}),
+            "sim": base.sim.model_copy(update={"plant": plant}),
+        }
+    )
+
+
+def pose(x: float, y: float, z: float = 1.0, yaw: float = 0.3) -> Array:
+    return np.array([x, y, z, yaw])
+
+
+def check(experiment: Experiment, motions: dict[int, NodeMotion], starts: dict[int, Array], goals: dict[int, Array]) -> None:
+    """Everything that must hold, by distances and finite differences alone."""
+    keep = 2.0 * experiment.safety.radius_m
+    for a, b in combinations(motions, 2):
+        apart = float(np.linalg.norm(motions[a].eta[:, :3] - motions[b].eta[:, :3], axis=1).min())
+        rests = [float(np.linalg.norm(places[a][:3] - places[b][:3])) for places in (starts, goals)]
+        assert apart >= min(keep, *rests) - 2e-3
+    for robot, motion in motions.items():
+        p, v, pushed = motion.eta[:, :3], motion.velocity[:, :3], motion.acceleration[:, :3]
+        assert np.abs(p[0] - starts[robot][:3]).max() < 1e-9
+        assert np.abs(p[-1] - goals[robot][:3]).max() < 2e-3
+        assert np.abs(v[[0, -1]]).max() < 1e-9
+        assert np.abs(np.diff(p, axis=0) / PERIOD_S - 0.5 * (v[1:] + v[:-1])).max() < 2e-3
+        assert np.abs(np.diff(v, axis=0) / PERIOD_S - 0.5 * (pushed[1:] + pushed[:-1])).max() < 2e-2
+        assert np.abs(np.diff(pushed, axis=0)).max() < 0.02  # no jump
+        for island in experiment.islands:
+            shore = np.hypot(*(p[:, :2] - island.position_m).T).min() - island.radius_m
+            assert shore >= experiment.vehicle.radius_m - 1e-6
+
+
+def test_a_glide_is_smooth_and_ends_where_it_should() -> None:
+    for length in (0.01, 0.3, 5.0):
+        way, rate, bend = glide(length, 0.15, PERIOD_S)
+        assert way[0] == 0.0 and way[-1] == pytest.approx(length, abs=1e-9)
+        assert rate.max() <= 0.15 + 1e-12 and rate.min() >= -1e-12
+        np.testing.assert_allclose(np.gradient(way, PERIOD_S)[1:-1], rate[1:-1], atol=2e-4)
+        np.testing.assert_allclose(np.gradient(rate, PERIOD_S)[1:-1], bend[1:-1], atol=3e-3)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_random_robots_find_home_clear_of_one_another(seed: int) -> None:
+    random = np.random.default_rng([seed, 7])
+    experiment = pool((0.0, 0.0, 0.6), (2.5, 2.0, 0.4))
+    count = int(random.integers(2, 7))
+
+    def places() -> dict[int, Array]:
+        found: list[Array] = []
+        while len(found) < count:
+            p = random.uniform([-5.3, -4.3, 0.5, -3.0], [5.3, 4.3, 2.0, 3.0])
+            clear = all(np.hypot(*(p[:2] - i.position_m)) > i.radius_m + 0.25 for i in experiment.islands)
+            if clear and all(np.hypot(*(p[:2] - q[:2])) > 0.65 for q in found):
+                found.append(p)
+        return dict(enumerate(found, 1))
+
+    starts, goals = places(), places()
+    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+
+
+def test_two_on_one_anothers_places_change_them() -> None:
+    experiment = pool(size_m=(4.0, 3.0, 2.0))
+    starts = {1: pose(-0.5, 0.0), 2: pose(0.5, 0.0)}
+    goals = {1: starts[2], 2: starts[1]}
+    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+
+
+def test_three_go_round_in_a_ring() -> None:
+    experiment = pool(size_m=(5.0, 4.0, 2.0))
+    starts = {1: pose(-0.6, 0.0), 2: pose(0.6, 0.0), 3: pose(0.0, 1.0)}
+    goals = {1: starts[2], 2: starts[3], 3: starts[1]}
+    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+
+
+def test_a_thing_in_the_way_is_gone_round() -> None:
+    experiment = pool()
+    starts, goals = {1: pose(-3.0, 0.0)}, {1: pose(3.0, 0.0)}
+    motions = marshal(experiment, starts, goals, np.array([[0.0, 0.1, 0.5]]))
+    check(experiment, motions, starts, goals)
+    assert np.hypot(*(motions[1].eta[:, :2] - [0.0, 0.1]).T).min() >= 0.5 - 1e-6
+
+
+def test_who_is_there_already_stays() -> None:
+    starts = {1: pose(0.0, 0.0), 2: pose(2.0, 0.0)}
+    goals = {1: pose(0.0, 0.0), 2: pose(1.0, 0.0)}
+    motions = marshal(pool(), starts, goals, NOTHING)
+    assert np.ptp(motions[1].eta, axis=0).max() == 0.0
+    assert len(motions[1].eta) == len(motions[2].eta)
+
+
+def test_no_way_is_said_and_why() -> None:
+    ring = np.array([[2.0 * np.cos(a), 2.0 * np.sin(a), 0.7] for a in np.linspace(0.0, 2.0 * np.pi, 16)])
+    with pytest.raises(PlanError, match=r"robot 1: no way from \(0\.00, 0\.00\) to \(4\.00, 0\.00\) m"):
+        marshal(pool(), {1: pose(0.0, 0.0)}, {1: pose(4.0, 0.0)}, ring)
