@@ -12,7 +12,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run test test-slow faults fuzz soak bench lint format proto docs lock clean
+.PHONY: help page run test test-slow mutants faults fuzz soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -36,6 +36,11 @@ fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step
 
 soak: $(INSTALLED) ## fly for hours while things break, look for what grows. ARGS="--hours 8"
 	$(BIN)/python -m tests.faults.soak $(ARGS)
+
+mutants: $(INSTALLED) ## change the thruster board's rules in every small way, and list the changes that no test notices
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt mutmut==3.8.1
+	$(BIN)/python -m mutmut run --max-children 2
+	$(BIN)/python -m mutmut results
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)
