@@ -26,6 +26,7 @@ from wire.experiment import Experiment, dump_experiment
 from wire.faults import KINDS, OF_PROCESSES
 from wire.network import endpoint
 from wire.runtime import Stop
+from wire.toml_file import ConfigError
 from wire.topics import Role, process_name
 from wire.transport import ZenohTransport
 
@@ -33,6 +34,7 @@ START_WITHIN_S = 30.0
 LOOK_EVERY_S = 0.2
 STALLED_S = 180.0  # without a heartbeat of the station: something waits for something that never comes
 SAFE_WITHIN_S = 1.0
+LEAST_MARKER_PX = 16  # two a cell and a margin
 SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 
 
@@ -51,6 +53,8 @@ def run(
     """Run an experiment with all its processes; `page` is where the operator's page is served (host:port), `manual` leaves
     the mission to whoever sits there, with `poses` the simulator stands for camera and localizer, and with a ring of `keys`
     they speak TLS. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+    if not poses:
+        _check_sight(experiment)
     run_dir.mkdir(parents=True, exist_ok=True)
     file = run_dir / "experiment.toml"
     file.write_text(dump_experiment(experiment), encoding="utf-8")
@@ -86,6 +90,17 @@ def run(
     console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
     return 0 if passed else 1
+
+
+def _check_sight(experiment: Experiment) -> None:
+    """Raise ConfigError if the localizer could see no robot."""
+    camera = experiment.camera
+    wide_px = max(camera.focal_px) * experiment.vehicle.marker.side_m / -camera.position_m[2]
+    if experiment.localizer.markers and wide_px < LEAST_MARKER_PX:
+        raise ConfigError(
+            f"camera.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "
+            f"can be read (allowed: from {LEAST_MARKER_PX} pixels on). Fly without the camera: --poses"
+        )
 
 
 def _start_all(
@@ -162,9 +177,9 @@ def report(run_dir: Path, console: Console) -> bool:
         console.print(f"[red]no report: {writing.stderr.strip() or writing.stdout.strip()}[/]")
         return False
     result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
-    console.print(_table(result))
+    console.print(_table(result) if result["duration_s"] else "[red]nothing was flown[/]")
     for check in result["checks"]:
-        if not check["passed"]:
+        if result["duration_s"] and not check["passed"]:
             console.print(
                 f"[red]not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}[/]",
                 soft_wrap=True,
