@@ -34,6 +34,7 @@ def test_everybody_comes_home_and_disarms() -> None:
     assert np.all(pool.pulses[-1][:, :4] == 1500)
 
 
+@pytest.mark.slow
 def test_who_was_stopped_comes_home_later() -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(8.0)
@@ -109,6 +110,7 @@ def test_where_there_is_no_way_round_it_holds_says_why_and_goes_on_when_it_is_cl
     pool.until(Phase.RUNNING, within_s=4.0)
 
 
+@pytest.mark.slow
 def test_a_person_sends_the_formation_elsewhere_under_way() -> None:
     pool = flying("blocked-path", "sim.drifters=[]")
     pool.run(4.0)
@@ -177,7 +179,7 @@ def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
     assert np.all(pool.pulses[-1][0, :4] == 1500)
 
 
-@pytest.mark.parametrize("policy", ["go-on", "close-up"])
+@pytest.mark.parametrize("policy", ["go-on", pytest.param("close-up", marks=pytest.mark.slow)])
 def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str) -> None:
     pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
     pool.run(4.0)
