@@ -59,6 +59,7 @@ class Shell:
         self._obstacles_up_to_ns: int | None = None
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
+        self._dropped = 0  # frames of the board, for their signature
         self._budget_ns = round(BUDGET * experiment.controller.period_s * 1e9)
         self._missed = self._late_steps = 0
         self._steps = self._orders = 0  # of this agent, as the log counts them
@@ -91,6 +92,17 @@ class Shell:
                 self._signing.stamps.renew(self._mavlink.stamp)
             except OSError as error:  # a full disk is no reason to stop; only a restart would come too early for the board
                 log.warning("the times of signatures cannot be kept: %s", error)
+
+    def _tell_of_strangers(self) -> None:
+        """Say that frames were dropped for their signature, once a second at most."""
+        seen = self._mavlink.telemetry
+        dropped = seen.unsigned_frames + seen.forged_frames + seen.replayed_frames
+        if dropped > self._dropped:
+            log.warning(
+                "link: %d frames dropped for their signature: %d without, %d with another key, %d replayed",
+                dropped - self._dropped, seen.unsigned_frames, seen.forged_frames, seen.replayed_frames,
+            )  # fmt: skip
+            self._dropped = dropped
 
     def _compare_clocks(self) -> None:
         """Once a second ask the board's time, and wait for the answer no longer than what is left of the period surely allows.
@@ -209,6 +221,7 @@ class Shell:
         if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
             self._link_heartbeat_s = now_ns * 1e-9
             self._greet()
+            self._tell_of_strangers()
         self._link.send(self._mavlink.pulses(outputs.pulse_us))
         sent_ns = time.perf_counter_ns() - started_ns
         if not self._lockstep:  # where time waits for the step, nothing is late

@@ -1,0 +1,48 @@
+"""A robot's program and a board of its own process, over UDP, with keys that match and keys that do not."""
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from robot_agent.shell import Shell
+from tests.sim_bridge.test_bench import board, free_port
+from wire import topics
+from wire.bus import Bus
+from wire.experiment import load_experiment
+from wire.link import open_link
+from wire.link_key import Signing, new_key
+from wire.messages import RobotState
+from wire.runtime import Stop
+from wire.transport import MemoryHub, MemoryTransport
+
+
+@pytest.mark.parametrize("same", [True, False], ids=["one key", "two keys"])
+def test_state_tells_of_the_board_and_of_its_clock_only_where_the_keys_match(same: bool, tmp_path: Path) -> None:
+    folder, port, hub = tmp_path / "boards", free_port(), MemoryHub()
+    folder.mkdir()
+    new_key(folder / "robot-1.key")
+    new_key(tmp_path / "other.key")
+    signing = Signing.of(folder / "robot-1.key" if same else tmp_path / "other.key", "agent")
+    stop, link = Stop(install=False), open_link(f"udp:127.0.0.1:{port}")
+    bus, ear = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    heard = ear.inbox(topics.STATE, RobotState, 1)
+    shell = Shell(load_experiment("pool"), 1, bus, link, False, stop, signing=signing)
+    with board(f"udp:127.0.0.1:{port}", folder):
+        thread = threading.Thread(target=shell.run)
+        thread.start()
+        try:
+            deadline, told = time.monotonic() + (20.0 if same else 3.0), None
+            while time.monotonic() < deadline and not (told and told.message.board_round_trip_ms > 0.0):
+                time.sleep(0.05)
+                told = heard.newest()
+        finally:
+            stop.request()
+            thread.join()
+            link.close()
+    assert told is not None
+    state = told.message
+    known = (state.board_round_trip_ms > 0.0, state.board_age_ms < 1e5, len(state.echo_us))
+    assert known == ((True, True, 8) if same else (False, False, 0))
+    assert abs(state.board_clock_offset_s) > 1e6 or not same  # the board counts from when it was switched on
