@@ -51,6 +51,15 @@ def fly_row(row: Row, times: int, seed: int, console: Console) -> Result:
     return Result.of(row, samples, seed, stuck, wrong, not_finite)
 
 
+def keep(result: Result) -> None:
+    """At once: hours of injections must not be lost to whatever ends the last of them."""
+    kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
+    kept[result.key] = result.as_json()
+    in_order = {row.key: kept[row.key] for row in ROWS if row.key in kept}
+    RESULTS.write_text(json.dumps(in_order, indent=1) + "\n", encoding="utf-8")
+    write_page(PAGE, ROWS)
+
+
 def main() -> int:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(prog="make faults", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -65,7 +74,11 @@ def main() -> int:
         return 0
     console, begin_s = Console(), time.monotonic()
     chosen = [row for row in ROWS if options.row is None or row.key in options.row]
-    results = [fly_row(row, options.times or row.times, options.seed, console) for row in chosen]
+    results = []
+    for row in chosen:
+        results.append(fly_row(row, options.times or row.times, options.seed, console))
+        if not options.dry:
+            keep(results[-1])
     table = Table("row", "measure", "N", "median", "worst", "limit", "", title=machine())
     for result in results:
         for name, figure in result.figures.items():
@@ -75,13 +88,6 @@ def main() -> int:
     console.print(table)
     wrong, not_finite = sum(r.wrong for r in results), sum(r.not_finite for r in results)
     console.print(f"commands wrongly taken: {wrong}; numbers not finite: {not_finite}; {time.monotonic() - begin_s:.0f} s")
-    if not options.dry:
-        kept = json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
-        kept |= {result.key: result.as_json() for result in results}
-        RESULTS.write_text(
-            json.dumps({row.key: kept[row.key] for row in ROWS if row.key in kept}, indent=1) + "\n", encoding="utf-8"
-        )
-        write_page(PAGE, ROWS)
     return 0 if all(result.kept for result in results) else 1
 
 
