@@ -2,6 +2,7 @@
 
 import math
 import sys
+import time
 
 from mavsdk import ComponentType, Configuration, Mavsdk
 from mavsdk.plugins.action import Action
@@ -24,7 +25,7 @@ def main() -> None:
     say("system", system.get_system_id())
     action, param, telemetry = Action(system), Param(system), Telemetry(system)
     while telemetry.battery().id != 0 or not telemetry.battery().voltage_v > 1.0:
-        pass
+        time.sleep(0.05)
     say("yaw", math.isfinite(telemetry.attitude_euler().yaw_deg))
     say("volts", abs(telemetry.battery().voltage_v - 12.4) < 0.3)
     say("parameters", len(param.get_all_params().float_params))
