@@ -6,6 +6,7 @@ Zenoh with other defaults behave the same.
 
 import json
 import logging
+import os
 import threading
 import time
 from collections.abc import Callable
@@ -75,6 +76,7 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
 
     In attempts, because Zenoh's own endless wait hears neither Ctrl-C nor SIGTERM."""
     if endpoint.access is not None:
+        os.environ.setdefault("NO_COLOR", "1")  # it ends in files and journals
         zenoh.init_log_from_env_or(GUARD)
     config = _config(endpoint)
     if endpoint.router:
