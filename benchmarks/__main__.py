@@ -54,6 +54,9 @@ def _table(rows: Sequence[Row]) -> Table:
 def main(
     names: Annotated[list[str] | None, typer.Argument(help="which to run; all of them if none is named")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="write the rows here as well")] = None,
+    minutes: Annotated[
+        float | None, typer.Option(help="with `page` alone: watch it for so long instead, whether it grows")
+    ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="say which there are, and stop")] = False,
 ) -> None:
     """Measure ours beside its peers, in the same run."""
@@ -67,7 +70,12 @@ def main(
     for library in ("OMP", "OPENBLAS"):  # as every process of the fleet runs; numpy is not yet imported
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     rows: list[Row] = []
-    for name in names or BENCHMARKS:
+    if minutes is not None:
+        if names != ["page"]:
+            raise typer.BadParameter("--minutes goes with `page` alone")
+        rows.extend(importlib.import_module("benchmarks.page_soak").run(minutes))
+        names = []
+    for name in BENCHMARKS if names is None else names:
         print(f"{name}: {BENCHMARKS[name]} ...", file=sys.stderr)
         rows.extend(importlib.import_module(f"benchmarks.{name}").run())
     console = Console()

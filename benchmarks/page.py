@@ -134,7 +134,7 @@ def _publish(address: str, robots: int) -> None:
 
 
 @contextmanager
-def _lab(robots: int) -> Iterator[str]:
+def lab(robots: int) -> Iterator[str]:
     """Station's side and fleet; where the page is."""
     experiment = fleet(robots)
     address, port = f"tcp/127.0.0.1:{free_port()}", free_port()
@@ -179,7 +179,7 @@ def run() -> Iterator[Row]:
         print("page: needs Chromium, and none is installed", file=sys.stderr)
         return
     for robots in (2, ROBOTS):
-        with _lab(robots) as url, sync_playwright() as playwright:
+        with lab(robots) as url, sync_playwright() as playwright:
             ours = {p.pid for p in psutil.Process().children(recursive=True)}
             browser = playwright.chromium.launch(executable_path=chromium, args=FLAGS)
             roots = [

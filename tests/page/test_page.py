@@ -12,6 +12,7 @@ from itertools import groupby
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
@@ -26,7 +27,7 @@ from sim_bridge.sil import free_port
 from tests.page.conftest import Asked, Flight, open_page
 from wire import topics
 from wire.bus import Bus
-from wire.experiment import load_experiment
+from wire.experiment import Experiment, load_experiment
 from wire.messages import RobotState, Tuning
 from wire.runtime import WallClock
 from wire.transport import MemoryHub, MemoryTransport
@@ -146,6 +147,34 @@ def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
     in_mode(page, "DISARMED")
 
 
+def renderers() -> dict[int, psutil.Process]:
+    """The browser's processes that hold pages."""
+    found = psutil.Process().children(recursive=True)
+    return {process.pid: process for process in found if "--type=renderer" in " ".join(process.cmdline())}
+
+
+def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: Flight, asked: Asked) -> None:
+    """Neither the other tab nor the robots. That the recorder missed no step is told by the last test."""
+    before = renderers()
+    second = open_page(browser, flight, asked)
+    stopped = [process for pid, process in renderers().items() if pid not in before]
+    assert stopped
+    for process in stopped:
+        process.suspend()
+    try:
+        button(page, "Load again").click()
+        button(page, "Arm").click()
+        in_mode(page, "ARMED")
+        page.wait_for_timeout(3000)  # many times what a socket's buffers hold
+        button(page, "Disarm").click()
+        in_mode(page, "DISARMED")
+    finally:
+        for process in stopped:
+            process.resume()
+    in_mode(second, "DISARMED")
+    second.context.close()
+
+
 def test_what_is_old_does_not_look_live(page: Page, flight: Flight) -> None:
     """In lockstep one robot that hangs stops all."""
     agent = flight.agent(2)
@@ -180,30 +209,37 @@ def test_a_formation_is_dragged_and_judged(page: Page) -> None:
     expect(button(page, "Save")).to_be_disabled()
 
 
+@contextmanager
+def desk_of(experiment: Experiment) -> Iterator[str]:
+    """A station's desk without robots; where its page is."""
+    port = free_port()
+    post = Post(lambda: Status(Phase.WAITING, ""), lambda order: "", deque())
+    with Bus(MemoryTransport(MemoryHub())) as bus:
+        desk = Desk(experiment, planner.plan(experiment), bus, WallClock(), post, "real-time")
+        with WebServer(desk, WebOptions(port=port)):
+            yield f"http://127.0.0.1:{port}/"
+
+
 def test_a_waypoint_is_dragged_and_judged(browser: Browser) -> None:
     """On a path of waypoints; the planner needs no robots for that."""
     curve = load_experiment(
         "figure-eight", ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.start_index=0", "duration_s=15"]
     )
-    port = free_port()
-    post = Post(lambda: Status(Phase.WAITING, ""), lambda order: "", deque())
-    with Bus(MemoryTransport(MemoryHub())) as bus:
-        desk = Desk(curve, planner.plan(curve), bus, WallClock(), post, "real-time")
-        with WebServer(desk, WebOptions(port=port)):
-            page = browser.new_page(viewport={"width": 1440, "height": 900})
-            page.goto(f"http://127.0.0.1:{port}/")
-            button(page, "Edit").click()
-            verdict = page.locator(".verdict")
-            expect(verdict).to_contain_text("can be flown")
-            middle, scale = map_of(page, 3.5, 2.5)
-            page.mouse.move(middle[0], middle[1] + 0.3 * scale)
-            page.mouse.down()
-            page.mouse.move(middle[0], middle[1] + 1.2 * scale, steps=5)
-            expect(verdict).to_contain_text("the wall's clearance in y")
-            page.mouse.move(middle[0], middle[1], steps=5)  # straight: nothing in the way
-            page.mouse.up()
-            expect(verdict).to_contain_text("can be flown")
-            page.context.close()
+    with desk_of(curve) as url:
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.goto(url)
+        button(page, "Edit").click()
+        verdict = page.locator(".verdict")
+        expect(verdict).to_contain_text("can be flown")
+        middle, scale = map_of(page, 3.5, 2.5)
+        page.mouse.move(middle[0], middle[1] + 0.3 * scale)
+        page.mouse.down()
+        page.mouse.move(middle[0], middle[1] + 1.2 * scale, steps=5)
+        expect(verdict).to_contain_text("the wall's clearance in y")
+        page.mouse.move(middle[0], middle[1], steps=5)  # straight: nothing in the way
+        page.mouse.up()
+        expect(verdict).to_contain_text("can be flown")
+        page.context.close()
 
 
 def map_of(page: Page, length_m: float, width_m: float) -> tuple[tuple[float, float], float]:

@@ -1,7 +1,7 @@
 /** The edit on the map: handles to drag, the paths it would give, and the preview. */
 
 import { css, robotColour } from "../colours";
-import { drawPath, placeOf, samples } from "../pool/draw";
+import { drawPath, placeOf, samples } from "../pool/path";
 import type { View } from "../pool/view";
 import { scene, tried } from "../store";
 import { change, type Draft, draft, playhead } from "./model";

@@ -6,7 +6,7 @@ import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { css, robotColour } from "../colours";
 import { type Chart, charts, column, times } from "../history";
-import { placeOf } from "../pool/draw";
+import { placeOf } from "../pool/path";
 import { scene, selected } from "../store";
 import type { Scene } from "../wire";
 import { moment } from "./Alarms";

@@ -33,9 +33,11 @@ export function zoomBy(factor: number): void {
   drawSoon();
 }
 
+let size: [number, number] = [1, 1]; // of the canvas: to ask for it at every frame would make the browser lay out the page
+
 function place(canvas: HTMLCanvasElement): void {
   const ratio = devicePixelRatio;
-  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  const [width, height] = size;
   const pixels: [number, number] = [Math.round(width * ratio), Math.round(height * ratio)];
   if (canvas.width !== pixels[0] || canvas.height !== pixels[1]) [canvas.width, canvas.height] = pixels;
   const s = scene.peek();
@@ -170,6 +172,7 @@ function LayerMenu() {
 function PictureAge() {
   now.value; // re-read the clock
   const s = scene.value;
+  if (s !== null && s.underlay === null) return <span class="picture-age old">picture not shown: the camera moves</span>;
   if (s === null || live.pictureSerial === 0) return <span class="picture-age old">no camera picture</span>;
   const age = live.pictureAgeMs + performance.now() - live.pictureArrivedMs;
   const old = age > s.picture_stale_s * 1e3;
@@ -198,7 +201,12 @@ export function Pool() {
         window.shoal?.drawn?.(live.snapshot.stamp_ms, live.pictureStampMs);
       }
     });
-    const watch = new ResizeObserver(() => drawSoon());
+    const measure = () => {
+      size = [canvas.clientWidth, canvas.clientHeight];
+      drawSoon();
+    };
+    const watch = new ResizeObserver(measure);
+    measure();
     watch.observe(canvas);
     const stop = handle(canvas);
     drawSoon();

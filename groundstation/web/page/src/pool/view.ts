@@ -16,8 +16,18 @@ export class View {
     this.y = 0;
   }
 
+  /** Across, for a pool x: loops over many points take one number at a time, without a pair for the collector. */
+  px(x: number): number {
+    return this.width / 2 + (x - this.x) * this.scale;
+  }
+
+  /** Down, for a pool y. */
+  py(y: number): number {
+    return this.height / 2 + (y - this.y) * this.scale;
+  }
+
   toScreen(x: number, y: number): [number, number] {
-    return [this.width / 2 + (x - this.x) * this.scale, this.height / 2 + (y - this.y) * this.scale];
+    return [this.px(x), this.py(y)];
   }
 
   toPool(px: number, py: number): [number, number] {

@@ -1,7 +1,7 @@
 /** The pool in three dimensions: paths, trails, horizons, and a line down to the floor, so that depth can be read. */
 
 import { css, robotColour } from "../colours";
-import { samples } from "../pool/draw";
+import { samples } from "../pool/path";
 import { trails } from "../pool/trails";
 import { drawSoon, isStale, live, scene } from "../store";
 import type { Scene } from "../wire";
