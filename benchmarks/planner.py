@@ -18,7 +18,7 @@ from wire.experiment import load_experiment
 from wire.frames import Array
 
 WORLDS = 1000
-COMPARED = 200  # of them are given to the peer, which takes some tenths of a second for each
+COMPARED = 60  # of them are given to the peer, which takes about a second for each
 AGAIN = 30
 HALF_M = (8.0, 8.0)
 ENDS = ((-7.0, -7.0), (7.0, 7.0))

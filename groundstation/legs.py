@@ -30,6 +30,7 @@ BLEND_S = (4.0, 7.0, 2.5)  # from the old motion to the new one; tried in turn
 SETTLE_S = 5.0  # at the end of a way, before anybody disarms
 STAY_S = 5.0  # at places that a person sent the formation to
 SAME_M = 1e-3
+LONGEST = 3.0
 LONGEST_WAIT = 36_000  # samples: half an hour at 20 Hz
 DRIFT_M = 0.15  # things and robots without control drift while others find their places
 BESIDE_M = 0.5  # a place nearer than this to something is left out: the way by it and round the thing would bend sharply
@@ -124,7 +125,10 @@ def _with_things(experiment: Experiment, things: Array, clear_m: float) -> Exper
     return experiment.model_copy(update={"islands": (*experiment.islands, *islands)})
 
 
-def _rerouted(experiment: Experiment, leg: Leg, begin_s: float, given_via: Sequence[tuple[float, float]]) -> Leg:
+def _rerouted(
+    experiment: Experiment, leg: Leg, begin_s: float, given_via: Sequence[tuple[float, float]], longer: float = 0.4
+) -> Leg:
+    """`longer`: by how much the new way may be longer than a straight one, as a share of it; more if that is not enough."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     spec = _route_spec(experiment.path)
     now = at(leg.centre, np.array([begin_s]))
@@ -134,7 +138,7 @@ def _rerouted(experiment: Experiment, leg: Leg, begin_s: float, given_via: Seque
     given = spec.model_copy(update={"via_m": (here, *left), "depth_m": float(now.eta[0, 2]), "smooth_m": smooth_m})
     remaining = on_grid(leg.end_s - begin_s, period_s)
     length_m = float(np.hypot(*np.diff(np.array(given.via_m), axis=0).T).sum())
-    samples = round(max(remaining, 0.0) / period_s + 1.5 * length_m / spec.speed_mps / period_s) + planner.horizon(experiment)
+    samples = round((max(remaining, 0.0) + longer * length_m / spec.speed_mps) / period_s) + planner.horizon(experiment)
     time_s = period_s * np.arange(samples, dtype=np.float64)
     nodes = courses(experiment.nodes_m(), formation.changes, begin_s + time_s)
     path = planner.centre_path(experiment, given, experiment.robots, nodes)
@@ -146,7 +150,10 @@ def _rerouted(experiment: Experiment, leg: Leg, begin_s: float, given_via: Seque
     state = path.at(time_s)
     new = planner.node_motions(experiment, state, experiment.robots, nodes)
     centre = node_motion(state, planner.at_centre(samples), "translate", period_s)
-    there_s = begin_s + period_s * _arrival(centre.eta, left[-1])
+    there = _arrival(centre.eta, left[-1])
+    if there >= samples - 2 and longer < LONGEST:
+        return _rerouted(experiment, leg, begin_s, given_via, LONGEST)
+    there_s = begin_s + period_s * there
     end_s = there_s + (STAY_S if given_via else leg.end_s - _old_arrival_s(leg, left[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
     found = _gone_over(experiment, leg, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)

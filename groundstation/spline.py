@@ -16,6 +16,7 @@ from wire.scene import Circle, Waypoints
 
 PIECES = 64  # per span between waypoints: Gauss-Legendre then gives arc length to 1e-12 m on paths of tens of metres
 SLOWEST = 0.05  # of |f'| over chord length, which is about 1: below it the curve all but reverses, and has no heading there
+CONVERGED = 1e-13  # of the chord parameter, in m
 NEWTON_STEPS = 8  # from a linear guess within a piece; converges quadratically, 4 reach machine precision
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS  # on [0, 1]
@@ -121,8 +122,10 @@ class SplinePath:
         q = start + width * wanted / np.diff(self._arc)[piece]
         for _ in range(NEWTON_STEPS):
             tangent = self._curve(q, 1)
-            q = q - (self._length(start, q - start) - wanted) / np.hypot(tangent[:, 0], tangent[:, 1])
-            q = np.clip(q, start, start + width)
+            step = (self._length(start, q - start) - wanted) / np.hypot(tangent[:, 0], tangent[:, 1])
+            q = np.clip(q - step, start, start + width)
+            if float(np.abs(step).max(initial=0.0)) < CONVERGED:
+                break
         return np.asarray(q)
 
     def at(self, time_s: Array) -> PathState:
