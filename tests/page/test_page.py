@@ -242,6 +242,32 @@ def test_a_waypoint_is_dragged_and_judged(browser: Browser) -> None:
         page.context.close()
 
 
+def test_a_preview_plays_in_time(browser: Browser) -> None:
+    """By a clock of its own: fifteen seconds of run in twelve."""
+    line = load_experiment(
+        "figure-eight", ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.start_index=0", "duration_s=15"]
+    )
+    with desk_of(line) as url:
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.goto(url)
+        button(page, "Edit").click()
+        expect(page.locator(".verdict")).to_contain_text("can be flown")
+        page.clock.install(time=0)
+        page.clock.pause_at(60)
+        button(page, "Preview").click()
+        page.clock.run_for(5000)
+        playing = page.get_by_role("button", name="6 s of 15")
+        expect(playing).to_be_visible()
+        map_now = "document.querySelector('.pool canvas').toDataURL()"
+        before = page.evaluate(map_now)
+        page.clock.run_for(3200)
+        expect(page.get_by_role("button", name="10 s of 15")).to_be_visible()
+        assert page.evaluate(map_now) != before
+        page.clock.run_for(4200)
+        expect(button(page, "Preview")).to_be_visible()
+        page.context.close()
+
+
 def map_of(page: Page, length_m: float, width_m: float) -> tuple[tuple[float, float], float]:
     """The pool's middle on the screen, and pixels per metre, as long as nobody has zoomed."""
     canvas = page.locator(".pool canvas").bounding_box()
