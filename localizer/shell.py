@@ -103,7 +103,8 @@ class Shell:
             self._bus.publish(topics.POSE, pose, shot.stamp_ns, robot, age_ns=age_ns)
         frame_ms = (time.perf_counter_ns() - started_ns) * 1e-6
         found = located.status
-        status = LocalizerStatus(found.camera, found.frames, shot.dropped, frame_ms, age_ns * 1e-6, found.message)
+        told = tuple(robot for robot, _ in located.poses)
+        status = LocalizerStatus(found.camera, found.frames, shot.dropped, frame_ms, age_ns * 1e-6, found.message, told)
         self._publish_status(status, shot.stamp_ns)
         self._look_for_obstacles(shot, located)
         previews.offer(shot, located, self._obstacles)
@@ -125,7 +126,7 @@ class Shell:
     def _say_absent(self, previews: Previews) -> None:
         why = f"no frame for {self._source.silent_after_s:g} s" + (f": {self._source.trouble}" if self._source.trouble else "")
         now_ns = self._clock.now_ns()
-        self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why), now_ns)
+        self._publish_status(replace(self._status, camera=CameraHealth.ABSENT, message=why, robots=()), now_ns)
         previews.offer_nothing(why, now_ns)
 
     def _depths(self, up_to_ns: int | None) -> dict[int, float]:

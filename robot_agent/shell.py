@@ -192,9 +192,11 @@ class Shell:
         lockstep = Lockstep(self._bus, self._stop, self._clock)
         while (tick := lockstep.next(meanwhile=self._greet)) is not None:
             others = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in tick.robots]
-            # Of a robot that it does not see the localizer tells nothing, and then that it is done with the picture.
-            seen = (self._poses, self._localizer)
-            lockstep.await_all([(seen, tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
+            # Of a robot that it does not see the localizer tells no pose, but always what it has told.
+            lockstep.await_all([((self._poses, self._localizer), tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
+            status = self._localizer.newest()
+            if status is not None and status.header.stamp_ns >= tick.frame_ns and self._robot in status.message.robots:
+                lockstep.await_all([(self._poses, tick.frame_ns)])
             self._await_board(tick)
             # What was seen in this tick's picture is told after its poses; in the one before, it was told before them.
             self._obstacles_up_to_ns = tick.frame_ns - 1

@@ -141,20 +141,22 @@ class Pose(_message.Message):
     def __init__(self, x_m: _Optional[float] = ..., y_m: _Optional[float] = ..., yaw_rad: _Optional[float] = ..., covariance: _Optional[_Iterable[float]] = ..., track: _Optional[_Union[Track, str]] = ..., identity_verified: _Optional[bool] = ..., peak: _Optional[float] = ..., depth_m: _Optional[float] = ...) -> None: ...
 
 class LocalizerStatus(_message.Message):
-    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message")
+    __slots__ = ("camera", "frames", "dropped", "frame_ms", "frame_age_ms", "message", "robots")
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     FRAMES_FIELD_NUMBER: _ClassVar[int]
     DROPPED_FIELD_NUMBER: _ClassVar[int]
     FRAME_MS_FIELD_NUMBER: _ClassVar[int]
     FRAME_AGE_MS_FIELD_NUMBER: _ClassVar[int]
     MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
     camera: CameraHealth
     frames: int
     dropped: int
     frame_ms: float
     frame_age_ms: float
     message: str
-    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ...) -> None: ...
+    robots: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, camera: _Optional[_Union[CameraHealth, str]] = ..., frames: _Optional[int] = ..., dropped: _Optional[int] = ..., frame_ms: _Optional[float] = ..., frame_age_ms: _Optional[float] = ..., message: _Optional[str] = ..., robots: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class Obstacles(_message.Message):
     __slots__ = ("ids", "outline", "velocity", "depth_m", "watched")

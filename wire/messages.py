@@ -130,6 +130,7 @@ class LocalizerStatus:
     frame_ms: float = 0.0  # processing time of the last frame
     frame_age_ms: float = 0.0  # exposure to publish
     message: str = ""
+    robots: tuple[int, ...] = ()  # whose poses in this picture are told
 
 
 @dataclass(frozen=True, eq=False)
