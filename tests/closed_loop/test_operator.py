@@ -1,4 +1,6 @@
-"""A person at the station: the programs started one by one, as in a lab, and orders from another terminal."""
+"""A person at the station: the programs started one by one, as in a lab, and orders from another terminal.
+
+The simulated pool tells poses itself: on a slow machine camera and localizer would not keep up with the wall clock."""
 
 import json
 import subprocess
@@ -14,20 +16,19 @@ from sim_bridge.sil import free_base_port, free_port
 
 
 class Lab:
-    """Station, simulated pool, localizer and two agents, by the wall clock."""
+    """Station, simulated pool and two agents, by the wall clock."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.children = folder, Children(folder / "logs")
         self.station = f"tcp/127.0.0.1:{free_port()}"
         ports = free_base_port((1, 2))
         self.start("agent-1", "robot_agent", "run", "pool", "--robot", "1", "--link", f"udp:127.0.0.1:{ports + 1}")  # first
-        self.start("sim-bridge", "sim_bridge", "pool", "pool", "--ports", str(ports))
+        self.start("sim-bridge", "sim_bridge", "pool", "pool", "--poses", "--ports", str(ports))
         self.children.start(
             "groundstation",
             "groundstation",
             ["run", "pool", "--no-web", "--listen", self.station, "--run-dir", str(folder / "run")],
         )
-        self.start("localizer", "localizer", "run", "pool")
         self.start("agent-2", "robot_agent", "run", "pool", "--robot", "2", "--link", f"udp:127.0.0.1:{ports + 2}")
 
     def start(self, name: str, module: str, *arguments: str) -> None:
