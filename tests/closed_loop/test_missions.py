@@ -48,7 +48,7 @@ def test_who_was_stopped_comes_home_later() -> None:
         assert np.hypot(*(pool.truth[-1][i][:2] - start[:2])) < 0.1
 
 
-@pytest.mark.parametrize("order", [Order.HOLD, Order.STOP])
+@pytest.mark.parametrize("order", [pytest.param(Order.HOLD, marks=pytest.mark.slow), Order.STOP])
 def test_on_the_way_home_one_can_hold_and_stop(order: Order) -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(10.0)
@@ -139,6 +139,7 @@ def lagging(*settings: str) -> tuple[CrewedPool, float]:
     return pool, max(float(np.hypot(*(s.eta - s.eta_reference)[:2])) for s in pool.robots[1].states[begin:])
 
 
+@pytest.mark.slow
 def test_the_formation_waits_for_a_robot_that_lags() -> None:
     without, far = lagging()
     waited, near = lagging("mission.wait_from_m=0.1", "mission.wait_at_m=0.4")
@@ -158,8 +159,9 @@ def lose(pool: CrewedPool, i: int) -> None:
 
 @pytest.mark.parametrize(
     ("policy", "ends_in"),
-    [("abort", Phase.FAILED), ("hold", Phase.PAUSED), ("go-on", Phase.DEGRADED), ("close-up", Phase.DEGRADED)],
-)
+    [("abort", Phase.FAILED), pytest.param("hold", Phase.PAUSED, marks=pytest.mark.slow),
+     pytest.param("go-on", Phase.DEGRADED, marks=pytest.mark.slow), ("close-up", Phase.DEGRADED)],
+)  # fmt: skip
 def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
     pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
     pool.run(4.0)
@@ -179,7 +181,8 @@ def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
     assert np.all(pool.pulses[-1][0, :4] == 1500)
 
 
-@pytest.mark.parametrize("policy", ["go-on", pytest.param("close-up", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["go-on", "close-up"])
 def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str) -> None:
     pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
     pool.run(4.0)
