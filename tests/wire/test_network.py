@@ -1,6 +1,5 @@
 """Beyond this machine only with keys, or when the open network was asked for; and what is said about it."""
 
-import logging
 import os
 import shutil
 import signal
@@ -32,12 +31,9 @@ def test_this_machine_needs_no_keys(address: str) -> None:
 
 
 @pytest.mark.parametrize("address", ["tcp/0.0.0.0:7447", "tcp/192.168.1.10:7447", "tcp/[::]:7447", "tcp/pool.local:7447"])
-def test_beyond_this_machine_keys_are_not_optional(
-    address: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_beyond_this_machine_keys_are_not_optional(address: str, caplog: pytest.LogCaptureFixture) -> None:
     with pytest.raises(ConfigError, match=r"other machines could command the robots.*--keys.*--insecure"):
         endpoint(address, "viewer", None)
-    monkeypatch.setattr(logging.getLogger("shoal"), "propagate", True)
     assert endpoint(address, "viewer", None, insecure=True) == Endpoint(address, insecure=True)
     assert INSECURE in caplog.text
 
@@ -57,10 +53,7 @@ def test_with_keys_it_is_always_tls_and_only_a_router_has_access_control(ring: P
     assert router.access["enabled"] is True
 
 
-def test_the_station_says_whose_certificate_ends_soon(
-    ring: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(logging.getLogger("shoal"), "propagate", True)
+def test_the_station_says_whose_certificate_ends_soon(ring: Path, caplog: pytest.LogCaptureFixture) -> None:
     keys.add(ring, "robot", 4, datetime.now(UTC), days=29.0)
     endpoint("tls/127.0.0.1:7447", "groundstation", ring, router=True)
     assert [record.getMessage()[:29] for record in caplog.records] == ["the certificate of agent-4 en"]

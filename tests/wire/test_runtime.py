@@ -92,7 +92,6 @@ def test_lockstep_waits_for_every_input_and_in_the_end_goes_on_without(
     lockstep.await_all([((inbox, tidings), 101)])  # one of both is enough
     assert tidings.newest() is not None
     monkeypatch.setattr(runtime, "LOCKSTEP_PATIENCE_S", 0.05)
-    monkeypatch.setattr(log, "propagate", True)
     started_s = time.monotonic()
     lockstep.await_all([(inbox, 102)])
     assert time.monotonic() - started_s >= 0.05
