@@ -46,12 +46,15 @@ class LogFile:
             if (found := key_topic(channel.topic)) is not None
         }
 
-    def lines(self, wanted: Callable[[Topic, int], bool], from_ns: int | None = None) -> Iterator[Line]:
-        """The messages of the wanted topics and robots in the order of their arrival, from one of these on."""
+    def lines(
+        self, wanted: Callable[[Topic, int], bool], from_ns: int | None = None, before_ns: int | None = None
+    ) -> Iterator[Line]:
+        """The messages of the wanted topics and robots in the order of their arrival, from `from_ns` on and before
+        `before_ns`."""
         keys = sorted({key for key, topic, robot, _ in self._channels.values() if wanted(topic, robot)})
         if not keys:
             return
-        for _, channel, message in self._reader.iter_messages(topics=keys, starting_at=from_ns):
+        for _, channel, message in self._reader.iter_messages(topics=keys, starting_at=from_ns, ending_before=before_ns):
             _, topic, robot, session = self._channels[channel.id]
             header = Header(session, message.sequence, message.publish_time)
             yield Line(topic, robot, header, message.data, message.log_time)

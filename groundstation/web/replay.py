@@ -1,22 +1,17 @@
 """SHELL: a recorded run as the page sees it, at any time of it and at any pace. The log is read a second at a time."""
 
-import shutil
 import time
 from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, TypeVar
 
-from mcap.reader import McapReader, make_reader
-
 from groundstation.fleet import RobotView
+from groundstation.logfile import open_log
 from groundstation.mission import Phase
-from groundstation.recorder import is_complete, recover
-from groundstation.runlog import key_topic
 from groundstation.web import editor
 from groundstation.web.alarms import alarms
 from groundstation.web.requests import Edit
@@ -26,7 +21,6 @@ from wire import topics
 from wire.codec import DecodeError, decode
 from wire.experiment import Experiment, load_experiment
 from wire.messages import Event, LocalizerStatus, Order, Preview, RobotState, StationHeartbeat, Trajectory
-from wire.toml_file import ConfigError
 from wire.topics import Topic
 
 BLOCK_NS = 1_000_000_000
@@ -43,36 +37,21 @@ class Tape:
     """One recorded run: the newest message of a topic at a time, in ns from its first."""
 
     def __init__(self, run: Path) -> None:
-        """Raises ConfigError for what is no run. Of a log that was cut off a copy is mended: its run may still go on."""
-        log = run / "run.mcap"
-        self._copies = ExitStack()
-        try:
-            if not is_complete(log):
-                copy = Path(self._copies.enter_context(TemporaryDirectory())) / log.name
-                shutil.copyfile(log, copy)
-                recover(copy)
-                log = copy
-            self._file = log.open("rb")
-        except OSError as error:
-            raise ConfigError(f"{log}: {error.strerror}") from None
-        self._reader: McapReader = make_reader(self._file)
-        summary = self._reader.get_summary()
-        if summary is None or summary.statistics is None or not summary.channels:
-            raise ConfigError(f"{log}: holds no messages")
-        self.experiment = load_experiment(str(run / "experiment.toml"))
-        self.start_ns = summary.statistics.message_start_time
-        self.end_ns = summary.statistics.message_end_time - self.start_ns
-        self._keys = {c.topic: found for c in summary.channels.values() if (found := key_topic(c.topic)) is not None}
+        """Raises ConfigError for what is no run."""
+        with ExitStack() as opened:
+            self._log = opened.enter_context(open_log(run))
+            self.experiment = load_experiment(str(run / "experiment.toml"))
+            self._opened = opened.pop_all()
+        self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
         self._blocks: OrderedDict[int, Block] = OrderedDict()
         self.trajectories = self._trajectories()
         self.flown_ns = self._first_flown_ns()
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
-        wanted = [key for key, (t, r) in self._keys.items() if t is topic and robot in (None, r)]
-        for _, channel, message in self._reader.iter_messages(topics=wanted) if wanted else ():
-            found = _read(kind, message.data)
+        for line in self._log.lines(lambda t, r: t is topic and robot in (None, r)):
+            found = _read(kind, line.payload)
             if found is not None:
-                yield self._keys[channel.topic][1], message.log_time - self.start_ns, found
+                yield line.robot, line.arrived_ns - self.start_ns, found
 
     def _trajectories(self) -> dict[int, Trajectory]:
         found = {robot: message for robot, _, message in self._each(topics.TRAJECTORY, Trajectory)}
@@ -91,12 +70,10 @@ class Tape:
         if index not in self._blocks:
             begin = self.start_ns + index * BLOCK_NS
             block: Block = {}
-            for _, channel, message in self._reader.iter_messages(starting_at=begin, ending_before=begin + BLOCK_NS):
-                if channel.topic in self._keys:
-                    topic, robot = self._keys[channel.topic]
-                    arrivals, payloads = block.setdefault((topic.name, robot), ([], []))
-                    arrivals.append(message.log_time - self.start_ns)
-                    payloads.append(message.data)
+            for line in self._log.lines(lambda topic, robot: True, begin, begin + BLOCK_NS):
+                arrivals, payloads = block.setdefault((line.topic.name, line.robot), ([], []))
+                arrivals.append(line.arrived_ns - self.start_ns)
+                payloads.append(line.payload)
             self._blocks[index] = block
         self._blocks.move_to_end(index)
         while len(self._blocks) > KEPT_BLOCKS:
@@ -124,8 +101,8 @@ class Tape:
         return found
 
     def close(self) -> None:
-        self._file.close()
-        self._copies.close()
+        """Give the file back."""
+        self._opened.close()
 
 
 def _read(kind: type[M], payload: bytes) -> M | None:
