@@ -213,28 +213,20 @@ def _frame_from_protobuf(image: Any) -> Frame:
     return Frame(np.frombuffer(image.data, np.uint8).reshape(image.height, image.width))
 
 
-def _encode_jpeg(picture: Preview | Picture, stamp_ns: int) -> bytes:
-    image = CompressedImage(frame_id="camera", format="jpeg", data=picture.jpeg)
-    _stamp(image, stamp_ns)
-    return image.SerializeToString()
+def _image(cls: Any, schema: Any, form: str) -> tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]:
+    """How messages of one compressed image travel: their one field is named after its format."""
 
+    def encode_image(picture: Any, stamp_ns: int) -> bytes:
+        image = schema(frame_id="camera", format=form, data=getattr(picture, form))
+        _stamp(image, stamp_ns)
+        return bytes(image.SerializeToString())
 
-def _jpeg_from_protobuf(image: Any) -> bytes:
-    if image.format != "jpeg":
-        raise _Invalid("format", f"{image.format[:20]!r} is not allowed (allowed: jpeg)")
-    return bytes(image.data)
+    def from_protobuf(image: Any) -> Any:
+        if image.format != form:
+            raise _Invalid("format", f"{image.format[:20]!r} is not allowed (allowed: {form})")
+        return cls(bytes(image.data))
 
-
-def _encode_video(video: Video, stamp_ns: int) -> bytes:
-    image = CompressedVideo(frame_id="camera", format="h264", data=video.h264)
-    _stamp(image, stamp_ns)
-    return image.SerializeToString()
-
-
-def _video_from_protobuf(image: Any) -> Video:
-    if image.format != "h264":
-        raise _Invalid("format", f"{image.format[:20]!r} is not allowed (allowed: h264)")
-    return Video(image.data)
+    return schema, encode_image, from_protobuf
 
 
 def _encode_event(event: Event, stamp_ns: int) -> bytes:
@@ -252,9 +244,9 @@ def _event_from_protobuf(log: Any) -> Event:
 
 _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]] = {
     Frame: (RawImage, _encode_frame, _frame_from_protobuf),
-    Preview: (CompressedImage, _encode_jpeg, lambda image: Preview(_jpeg_from_protobuf(image))),
-    Picture: (CompressedImage, _encode_jpeg, lambda image: Picture(_jpeg_from_protobuf(image))),
-    Video: (CompressedVideo, _encode_video, _video_from_protobuf),
+    Preview: _image(Preview, CompressedImage, "jpeg"),
+    Picture: _image(Picture, CompressedImage, "jpeg"),
+    Video: _image(Video, CompressedVideo, "h264"),
     Event: (Log, _encode_event, _event_from_protobuf),
 }
 
