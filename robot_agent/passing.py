@@ -149,7 +149,7 @@ class Passing:
         if course is not None:  # do not run away from a robot that cannot follow
             away = self._point - place
             self._point = place + away * min(1.0, LEASH_M / max(abs(away), LEASH_M))
-        led = self._follow(path, course)
+        led = self._follow(path, course, wanted)
         if course is None and self._is_back(path):
             self.reset()
         return led
@@ -236,13 +236,11 @@ class Passing:
 
     # --- the path of the point
 
-    def _follow(self, path: Path, course: complex | None) -> Path:
-        """The point's way over the horizon, and one step of it taken."""
+    def _follow(self, path: Path, course: complex | None, wanted: complex) -> Path:
+        """The point's way over the horizon, and one step of it taken: along `course`, or back as `wanted`."""
         assert self._point is not None
         way, going = self._way_back(path) if course is None else self._way_out(course)
-        begin, speed = complex(path.eta[0, 0], path.eta[0, 1]), complex(path.velocity[0, 0], path.velocity[0, 1])
-        to = course if course is not None else self._towards(begin, speed, self._point)
-        self._velocity = _changed(self._velocity, to, CHANGE_MPS2 * self._period_s)
+        self._velocity = _changed(self._velocity, wanted if course is None else course, CHANGE_MPS2 * self._period_s)
         self._point += self._velocity * self._period_s
         self._steer(float(path.eta[0, 3]))
         eta, rate, acceleration = path.eta.copy(), path.velocity.copy(), path.acceleration.copy()

@@ -45,8 +45,7 @@ class Renderer:
         ]
         self._balls = [(drifter, Sprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
         self._whole = self._sprites
-        px_per_m = max(experiment.camera.focal_px) / -experiment.camera.position_m[2]
-        self._plates = [Plate(landmark.id, landmark.side_m, px_per_m) for landmark in self._landmarks]
+        self._plates = [Plate(landmark.id, landmark.side_m, experiment.camera.px_per_m) for landmark in self._landmarks]
         random = np.random.default_rng([seed, CAMERA_STREAM, 2])
         self._noise = ImageNoise(experiment.camera.size_px, self._picture.noise, random)
 

@@ -56,8 +56,7 @@ class Hover:
         self._waters = Waters(experiment, random)
         self._vignette = vignette(self._view, self._waters.picture.vignetting)
         self._half_vignette = np.ascontiguousarray(self._vignette[0::2, 0::2])
-        camera = experiment.camera
-        px_m = -camera.position_m[2] / max(camera.focal_px)
+        px_m = 1.0 / experiment.camera.px_per_m
         self._texel_m = px_m / TEXELS_PER_PX
         length, width, depth = experiment.pool.size_m
         self._reach = np.array([length, width]) / 2.0 + depth + DECK_M

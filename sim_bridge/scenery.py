@@ -72,7 +72,7 @@ def still_scene(experiment: Experiment, hit: Hit, lean: Float, softness: float, 
     """The scene under flat water without caustics and glare, BGR, in the shape of the planes of `hit`. `lean` is how much
     longer than straight up the way to the camera is, `softness` the lens's blur in elements of the planes."""
     length, width, depth = experiment.pool.size_m
-    texel = -experiment.camera.position_m[2] / max(experiment.camera.focal_px)
+    texel = 1.0 / experiment.camera.px_per_m
     grid = TILE_M / texels_per_tile(texel)
 
     def look(texture: Bytes, along: Float, down: Float) -> Float:

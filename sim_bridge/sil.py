@@ -95,7 +95,7 @@ def run(
 def _check_sight(experiment: Experiment) -> None:
     """Raise ConfigError if the localizer could see no robot."""
     camera = experiment.camera
-    wide_px = max(camera.focal_px) * experiment.vehicle.marker.side_m / -camera.position_m[2]
+    wide_px = camera.px_per_m * experiment.vehicle.marker.side_m
     if experiment.localizer.markers and wide_px < LEAST_MARKER_PX:
         raise ConfigError(
             f"camera.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "

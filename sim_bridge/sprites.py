@@ -51,8 +51,7 @@ class Sprite:
     @classmethod
     def robot(cls, robot: Robot, experiment: Experiment, random: np.random.Generator) -> "Sprite":
         """A robot of the experiment in a paint of its own."""
-        vehicle, camera = experiment.vehicle, experiment.camera
-        px_per_m = max(camera.focal_px) / -camera.position_m[2]
+        vehicle, px_per_m = experiment.vehicle, experiment.camera.px_per_m
         texels_per_px = SHELL_PX / 4.0 / vehicle.radius_m / px_per_m
         marked = experiment.localizer.markers
         number = None if experiment.sim.picture.alike else robot.id

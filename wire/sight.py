@@ -32,6 +32,11 @@ class Camera(Section):
             raise ValueError(f"position_m z = {self.position_m[2]}: the camera must hang above the water (z < 0)")
         return self
 
+    @property
+    def px_per_m(self) -> float:
+        """How large the water's surface is in the picture, straight below the camera."""
+        return max(self.focal_px) / -self.position_m[2]
+
 
 class CameraFile(Section):
     """A file that `localizer calibrate` wrote: an experiment names it as `camera = "lab.toml"`."""
