@@ -76,7 +76,7 @@ class Flight:
             self.process.wait(PATIENCE_MS * 1e-3)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def browser() -> Iterator[Browser]:
     if CHROMIUM is None:
         pytest.skip("needs Chromium, and none is installed")
@@ -86,7 +86,7 @@ def browser() -> Iterator[Browser]:
         found.close()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
