@@ -1,13 +1,15 @@
-"""The recorder under the load of a fleet: 20 robots at 20 Hz and the camera's film. Its share of a core, what SIGKILL costs,
-and what the robots' control notices of it.
+"""The recorder under the load of a fleet: 20 robots at 20 Hz and the camera's film. Its share of a core, what did not get into
+the log, what SIGKILL costs, and whether a robot's control notices it: the time from a pose's sending to the pulses that answer
+it, steps that came late, and poses that no step answered.
 
-    python -m benchmarks recorder                  # a minute
+    python -m benchmarks recorder                  # two minutes
     python -m benchmarks.recorder --kills 200      # the kills of the requirement, four at a time (3 minutes)
 
 Beside it the writer that Foxglove's SDK brings (Rust, bytes handed over from the same callbacks), and no recorder at all: the
 station's process as router only.
 """
 
+import contextlib
 import mmap
 import multiprocessing
 import random
@@ -16,7 +18,7 @@ import signal
 import struct
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -26,7 +28,7 @@ from typing import Annotated, Any
 import foxglove
 import numpy as np
 import typer
-from mcap.records import Message
+from mcap.records import Channel, Message
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from benchmarks.harness import Row
@@ -54,13 +56,17 @@ from wire.messages import (
     Video,
 )
 from wire.runtime import WallClock
-from wire.topics import Topic
+from wire.topics import Role, Topic
 from wire.transport import Endpoint, ZenohTransport
 
 ROBOTS, RATE_HZ, HORIZON = 20, 20, 50
 FILM_BYTES = 26_000  # of a picture: 1280 x 960 as H.264 at 4 Mbit/s
+CONTROLLED = 99  # the robot whose control is measured: what it says of itself
 VARIANTS = 40  # of each message, so that compression finds no repetition within a flush
-SETTLE_S, MEASURE_S = 2.0, 15.0
+SETTLE_S, MEASURE_S = 2.0, 10.0
+DRAIN_S = 1.0  # after the last message, before the log is closed
+ROUNDS = 2  # of all ways of recording, in turn: what else the machine does then meets all of them
+LATE_MS = 25.0  # half a control period: a step's budget
 KILLS, AT_ONCE = 12, 4
 KILL_AFTER_S = (1.5, 3.0)  # of recording: several flushes, at any phase of the next
 SECOND = 1_000_000_000
@@ -107,15 +113,27 @@ def _period(chance: np.random.Generator) -> Iterator[tuple[Topic, int | None, by
 # --- three processes: who sends, who records (or only routes), and one robot's control beside them
 
 
-def _send(address: str, stop: Any) -> None:
+def _send(address: str, told: Connection, stop: Any) -> None:
+    """As in a fleet each robot has a session of its own, and one is everybody else's. Tells when it begins, and in the end how
+    many messages it sent."""
     messages, clock = load(), WallClock()
-    with Bus(ZenohTransport(Endpoint(address))) as bus:
+    with contextlib.ExitStack() as open_:
+        buses = {r: open_.enter_context(Bus(ZenohTransport(Endpoint(address)))) for r in (None, *range(1, ROBOTS + 1))}
+
+        def send(period: Iterable[tuple[Topic, int | None, bytes]]) -> None:
+            for topic, robot, payload in period:
+                buses[robot if Role.ROBOT in topic.writers else None].forward(topic, payload, clock.now_ns(), robot)
+
+        send(messages[0])
+        time.sleep(SETTLE_S)  # until router and publishers know of one another: those before do not count
+        told.send("begins")
         begin_s, k = time.monotonic(), 0
         while not stop.is_set():
-            for topic, robot, payload in messages[k % VARIANTS]:
-                bus.forward(topic, payload, clock.now_ns(), robot)
+            send(messages[k % VARIANTS])
             k += 1
             time.sleep(max(begin_s + k / RATE_HZ - time.monotonic(), 0.0))
+        time.sleep(DRAIN_S)  # what lies in its own queues is sent, too
+        told.send(k * len(messages[0]))
 
 
 def _foxglove_writer(bus: Bus, path: Path) -> Callable[[], None]:
@@ -138,8 +156,9 @@ def _foxglove_writer(bus: Bus, path: Path) -> Callable[[], None]:
     return writer.close
 
 
-def _record(address: str, kind: str, folder: str, told: Connection, stop: Any) -> None:
-    """Be the router, and perhaps record. Tells its CPU time over the measurement, and how much was written."""
+def _record(address: str, kind: str, folder: str, told: Connection) -> None:
+    """Be the router, and perhaps record. Tells its CPU time over the measurement, which another begins, and how many messages
+    of the senders are in the log, but for those of the first period."""
     with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
         path = Path(folder) / "run.mcap"
         close: Callable[[], None] | None = None
@@ -150,26 +169,41 @@ def _record(address: str, kind: str, folder: str, told: Connection, stop: Any) -
         elif kind == "foxglove-sdk":
             close = _foxglove_writer(bus, path)
         told.send("ready")
-        time.sleep(SETTLE_S)
+        told.recv()
         begin = resource.getrusage(resource.RUSAGE_SELF)
         time.sleep(MEASURE_S)
         end = resource.getrusage(resource.RUSAGE_SELF)
         told.send(end.ru_utime - begin.ru_utime + end.ru_stime - begin.ru_stime)
-        stop.wait(30.0)
+        told.recv()
         if close is not None:
             close()
-        told.send(sum(isinstance(record, Message) for record in valid_records(path)) if path.exists() else 0)
+        told.send(_senders_messages(path) if path.exists() else 0)
+
+
+def _senders_messages(path: Path) -> int:
+    """How many there are in a log, less the first on each key, which was sent before the measurement."""
+    channels: dict[int, str] = {}
+    count = 0
+    for record in valid_records(path):
+        if isinstance(record, Channel):
+            channels[record.id] = record.topic
+        elif isinstance(record, Message):
+            count += channels[record.channel_id] != f"shoal/{topics.STATE.key(CONTROLLED)}"
+    return count - len(set(channels.values()) - {f"shoal/{topics.STATE.key(CONTROLLED)}"})
 
 
 def _control(address: str, told: Connection, stop: Any) -> None:
-    """One robot's control loop on what goes round: from the pose's arrival to its state on the bus, in ms."""
+    """One robot's control loop on what goes round. Tells when it is ready, and in the end the time of each step in ms, from
+    the pose's sending to the pulses, and how many poses no step answered."""
     experiment = load_experiment("pool")
     agent, clock = Agent(experiment, 1), WallClock()
     planner.plan(experiment)
     took_ms: list[float] = []
+    sequences: list[int] = []
     with Bus(ZenohTransport(Endpoint(address))) as bus:
         poses = bus.inbox(topics.POSE, Pose, 1)
         seen = None
+        told.send("ready")
         while not stop.is_set():
             if not bus.wait(lambda last=seen: poses.newest_header() is not last, 0.2):  # type: ignore[misc]
                 continue
@@ -179,9 +213,11 @@ def _control(address: str, told: Connection, stop: Any) -> None:
             now_ns = clock.now_ns()
             pose = Pose(0.3, 0.2, 0.1, received.message.covariance, Track.MARKER, True, 0.9, 0.3)
             inputs = Inputs(Seen(pose, now_ns), Telemetry(board_ms=1, arrival_ns=now_ns), StationView(1, now_ns, 0.0))
-            bus.publish(topics.STATE, agent.step(inputs, now_ns).state, now_ns, 99)
-            took_ms.append((time.monotonic_ns() - received.arrived_ns) * 1e-6)
-    told.send(took_ms[round(SETTLE_S * RATE_HZ) :])
+            state = agent.step(inputs, now_ns).state
+            took_ms.append((clock.now_ns() - received.header.stamp_ns) * 1e-6)
+            sequences.append(received.header.sequence)
+            bus.publish(topics.STATE, state, now_ns, CONTROLLED)
+    told.send((took_ms[1:], sequences[-1] - sequences[1] + 1 - len(sequences[1:])))  # the first came before the measurement
 
 
 @dataclass(frozen=True)
@@ -189,32 +225,36 @@ class Measured:
     """With one way of recording."""
 
     share: float  # of a core
-    messages: int
+    sent: int
+    recorded: int
     control_ms: list[float]
+    unanswered: int  # poses
 
 
 def measure(kind: str) -> Measured:
     """Run the three processes."""
     processes = multiprocessing.get_context("spawn")
     stop, address = processes.Event(), f"tcp/127.0.0.1:{free_port()}"
-    recorded, recorder_tells = processes.Pipe(duplex=False)
-    controlled, control_tells = processes.Pipe(duplex=False)
+    pipes = [processes.Pipe() for _ in range(3)]
+    (recorder, at_recorder), (sender, at_sender), (control, at_control) = pipes
     with tempfile.TemporaryDirectory() as folder:
-        recording = processes.Process(target=_record, args=(address, kind, folder, recorder_tells, stop))
+        recording = processes.Process(target=_record, args=(address, kind, folder, at_recorder))
         recording.start()
-        recorded.recv()
-        others = [
-            processes.Process(target=_send, args=(address, stop)),
-            processes.Process(target=_control, args=(address, control_tells, stop)),
-        ]
-        for other in others:
-            other.start()
-        cpu_s = recorded.recv()
+        recorder.recv()
+        controlling = processes.Process(target=_control, args=(address, at_control, stop))
+        controlling.start()
+        control.recv()
+        sending = processes.Process(target=_send, args=(address, at_sender, stop))
+        sending.start()
+        recorder.send(sender.recv())
+        cpu_s = recorder.recv()
         stop.set()
-        control_ms, messages = controlled.recv(), recorded.recv()
-        for process in (recording, *others):
+        sent, (control_ms, unanswered) = sender.recv(), control.recv()
+        recorder.send("close")
+        recorded = recorder.recv()
+        for process in (recording, controlling, sending):
             process.join(10.0)
-    return Measured(cpu_s / MEASURE_S, messages, control_ms)
+    return Measured(cpu_s / MEASURE_S, sent, recorded, control_ms, unanswered)
 
 
 # --- SIGKILL
@@ -264,18 +304,31 @@ def kills(count: int) -> Row:
 
 
 def run(count: int = KILLS) -> Iterator[Row]:
-    """Share of a core, control beside it, kills."""
+    """Share of a core, what is missing, control beside it, kills."""
+    kinds = ("no recorder", "ours", "foxglove-sdk")
+    rounds = [{kind: measure(kind) for kind in kinds} for _ in range(ROUNDS)]
+
+    def row(case: str, kind: str, unit: str, values: Iterable[float]) -> Row:
+        return Row.of("recorder", case, kind, unit, values)
+
     case = f"{ROBOTS} robots at {RATE_HZ} Hz, film"
-    measured = {kind: measure(kind) for kind in ("no recorder", "ours", "foxglove-sdk")}
-    for kind, found in measured.items():
-        yield Row.of("recorder", f"{case}: station's process", kind, "% of a core", [100.0 * found.share])
-    for kind in ("ours", "foxglove-sdk"):
-        share = 100.0 * (measured[kind].share - measured["no recorder"].share)
-        yield Row.of("recorder", f"{case}: of it recording", kind, "% of a core", [share])
-    for kind, found in measured.items():
-        yield Row.of("recorder", "control beside it, pose to state", kind, "ms", found.control_ms)
-    for kind in ("ours", "foxglove-sdk"):
-        yield Row.of("recorder", "messages recorded", kind, "1", [measured[kind].messages])
+    for kind in kinds:
+        yield row(f"{case}: station's process", kind, "% of a core", [100.0 * found[kind].share for found in rounds])
+    for kind in kinds[1:]:
+        shares = [100.0 * (found[kind].share - found["no recorder"].share) for found in rounds]
+        yield row(f"{case}: of it recording", kind, "% of a core", shares)
+    for kind in kinds[1:]:
+        missing = [100.0 * (1.0 - found[kind].recorded / found[kind].sent) for found in rounds]
+        yield row("messages not recorded", kind, "%", missing)
+    for kind in kinds:
+        times_ms = [ms for found in rounds for ms in found[kind].control_ms]
+        yield row("control beside it, pose sent to pulses", kind, "ms", times_ms)
+    for kind in kinds:
+        late = [100.0 * float(np.mean(np.array(found[kind].control_ms) > LATE_MS)) for found in rounds]
+        yield row(f"control beside it, steps over {LATE_MS:g} ms", kind, "%", late)
+    for kind in kinds:
+        unanswered = [float(found[kind].unanswered) for found in rounds]
+        yield row("control beside it, poses without a step", kind, "1", unanswered)
     yield kills(count)
 
 

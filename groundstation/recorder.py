@@ -2,7 +2,7 @@
 log, never the run.
 
     recorder = Recorder(run_dir / "run.mcap", experiment_toml, {"mode": "lockstep", "hash": experiment.hash})
-    bus.subscribe(topic, None, lambda topic, key, header, payload: recorder.put(topic, key, header, payload, clock.now_ns()))
+    recorder.gather([bus.collect(topic) for topic in topics.TOPICS if topic.recorded], lambda header: clock.now_ns())
     ...
     recorder.close()                    # in a finally
     recover(path)                       # later, if the process was killed
@@ -16,13 +16,14 @@ its session is in the channel's metadata.
 """
 
 import importlib.metadata
+import itertools
 import json
 import os
 import shutil
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -33,12 +34,14 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from wire.bus import Collected
 from wire.codec import Header, protobuf_class
 from wire.experiment import Experiment
 from wire.toml_file import ConfigError
 from wire.topics import STATE, Qos, Topic
 
 FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
+GATHER_S = 0.01  # how far `log_time` may be behind the arrival; a control step's messages come in bursts
 CHUNK_BYTES = 256 * 1024  # only previews reach it between flushes; several chunks a flush compress as well as one
 MAX_PENDING_BYTES = 64 * 1024 * 1024  # a disk that stalls this long (minutes of messages) must not eat the memory
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not make the reader ask for all memory
@@ -123,6 +126,8 @@ class Recorder:
         self._pending_bytes = 0
         self._pace: list[tuple[int, int]] = []  # (stamp, monotonic time of arrival) of one state message per flush
         self._closing = threading.Event()
+        self._gathered = threading.Event()  # to be ended: the last messages are fetched before the log is closed
+        self._gatherer: threading.Thread | None = None
         self._schemas: dict[type, int] = {}
         self._channels: dict[tuple[str, int], int] = {}
         self._output = _Output(path)
@@ -166,8 +171,25 @@ class Recorder:
             self._pending.append((topic, key, header, payload, log_time_ns, time.monotonic_ns()))
             self._pending_bytes += len(payload)
 
+    def gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
+        """Record what has come to these, from now until `close`, in a thread of its own: one that waited for the disk would
+        leave messages lying. `arrival_ns` tells what `log_time` becomes. Call it once."""
+        self._gatherer = threading.Thread(target=self._gather, args=(sources, arrival_ns), name="gatherer", daemon=True)
+        self._gatherer.start()
+
+    def _gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
+        ended = False
+        while not ended:
+            ended = self._gathered.wait(GATHER_S)
+            for topic, key, header, payload in itertools.chain.from_iterable(source() for source in sources):
+                self.put(topic, key, header, payload, arrival_ns(header))
+
     def close(self) -> None:
-        """Write what is pending and the file's index. Idempotent; does not raise for a failing disk, see `error`."""
+        """Fetch what has come, write what is pending and the file's index. Idempotent; does not raise for a failing disk,
+        see `error`."""
+        self._gathered.set()
+        if self._gatherer is not None:
+            self._gatherer.join(JOIN_S)
         self._closing.set()
         self._thread.join(JOIN_S)
         if self._thread.is_alive():

@@ -36,7 +36,7 @@ from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Command, LocalizerStatus, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat, Tick
 from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
-from wire.topics import WHOLE_FLEET, Topic
+from wire.topics import WHOLE_FLEET
 
 ORDER_TIMEOUT_S = 0.5
 TROUBLED = frozenset({Phase.FAILED, Phase.ABORTING, Phase.STOPPED, Phase.DEGRADED})
@@ -209,13 +209,10 @@ def surroundings(seen: Obstacles) -> Surroundings:
 def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
     """Feed every recorded topic of the bus to the recorder, bytes unchanged."""
 
-    def raw(topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        arrived_ns = header.stamp_ns if isinstance(clock, LockstepClock) else clock.now_ns()
-        recorder.put(topic, key, header, payload, arrived_ns)
+    def arrival_ns(header: Header) -> int:
+        return header.stamp_ns if isinstance(clock, LockstepClock) else clock.now_ns()
 
-    for topic in topics.TOPICS:
-        if topic.recorded:
-            bus.subscribe(topic, None, raw)
+    recorder.gather([bus.collect(topic) for topic in topics.TOPICS if topic.recorded], arrival_ns)
 
 
 def run(

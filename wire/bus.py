@@ -12,7 +12,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +26,7 @@ from wire.transport import Transport
 
 M = TypeVar("M")
 Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
+Collected = Callable[[], Iterator[tuple[Topic, str, Header, bytes]]]
 Handle = Callable[[Header, Command], Reply]
 
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
@@ -147,14 +148,31 @@ class Bus:
         """Every message of a topic as bytes (of all robots if none is named). Called from a network thread: be quick."""
 
         def deliver(key: str, payload: bytes, header: bytes) -> None:
-            try:
-                decoded = Header.decode(header, "unknown peer", topic.name)
-            except DecodeError:
-                self.rejected += 1
-                return
-            raw(topic, key, decoded, payload)
+            decoded = self._header(topic, header)
+            if decoded is not None:
+                raw(topic, key, decoded, payload)
 
         self._transport.subscribe(self._key(topic.key(robot)), topic.qos, deliver)
+
+    def collect(self, topic: Topic) -> Collected:
+        """As `subscribe`, of all robots, for messages that can wait: to be called now and then, from one thread, for those
+        that have come. Cheaper, and no network thread ever waits for whoever collects."""
+        collect = self._transport.collect(self._key(topic.key()), topic.qos)
+
+        def collected() -> Iterator[tuple[Topic, str, Header, bytes]]:
+            for key, payload, header in collect():
+                decoded = self._header(topic, header)
+                if decoded is not None:
+                    yield topic, key, decoded, payload
+
+        return collected
+
+    def _header(self, topic: Topic, header: bytes) -> Header | None:
+        try:
+            return Header.decode(header, "unknown peer", topic.name)
+        except DecodeError:
+            self.rejected += 1
+            return None
 
     def serve(self, robot: int, handle: Handle) -> None:
         """Answer the orders to a robot. `handle` runs in a network thread, and sees each order once (wire/once.py). What

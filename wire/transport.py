@@ -9,7 +9,8 @@ import logging
 import os
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -24,11 +25,14 @@ from wire.topics import Qos
 log = logging.getLogger("shoal")
 
 Deliver = Callable[[str, bytes, bytes], None]  # key, payload, header
+Collect = Callable[[], Iterable[tuple[str, bytes, bytes]]]  # what has come since the last call, in the order of its coming
 Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the reply
 Presence = Callable[[str, bool], None]  # key, is it there
 
 EVENT_CACHE = 1000  # messages a publisher of events keeps for late or returning subscribers
 JOURNAL_CACHE = 400  # 20 s of control steps: longer than a link is down in a run that goes on
+UNCOLLECTED = 8192  # messages of a subscription that wait to be collected: 20 s of the busiest topic of 20 robots
+UNCOLLECTED_IMAGES = 256  # 12 s, in some 30 MB
 TRY_AGAIN_S = 0.2
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
 
@@ -42,6 +46,7 @@ class Transport(Protocol):
 
     def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]: ...
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None: ...
+    def collect(self, key: str, qos: Qos) -> Collect: ...
     def serve(self, key: str, answer: Answer) -> None: ...
     def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None: ...
     def announce(self, key: str) -> None: ...
@@ -101,6 +106,12 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
         time.sleep(TRY_AGAIN_S)
 
 
+def _parts(sample: zenoh.Sample) -> tuple[str, bytes, bytes]:
+    """Key, payload, header."""
+    header = sample.attachment.to_bytes() if sample.attachment is not None else b""
+    return str(sample.key_expr), sample.payload.to_bytes(), header
+
+
 class ZenohTransport:
     """Two sessions: one for control, and one for pictures, opened when first needed, so that they never share a queue.
 
@@ -144,23 +155,37 @@ class ZenohTransport:
         return lambda payload, header: publisher.put(payload, attachment=header)
 
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
-        def on_sample(sample: zenoh.Sample) -> None:
-            header = sample.attachment.to_bytes() if sample.attachment is not None else b""
-            deliver(str(sample.key_expr), sample.payload.to_bytes(), header)
+        self._declare(key, qos, lambda sample: deliver(*_parts(sample)))
 
+    def collect(self, key: str, qos: Qos) -> Collect:
+        """For many messages that nobody waits for: half of what a callback for each costs. Uncollected ones never hold up
+        the session: the oldest go."""
+        channel = zenoh.handlers.FifoChannel if self._endpoint.lossless else zenoh.handlers.RingChannel
+        subscriber = self._declare(key, qos, channel(UNCOLLECTED_IMAGES if qos is Qos.IMAGE else UNCOLLECTED))
+
+        def collected() -> Iterable[tuple[str, bytes, bytes]]:
+            while (sample := subscriber.try_recv()) is not None:
+                yield _parts(sample)
+
+        return collected
+
+    def _declare(self, key: str, qos: Qos, handler: Any) -> Any:
+        """A subscriber with a callback, or a channel of Zenoh's, for its samples."""
         session = self._session(qos)
+        subscriber: Any
         if qos in _CACHED:
-            subscriber: Any = zenoh.ext.declare_advanced_subscriber(
+            subscriber = zenoh.ext.declare_advanced_subscriber(
                 session,
                 key,
-                on_sample,
+                handler,
                 history=zenoh.ext.HistoryConfig(detect_late_publishers=True) if qos is Qos.EVENT else None,
                 recovery=zenoh.ext.RecoveryConfig(periodic_queries=None, heartbeat=True),
                 subscriber_detection=True,
             )
         else:
-            subscriber = session.declare_subscriber(key, on_sample)
+            subscriber = session.declare_subscriber(key, handler)
         self._kept.append(subscriber)
+        return subscriber
 
     def serve(self, key: str, answer: Answer) -> None:
         def on_query(query: zenoh.Query) -> None:
@@ -246,6 +271,16 @@ class MemoryTransport:
             missed = [entry for entry in self._hub.cache if _matches(key, entry[0])] if qos is Qos.EVENT else []
         for entry in missed:
             deliver(*entry)
+
+    def collect(self, key: str, qos: Qos) -> Collect:
+        waiting: deque[tuple[str, bytes, bytes]] = deque()
+        self.subscribe(key, qos, lambda *message: waiting.append(message))
+
+        def collected() -> Iterable[tuple[str, bytes, bytes]]:
+            while waiting:
+                yield waiting.popleft()
+
+        return collected
 
     def serve(self, key: str, answer: Answer) -> None:
         with self._hub.lock:

@@ -20,9 +20,11 @@ from mcap_protobuf.decoder import DecoderFactory
 from groundstation.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room, is_complete, recover, valid_records
 from sim_bridge.sil import free_port
 from wire import topics
+from wire.bus import Bus
 from wire.codec import Header, decode, encode
 from wire.messages import Event, Pose, Preview, Track, Video
 from wire.toml_file import ConfigError
+from wire.transport import MemoryHub, MemoryTransport
 
 SECOND = 1_000_000_000
 
@@ -126,6 +128,24 @@ def test_put_from_many_threads_loses_nothing(tmp_path: Path) -> None:
     assert sorted(sequences(path)) == sorted([*range(1, 501)] * 4)
 
 
+def test_what_came_before_the_end_is_in_the_log(tmp_path: Path) -> None:
+    """Gathered from the bus: the last messages too, though nobody has looked for them yet. What comes later is not."""
+    hub, path = MemoryHub(), tmp_path / "run.mcap"
+    sender, recorder = Bus(MemoryTransport(hub)), Recorder(path, "", {})
+    receiver = Bus(MemoryTransport(hub))
+    recorder.gather([receiver.collect(topics.POSE), receiver.collect(topics.EVENT)], lambda header: header.stamp_ns + 5)
+    for k in range(200):
+        sender.publish(topics.POSE, pose(k), k, robot=1 + k % 3)
+        sender.publish(topics.EVENT, Event(2, "agent-1", "line"), k)
+    recorder.close()
+    sender.publish(topics.POSE, pose(200), 200, robot=1)
+    with path.open("rb") as file:
+        found = [(c.topic, m.publish_time, m.log_time) for _, c, m in make_reader(file).iter_messages()]
+    assert sorted(found) == sorted(
+        (key, k, k + 5) for k in range(200) for key in (f"shoal/robot/{1 + k % 3}/pose", "shoal/event")
+    )
+
+
 def test_what_does_not_fit_in_memory_is_dropped_and_counted(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, "", {})
@@ -210,6 +230,7 @@ import sys, time
 from pathlib import Path
 from groundstation.recorder import Recorder
 from wire import topics
+from wire.bus import Bus
 from wire.codec import Header, encode
 from wire.messages import Preview
 import random
@@ -253,6 +274,7 @@ import resource, sys, time
 from pathlib import Path
 from groundstation.recorder import Recorder
 from wire import topics
+from wire.bus import Bus
 from wire.codec import Header, encode
 from wire.messages import Preview
 import random

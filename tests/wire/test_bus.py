@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from wire import messages, topics
+from wire import messages, topics, transport
 from wire.bus import Bus
 from wire.codec import Header
 from wire.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
@@ -152,6 +152,48 @@ def test_events_reach_a_late_subscriber_and_states_do_not(make_bus: MakeBus) -> 
     late.subscribe(topics.STATE, None, lambda t, key, h, payload: states.append(key))
     assert eventually(lambda: len(events) == 3)
     assert states == []
+
+
+def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: MakeBus) -> None:
+    sender, receiver = make_bus(), make_bus()
+    states, events = receiver.collect(topics.STATE), receiver.collect(topics.EVENT)
+    receiver.announce("receiver")
+    sender.watch_presence()
+    assert eventually(lambda: "receiver" in sender.present)
+    found: list[tuple[topics.Topic, str, int]] = []
+
+    def look() -> int:
+        found.extend((topic, key, header.stamp_ns) for c in (states, events) for topic, key, header, _ in c())
+        return len(found)
+
+    sent = []
+    for k in range(20):
+        sender.publish(topics.STATE, messages.RobotState(), 2 * k, robot=1 + k % 2)
+        sender.publish(topics.EVENT, messages.Event(2, "test", f"line {k}"), 2 * k + 1)
+        sent.extend([(topics.STATE, f"shoal/robot/{1 + k % 2}/state", 2 * k), (topics.EVENT, "shoal/event", 2 * k + 1)])
+        assert eventually(lambda: look() >= len(sent))
+    for topic in (topics.STATE, topics.EVENT):
+        assert [entry for entry in found if entry[0] is topic] == [entry for entry in sent if entry[0] is topic]
+
+
+def test_what_nobody_collects_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The oldest go; orders, poses and heartbeats of the same session come as ever."""
+    monkeypatch.setattr(transport, "UNCOLLECTED", 4)
+    address = f"tcp/127.0.0.1:{free_port()}"
+    with Bus(ZenohTransport(Endpoint(address, router=True))) as receiver, Bus(ZenohTransport(Endpoint(address))) as sender:
+        collect = receiver.collect(topics.STATE)
+        beats = receiver.inbox(topics.HEARTBEAT, messages.StationHeartbeat)
+        came: list[int] = []
+        receiver.subscribe(topics.STATE, 1, lambda topic, key, header, payload: came.append(header.stamp_ns))
+        receiver.announce("receiver")
+        sender.watch_presence()
+        assert eventually(lambda: "receiver" in sender.present)
+        for k in range(12):
+            sender.publish(topics.STATE, messages.RobotState(), k, robot=1)
+            assert eventually(lambda stamp=k: came[-1:] == [stamp])  # type: ignore[misc]
+        sender.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1000)
+        assert eventually(lambda: beats.newest() is not None)
+        assert [header.stamp_ns for _, _, header, _ in collect()] == [8, 9, 10, 11]
 
 
 def test_a_picture_arrives_whole(make_bus: MakeBus) -> None:
