@@ -68,12 +68,21 @@ def keep(page: Page, name: str) -> None:
 
 
 def of_the_pool(browser: Browser, out: str) -> None:
-    """Flying, editing, a phone, and the emergency stop."""
+    """Flying, other gains, editing, a phone, and the emergency stop."""
     with flight(out, "pool", "--set", "sim.plant.current_mps=[0.02,0.01,0]") as url:
         page = opened(browser, url, DESK)
         page.locator("[data-robot='1'] .name").click()
         flown(page, 24)
         keep(page, "flight")
+        gains = page.locator(".tuning")
+        gains.locator("summary").click()
+        gains.get_by_label("Inputs R yaw").fill("80")
+        gains.get_by_role("button", name="Apply").click()
+        gains.get_by_text("set B").wait_for()
+        flown(page, 40)
+        gains.scroll_into_view_if_needed()
+        keep(page, "tuning")
+        gains.locator("summary").click()
         page.get_by_role("button", name="3-D").click()
         keep(page, "depth")
         phone = opened(browser, url, PHONE)
