@@ -283,7 +283,8 @@ def _checks(result: Result, series: Series) -> Iterator[Check]:
         ends = {robot: r.error[-1, :2] for robot, r in series.robots.items() if _went_all_the_way(series)}
         away = {robot: float(np.hypot(*end)) for robot, end in ends.items() if np.isfinite(end).all()}
         last = max(away, key=lambda robot: away[robot]) if len(away) == len(series.robots) else None
-        yield _at_most("from its place at the end, m", f"robot {last}", away.get(last) if last else None, limits.arrived_m)
+        where = f"robot {last}" if last is not None else "the end was not reached"
+        yield _at_most("from its place at the end, m", where, away.get(last) if last else None, limits.arrived_m)
     if limits.pose_rms_m is not None:
         rms = result.pose_error_m.rms if result.pose_error_m else None
         yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)

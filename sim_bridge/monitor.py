@@ -8,9 +8,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from wire import topics
-from wire.bus import Bus
+from wire.bus import Bus, Received
 from wire.experiment import Experiment
 from wire.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat
+
+SILENT_S = 3.0  # of the wall clock: a step in lockstep may take a while
 
 
 class Monitor:
@@ -30,6 +32,7 @@ class Monitor:
         )
         self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="")
         self._started_s: float | None = None
+        self._flown_s = 0.0
 
     @property
     def mission(self) -> str:
@@ -45,9 +48,13 @@ class Monitor:
 
     @property
     def flown_s(self) -> float:
-        """How far the slowest robot is along its trajectory."""
+        """How far the slowest robot is along its trajectory, of those that are heard of."""
         states = [inbox.newest() for inbox in self._states.values()]
-        return min((s.message.trajectory_s if s is not None else 0.0) for s in states)
+        if None in states:
+            return self._flown_s
+        heard = [s.message.trajectory_s for s in states if s is not None and not _silent(s)]
+        self._flown_s = min(heard, default=self._flown_s)
+        return self._flown_s
 
     @property
     def speed(self) -> float:
@@ -68,7 +75,8 @@ class Monitor:
             if received is None:
                 table.add_row(str(robot), "not heard", *[""] * 6)
                 continue
-            table.add_row(str(robot), *_cells(received.message))
+            cells = ("silent", *[""] * 6) if _silent(received) else _cells(received.message)
+            table.add_row(str(robot), *cells)
         return Group(table, self._progress)
 
     def line(self) -> str:
@@ -76,7 +84,9 @@ class Monitor:
         robots = []
         for robot, inbox in self._states.items():
             received = inbox.newest()
-            if received is not None:
+            if received is not None and _silent(received):
+                robots.append(f"{robot} silent")
+            elif received is not None:
                 state = received.message
                 robots.append(f"{robot} {state.mode.name.lower()} {_error_mm(state):.0f} mm{_remark(state)}")
         flown = f"{self.flown_s:6.1f} / {self._experiment.duration_s:.0f} s"
@@ -86,6 +96,10 @@ class Monitor:
         localizer = self._localizer.newest()
         camera = f", camera {localizer.message.camera.name.lower()}" if localizer is not None else ""
         return f"{self._experiment.title or self._experiment.name}: {self.mission.lower()}{camera}"
+
+
+def _silent(received: Received[RobotState]) -> bool:
+    return time.monotonic_ns() - received.arrived_ns > SILENT_S * 1e9
 
 
 def _error_mm(state: RobotState) -> float:
