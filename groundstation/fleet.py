@@ -45,6 +45,39 @@ class RobotView:
         """Whether its state is fresh."""
         return self.state is not None and self.state_age_s <= topics.STATE.max_age_s
 
+    @property
+    def trajectory_s(self) -> float:
+        """How far along its trajectory it is, by its own account."""
+        return self.state.trajectory_s if self.state is not None else 0.0
+
+    @property
+    def error_m(self) -> float:
+        """How far it is from its reference, while it flies."""
+        if self.state is None or self.mode is not Mode.TRACKING:
+            return 0.0
+        return float(np.linalg.norm(self.state.eta[:3] - self.state.eta_reference[:3]))
+
+    @property
+    def speed_mps(self) -> float:
+        """Over the floor."""
+        return float(np.linalg.norm(self.state.nu[:3])) if self.state is not None else 0.0
+
+    @property
+    def eta(self) -> Array:
+        """The best there is of its pose (4,): what it says if it is heard, else what the localizer says."""
+        if self.state is not None and (self.heard or self.pose is None):
+            return self.state.eta
+        if self.pose is not None:
+            return np.array([self.pose.x_m, self.pose.y_m, self.pose.depth_m, self.pose.yaw_rad])
+        return np.zeros(4)
+
+    @property
+    def rest(self) -> Array:
+        """The pose (4,) in which it rests: the place that it holds, or where it is if it holds none."""
+        if self.state is not None and self.mode is Mode.HOLDING:
+            return np.array([*self.state.eta_reference[:3], self.state.eta[3]])
+        return self.eta
+
 
 Fleet = Mapping[int, RobotView]
 

@@ -6,22 +6,25 @@ mission says which one it wants (`wanted`) and is told what came of it (`planned
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-
-import numpy as np
+from dataclasses import dataclass, replace
 
 from groundstation import legs
 from groundstation.checks import PlanError
-from groundstation.fleet import Fleet, RobotView, casualty, preflight
+from groundstation.crew import Crew
+from groundstation.fleet import Fleet, casualty, preflight
 from groundstation.legs import Leg
+from groundstation.lookout import Lookout, Surroundings
 from groundstation.pacing import Pace
-from groundstation.phases import FLYING, ON_COURSE, OVER, Event, Phase, after, refusal
+from groundstation.phases import FLYING, OVER, Event, Phase, after, refusal
+from groundstation.stages import STAGES, Stage
+from groundstation.watch import noticed
+from groundstation.wishes import can_move, objection
 from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Command, Mode, Order, Reply, Trajectory
+from wire.messages import Command, Mode, Order, Reply
 
-__all__ = ["OVER", "Answer", "Mission", "Phase"]
+__all__ = ["OVER", "STAGES", "Answer", "Mission", "Phase", "Surroundings"]
 
 START_IN_S = 0.5  # from the order to the first step along the trajectory, so that all have heard it
 RETRY_S = 0.25
@@ -30,40 +33,10 @@ TEST_PATIENCE_S = 12.0
 SETTLE_S = 1.0  # an automatic mission goes on this long after everybody holds and is well again
 AHEAD_S = 2.0  # from asking for another path to where it begins: planning, and telling everybody
 LAST_CALL_S = 0.3  # before that, everybody must have it
-LOOK_S = 25.0  # along the path, for things that lie on it
-SURE_S = 0.5  # that long something must have lain there
 AT_REST_MPS = 0.03
 REST_WITHIN_S = 8.0  # robots that hold against waves never quite rest
 
-LIVE = frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING})
-UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
 BEFORE_REST = frozenset({Phase.HALTING, Phase.RELOADING, Phase.REARMING, Phase.RELEASING, Phase.RESUMING})
-
-
-@dataclass(frozen=True)
-class Stage:
-    """A phase that gives every robot one order until all obey."""
-
-    order: Order
-    obeyed: Callable[[Mode, bool], bool]  # (mode, trajectory loaded) -> done
-
-
-ARMED = (Mode.ARMED, Mode.HOLDING)
-STAGES: dict[Phase, Stage] = {
-    Phase.LOADING: Stage(Order.LOAD, lambda mode, loaded: loaded),
-    Phase.ARMING: Stage(Order.ARM, lambda mode, loaded: mode in ARMED),
-    Phase.STARTING: Stage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
-    Phase.RESUMING: Stage(Order.RESUME, lambda mode, loaded: mode is Mode.TRACKING),
-    Phase.RELOADING: Stage(Order.LOAD, lambda mode, loaded: loaded),
-    Phase.REARMING: Stage(Order.ARM, lambda mode, loaded: mode in ARMED),
-    Phase.RELEASING: Stage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
-    Phase.ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
-    Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode is not Mode.STOPPED),
-    Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode not in LIVE),
-    Phase.TEST_ARMING: Stage(Order.ARM, lambda mode, loaded: mode is Mode.ARMED),
-    Phase.TEST_ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
-}
-STARTS = frozenset({Phase.STARTING, Phase.RELEASING, Phase.RESUMING})
 
 
 @dataclass(frozen=True)
@@ -82,14 +55,6 @@ class Wanted:
     plan: Callable[[], Leg]
 
 
-@dataclass(frozen=True, eq=False)
-class Surroundings:
-    """What the station knows besides its robots: things that lie in the pool, (k, 3: x, y, radius), and their numbers."""
-
-    ids: tuple[int, ...] = ()
-    things: Array = field(default_factory=lambda: legs.NOTHING)
-
-
 class Mission:
     """One run of an experiment. `automatic` goes from WAITING to DONE by itself; otherwise START asks for it."""
 
@@ -102,9 +67,9 @@ class Mission:
         self.leg = leg
         self.pace = Pace(experiment.mission)
         self.wanted: Wanted | None = None
-        self.out: dict[int, str] = {}  # robots that fell out of a run that goes on, and why
+        self.crew = Crew(experiment.robot_ids, leg)
         self._experiment, self._first, self._starts = experiment, leg, dict(starts)
-        self._slots = {r: r for r in experiment.robot_ids}
+        self._lookout = Lookout(experiment)
         self._next: Leg | None = None  # flown from its beginning on, once all have it
         self._since_ns = 0
         self._asked_ns: dict[int, int] = {}
@@ -112,28 +77,18 @@ class Mission:
         self._reached_s = 0.0  # along the trajectories; common to all, so that a resumed formation is still in step
         self._stop_after: Phase | None = None  # a person asked for no more than this stage
         self._held_by_person = False
-        self._seen_since_ns: dict[int, int] = {}
-        self._around = Surroundings()
         self._purpose: Callable[[Fleet, float], Leg] | None = None  # of coming to rest
         self._deadline_s = 0.0  # of SWITCHING, on the trajectories' clock
         self._asked_by_person = False  # for another path
         self._tested: set[int] = set()
-        self._paths: dict[int, Trajectory] = dict(leg.trajectories)
-
-    @property
-    def active(self) -> tuple[int, ...]:
-        """Robots that take part."""
-        return tuple(r for r in self._experiment.robot_ids if r not in self.out)
-
-    def paths(self) -> dict[int, Trajectory]:
-        """What each robot flies, from the run's beginning on: for people and for logs."""
-        return dict(self._paths)
 
     # --- what people ask for
 
     def wish(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = ()) -> str:
         """What a person at the station asks for. Returns why not, or nothing when it is under way."""
-        reason = refusal(order, self.phase) or self._objection(order, fleet, via)
+        reason = refusal(order, self.phase) or objection(
+            order, self._experiment, fleet, self.crew, self.leg, self._starts, via
+        )
         if reason:
             return reason
         if order in (Order.LOAD, Order.ARM, Order.START):
@@ -143,54 +98,31 @@ class Mission:
         if order is Order.RETURN:
             self._come_home(fleet)
         if order is Order.REJOIN:
-            free = [s for s in self._experiment.robot_ids if s not in {self._slots[r] for r in self.active}]
-            self._slots |= dict(zip(self.out, free, strict=True))
-            self.out, self._purpose = {}, self._into_place
+            self.crew.take_back()
+            self._purpose = self._into_place
         self._go(order, now_ns)
         if order is Order.GO:
             self._want_detour(fleet, now_ns, tuple(via))
         return ""
 
-    def _objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]]) -> str:
-        if order in (Order.ARM, Order.START):
-            return "; ".join(preflight(self._experiment, fleet, self._starts))
-        if order is Order.TEST:
-            return "; ".join(preflight(self._experiment, fleet, but=("thrusters",)))
-        if order is Order.GO:
-            if not via:
-                return "where to? (places for the formation's centre, x and y in m)"
-            if not legs.can_detour(self._experiment):
-                return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
-        if order is Order.REJOIN:
-            if not self.out:
-                return "nobody is out"
-            unfit = preflight(self._experiment, {r: fleet[r] for r in self.out}, but=("thrusters",))
-            return "; ".join(unfit)
-        if order is Order.RETURN and not any(self._can_move(fleet[r]) for r in self.active):
-            return "no robot is fit to move"
-        return ""
-
-    def _can_move(self, robot: RobotView) -> bool:
-        return robot.heard and robot.mode not in UNFIT
-
     def _begin_anew(self) -> None:
-        self.failed, self.leg, self.out = False, self._first, {}
-        self._slots = {r: r for r in self._experiment.robot_ids}
-        self._reached_s = 0.0
-        self._paths = dict(self._first.trajectories)
+        self.failed, self.leg, self._reached_s = False, self._first, 0.0
+        self.crew.begin(self._first)
         self.pace.start()
 
     def _come_home(self, fleet: Fleet) -> None:
         if self.phase in (Phase.WAITING, *OVER):
             self._begin_anew()
-        self.out |= {r: "not fit to move" for r in self.active if not self._can_move(fleet[r])}
+        for robot in self.crew.active:
+            if not can_move(fleet[robot]):
+                self.crew.lose(robot, "not fit to move")
         self._purpose = lambda seen, begin_s: legs.homeward(
-            self._experiment, begin_s, self._rests(seen), self._starts, self._in_the_way(seen)
+            self._experiment, begin_s, self.crew.rests(seen), self._starts, self._in_the_way(seen)
         )
 
     def _into_place(self, fleet: Fleet, begin_s: float) -> Leg:
-        rests, slots = self._rests(fleet), {r: self._slots[r] for r in self.active}
-        return legs.gathered(self._experiment, self.leg, begin_s, self._reached_s, rests, slots, self._in_the_way(fleet))
+        rests, slots, things = self.crew.rests(fleet), self.crew.active_slots(), self._in_the_way(fleet)
+        return legs.gathered(self._experiment, self.leg, begin_s, self._reached_s, rests, slots, things)
 
     # --- the cycle
 
@@ -199,8 +131,7 @@ class Mission:
     ) -> tuple[Command, ...]:
         """One cycle: the orders to send now."""
         self._listen(answers)
-        self._around = around if around is not None else self._around
-        self._sight(now_ns)
+        self._lookout.see(around, now_ns)
         if self.phase is Phase.WAITING:
             return self._wait(fleet, now_ns)
         if self.phase in FLYING or self.phase is Phase.PAUSED or self.phase in BEFORE_REST:
@@ -223,11 +154,12 @@ class Mission:
     def _listen(self, answers: Sequence[Answer]) -> None:
         for answer in answers:
             command = answer.command
-            if command.robot not in self._slots:
+            if command.robot not in self.crew.everybody:
                 continue
+            held = self.crew.trajectory(self._next, command.robot)
             if not answer.reply.accepted:
                 self.reason = f"robot {command.robot} refuses {command.order.name}: {answer.reply.reason}"
-            elif command.order is Order.LOAD and command.trajectory_id == self._trajectory_id(self._next, command.robot):
+            elif command.order is Order.LOAD and held is not None and command.trajectory_id == held.id:
                 self._accepted.add(command.robot)
             elif command.order is Order.TEST:
                 self._tested.add(command.robot)
@@ -240,65 +172,50 @@ class Mission:
             self._go(Event.FIT, now_ns)
         return ()
 
-    def _sight(self, now_ns: int) -> None:
-        self._seen_since_ns = {i: self._seen_since_ns.get(i, now_ns) for i in self._around.ids}
-
     def _watch(self, fleet: Fleet, now_ns: int) -> None:
         """Look for the end of the run, for robots that fell out of it, for what lies in the way."""
         self._count_losses(fleet, now_ns)
-        if self.phase in BEFORE_REST or not self.active or self.phase not in FLYING | {Phase.PAUSED}:
+        if not self.crew.active or self.phase not in FLYING | {Phase.PAUSED}:
             return
-        self._reached_s = min(_trajectory_s(fleet[r]) for r in self.active)
-        if self.phase in FLYING and self._reached_s >= self.leg.end_s:
-            self._go(Event.ARRIVED, now_ns)
-            return
+        self._reached_s = min(fleet[r].trajectory_s for r in self.crew.active)
         if self.phase is Phase.PAUSED:
             return
-        holding = [r for r in self.active if fleet[r].mode is Mode.HOLDING]
-        if holding and now_ns - self._since_ns > topics.STATE.max_age_s * 1e9:
-            state = fleet[holding[0]].state
-            self._go(Event.HELD, now_ns)
-            self.reason = f"robot {holding[0]} holds: {state.fault if state else ''}"
+        fresh, slowed = now_ns - self._since_ns <= topics.STATE.max_age_s * 1e9, self.pace.slowed
+        notice = noticed(
+            self.phase, fleet, self.crew, self.leg, self._reached_s, fresh, slowed, lambda: self._blocked(fleet, now_ns)
+        )
+        if notice is None:
             return
-        if self.phase is Phase.RUNNING and self.leg.home:
-            self._go(Event.HOMEWARD, now_ns)
-        elif self.phase is Phase.RUNNING and self.out:
-            self._go(Event.MISSING, now_ns)
-            self.reason = "; ".join(f"robot {r}: {why}" for r, why in self.out.items())
-        elif self.phase in ON_COURSE:
-            self._look_ahead(fleet, now_ns)
+        self._go(notice.cause, now_ns)
+        self.reason = notice.reason
+        if notice.cause is Event.OBSTACLE:
+            self._want_detour(fleet, now_ns, ())
 
     def _count_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Robots that are gone: what then is the experiment's policy."""
         under_way = self.phase in FLYING or self.phase is Phase.PAUSED
-        trouble = casualty(self.active, fleet, disarmed_counts=under_way)
+        trouble = casualty(self.crew.active, fleet, disarmed_counts=under_way)
         if trouble is None:
             return
         robot, why = trouble
         policy = self._experiment.mission.lost
-        if policy == "abort" or len(self.active) == 1:
+        if policy == "abort" or len(self.crew.active) == 1:
             self._fail(f"robot {robot}: {why}", now_ns)
             return
-        self.out[robot] = why
-        self.reason = f"robot {robot}: {why}"
+        self.crew.lose(robot, why)
         if policy == "hold" and self.phase in FLYING:
             self._go(Event.LOST_HOLD, now_ns)
             self._held_by_person = True  # who decides what then is a person
         if policy == "close-up" and under_way and not self.leg.home:
-            self._close_up(fleet)
+            self.crew.close_up(self.leg, self._reached_s, fleet)
+            self._purpose = self._into_place
             self._go(Event.LOST_CLOSE_UP, now_ns)
         self.reason = f"robot {robot}: {why}"
 
-    def _close_up(self, fleet: Fleet) -> None:
-        """The others take the slots of the file's first robots, by the shortest ways."""
-        slots = self._experiment.robot_ids[: len(self.active)]
-        eta = {r: _eta(fleet[r]) for r in self.active}
-        self._slots |= legs.assigned(self.leg, self._reached_s, eta, slots)
-        self._purpose = self._into_place
-
     def _keep_pace(self, fleet: Fleet) -> None:
         if self.phase in FLYING:
-            self.pace.step(max((_error_m(fleet[r]) for r in self.active), default=0.0), self._experiment.controller.period_s)
+            worst_m = max((fleet[r].error_m for r in self.crew.active), default=0.0)
+            self.pace.step(worst_m, self._experiment.controller.period_s)
         else:
             self.pace.reset()
 
@@ -306,7 +223,7 @@ class Mission:
 
     def _drive(self, stage: Stage, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         concerned = self._concerned(fleet)
-        waiting = [r for r in concerned if not stage.obeyed(fleet[r].mode, self._loaded(fleet, r))]
+        waiting = [r for r in concerned if not stage.obeyed(fleet[r].mode, self.crew.is_on(self.leg, fleet, r))]
         if not waiting:
             if self.phase is not self._stop_after:
                 self._go(Event.OBEYED, now_ns)
@@ -323,8 +240,8 @@ class Mission:
         if self.phase in (Phase.ABORTING, Phase.CLEARING):
             return everybody
         if self.phase is Phase.ENDING:
-            return [r for r in everybody if r not in self.out or (fleet[r].heard and fleet[r].mode is not Mode.STOPPED)]
-        return self.active
+            return [r for r in everybody if r not in self.crew.out or (fleet[r].heard and fleet[r].mode is not Mode.STOPPED)]
+        return self.crew.active
 
     def _unheeded(self, why: str, now_ns: int) -> None:
         if self.phase is not Phase.SWITCHING:
@@ -334,8 +251,8 @@ class Mission:
 
     def _pause(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Everybody holds. Only an automatic mission goes on by itself, when all are well again."""
-        moving = self._not_in(Mode.HOLDING, fleet, self.active)
-        unfit = preflight(self._experiment, {r: fleet[r] for r in self.active})
+        moving = self._not_in(Mode.HOLDING, fleet, self.crew.active)
+        unfit = preflight(self._experiment, {r: fleet[r] for r in self.crew.active})
         if moving or unfit or self._blocked(fleet):
             self._since_ns = now_ns
         elif self.automatic and not self._held_by_person and now_ns - self._since_ns > SETTLE_S * 1e9:
@@ -344,14 +261,14 @@ class Mission:
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring everybody who moves to rest, then ask for the plan."""
-        flying = [r for r in self.active if fleet[r].mode is Mode.TRACKING]
+        flying = [r for r in self.crew.active if fleet[r].mode is Mode.TRACKING]
         waited_s = (now_ns - self._since_ns) * 1e-9
         if flying:
             if waited_s > PATIENCE_S:
                 self._unheeded(f"robot {', '.join(map(str, flying))} does not follow HOLD", now_ns)
                 return ()
             return self._ask(Order.HOLD, flying, now_ns)
-        fast = any(_speed_mps(fleet[r]) > AT_REST_MPS for r in self.active if fleet[r].mode is Mode.HOLDING)
+        fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.crew.active if fleet[r].mode is Mode.HOLDING)
         if self.wanted is None and self._purpose is not None and (not fast or waited_s > REST_WITHIN_S):
             period_s = self._experiment.controller.period_s
             begin_s = legs.on_grid(self._reached_s + period_s, period_s)
@@ -360,7 +277,7 @@ class Mission:
         return ()
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        states = {r: fleet[r].state for r in self.active}
+        states = {r: fleet[r].state for r in self.crew.active}
         results = {r: s.thruster_test if s is not None and r in self._tested else "" for r, s in states.items()}
         if all(result not in ("", "running") for result in results.values()):
             self._go(Event.OBEYED, now_ns)
@@ -370,44 +287,17 @@ class Mission:
         if now_ns - self._since_ns > TEST_PATIENCE_S * 1e9:
             self._unheeded(f"the thruster test does not end: {results}", now_ns)
             return ()
-        return self._ask(Order.TEST, [r for r in self.active if r not in self._tested], now_ns)
+        return self._ask(Order.TEST, [r for r in self.crew.active if r not in self._tested], now_ns)
 
     # --- another path under way
 
-    def _things(self, now_ns: int | None = None) -> Array:
-        """What lies there, and has for a while."""
-        sure = [now_ns is None or now_ns - self._seen_since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._around.ids]
-        return self._around.things[np.array(sure, dtype=bool)] if self._around.ids else legs.NOTHING
-
     def _in_the_way(self, fleet: Fleet, now_ns: int | None = None, room_m: float | None = None) -> Array:
-        """Things, and robots that are out: they lie where they were last seen, and as robots keep a growing bubble around one
-        that is silent, plans leave room for it."""
-        safety = self._experiment.safety
-        wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
-        lost = [(*_eta(fleet[r])[:2], wide_m) for r in self.out if fleet[r].pose or fleet[r].state]
-        return np.vstack([self._things(now_ns), np.array(lost).reshape(-1, 3)])
+        return self._lookout.in_the_way([fleet[r] for r in self.crew.out], now_ns, room_m)
 
     def _blocked(self, fleet: Fleet, now_ns: int | None = None) -> str:
-        in_shape = not self.leg.home and self._reached_s >= self.leg.own_ways_until_s
-        if not (self._experiment.mission.detours and legs.can_detour(self._experiment) and in_shape):
-            return ""
-        flown = {r: self.leg.trajectories[self._slots[r]] for r in self.active}
-        leg, until_s = replace(self.leg, trajectories=flown), self._reached_s + LOOK_S
-        return legs.first_contact(self._experiment, leg, self._reached_s, until_s, self._in_the_way(fleet, now_ns, 0.0))
-
-    def _look_ahead(self, fleet: Fleet, now_ns: int) -> None:
-        contact = self._blocked(fleet, now_ns)
-        if contact:
-            self._go(Event.OBSTACLE, now_ns)
-            self.reason = f"something lies {contact}"
-            self._want_detour(fleet, now_ns, ())
-            return
-        if self.phase is Phase.SLOWED and not self.pace.slowed:
-            self._go(Event.CAUGHT_UP, now_ns)
-        elif self.phase is not Phase.SLOWED and self.pace.slowed:
-            self._go(Event.LAGGING, now_ns)
-            worst = max(self.active, key=lambda r: _error_m(fleet[r]))
-            self.reason = f"robot {worst} is {_error_m(fleet[worst]):.2f} m from its place"
+        """Where the formation would touch something; empty if nowhere."""
+        leg = replace(self.leg, trajectories=self.crew.flown(self.leg))
+        return self._lookout.contact(leg, self._reached_s, self._in_the_way(fleet, now_ns, 0.0))
 
     def _want_detour(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...]) -> None:
         begin_s = legs.on_grid(self._reached_s + AHEAD_S, self._experiment.controller.period_s)
@@ -435,20 +325,15 @@ class Mission:
 
     def _adopt(self, leg: Leg) -> None:
         self.leg, self._next = leg, None
-        if leg.home:
-            self._slots = {r: r for r in self._experiment.robot_ids}
-        for robot in self.active:
-            if self._slots[robot] in leg.trajectories:
-                self._paths[robot] = legs.continued(self._paths[robot], leg.trajectories[self._slots[robot]])
+        self.crew.adopt(leg)
 
     def _switch(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Give everybody the next leg; when all have it, let all go over where it begins."""
         if self._next is None:
-            late = self._reached_s > self._deadline_s
-            if late:
+            if self._reached_s > self._deadline_s:
                 self._unheeded("no plan in time", now_ns)
             return ()
-        going = [r for r in self.active if not self._on(self._next, fleet, r)]
+        going = [r for r in self.crew.active if not self.crew.is_on(self._next, fleet, r)]
         if not going:
             self._adopt(self._next)
             self._go(Event.OBEYED, now_ns)
@@ -464,16 +349,6 @@ class Mission:
     def _not_in(self, mode: Mode, fleet: Fleet, robots: Sequence[int]) -> list[int]:
         return [r for r in robots if fleet[r].mode is not mode]
 
-    def _trajectory_id(self, leg: Leg | None, robot: int) -> str | None:
-        return leg.trajectories[self._slots[robot]].id if leg is not None and self._slots[robot] in leg.trajectories else None
-
-    def _on(self, leg: Leg, fleet: Fleet, robot: int) -> bool:
-        state = fleet[robot].state
-        return state is not None and state.trajectory_id == self._trajectory_id(leg, robot)
-
-    def _loaded(self, fleet: Fleet, robot: int) -> bool:
-        return self._on(self.leg, fleet, robot)
-
     def _ask(self, order: Order, robots: Sequence[int], now_ns: int) -> tuple[Command, ...]:
         """Orders for those robots that have not been asked within RETRY_S."""
         due = [r for r in robots if now_ns - self._asked_ns.get(r, -(10**18)) >= RETRY_S * 1e9]
@@ -483,7 +358,7 @@ class Mission:
 
     def _command(self, order: Order, robot: int, now_ns: int) -> Command:
         leg = self._next if self._next is not None and order in (Order.LOAD, Order.SWITCH) else self.leg
-        trajectory = leg.trajectories.get(self._slots[robot])
+        trajectory = self.crew.trajectory(leg, robot)
         starts = order in (Order.START, Order.RESUME)
         left_s = START_IN_S - (now_ns - self._since_ns) * 1e-9  # a second try starts at the same instant as the first
         from_s = self._reached_s if self.phase is Phase.RESUMING else self.leg.centre.begin_s
@@ -496,10 +371,6 @@ class Mission:
             trajectory_s=from_s + self.pace.lag_s if starts else 0.0,
             trajectory=trajectory if order is Order.LOAD else None,
         )
-
-    def _rests(self, fleet: Fleet) -> dict[int, Array]:
-        """Where robots rest: the place they hold, or where they are if they hold none."""
-        return {r: _rest(fleet[r]) for r in self.active}
 
     def _fail(self, reason: str, now_ns: int) -> None:
         self.failed = True
@@ -522,33 +393,3 @@ class Mission:
         self._tested = set() if phase is Phase.TEST_ARMING else self._tested
         self.phase, self._since_ns = phase, now_ns
         self._asked_ns.clear()
-
-
-def _trajectory_s(robot: RobotView) -> float:
-    return robot.state.trajectory_s if robot.state is not None else 0.0
-
-
-def _error_m(robot: RobotView) -> float:
-    """How far a robot that flies is from its reference."""
-    if robot.state is None or robot.state.mode is not Mode.TRACKING:
-        return 0.0
-    return float(np.linalg.norm(robot.state.eta[:3] - robot.state.eta_reference[:3]))
-
-
-def _speed_mps(robot: RobotView) -> float:
-    return float(np.linalg.norm(robot.state.nu[:3])) if robot.state is not None else 0.0
-
-
-def _eta(robot: RobotView) -> Array:
-    """The best there is of where a robot is: what it says if it is heard, else what the localizer says."""
-    if robot.state is not None and (robot.heard or robot.pose is None):
-        return robot.state.eta
-    if robot.pose is not None:
-        return np.array([robot.pose.x_m, robot.pose.y_m, robot.pose.depth_m, robot.pose.yaw_rad])
-    return np.zeros(4)
-
-
-def _rest(robot: RobotView) -> Array:
-    if robot.state is not None and robot.mode is Mode.HOLDING:
-        return np.array([*robot.state.eta_reference[:3], robot.state.eta[3]])
-    return _eta(robot)

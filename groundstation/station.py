@@ -5,6 +5,7 @@ orders of a cycle are answered before its heartbeat, so a robot that has the hea
 """
 
 import contextlib
+import re
 import threading
 import time
 from collections import deque
@@ -21,7 +22,8 @@ from groundstation.checks import PlanError
 from groundstation.fleet import Ear, Fleet, preflight, view
 from groundstation.laps import Laps
 from groundstation.legs import Leg
-from groundstation.mission import OVER, Answer, Mission, Phase, Surroundings
+from groundstation.lookout import Surroundings
+from groundstation.mission import OVER, Answer, Mission, Phase
 from groundstation.recorder import Recorder, check_room, run_metadata
 from groundstation.tuner import TUNING, Tuner
 from groundstation.viewer_live import ViewerServer
@@ -40,6 +42,7 @@ from wire.topics import WHOLE_FLEET
 
 ORDER_TIMEOUT_S = 0.5
 TROUBLED = frozenset({Phase.FAILED, Phase.ABORTING, Phase.STOPPED, Phase.DEGRADED})
+FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 DRIFTS_MPS = 0.05  # what moves faster will lie elsewhere when the formation comes by
 
 
@@ -131,7 +134,7 @@ class Station:
         leg = self.mission.leg
         if leg is self.published:
             return
-        for robot, trajectory in self.mission.paths().items():
+        for robot, trajectory in self.mission.crew.paths.items():
             self.bus.publish(topics.TRAJECTORY, trajectory, now_ns, robot)
         self.published = leg
 
@@ -184,8 +187,9 @@ class Station:
             self.recorder_told = True
             log.error("recorder: %s", self.recorder.error)
         line = f"{self.mission.phase.value}{f': {self.mission.reason}' if self.mission.reason else ''}"
-        if line != self.told:
-            self.told = line
+        told = FIGURE.sub("", line)
+        if told != self.told:
+            self.told = told
             (log.warning if self.mission.phase in TROUBLED else log.info)("mission: %s", line)
 
 

@@ -176,7 +176,7 @@ def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
     assert modes == [flies[ends_in]] * 2
     assert pool.separation_m(begin) > 0.5  # hulls touch at 0.3; who is out drifts
     if policy == "close-up":
-        slots = {pool.mission._slots[r] for r in (2, 3)}
+        slots = {pool.mission.crew.slots[r] for r in (2, 3)}
         assert slots == {1, 2} and Phase.HALTING in pool.phases
     assert np.all(pool.pulses[-1][0, :4] == 1500)
 
@@ -199,7 +199,7 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
     pool.until(Phase.RUNNING, within_s=3.0)
     while pool.mission._reached_s < pool.mission.leg.own_ways_until_s + 5.0:
         pool.run(1.0)
-    assert pool.mission.out == {} and {robot.states[-1].mode for robot in pool.robots} == {Mode.TRACKING}
+    assert pool.mission.crew.out == {} and {robot.states[-1].mode for robot in pool.robots} == {Mode.TRACKING}
     assert pool.separation_m(begin) > 0.5  # hulls touch at 0.3; who is out drifts
     goal = np.array(pool.references[-1])
     apart = [float(np.linalg.norm(goal[a, :2] - goal[b, :2])) for a, b in ((0, 1), (0, 2), (1, 2))]

@@ -1,14 +1,16 @@
 """The mission against a fleet of simple obedient (or not) robots, with time as an argument."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
 
+from groundstation.crew import Crew
 from groundstation.fleet import RobotView, casualty, preflight
 from groundstation.legs import Leg
 from groundstation.mission import PATIENCE_S, Answer, Mission
 from groundstation.phases import Phase
+from groundstation.wishes import objection
 from wire.experiment import Experiment, load_experiment
 from wire.messages import Command, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
 
@@ -226,3 +228,19 @@ def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     assert run.mission.wish(Order.START, run.fleet(), run.now_ns) == ""
     run.step(1.0)
     assert run.in_mode(1, Mode.TRACKING)
+
+
+def test_nobody_rejoins_those_who_are_on_their_way_home() -> None:
+    """That way has no places for robots that are out."""
+    run = Run()
+    crew = Crew(run.experiment.robot_ids, run.mission.leg)
+    crew.lose(2, "silent")
+
+    def why_not(leg: Leg) -> str:
+        return objection(Order.REJOIN, run.experiment, run.fleet(), crew, leg, {}, ())
+
+    home = replace(run.mission.leg, home=True)
+    assert "way back" in why_not(home)
+    assert "way back" not in why_not(run.mission.leg)
+    crew.take_back()
+    assert why_not(home) == "nobody is out"

@@ -1,0 +1,57 @@
+"""What lies in the pool besides robots that fly, and whether it lies in their way. Pure."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from groundstation import legs
+from groundstation.fleet import RobotView
+from groundstation.legs import Leg
+from wire.experiment import Experiment
+from wire.frames import Array
+
+AHEAD_S = 25.0  # along the path, for things that lie on it
+SURE_S = 0.5  # that long something must have lain there
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What the station knows besides its robots: things that lie in the pool, (k, 3: x, y, radius), and their numbers."""
+
+    ids: tuple[int, ...] = ()
+    things: Array = field(default_factory=lambda: legs.NOTHING)
+
+
+class Lookout:
+    """Remembers since when something lies there. Things are (k, 3: x, y, radius)."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self._around = Surroundings()
+        self._since_ns: dict[int, int] = {}
+
+    def see(self, around: Surroundings | None, now_ns: int) -> None:
+        """What lies there now; None: as before."""
+        self._around = around if around is not None else self._around
+        self._since_ns = {i: self._since_ns.get(i, now_ns) for i in self._around.ids}
+
+    def in_the_way(self, lost: Iterable[RobotView], now_ns: int | None = None, room_m: float | None = None) -> Array:
+        """Things (with `now_ns`: that have lain there for a while), and robots that are out: they lie where they were last
+        seen, and as robots keep a growing bubble around one that is silent, plans leave room for it."""
+        safety = self._experiment.safety
+        wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
+        robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.pose or robot.state]
+        return np.vstack([self._things(now_ns), np.array(robots).reshape(-1, 3)])
+
+    def contact(self, leg: Leg, reached_s: float, things: Array) -> str:
+        """Where a formation in its shape, `reached_s` along a leg, would touch something; empty if nowhere, or if paths are
+        not to be changed under way."""
+        in_shape = not leg.home and reached_s >= leg.own_ways_until_s
+        if not (self._experiment.mission.detours and legs.can_detour(self._experiment) and in_shape):
+            return ""
+        return legs.first_contact(self._experiment, leg, reached_s, reached_s + AHEAD_S, things)
+
+    def _things(self, now_ns: int | None) -> Array:
+        sure = [now_ns is None or now_ns - self._since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._around.ids]
+        return self._around.things[np.array(sure, dtype=bool)] if self._around.ids else legs.NOTHING

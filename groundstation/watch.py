@@ -1,0 +1,46 @@
+"""What a flight's next event is, of those that nobody asks for: its end, robots that hold or lag, things in the way. Pure.
+Robots that are lost come before (groundstation/mission.py)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from groundstation.crew import Crew
+from groundstation.fleet import Fleet
+from groundstation.legs import Leg
+from groundstation.phases import ON_COURSE, Event, Phase
+from wire.messages import Mode
+
+
+@dataclass(frozen=True)
+class Notice:
+    """An event, and what people are told of it."""
+
+    cause: Event
+    reason: str = ""
+
+
+def noticed(
+    phase: Phase, fleet: Fleet, crew: Crew, leg: Leg, reached_s: float, fresh: bool, slowed: bool, contact: Callable[[], str]
+) -> Notice | None:
+    """In a phase in which robots fly, with the slowest `reached_s` along the leg. `fresh`: what the fleet tells may be from
+    before this phase. `slowed`: the formation waits for somebody. `contact` says where it would touch something (it takes a
+    millisecond, and not every event asks)."""
+    if reached_s >= leg.end_s:
+        return Notice(Event.ARRIVED)
+    holding = [robot for robot in crew.active if fleet[robot].mode is Mode.HOLDING]
+    if holding and not fresh:
+        state = fleet[holding[0]].state
+        return Notice(Event.HELD, f"robot {holding[0]} holds: {state.fault if state else ''}")
+    if phase is Phase.RUNNING and leg.home:
+        return Notice(Event.HOMEWARD)
+    if phase is Phase.RUNNING and crew.out:
+        return Notice(Event.MISSING, "; ".join(f"robot {robot}: {why}" for robot, why in crew.out.items()))
+    if phase not in ON_COURSE:
+        return None
+    touched = contact()
+    if touched:
+        return Notice(Event.OBSTACLE, f"something lies {touched}")
+    if slowed and phase is not Phase.SLOWED:
+        worst = max(crew.active, key=lambda robot: fleet[robot].error_m)
+        return Notice(Event.LAGGING, f"robot {worst} is {fleet[worst].error_m:.2f} m from its place")
+    return Notice(Event.CAUGHT_UP) if phase is Phase.SLOWED and not slowed else None

@@ -1,0 +1,47 @@
+"""What keeps the station from doing what a person asks for, in a phase in which it counts. Pure."""
+
+from collections.abc import Mapping, Sequence
+
+from groundstation import legs
+from groundstation.crew import Crew
+from groundstation.fleet import Fleet, RobotView, preflight
+from groundstation.legs import Leg
+from wire.experiment import Experiment
+from wire.frames import Array
+from wire.messages import Mode, Order
+
+UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
+
+
+def objection(
+    order: Order,
+    experiment: Experiment,
+    fleet: Fleet,
+    crew: Crew,
+    leg: Leg,
+    starts: Mapping[int, Array],
+    via: Sequence[tuple[float, float]],
+) -> str:
+    """Why not; empty if it can be done."""
+    if order in (Order.ARM, Order.START):
+        return "; ".join(preflight(experiment, fleet, starts))
+    if order is Order.TEST:
+        return "; ".join(preflight(experiment, fleet, but=("thrusters",)))
+    if order is Order.GO and not via:
+        return "where to? (places for the formation's centre, x and y in m)"
+    if order is Order.GO and not legs.can_detour(experiment):
+        return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
+    if order is Order.REJOIN and not crew.out:
+        return "nobody is out"
+    if order is Order.REJOIN and leg.home:
+        return "the others are on their way back to the start, where nobody has a place to take"
+    if order is Order.REJOIN:
+        return "; ".join(preflight(experiment, {r: fleet[r] for r in crew.out}, but=("thrusters",)))
+    if order is Order.RETURN and not any(can_move(fleet[r]) for r in crew.active):
+        return "no robot is fit to move"
+    return ""
+
+
+def can_move(robot: RobotView) -> bool:
+    """Whether it hears orders and has no reason to refuse them."""
+    return robot.heard and robot.mode not in UNFIT
