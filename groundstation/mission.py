@@ -18,7 +18,7 @@ from groundstation.pacing import Pace
 from groundstation.phases import FLYING, OVER, Event, Phase, after, refusal
 from groundstation.stages import STAGES, Stage
 from groundstation.watch import noticed
-from groundstation.wishes import can_move, objection
+from groundstation.wishes import UNFIT, can_move, objection
 from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array
@@ -36,6 +36,7 @@ LAST_CALL_S = 0.3  # before that, everybody must have it
 AT_REST_MPS = 0.03
 REST_WITHIN_S = 8.0  # robots that hold against waves never quite rest
 
+GETTING_READY = frozenset({Phase.ARMING, Phase.STARTING})
 BEFORE_REST = frozenset({Phase.HALTING, Phase.RELOADING, Phase.REARMING, Phase.RELEASING, Phase.RESUMING})
 
 
@@ -227,6 +228,10 @@ class Mission:
         if not waiting:
             if self.phase is not self._stop_after:
                 self._go(Event.OBEYED, now_ns)
+            return ()
+        fallen = casualty([r for r in waiting if fleet[r].mode in UNFIT], fleet)
+        if fallen is not None and self.phase in GETTING_READY:  # no order but DISARM would reach it
+            self._unheeded(f"robot {fallen[0]}: {fallen[1]}", now_ns)
             return ()
         if now_ns - self._since_ns > PATIENCE_S * 1e9:
             late = ", ".join(str(r) for r in waiting)

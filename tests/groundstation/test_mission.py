@@ -230,6 +230,22 @@ def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     assert run.in_mode(1, Mode.TRACKING)
 
 
+def test_a_robot_that_falls_out_before_the_start_ends_it_at_once_and_the_reason_is_its_own() -> None:
+    """Not ten seconds of orders that it cannot follow, and then what it said to the last of them."""
+    run = Run()
+    run.robots[2].refuses = frozenset({Order.START})
+    while not run.at(Phase.STARTING):
+        run.step()
+    run.step(0.2)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(0.1)
+    assert run.at(Phase.ABORTING)
+    assert run.mission.reason == "robot 2: fault (no pose)"
+    run.step(0.5)
+    assert run.at(Phase.FAILED)
+    assert run.in_mode(1, Mode.DISARMED)
+
+
 def test_nobody_rejoins_those_who_are_on_their_way_home() -> None:
     """That way has no places for robots that are out."""
     run = Run()
