@@ -13,13 +13,16 @@ from dataclasses import dataclass, field, replace
 
 from robot_agent.controller import Controller, ControlOutput, Goal, Hold, Measurement, Neighbour, Sighting
 from robot_agent.course import Course
+from robot_agent.echo import EchoCheck
 from robot_agent.gains import Gains
 from robot_agent.mode import LIVE, ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
 from robot_agent.orders import StationView, unacceptable
 from robot_agent.pulse_test import ThrusterTest
+from robot_agent.thruster_watch import ThrusterWatch
 from wire.codec import Header
 from wire.experiment import Experiment
+from wire.frames import Array
 from wire.mavlink import Telemetry
 from wire.messages import Command, Mode, Obstacles, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
 from wire.topics import OBSTACLES
@@ -97,6 +100,7 @@ class Agent:
         self._fault = ""
         self._course = Course(experiment.pool.size_m)
         self._test: ThrusterTest | None = None
+        self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
         self._inputs = Inputs()
@@ -179,6 +183,7 @@ class Agent:
             inputs = replace(inputs, pose=None)
         self._inputs = inputs
         self._look(inputs.pose)
+        self._feel(inputs.telemetry)
         health = self._health(inputs, now_ns)
         mode, reason = react(self.mode, health, self._experiment.safety, self._experiment.vehicle.battery)
         if mode is not self.mode:
@@ -189,6 +194,7 @@ class Agent:
         output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
+        self._went_out(pulses, output.wrench_delivered, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
         return Outputs(pulses, self._arming(inputs, now_ns), plan, self._state(output, pulses, health, inputs, heard))
@@ -205,6 +211,12 @@ class Agent:
     def acted(self, state: RobotState, now_ns: int) -> None:
         """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
         self._controller.acted(state.wrench, state.wrench_delivered, now_ns)
+        self._went_out(state.pulse_us, state.wrench_delivered, now_ns)
+
+    def _went_out(self, pulse_us: tuple[int, ...], delivered: Array, now_ns: int) -> None:
+        """What board and gyroscope will be held against."""
+        self._echo.told(pulse_us, now_ns)
+        self._thrusters.told(float(delivered[2]), now_ns)
 
     @property
     def trajectory(self) -> Trajectory | None:
@@ -235,6 +247,13 @@ class Agent:
             if seen.pose.identity_verified or not self._experiment.localizer.markers:
                 self._verified_ns = seen.instant_ns
 
+    def _feel(self, telemetry: Telemetry) -> None:
+        """What the thrusters do to the robot, while they run."""
+        if self.mode not in POWERED:
+            self._thrusters.reset()
+        elif telemetry.board_ms >= 0:
+            self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns)
+
     def _health(self, inputs: Inputs, now_ns: int) -> Health:
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
@@ -250,6 +269,8 @@ class Agent:
             emergency_stop=inputs.emergency_stop,
             solver_failed=self._last is not None and self._last.solve is Solve.FAILED,
             late_steps=inputs.late_steps,
+            echo_wrong_s=self._echo.wrong_s(telemetry, now_ns),
+            thrusters_broken=self._thrusters.broken,
         )
 
     def _goal(self, now_ns: int) -> Goal | None:

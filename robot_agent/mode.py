@@ -12,6 +12,7 @@ from wire.tuning import Safety
 from wire.vehicle import Battery
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
+BOARD_DISOBEYS_S = 0.3  # an echo or two may be lost; a thruster that runs by itself should not for long
 BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
 LATE_STEPS = 3  # as many as a plan may bridge
 DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
@@ -58,6 +59,8 @@ class Health:
     emergency_stop: bool
     solver_failed: bool
     late_steps: int = 0  # in a row
+    echo_wrong_s: float = 0.0  # for how long the board has put out other pulses than it was told
+    thrusters_broken: bool = False  # they do not turn the robot as they should
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,8 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s, b: h.emergency_stop, Mode.STOPPED),
     Reaction("thruster board silent", LIVE, lambda h, s, b: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
     Reaction("thruster board disarmed", LIVE, lambda h, s, b: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
+    Reaction("thruster board disobeys", POWERED, lambda h, s, b: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
+    Reaction("thrusters do not do as told", POWERED, lambda h, s, b: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
     Reaction("battery empty", LIVE, lambda h, s, b: h.battery_v < b.neutral_v, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s, b: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
     Reaction("no control solution", POWERED, lambda h, s, b: h.solver_failed, Mode.FAULT),

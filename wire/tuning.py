@@ -36,6 +36,7 @@ class Safety(Section):
     station_neutral_s: Positive = 3.0
     station_disarm_s: Positive = 10.0
     plan_max_age_s: Positive = 0.5
+    watch_thrusters: bool = True  # neutral when the gyroscope does not feel what the thrusters were told
 
     @model_validator(mode="after")
     def _worse_comes_later(self) -> Self:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.rig import WARNING, Rig
+from tests.faults.rig import Rig
 from tests.faults.wires import LineTrouble, forgeries
 from wire.messages import Mode, Order, Solve
 
@@ -88,6 +88,15 @@ def camera_frozen(rig: Rig, random: Random) -> Sample:
     found = {"hold": hold_s, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns, "camera frozen")}
     rig.break_()
     return {**found, RESUMED: _resumed(rig, rig.robots, 1.0)}
+
+
+def marker_gone(rig: Rig, random: Random) -> Sample:
+    """The plate comes off altogether, and is put back."""
+    robot = int(random.choice(rig.robots))
+    ns = rig.break_(f"marker {robot} lost")
+    found = {"hold": rig.mode_s(robot, HELD, ns), "neutral": rig.neutral_s(ns, [robot])}
+    rig.break_()
+    return {**found, RESUMED: _resumed(rig, (robot,), 1.0)}
 
 
 # --- the robot's computer
@@ -230,21 +239,40 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
     }
 
 
+def board_disobeys(rig: Rig, random: Random) -> Sample:
+    """Its outputs 1 and 2 are confused: what the robot's computer sent and what the board says it puts out differ."""
+    robot = int(random.choice(rig.robots))
+    ns = rig.break_(f"board {robot} crossed")
+    found = {"neutral": rig.neutral_s(ns, [robot]), "alert": rig.alert_s(ns)}
+    rig.break_()
+    return {**found, RESUMED: _resumed(rig, (robot,), 1.0)}
+
+
 # --- the thrusters
+
+FELT = ("dead", "reversed")  # what is felt wherever the thruster pushes; the others may go on as they were told to
 
 
 def thruster_broken(rig: Rig, random: Random) -> Sample:
-    """What the observer makes of it, and whether anybody says so."""
+    """Until somebody says so, what is not flagged must do no harm, and what is must lead to neutral."""
     robot, number = int(random.choice(rig.robots)), int(random.integers(1, 5))
-    ns = rig.break_(f"thruster {robot}/{number} {random.choice(['dead', 'stuck', 'reversed', 'weak 0.3'])}")
-    off_m, i = 0.0, rig.robots.index(robot)
-    while time.monotonic_ns() - ns < 5e9:
+    how = str(random.choice([*FELT, "stuck", "weak 0.3"]))
+    ns = rig.break_(f"thruster {robot}/{number} {how}")
+    off_m, astray_m, i = 0.0, 0.0, rig.robots.index(robot)
+    while time.monotonic_ns() - ns < 5e9 and rig.mode(robot) in POWERED:
         time.sleep(0.05)
-        if rig.mode(robot) in POWERED:
-            off_m = max(off_m, float(np.hypot(*(rig.states[robot][-1].state.eta - rig.truth.eta[i])[:2])))
-    said = [at for at, event in list(rig.events) if at >= ns and event.level >= WARNING]
+        state = rig.states[robot][-1].state
+        if state.mode in POWERED:
+            off_m = max(off_m, float(np.hypot(*(state.eta - rig.truth.eta[i])[:2])))
+            astray_m = max(astray_m, float(np.hypot(*(state.eta_reference - rig.truth.eta[i])[:2])))
+    found = {"estimate off the truth": off_m, "off its path": astray_m}
+    if rig.mode(robot) not in POWERED:
+        flagged_s = rig.alert_s(ns)
+        found |= {"flagged": flagged_s, "neutral after the flag": rig.neutral_s(ns, [robot]) - flagged_s}
+    elif how in FELT:
+        found["flagged"] = NEVER_S
     rig.break_()
-    return {"flagged": (said[0] - ns) * 1e-9 if said else NEVER_S, "estimate off the truth": off_m}
+    return found
 
 
 # --- what a person sees and does

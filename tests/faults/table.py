@@ -76,8 +76,17 @@ ROWS: tuple[Row, ...] = (
         {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows.link_garbage,
     ),
     Row(
-        "thruster-broken", "Thruster dead, stuck, reversed, weak", "in the plant",
-        {"flagged": SECONDS(2.0), "estimate off the truth": Measure(0.05, "m")}, rows.thruster_broken, times=20,
+        "board-disobeys", "The board puts out other pulses than it is told", "two of its outputs are confused",
+        {"neutral": SECONDS(0.9), "alert": SECONDS(0.8), RESUMED: TIMES()}, rows.board_disobeys, times=20,
+    ),
+    Row(
+        "thruster-broken", "Thruster dead, stuck, reversed, weak", "in the plant; a robot that stops is a mission that aborts",
+        {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(STEP_S), "estimate off the truth": Measure(0.05, "m"),
+         "off its path": Measure(0.15, "m")}, rows.thruster_broken, times=40,
+    ),
+    Row(
+        "marker-gone", "A robot's marker plate comes off", "in the picture; another plate-less robot looks the same",
+        {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), RESUMED: TIMES()}, rows.marker_gone, times=20,
     ),
     Row(
         "battery-empty", "Battery low", "the voltage sags by 3.5 V within 0.6 s",

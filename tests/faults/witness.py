@@ -4,7 +4,7 @@
 
 The pool, its boards and its camera are those of `sim-bridge pool`. Over one TCP connection the harness is told, with instants
 of the machine's monotonic clock, what each board takes, refuses and puts out; and it sends what is to be broken from now on,
-a JSON list of texts as `--fault` has them ("camera frozen").
+a JSON list of texts as `--fault` has them ("camera frozen"), and "board 2 crossed": outputs 1 and 2 of that board confused.
 """
 
 import json
@@ -62,11 +62,12 @@ def watched_board(line: Line) -> type[Board]:
     class WatchedBoard(Board):
         def __init__(self, experiment: Experiment, robot_id: int, seed: int) -> None:
             super().__init__(experiment, robot_id, seed)
+            self.crossed = False
             rules, override = self.rules, self.rules.override
 
             def watched(sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
-                refused = rules.overrides_refused
-                override(sender, pulses_us, now_ns)
+                refused, (first, second, *rest) = rules.overrides_refused, pulses_us
+                override(sender, (second, first, *rest) if self.crossed else pulses_us, now_ns)
                 line.tell(robot=robot_id, taken=rules.overrides_refused == refused, pulses=list(pulses_us))
 
             vars(rules)["override"] = watched
@@ -87,7 +88,9 @@ def watched_world(line: Line) -> type[World]:
             asked = line.asked()
             if asked is None:
                 return []
-            faults = tuple(Fault(at_s=0.0, what=what) for what in asked)
+            for robot, board in zip(self._experiment.robot_ids, self._boards, strict=True):
+                vars(board)["crossed"] = f"board {robot} crossed" in asked
+            faults = tuple(Fault(at_s=0.0, what=what) for what in asked if not what.startswith("board "))
             sim = self._experiment.sim.model_copy(update={"faults": faults})
             self.faults = Faults(self._experiment.model_copy(update={"sim": sim}))
             said = self.faults.at(0.0)

@@ -1,0 +1,107 @@
+"""Do the thrusters turn the robot as they are told? Pure.
+
+Each leg turns the robot as it pushes, and the gyroscope feels that at once: a thruster that is dead, weak, reversed or stuck
+leaves a yaw moment that nothing else explains. A first-order observer of the yaw rate r,
+
+    r^' = (N - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
+
+gives that moment smoothed over T, without differences of a noisy rate. What stays the same for long is taken for granted (a
+gyroscope's bias, thrusters that are not alike), and so is a share of N: mass, voltage and curve are never known exactly. What
+is left over is held against what was left over before, so a robot in rough water bears more.
+
+What it cannot see is a thruster that is told next to nothing, or goes on doing what it did when it stuck, for as long as that
+is what it is told: neither moves the robot. Limits are measured, on flights of the article's robot with masses and thrusters
+off by 30 %, in waves and gusts (tests/robot_agent/test_thruster_watch.py).
+"""
+
+import math
+from collections import deque
+
+from wire.vehicle import Vehicle
+
+NS = 1_000_000_000
+SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
+LASTING_S = 5.0  # how fast what stays the same is taken for granted
+SHARE = 0.3  # of N: how far masses and thrusters may be off
+SHARE_HELD_S = 0.5  # the largest N, smoothed alike, counts for so long
+FACTOR = 1.5  # by how much it must be more than what was before,
+PEAK_HELD_S = 10.0  # which counts for so long,
+PEAK_AGE_NS = NS  # and only once it is this old: else what breaks would excuse itself
+FIRST_NM = 0.009  # before there was anything: starts are rough
+LEAST_NM = 0.002  # noise
+LASTS_S = 0.4  # a bump is shorter
+LONGEST_NS = NS // 5  # between two steps; after a longer gap it begins anew
+
+
+class ThrusterWatch:
+    """One robot's thrusters, watched step by step."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._mass, self._lag_s = vehicle.mass.yaw_kg_m2, vehicle.thruster.lag_s
+        self._linear, self._quadratic = vehicle.drag.linear[3], vehicle.drag.quadratic[3]
+        self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
+        self._told: deque[tuple[int, float]] = deque(maxlen=64)  # from when on it acts, yaw moment
+        self.reset()
+
+    def reset(self) -> None:
+        """Nothing is known of how the robot moves."""
+        self.broken = False  # stays so until the next reset
+        self._rate: float | None = None
+        self._at_ns = 0
+        self._acting = self._smooth = self._strongest = self._lasting = self._over_s = 0.0
+        self._peak = FIRST_NM
+        self._young: deque[tuple[int, float]] = deque()  # left over, not yet old enough for the peak
+
+    def told(self, moment_nm: float, now_ns: int) -> None:
+        """Pulses went out that turn the robot with this moment. Of two at one instant the last counts."""
+        acts_ns = now_ns + self._dead_ns
+        if self._told and self._told[-1][0] == acts_ns:
+            self._told.pop()
+        self._told.append((acts_ns, moment_nm))
+
+    def step(self, yaw_rate_radps: float, at_ns: int) -> None:
+        """The gyroscope's yaw rate at an instant; one that was given before is not looked at again."""
+        elapsed_ns = at_ns - self._at_ns
+        if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS:
+            broken = self.broken
+            self.reset()
+            self.broken, self._rate, self._at_ns = broken, yaw_rate_radps, at_ns
+        elif elapsed_ns:
+            elapsed_s, self._at_ns = elapsed_ns / NS, at_ns
+            self._strongest *= math.exp(-elapsed_s / SHARE_HELD_S)
+            push = self._push(at_ns - elapsed_ns, at_ns) / elapsed_s
+            residual = self._observe(self._rate, yaw_rate_radps, push, elapsed_s)
+            self._smooth += -math.expm1(-elapsed_s / SMOOTH_S) * (push - self._smooth)
+            self._strongest = max(self._strongest, abs(self._smooth))
+            left_over = abs(residual - self._lasting) - SHARE * self._strongest
+            self._lasting += -math.expm1(-elapsed_s / LASTING_S) * (residual - self._lasting)
+            self._judge(max(left_over, 0.0), elapsed_s)
+
+    def _push(self, from_ns: int, to_ns: int) -> float:
+        """Let the thrusters follow what they were told; the integral of their moment."""
+        impulse = 0.0
+        while from_ns < to_ns:
+            while len(self._told) > 1 and self._told[1][0] <= from_ns:
+                self._told.popleft()
+            wanted = self._told[0][1] if self._told and self._told[0][0] <= from_ns else 0.0
+            until_ns = min([to_ns, *(acts_ns for acts_ns, _ in self._told if acts_ns > from_ns)])
+            span_s, behind = (until_ns - from_ns) / NS, self._acting - wanted
+            left = math.exp(-span_s / self._lag_s) if self._lag_s > 0.0 else 0.0
+            impulse += wanted * span_s + behind * self._lag_s * (1.0 - left)
+            self._acting, from_ns = wanted + behind * left, until_ns
+        return impulse
+
+    def _observe(self, rate: float, measured: float, push: float, elapsed_s: float) -> float:
+        """The residual moment."""
+        drag = (self._linear + self._quadratic * abs(rate)) * rate
+        predicted = rate + elapsed_s * (push - drag) / self._mass
+        self._rate = predicted - math.expm1(-elapsed_s / SMOOTH_S) * (measured - predicted)
+        return self._mass * (measured - self._rate) / SMOOTH_S
+
+    def _judge(self, left_over: float, elapsed_s: float) -> None:
+        self._over_s = self._over_s + elapsed_s if left_over > max(LEAST_NM, FACTOR * self._peak) else 0.0
+        self.broken |= self._over_s > LASTS_S - 1e-9
+        self._peak *= math.exp(-elapsed_s / PEAK_HELD_S)
+        self._young.append((self._at_ns, left_over))
+        while self._young[0][0] <= self._at_ns - PEAK_AGE_NS:
+            self._peak = max(self._peak, self._young.popleft()[1])

@@ -1,0 +1,68 @@
+"""The echo check against what boards do, and against a board of the simulator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from robot_agent.echo import EchoCheck
+from sim_bridge.board import Board
+from wire.experiment import load_experiment
+from wire.mavlink import AgentLink, Telemetry
+
+MS = 1_000_000
+STILL = (1500,) * 8
+AHEAD = (1600, 1600, 1600, 1600, 1500, 1500, 1500, 1500)
+
+
+def said(echo_us: tuple[int, ...], at_ns: int, armed: bool = True) -> Telemetry:
+    return replace(Telemetry(), board_ms=at_ns // MS, arrival_ns=at_ns, echo_us=echo_us, armed=armed)
+
+
+def test_an_echo_between_two_commands_is_on_its_way() -> None:
+    check = EchoCheck()
+    check.told(STILL, 0)
+    check.told(AHEAD, 1000 * MS)
+    for at_ms, thruster_us, is_right in ((1020, 1540, True), (1300, 1500, True), (1360, 1500, False), (1360, 1604, True)):
+        echo = (thruster_us,) * 4 + (1500,) * 4
+        check.told(AHEAD, at_ms * MS)
+        check.wrong_s(said(echo, at_ms * MS), at_ms * MS)
+        assert (check.wrong_s(said(echo, at_ms * MS), (at_ms + 100) * MS) == 0.0) is is_right, at_ms
+
+
+@pytest.mark.parametrize("output", range(8))
+def test_one_output_that_is_wrong_is_enough_and_time_counts_from_the_first(output: int) -> None:
+    check = EchoCheck()
+    check.told(STILL, 0)
+    wrong = (*STILL[:output], 1506, *STILL[output + 1 :])
+    assert check.wrong_s(said(wrong, 500 * MS), 500 * MS) == 0.0
+    assert check.wrong_s(said(wrong, 700 * MS), 700 * MS) == pytest.approx(0.2)
+    assert check.wrong_s(said(STILL, 720 * MS), 720 * MS) == 0.0
+    assert check.wrong_s(said(wrong, 740 * MS), 740 * MS) == 0.0
+
+
+def test_a_board_that_is_disarmed_or_silent_about_it_is_not_wrong() -> None:
+    check = EchoCheck()
+    check.told(AHEAD, 0)
+    for telemetry in (said(STILL, 900 * MS, armed=False), said((), 900 * MS)):
+        assert check.wrong_s(telemetry, 900 * MS) == check.wrong_s(telemetry, 2000 * MS) == 0.0
+
+
+@pytest.mark.parametrize(("swapped", "every_ms"), [(False, 50), (False, 1000), (True, 1000)])
+def test_a_real_board_is_right_whatever_it_is_told_and_wrong_with_crossed_outputs(swapped: bool, every_ms: int) -> None:
+    experiment = load_experiment("pool")
+    board, link, check, random = Board(experiment, 1, 1), AgentLink(1), EchoCheck(), np.random.default_rng(1)
+    worst_s, pulse_us = 0.0, STILL
+    for step_ms in range(5, 10_000, 5):
+        now_ns = step_ms * MS
+        if step_ms % 50 == 0:
+            link.receive(b"", now_ns)
+            worst_s = max(worst_s, check.wrong_s(link.telemetry, now_ns))
+            if step_ms > 500 and step_ms % every_ms == 0:
+                pulse_us = (*random.integers(1100, 1901, 4).tolist(), *random.integers(1000, 2001, 4).tolist())
+            sent = (pulse_us[1], pulse_us[0], *pulse_us[2:]) if swapped else pulse_us
+            board.receive(link.pulses(sent) + (b"" if link.telemetry.armed else link.arm(True)), now_ns)
+            check.told(pulse_us, now_ns)
+        link.receive(board.step(now_ns, np.zeros(4), np.zeros(4), np.zeros(4)), now_ns)
+    assert link.telemetry.armed
+    assert worst_s > 0.3 if swapped else worst_s == 0.0
