@@ -52,7 +52,7 @@ class Shell:
         self._signing = signing
         self._mavlink = agent_end(robot, signing)
         self._poses = bus.inbox(topics.POSE, Pose, robot)
-        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
+        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus) if lockstep else None
         self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids if r != robot}
         self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
@@ -188,7 +188,7 @@ class Shell:
         return time.monotonic() + (react_by_ns - now_ns) * 1e-9
 
     def _lockstep_pace(self) -> Iterator[tuple[int, int]]:
-        assert isinstance(self._clock, LockstepClock)
+        assert isinstance(self._clock, LockstepClock) and self._localizer is not None
         lockstep = Lockstep(self._bus, self._stop, self._clock)
         while (tick := lockstep.next(meanwhile=self._greet)) is not None:
             others = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in tick.robots]

@@ -74,6 +74,7 @@ def sil(
     ] = "127.0.0.1:8000",
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page.")] = False,
     keys: KeyRing = None,
+    signed: Annotated[bool, typer.Option("--signed", help="Sign the links to the thruster boards, with new keys.")] = False,
     source: Annotated[
         Path | None, typer.Option("--from", metavar="RUN", help="Go on from a moment of this run, instead of an EXPERIMENT.")
     ] = None,
@@ -110,7 +111,16 @@ def sil(
         console.print(f"operator page: http://{page}/", soft_wrap=True)
     raise typer.Exit(
         software_in_the_loop.run(
-            loaded, folder, lockstep=lockstep, stop=Stop(), console=console, page=page, manual=manual, poses=poses, keys=keys
+            loaded,
+            folder,
+            lockstep=lockstep,
+            stop=Stop(),
+            console=console,
+            page=page,
+            manual=manual,
+            poses=poses,
+            keys=keys,
+            signed=signed,
         )
     )
 

@@ -10,6 +10,7 @@ import typer
 
 from sim_bridge.conformance import Outcome, Verdict, examine
 from sim_bridge.conformance_probe import Probe, Wire
+from sim_bridge.conformance_rules import RULES
 from wire.link import Link, open_link
 from wire.link_key import Signing
 from wire.mavlink_params import ParameterClient
@@ -63,7 +64,7 @@ def board_conformance(
         wire = LinkWire(link)
         robot = robot if robot is not None else _who_is_there(wire, signing, port)
         probe = Probe(wire, robot) if signing is None else Probe(wire, robot, signing.key, signing.stamps)
-        outcomes = list(_told(examine(probe, dry), quiet=as_json))
+        outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:
         link.close()
     failed = sum(outcome.verdict is Verdict.FAILED for outcome in outcomes)

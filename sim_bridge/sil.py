@@ -9,6 +9,7 @@ import resource
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from sim_bridge.saboteur import Saboteur
 from wire.bus import Bus
 from wire.experiment import Experiment, dump_experiment
 from wire.faults import KINDS, OF_PROCESSES
+from wire.link_key import new_key
 from wire.network import endpoint
 from wire.runtime import Stop
 from wire.toml_file import ConfigError
@@ -49,10 +51,11 @@ def run(
     manual: bool = False,
     poses: bool = False,
     keys: Path | None = None,
+    signed: bool = False,
 ) -> int:
     """Run an experiment with all its processes; `page` is where the operator's page is served (host:port), `manual` leaves
-    the mission to whoever sits there, with `poses` the simulator stands for camera and localizer, and with a ring of `keys`
-    they speak TLS. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+    the mission to whoever sits there, with `poses` the simulator stands for camera and localizer, with a ring of `keys` they
+    speak TLS, and `signed` has the boards' links signed. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     if not poses:
         _check_sight(experiment)
     run_dir.mkdir(parents=True, exist_ok=True)
@@ -67,12 +70,14 @@ def run(
     clocks = frozenset(fault.broken.process for fault in experiment.sim.faults if fault.broken.kind == "clock")
     children = Children(run_dir / "logs", clocks)
     trouble: list[str] = []
+    secrets = tempfile.TemporaryDirectory(prefix="shoal-links-") if signed else None  # a run's folder is for everybody to read
+    boards = _link_keys(Path(secrets.name), experiment.robot_ids) if secrets is not None else None
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         options = ["--no-web"] if page is None else ["--web", page]
         options += [] if manual else ["--auto"]
         common = [str(file), *(["--lockstep"] if lockstep else []), *(["--keys", str(keys)] if keys is not None else [])]
-        station = _start_all(children, experiment, common, run_dir, address, ports, stop, options, poses)
+        station = _start_all(children, experiment, common, run_dir, address, ports, stop, options, poses, boards)
         if station is not None:
             with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), keys))) as bus:
                 saboteur = Saboteur(experiment, children, bus)
@@ -83,6 +88,8 @@ def run(
             console.print(f"[red]{trouble[-1]}[/]", soft_wrap=True)
     finally:
         children.stop()
+        if secrets is not None:
+            secrets.cleanup()
     if stop.requested:
         console.print("interrupted: every process is stopped")
         return 130
@@ -113,21 +120,32 @@ def _start_all(
     stop: Stop,
     station_options: list[str],
     poses: bool,
+    boards: Path | None,
 ) -> Child | None:
-    """Station first: it is the router, and the others wait for it. None if it does not come up."""
+    """Station first: it is the router, and the others wait for it. None if it does not come up. In a folder of `boards` are
+    the keys of their links."""
     station = children.start(
         "groundstation", "groundstation", ["run", *common, "--run-dir", str(run_dir), "--listen", address, *station_options]
     )
     if not _listens(address, station, stop):
         return None
     client = [*common, "--station", address]
-    children.start("sim-bridge", "sim_bridge", ["pool", *client, "--ports", str(ports), *(["--poses"] if poses else [])])
+    pool = ["--ports", str(ports), *(["--poses"] if poses else []), *(["--boards", str(boards)] if boards is not None else [])]
+    children.start("sim-bridge", "sim_bridge", ["pool", *client, *pool])
     if not poses:
         children.start("localizer", "localizer", ["run", *client])
     for robot in experiment.robot_ids:
-        link = f"udp:127.0.0.1:{ports + robot}"
-        children.start(f"agent-{robot}", "robot_agent", ["run", *client, "--robot", str(robot), "--link", link])
+        link = ["--link", f"udp:127.0.0.1:{ports + robot}"]
+        link += ["--link-key", str(boards / f"robot-{robot}.key")] if boards is not None else []
+        children.start(f"agent-{robot}", "robot_agent", ["run", *client, "--robot", str(robot), *link])
     return station
+
+
+def _link_keys(folder: Path, robots: tuple[int, ...]) -> Path:
+    """A new key for each robot and its board, as `sim-bridge pool --boards` and `robot-agent run --link-key` take them."""
+    for robot in robots:
+        new_key(folder / f"robot-{robot}.key")
+    return folder
 
 
 def _watch(

@@ -17,29 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from tests.faults.targets import TARGETS, seeds
+from tests.wire.strategies import damaged
 
 FOLDER = Path(".fuzz")
 MAX_BYTES = 2048
 # What a payload takes differs by a factor of a thousand; decoders face strangers, so they get all.
 SHARE = {"toml": 0.05, "logs": 0.1, "agent": 0.01, "orders": 0.02, "locator": 0.02, "board": 0.1, "mission": 0.1}
 TARGET_TIMEOUT_S = 10
-
-
-def damaged(data: bytes, random: np.random.Generator) -> bytes:
-    """A payload with some bytes changed, cut, doubled or inserted."""
-    changed = bytearray(data)
-    for _ in range(random.integers(1, 6)):
-        at, length = int(random.integers(0, len(changed) + 1)), int(random.integers(1, 17))
-        match random.integers(0, 4):
-            case 0:
-                changed[at : at + 1] = random.bytes(1)
-            case 1:
-                del changed[at : at + length]
-            case 2:
-                changed[at:at] = changed[at : at + length]
-            case _:
-                changed[at:at] = random.bytes(length)
-    return bytes(changed[:MAX_BYTES])
 
 
 def bombard(name: str, runs: int, seed: int) -> int:
@@ -49,7 +33,7 @@ def bombard(name: str, runs: int, seed: int) -> int:
         if k < len(good):
             payload = good[k]
         elif random.random() < 0.7:
-            payload = damaged(good[int(random.integers(len(good)))], random)
+            payload = damaged(good[int(random.integers(len(good)))], random)[:MAX_BYTES]
         else:
             payload = random.bytes(int(random.integers(0, 600)))
         try:

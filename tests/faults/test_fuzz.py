@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.faults.fuzz import damaged
 from tests.faults.targets import TARGETS, seeds
+from tests.wire.strategies import damaged
 
 EXAMPLES = {"agent": 40, "orders": 40, "locator": 40, "toml": 40}
 

@@ -14,8 +14,9 @@ import pytest
 from sim_bridge.board import Board
 from sim_bridge.board_parameters import Parameters, Refusal
 from sim_bridge.board_rules import THRUSTERS, Rules
-from sim_bridge.conformance import RULES, Outcome, Verdict, examine
+from sim_bridge.conformance import Outcome, Verdict, examine
 from sim_bridge.conformance_probe import Probe
+from sim_bridge.conformance_rules import RULES
 from wire import mavlink_frames
 from wire.experiment import load_experiment
 from wire.mavlink import ACCEPTED, IGNORED
@@ -52,7 +53,7 @@ class Bench:
 
 def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, Outcome], Bench]:
     bench = Bench(key)
-    outcomes = {outcome.rule: outcome for outcome in examine(Probe(bench, 1, key, lambda: 1000), dry)}
+    outcomes = {outcome.rule: outcome for outcome in examine(Probe(bench, 1, key, lambda: 1000), dry, RULES)}
     return outcomes, bench
 
 

@@ -105,3 +105,20 @@ def same(a: Any, b: Any) -> bool:
     if dataclasses.is_dataclass(a):
         return all(same(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
     return bool(a == b)
+
+
+def damaged(data: bytes, random: np.random.Generator, edits: int = 5, longest: int = 16) -> bytes:
+    """A valid payload with up to `edits` pieces of up to `longest` bytes changed, cut, doubled or inserted."""
+    changed = bytearray(data)
+    for _ in range(random.integers(1, edits + 1)):
+        at, length = int(random.integers(0, len(changed) + 1)), int(random.integers(1, longest + 1))
+        match random.integers(0, 4):
+            case 0:
+                changed[at : at + 1] = random.bytes(1)
+            case 1:
+                del changed[at : at + length]
+            case 2:
+                changed[at:at] = changed[at : at + length]
+            case _:
+                changed[at:at] = random.bytes(length)
+    return bytes(changed)

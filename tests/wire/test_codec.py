@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.wire.strategies import CLASSES, FOREIGN, OWN, example, nested, same, valid
+from tests.wire.strategies import CLASSES, FOREIGN, OWN, damaged, example, nested, same, valid
 from wire import codec
 from wire.codec import DecodeError, Header, decode, encode
 from wire.messages import Command, Event, Frame, Order, Plan, Pose, Preview, RobotState, Trajectory
@@ -223,24 +223,6 @@ def test_any_bytes_are_a_message_or_a_decode_error(cls: Any, data: bytes) -> Non
         assert isinstance(_decode(cls, data), cls)
 
 
-def _damaged(data: bytes, random: np.random.Generator) -> bytes:
-    """A valid payload with a few bytes changed, cut, doubled or inserted."""
-    damaged = bytearray(data)
-    for _ in range(random.integers(1, 4)):
-        at = int(random.integers(0, len(damaged) + 1))
-        length = int(random.integers(1, 9))
-        match random.integers(0, 4):
-            case 0:
-                damaged[at : at + 1] = random.bytes(1)
-            case 1:
-                del damaged[at : at + length]
-            case 2:
-                damaged[at:at] = damaged[at : at + length]
-            case _:
-                damaged[at:at] = random.bytes(length)
-    return bytes(damaged)
-
-
 def _floats(message: Any) -> list[float]:
     values: list[float] = []
     for field in dataclasses.fields(message):
@@ -260,7 +242,7 @@ def _bombard(cls: Any, count: int) -> tuple[int, int]:
     data, passed = encode(example(cls)), 0
     for _ in range(count):
         try:
-            message = _decode(cls, _damaged(data, random))
+            message = _decode(cls, damaged(data, random, edits=3, longest=8))
         except DecodeError:
             continue
         passed += 1
