@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from wire.keys import Keys
+from wire.topics import PLAN
 
 PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
+FLOOD = 10  # times a topic's rate: more often nobody needs to speak; what a busy machine held back comes in bunches
 TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
 
 
@@ -42,6 +44,8 @@ def settings(endpoint: Endpoint) -> dict[str, Any]:
     }
     if endpoint.lossless:
         found["transport/link/tx/queue/congestion_control/block/wait_before_close"] = PATIENT_MS * 1000
+    if endpoint.router and not endpoint.lossless:  # in lockstep rates are any
+        found["downsampling"] = _flood_limits()
     if endpoint.router:
         found["listen/endpoints"] = [endpoint.address]
     else:
@@ -54,6 +58,13 @@ def settings(endpoint: Endpoint) -> dict[str, Any]:
     if endpoint.access is not None:
         found["access_control"] = endpoint.access
     return found
+
+
+def _flood_limits() -> list[dict[str, Any]]:
+    """A robot's program gone wild must not drown the others: of plans, which robots read of each other, the router drops what
+    comes too often, before anybody has to look at it. Counted for each sender. Not of events: each one counts."""
+    rules = [{"key_expr": f"**/{PLAN.key()}", "freq": FLOOD * PLAN.rate_hz}]
+    return [{"id": "flood", "messages": ["put"], "flows": ["ingress"], "rules": rules}]
 
 
 def _tls(keys: Keys, router: bool) -> dict[str, Any]:

@@ -5,6 +5,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,7 +13,9 @@ import pytest
 
 from groundstation import keys
 from tests.wire.test_bus import free_port
+from wire import topics
 from wire.access import INSECURE
+from wire.endpoint import FLOOD
 from wire.network import endpoint
 from wire.reach import trouble_reaching
 from wire.toml_file import ConfigError
@@ -118,3 +121,34 @@ def test_a_process_that_waits_for_its_station_says_so_and_can_be_stopped(number:
             assert "stopped while waiting" in process.stderr.read()
         finally:
             process.kill()
+
+
+def test_a_robot_that_floods_is_not_let_through_and_the_others_are() -> None:
+    address, heard = f"tcp/127.0.0.1:{free_port()}", {1: 0, 2: 0}
+    router = ZenohTransport(Endpoint(address, router=True))
+    wild, calm, ear = (ZenohTransport(Endpoint(address)) for _ in range(3))
+    try:
+
+        def count(key: str, payload: bytes, header: bytes) -> None:
+            heard[int(key.split("/")[2])] += 1
+
+        ear.subscribe(f"shoal/{topics.PLAN.key()}", topics.PLAN.qos, count)
+        flood, plan = (t.publisher(f"shoal/{topics.PLAN.key(r)}", topics.PLAN.qos) for t, r in ((wild, 1), (calm, 2)))
+        deadline = time.monotonic() + 10.0
+        while not all(heard.values()) and time.monotonic() < deadline:  # until the subscription is known
+            flood(b"x", b"")
+            plan(b"x", b"")
+            time.sleep(0.05)
+        before, begin_s = dict(heard), time.monotonic()
+        for _ in range(20):
+            for _ in range(250):
+                flood(b"x", b"")
+            plan(b"x", b"")
+            time.sleep(0.05)
+        time.sleep(0.5)
+        passed = heard[1] - before[1]
+        assert 0 < passed <= FLOOD * topics.PLAN.rate_hz * (time.monotonic() - begin_s) + 1
+        assert heard[2] - before[2] == 20
+    finally:
+        for transport in (wild, calm, ear, router):
+            transport.close()
