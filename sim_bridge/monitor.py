@@ -2,6 +2,7 @@
 
 import math
 import time
+from collections import Counter
 
 from rich.console import Group, RenderableType
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -12,6 +13,7 @@ from wire.bus import Bus, Received
 from wire.experiment import Experiment
 from wire.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat
 
+FEW = 6  # robots that one line can name
 SILENT_S = 3.0  # of the wall clock: a step in lockstep may take a while
 
 
@@ -80,15 +82,18 @@ class Monitor:
         return Group(table, self._progress)
 
     def line(self) -> str:
-        """The same in one line, for a log."""
-        robots = []
-        for robot, inbox in self._states.items():
-            received = inbox.newest()
-            if received is not None and _silent(received):
-                robots.append(f"{robot} silent")
-            elif received is not None:
-                state = received.message
-                robots.append(f"{robot} {state.mode.name.lower()} {_error_mm(state):.0f} mm{_remark(state)}")
+        """The same in one line, for a log; of a fleet how many robots do what, and the worst of them."""
+        heard = {robot: inbox.newest() for robot, inbox in self._states.items()}
+        silent = [robot for robot, received in heard.items() if received is not None and _silent(received)]
+        states = {r: received.message for r, received in heard.items() if received is not None and r not in silent}
+        if len(heard) > FEW:
+            robots = [f"{n} {mode.name.lower()}" for mode, n in sorted(Counter(s.mode for s in states.values()).items())]
+            worst = max(states, key=lambda robot: _error_mm(states[robot]), default=None)
+            robots += [f"worst {worst}: {_error_mm(states[worst]):.0f} mm"] if worst is not None else []
+            robots += [f"{robot}{remark}" for robot, state in states.items() if (remark := _remark(state))]
+        else:
+            robots = [f"{r} {s.mode.name.lower()} {_error_mm(s):.0f} mm{_remark(s)}" for r, s in states.items()]
+        robots += [f"{robot} silent" for robot in silent]
         flown = f"{self.flown_s:6.1f} / {self._experiment.duration_s:.0f} s"
         return f"{flown}  {self.mission.lower():10s} {self.speed:4.1f} x  " + ", ".join(robots)
 
