@@ -115,6 +115,31 @@ def set_one(
         typer.echo(f"{name} = {now:.7g}")
 
 
+@cli.command("give-key")
+def give_key(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The key: `robot-agent link-key FILE` makes one.")],
+    link: LinkAddress = DEFAULT_LINK,
+    robot: WhichRobot = None,
+) -> None:
+    """Give a board that has no key this one: from then on it takes only what is signed with it.
+
+    Over a cable, and disarmed: whoever can read the wire has the key. A board that has a key keeps it.
+
+    Example:  robot-agent params give-key robot-1.key --link serial:/dev/ttyACM0
+    """
+    signing = Signing.of(file, "params", LINK_ID)
+    with _talk(link, robot, None, insecure=False) as talk:
+        client, newest = talk.client, signing.stamps()
+        talk.until(lambda: client.signed or client.said.startswith("no new key"), lambda: client.give(signing.key, newest))
+        if client.said.startswith("no new key"):
+            raise ConfigError(f"--link {link}: {client.said}")
+        robot = client.robot_id
+    with _talk(link, robot, file, insecure=False) as talk:
+        if not talk.until(lambda: talk.client.told > 0, talk.client.ask_all):
+            raise ConfigError(f"--link {link}: the board does not answer to the key")
+    typer.echo(f"robot {robot}: the link is signed with {file}")
+
+
 def _found(client: ParameterClient, name: str) -> float:
     if name not in client.values:
         raise ConfigError(f"{name}: {'the board has no such parameter' if client.error is not None else 'no answer'}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sim_bridge.board_parameters import Parameters, Refusal
-from sim_bridge.board_rules import S_NS, THRUSTERS, WARNING, Charge, Rules
+from sim_bridge.board_rules import INFO, S_NS, THRUSTERS, WARNING, Charge, Rules
 from sim_bridge.sensors import BoardSensors, Reading
 from wire import mavlink
 from wire.experiment import Experiment
@@ -21,6 +21,7 @@ from wire.mavlink_board import (
     ListParameters,
     Override,
     ReadParameter,
+    SetKey,
     SetParameter,
     TellVersion,
     Timesync,
@@ -45,6 +46,7 @@ class Kept:
     parameters: Mapping[str, float] = field(default_factory=dict)
     heard: int = 0  # no signed frame up to this timestamp counts again
     sent: int = 0  # up to which timestamp frames were signed
+    key: Key | None = None  # of the link, as it was given over the link
 
 
 class Board:
@@ -61,7 +63,7 @@ class Board:
     ) -> None:
         """Switch the board on, with what it `kept`; `keep` is called with what must survive the next loss of power."""
         vehicle, sensors, kept = experiment.vehicle, experiment.sim.sensors, kept or Kept()
-        self.signed = key is not None
+        self._key, self._robot_id = key, robot_id
         self._vehicle, self._supply_v, self._keep = vehicle, sensors.battery_v, keep
         computer = (robot_id, mavlink.AGENT_COMPONENT)
         self.rules = Rules(Parameters.of(experiment).restored(kept.parameters), computer, key, kept.heard)
@@ -90,6 +92,11 @@ class Board:
     def neutral(self) -> bool:
         """Whether all thrusters stand still."""
         return all(pulse == self.rules.parameters.neutral_us for pulse in self.rules.echo_us[:THRUSTERS])
+
+    @property
+    def signed(self) -> bool:
+        """Whether the link is."""
+        return self._key is not None
 
     @property
     def unauthentic_frames(self) -> int:
@@ -122,8 +129,22 @@ class Board:
                     self._remember()
                     self._answer(asker, name, self.rules.change(name, value) if real else Refusal.TYPE)
                     self._remember()
+                case SetKey(key, newest):
+                    self._take_key(key, newest)
+                    return  # what came with it was judged by the old key
                 case Heartbeat():
                     pass
+
+    def _take_key(self, key: Key, newest: int) -> None:
+        """Sign from now on. A board that has a key hears of another only from who has the one that it has."""
+        refusal = self.rules.set_key(key, newest)
+        if refusal:
+            self._outbox.append(self._link.text(WARNING, f"no new key: {refusal}"))
+            return
+        self._key = key
+        self._link = BoardLink(self._robot_id, self.rules.gate, key, self._link.stamp + SENT_BETWEEN)
+        self._outbox.append(self._link.text(INFO, "signed from now on"))
+        self._remember()
 
     def _answer(self, asker: Peer, name: str, refusal: Refusal | None) -> None:
         """Tell a parameter's value as it is now, and why somebody did not get what they wanted."""
@@ -142,7 +163,8 @@ class Board:
     def _remember(self) -> None:
         """Put down what must not be forgotten: before an order is carried out, so that it cannot count again."""
         parameters, self._kept_heard = self.rules.parameters, self.rules.gate.newest
-        self._keep(Kept(dict(zip(parameters.index, parameters.values, strict=True)), self._kept_heard, self._link.stamp))
+        values = dict(zip(parameters.index, parameters.values, strict=True))
+        self._keep(Kept(values, self._kept_heard, self._link.stamp, self._key))
 
     def measures(self, now_ns: int) -> bool:
         """Whether the step to this instant reads the sensors."""

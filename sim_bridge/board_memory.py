@@ -2,12 +2,11 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 
 from sim_bridge.board import Board, Kept
 from wire.experiment import Experiment
-from wire.link_key import load_key
+from wire.link_key import load_key, write_key
 from wire.toml_file import ConfigError
 
 MakeBoard = Callable[[Experiment, int, int], Board]  # of an experiment, for a robot, with a seed
@@ -23,7 +22,7 @@ def boards_in(folder: Path) -> MakeBoard:
     def make(experiment: Experiment, robot: int, seed: int) -> Board:
         key, memory = folder / f"robot-{robot}.key", folder / f"robot-{robot}.json"
         signing = load_key(key) if key.exists() else None
-        return Board(experiment, robot, seed, signing, _read(memory), lambda kept: _write(memory, kept))
+        return Board(experiment, robot, seed, signing, _read(memory), lambda kept: _write(memory, key, kept))
 
     return make
 
@@ -39,7 +38,9 @@ def _read(memory: Path) -> Kept:
         raise ConfigError(f"{memory}: not what a board keeps: {error} (delete it for a board as new)") from None
 
 
-def _write(memory: Path, kept: Kept) -> None:
-    new = memory.with_suffix(".new")
-    new.write_text(json.dumps(asdict(kept), indent=1) + "\n", encoding="utf-8")
+def _write(memory: Path, key: Path, kept: Kept) -> None:
+    new, told = memory.with_suffix(".new"), {"parameters": dict(kept.parameters), "heard": kept.heard, "sent": kept.sent}
+    new.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
     new.replace(memory)
+    if kept.key is not None and not (key.exists() and load_key(key).secret == kept.key.secret):
+        write_key(key, kept.key)

@@ -122,6 +122,13 @@ class Rules:
         self.parameters, self._command_ns = changed, NEVER_NS
         return None
 
+    def set_key(self, key: Key, newest: int) -> str:
+        """Have frames signed with this key, later than `newest` and than all taken so far; why not, if not."""
+        if self.armed:
+            return "armed"
+        self.gate, self._command_ns = Gate(key, max(newest, self.gate.newest)), NEVER_NS
+        return ""
+
     def battery(self, voltage: float, elapsed_s: float) -> None:
         """A measurement, `elapsed_s` after the one before. A level is entered below its threshold, left only well above it."""
         voltage = voltage if math.isfinite(voltage) else 0.0

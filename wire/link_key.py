@@ -28,6 +28,15 @@ def new_key(path: Path) -> None:
         file.write(secrets.token_hex(KEY_BYTES) + "\n")
 
 
+def write_key(path: Path, key: Key) -> None:
+    """Put a key in the place of one that may be there, readable by its owner only. Raises OSError."""
+    new = path.with_name(path.name + ".new")
+    new.unlink(missing_ok=True)
+    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        file.write(key.secret.hex() + "\n")
+    new.replace(path)
+
+
 def load_key(path: Path, link_id: int = 0) -> Key:
     """The key of a file that nobody else can read. Raises ConfigError, which never shows what is in the file."""
     try:

@@ -22,7 +22,7 @@ from wire.mavlink import (
     pulses_of,
 )
 from wire.mavlink_frames import Peer, Receiver, Sender
-from wire.mavlink_signing import Gate, Key
+from wire.mavlink_signing import LATEST, Gate, Key
 
 ALL_COMPONENTS = 0  # some ground stations ask everybody of a system
 NOT_MEASURED = -1  # current, remaining charge
@@ -93,8 +93,16 @@ class SetParameter:
     real: bool
 
 
+@dataclass(frozen=True)
+class SetKey:
+    """Somebody wants the link signed with this key from now on, and takes nothing for new that is not later than `newest`."""
+
+    key: Key
+    newest: int
+
+
 Event = (
-    Override | Arm | Heartbeat | Timesync | Unsupported | TellVersion | ListParameters | ReadParameter | SetParameter
+    Override | Arm | Heartbeat | Timesync | Unsupported | TellVersion | ListParameters | ReadParameter | SetParameter | SetKey
 )  # fmt: skip
 
 
@@ -253,12 +261,20 @@ def _set(message: Any) -> Event:
     return SetParameter(_text(message.param_id), message.param_value, message.param_type == dialect.MAV_PARAM_TYPE_REAL32)
 
 
+def _key(message: Any) -> Event:
+    secret = bytes(message.secret_key)
+    if not any(secret):  # would leave the link unsigned: that is done at the board, not over the link
+        raise Refused
+    return SetKey(Key(secret), min(message.initial_timestamp, LATEST))
+
+
 _READERS: dict[str, Callable[[Any], Event]] = {
     "RC_CHANNELS_OVERRIDE": lambda message: Override(pulses_of(message, "chan{}_raw", ignorable=True)),
     "COMMAND_LONG": _command,
     "PARAM_REQUEST_LIST": lambda _: ListParameters(),
     "PARAM_REQUEST_READ": lambda message: ReadParameter(_text(message.param_id), message.param_index),
     "PARAM_SET": _set,
+    "SETUP_SIGNING": _key,
 }
 
 

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from wire.mavlink import BOARD_COMPONENT, PROTOCOL_VERSION
 from wire.mavlink_frames import Peer, Receiver, Sender
-from wire.mavlink_signing import Gate, Key
+from wire.mavlink_signing import Gate, Key, Verdict
 
 STATION: Peer = (255, 190)  # what ground stations go by
 LINK_ID = 1  # beside the robot's computer, which has 0
@@ -65,10 +65,21 @@ class ParameterClient:
         message = dialect.MAVLink_param_set_message(self.robot_id or 0, BOARD_COMPONENT, name.encode("ascii"), value, real)
         return self._sender.pack(message)
 
+    def give(self, key: Key, newest: int) -> bytes:
+        """Have the board sign from now on, and take nothing that is signed with a time up to `newest`. Whoever can read the
+        wire then has the key."""
+        message = dialect.MAVLink_setup_signing_message(self.robot_id or 0, BOARD_COMPONENT, list(key.secret), newest)
+        return self._sender.pack(message)
+
     @property
     def complete(self) -> bool:
         """Whether every parameter has come."""
         return self._count is not None and len(self._by_index) == self._count
+
+    @property
+    def signed(self) -> bool:
+        """Whether the board signs with a key that is not this end's."""
+        return self._receiver.refused[Verdict.FORGED] > 0
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take in bytes that arrived at `now_ns`. Never raises, whatever they are."""

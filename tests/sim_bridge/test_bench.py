@@ -65,6 +65,17 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
         assert say("get", "--link", link, "THR1_TRIM_US") == (0, "-12\n")
 
 
+def test_a_key_is_given_over_the_cable_and_kept(tmp_path: Path) -> None:
+    link, key = f"serial:{tmp_path}/plug", tmp_path / "robot-1.key"
+    new_key(key)
+    with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
+        code, said = say("give-key", str(key), "--link", link)
+        assert (code, said) == (0, f"robot 1: the link is signed with {key}\n")
+        assert say("get", "--link", link, "--link-key", str(key), "SLEW_US_S") == (0, "8000\n")
+    with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
+        assert say("get", "--link", link, "--link-key", str(key), "SLEW_US_S") == (0, "8000\n")
+
+
 def test_parameters_over_signed_udp(tmp_path: Path) -> None:
     folder = tmp_path / "boards"
     folder.mkdir()

@@ -13,6 +13,7 @@ from sim_bridge.board import Board, Kept
 from sim_bridge.board_memory import boards_in
 from wire import mavlink
 from wire.experiment import load_experiment
+from wire.link_key import load_key
 from wire.mavlink import AgentLink
 from wire.mavlink_frames import Sender
 from wire.mavlink_signing import Key
@@ -270,3 +271,54 @@ def test_a_memory_that_is_none_is_explained(tmp_path: Path, content: str) -> Non
     (tmp_path / "robot-1.json").write_text(content)
     with pytest.raises(ConfigError, match=r"robot-1\.json: not what a board keeps"):
         boards_in(tmp_path)(POOL, 1, 1)
+
+
+# --- a key that comes over the link
+
+
+def setup(secret: bytes, newest: int = 5) -> Any:
+    return dialect.MAVLink_setup_signing_message(1, 1, list(secret), newest)
+
+
+def test_a_key_over_the_link_counts_from_the_next_byte_on_and_survives_a_loss_of_power() -> None:
+    bench = Bench()
+    unsigned = AgentLink(1)
+    bench.board.receive(bench.station.pack(setup(KEY.secret)) + unsigned.pulses(NEUTRAL) + unsigned.arm(True), 0)
+    bench.step()
+    assert bench.board.signed and not bench.board.armed
+    kept = bench.kept[-1]
+    assert kept.key == KEY and kept.heard == 5
+    assert KEY.secret.hex() not in repr(kept)
+    for board in (bench.board, Board(POOL, 1, 1, kept.key, kept)):
+        late, now_ns = AgentLink(1, KEY, lambda: 100), 10 * STEP
+        for computer, armed in ((unsigned, False), (AgentLink(1, Key(bytes(range(32)))), False), (late, True)):
+            board.receive(computer.pulses(NEUTRAL) + computer.arm(True), now_ns)
+            assert board.armed is armed
+        late.receive(board.step(now_ns, STILL, STILL, STILL), now_ns)
+        assert late.telemetry.armed
+
+
+@pytest.mark.parametrize("secret", [bytes(32), None], ids=["zeros", "armed"])
+def test_a_key_of_zeros_and_a_key_for_an_armed_board_are_refused(secret: bytes | None) -> None:
+    bench = Bench()
+    if secret is None:
+        bench.step(bench.computer.pulses(NEUTRAL), bench.computer.arm(True))
+        assert bench.board.armed
+    bench.step(bench.station.pack(setup(secret or KEY.secret)))
+    assert not bench.board.signed
+
+
+def test_a_signed_board_takes_another_key_only_from_who_has_its_own() -> None:
+    bench, other = Bench(KEY), Key(bytes(range(32)))
+    bench.step(Sender(STATION).pack(setup(other.secret)), Sender(STATION, other, lambda: 1000).pack(setup(other.secret)))
+    assert bench.kept == [] or bench.kept[-1].key == KEY
+    bench.step(Sender(STATION, KEY, lambda: 1000).pack(setup(other.secret)))
+    assert bench.kept[-1].key == other and bench.kept[-1].heard >= 1000
+
+
+def test_a_folder_keeps_a_key_for_its_owners_eyes_only(tmp_path: Path) -> None:
+    board = boards_in(tmp_path)(POOL, 2, 1)
+    board.receive(Sender(STATION).pack(dialect.MAVLink_setup_signing_message(2, 1, list(KEY.secret), 5)), 0)
+    assert load_key(tmp_path / "robot-2.key").secret == KEY.secret  # which refuses what others can read
+    assert KEY.secret.hex() not in (tmp_path / "robot-2.json").read_text()
+    assert boards_in(tmp_path)(POOL, 2, 1).signed and not boards_in(tmp_path)(POOL, 1, 1).signed

@@ -392,6 +392,29 @@ def test_the_gate_is_shut_to_all_without_the_key_and_to_the_past() -> None:
     assert Rules(PARAMETERS, COMPUTER).gate.judge(bytes([0xFD, 0, 0]), *STRANGER) is Verdict.GOOD
 
 
+def test_a_key_over_the_link_shuts_the_gate_and_forgets_the_last_override() -> None:
+    rules, key, frame = fresh(), Key(bytes(range(32))), bytes([0xFD, 0, 1])
+    rules.override(COMPUTER, NEUTRAL, 0)
+    assert rules.set_key(key, 1000) == ""
+    assert rules.arm(True, 0) == REJECTED
+    assert rules.gate.judge(bytes([0xFD, 0, 0]), *COMPUTER) is Verdict.UNSIGNED
+    assert rules.gate.judge(Signer(key, lambda: 1000).sign(frame), *COMPUTER) is Verdict.REPLAYED
+    assert rules.gate.judge(Signer(key, lambda: 1001).sign(frame), *COMPUTER) is Verdict.GOOD
+
+
+def test_another_key_forgets_no_time_that_was_used() -> None:
+    rules, second = Rules(PARAMETERS, COMPUTER, Key(bytes(range(32))), 500), Key(bytes(range(1, 33)))
+    assert rules.set_key(second, 3) == ""
+    assert rules.gate.judge(Signer(second, lambda: 500).sign(bytes([0xFD, 0, 1])), *COMPUTER) is Verdict.REPLAYED
+
+
+def test_an_armed_board_takes_no_key() -> None:
+    rules = armed()
+    gate = rules.gate
+    assert rules.set_key(Key(bytes(range(32))), 0) == "armed"
+    assert rules.gate is gate and rules.armed
+
+
 # --- anything at all
 
 PULSE = st.integers(1095, 1905) | st.integers(0, 65535) | st.just(1500) | st.just(IGNORED)
