@@ -29,6 +29,8 @@ from wire.topics import Topic
 from wire.transport import Endpoint, ZenohTransport
 
 PATIENCE_S = 60.0  # for what must come and has no limit of its own
+MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
+ANSWERED_S = 5.0  # an order to the whole fleet, on a machine that has just started it
 WARNING = 3  # an event's level
 
 
@@ -245,11 +247,11 @@ class Rig:
 
     def order(self, order: Order) -> Reply:
         """A person's order for the whole fleet."""
-        return self.bus.order(Command(order, robot=0), time.time_ns(), 2.0)
+        return self.bus.order(Command(order, robot=0), time.time_ns(), ANSWERED_S)
 
     def fly(self) -> None:
         """From anywhere to all robots tracking, thrusters running."""
-        deadline = time.monotonic() + PATIENCE_S
+        deadline = time.monotonic() + (PATIENCE_S if len(self.robots) <= MANY else MANY_PATIENCE_S)
         steps = {"STOPPED": Order.CLEAR_STOP, "DONE": Order.LOAD, "FAILED": Order.LOAD, "RUNNING": Order.DISARM}
         steps |= {"PAUSED": Order.DISARM}
         reply = Reply(0, False)
