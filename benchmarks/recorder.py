@@ -35,7 +35,8 @@ from benchmarks.harness import Row
 from groundstation import planner
 from groundstation.recorder import Recorder, recover, valid_records
 from groundstation.station import record_everything
-from robot_agent.agent import Agent, Inputs, Seen
+from robot_agent.agent import Agent
+from robot_agent.inputs import Inputs, Seen
 from robot_agent.orders import StationView
 from sim_bridge.sil import free_port
 from wire import topics

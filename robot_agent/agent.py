@@ -8,64 +8,25 @@ The data's way through `Agent.step`:
 Nothing here knows whether it runs in a pool or in a simulator; robot_agent/shell.py has the sockets and the clock.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from robot_agent.controller import Controller, ControlOutput, Goal, Hold, Measurement, Neighbour, Sighting
 from robot_agent.course import Course
-from robot_agent.echo import EchoCheck
 from robot_agent.gains import Gains
-from robot_agent.mode import LIVE, ORDERS, POWERED, Health, react, refusal
+from robot_agent.inputs import Inputs
+from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
 from robot_agent.orders import StationView, unacceptable
 from robot_agent.pulse_test import ThrusterTest
-from robot_agent.thruster_watch import ThrusterWatch
+from robot_agent.vitals import Vitals
 from wire.codec import Header
 from wire.experiment import Experiment
-from wire.frames import Array
 from wire.mavlink import Telemetry
-from wire.messages import Command, Mode, Obstacles, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
+from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
 from wire.topics import OBSTACLES
 
-ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
-
-
-@dataclass(frozen=True, eq=False)
-class Seen:
-    """A pose and the instant on our clock at which it was true."""
-
-    pose: Pose
-    instant_ns: int
-
-
-@dataclass(frozen=True, eq=False)
-class Heard:
-    """A neighbour's plan and the instant on our clock of its first node."""
-
-    plan: Plan
-    instant_ns: int
-
-
-@dataclass(frozen=True, eq=False)
-class Watched:
-    """What the localizer sees in the pool that is no robot, and the instant on our clock at which it was so."""
-
-    obstacles: Obstacles
-    instant_ns: int
-
-
-@dataclass(frozen=True, eq=False)
-class Inputs:
-    """The newest of everything at one control step."""
-
-    pose: Seen | None = None
-    telemetry: Telemetry = field(default_factory=Telemetry)
-    station: StationView = field(default_factory=StationView)
-    emergency_stop: bool = False
-    plans: Mapping[int, Heard] = field(default_factory=dict)
-    watched: Watched | None = None
-    late_steps: int = 0  # control steps in a row that took more of the processor than their budget
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,15 +61,10 @@ class Agent:
         self._fault = ""
         self._course = Course(experiment.pool.size_m)
         self._test: ThrusterTest | None = None
-        self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
+        self._vitals = Vitals(experiment)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
         self._inputs = Inputs()
-        self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
-        self._verified_ns: int | None = None  # and of the last one that is surely this robot
-        self._armed_since_ns: int | None = None  # since when the board should be armed and is not
-        self._board_armed = False  # the board has armed since it was last to be disarmed
-        self._told_ns = -(10**18)
 
     # --- orders
 
@@ -128,30 +84,10 @@ class Agent:
         if reason:
             return reason
         if command.order is Order.ARM:
-            return self._unfit(station, now_ns)
+            return self._vitals.unfit(self._inputs, station, now_ns)
         if command.order in (Order.START, Order.RESUME) and not self._located:
             return "the robot does not know where it is"
         return self._gains.objection(command)
-
-    def _unfit(self, station: StationView, now_ns: int) -> str:
-        """Why not to arm now."""
-        inputs, safety, battery = self._inputs, self._experiment.safety, self._experiment.vehicle.battery
-        health = self._health(inputs, now_ns)
-        if inputs.emergency_stop:
-            return "the emergency stop is down"
-        if station.age_s > safety.station_hold_s:
-            return "no station is heard"
-        if health.board_age_s > safety.pose_hold_s:
-            return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
-        if inputs.telemetry.armed:
-            return "the thruster board is still armed"
-        if health.pose_age_s > safety.pose_hold_s:
-            return f"the last pose is {health.pose_age_s:.2f} s old"
-        if health.identity_age_s > safety.pose_hold_s:
-            return "its identity is not verified: no marker was read"
-        if health.battery_v < battery.no_arm_v:
-            return f"the battery has {health.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
-        return ""
 
     def _follow(self, command: Command, station: StationView, given_ns: int) -> None:
         """Carry out an order that is accepted, given at that instant on our clock."""
@@ -182,9 +118,9 @@ class Agent:
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         self._inputs = inputs
-        self._look(inputs.pose)
-        self._feel(inputs.telemetry)
-        health = self._health(inputs, now_ns)
+        self._vitals.note(inputs, self.mode)
+        solver_failed = self._last is not None and self._last.solve is Solve.FAILED
+        health = self._vitals.health(inputs, solver_failed, now_ns)
         mode, reason = react(self.mode, health, self._experiment.safety, self._experiment.vehicle.battery)
         if mode is not self.mode:
             self._enter(mode, reason)
@@ -194,10 +130,15 @@ class Agent:
         output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
-        self._went_out(pulses, output.wrench_delivered, now_ns)
+        self._vitals.told(pulses, output.wrench_delivered, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
-        return Outputs(pulses, self._arming(inputs, now_ns), plan, self._state(output, pulses, health, inputs, heard))
+        return Outputs(
+            pulses,
+            self._vitals.arming(inputs.telemetry.armed, self.mode, now_ns),
+            plan,
+            self._state(output, pulses, health, inputs, heard),
+        )
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
         """The controller's; those of a thruster test while it lasts."""
@@ -211,12 +152,7 @@ class Agent:
     def acted(self, state: RobotState, now_ns: int) -> None:
         """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
         self._controller.acted(state.wrench, state.wrench_delivered, now_ns)
-        self._went_out(state.pulse_us, state.wrench_delivered, now_ns)
-
-    def _went_out(self, pulse_us: tuple[int, ...], delivered: Array, now_ns: int) -> None:
-        """What board and gyroscope will be held against."""
-        self._echo.told(pulse_us, now_ns)
-        self._thrusters.told(float(delivered[2]), now_ns)
+        self._vitals.told(state.pulse_us, state.wrench_delivered, now_ns)
 
     @property
     def trajectory(self) -> Trajectory | None:
@@ -226,11 +162,7 @@ class Agent:
     @property
     def react_by_ns(self) -> int | None:
         """When the pose will be too old to go on as now: the next step must not come later."""
-        if self.mode not in POWERED or self._sighted_ns is None:
-            return None
-        safety = self._experiment.safety
-        limit_s = safety.pose_hold_s if self.mode is Mode.TRACKING else safety.pose_neutral_s
-        return self._sighted_ns + round(limit_s * 1e9) + 1
+        return self._vitals.react_by_ns(self.mode)
 
     def _inside(self, pose: Pose) -> bool:
         """Whether a pose can be one of this pool."""
@@ -240,38 +172,6 @@ class Agent:
     @property
     def _located(self) -> bool:
         return self._last is not None and self._last.estimated
-
-    def _look(self, seen: Seen | None) -> None:
-        if seen is not None and seen.pose.track >= Track.KCF:
-            self._sighted_ns = seen.instant_ns
-            if seen.pose.identity_verified or not self._experiment.localizer.markers:
-                self._verified_ns = seen.instant_ns
-
-    def _feel(self, telemetry: Telemetry) -> None:
-        """What the thrusters do to the robot, while they run."""
-        if self.mode not in POWERED:
-            self._thrusters.reset()
-        elif telemetry.board_ms >= 0:
-            self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns)
-
-    def _health(self, inputs: Inputs, now_ns: int) -> Health:
-        telemetry = inputs.telemetry
-        disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
-        if self._board_armed and not telemetry.armed:
-            disarmed_s = float("inf")  # by itself, and it knows why: only a person may arm it again
-        return Health(
-            pose_age_s=(now_ns - self._sighted_ns) * 1e-9 if self._sighted_ns is not None else float("inf"),
-            identity_age_s=(now_ns - self._verified_ns) * 1e-9 if self._verified_ns is not None else float("inf"),
-            station_age_s=inputs.station.age_s,
-            board_age_s=(now_ns - telemetry.arrival_ns) * 1e-9 if telemetry.board_ms >= 0 else float("inf"),
-            board_disarmed_s=disarmed_s,
-            battery_v=telemetry.battery_v if telemetry.battery_v > 0 else self._experiment.vehicle.battery.full_v,
-            emergency_stop=inputs.emergency_stop,
-            solver_failed=self._last is not None and self._last.solve is Solve.FAILED,
-            late_steps=inputs.late_steps,
-            echo_wrong_s=self._echo.wrong_s(telemetry, now_ns),
-            thrusters_broken=self._thrusters.broken,
-        )
 
     def _goal(self, now_ns: int) -> Goal | None:
         """What the mode asks the controller for; None is neutral."""
@@ -300,18 +200,6 @@ class Agent:
             x, y, _, _ = self._last.eta.tolist()
             seen = tuple(thing for thing in seen if not thing.overlaps(complex(x, y), radius_m, now_ns))
         return seen
-
-    def _arming(self, inputs: Inputs, now_ns: int) -> bool | None:
-        wanted = self.mode in LIVE
-        if inputs.telemetry.armed == wanted:
-            self._armed_since_ns, self._board_armed = None, wanted
-            return None
-        if self._armed_since_ns is None or not wanted:
-            self._armed_since_ns = now_ns if wanted else None
-        if now_ns - self._told_ns < ARM_AGAIN_S * 1e9:
-            return None
-        self._told_ns = now_ns
-        return wanted
 
     def _plan(self, output: ControlOutput, heard: int) -> Plan:
         return Plan(

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.agent import Heard, Inputs, Seen, Watched
+from robot_agent.inputs import Heard, Inputs, Seen, Watched
 from robot_agent.orders import StationView
 from wire.bus import Received
 from wire.codec import Header

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from robot_agent.agent import Agent, Heard, Inputs, Seen
+from robot_agent.agent import Agent
+from robot_agent.inputs import Heard, Inputs, Seen
 from robot_agent.orders import StationView
 from wire.codec import Header
 from wire.experiment import Experiment

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from robot_agent.agent import Agent, Heard
+from robot_agent.agent import Agent
+from robot_agent.inputs import Heard
 from robot_agent.rerun import Logged, Rerun
 from sim_bridge.numeric import NS, AgentFleet, BareWater
 from wire import topics

@@ -19,7 +19,8 @@ from typing import Protocol
 
 import numpy as np
 
-from robot_agent.agent import Agent, Heard, Inputs, Outputs, Seen, Watched
+from robot_agent.agent import Agent, Outputs
+from robot_agent.inputs import Heard, Inputs, Seen, Watched
 from robot_agent.orders import StationView
 from sim_bridge.dynamics import Plant
 from sim_bridge.faults import Faults

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from groundstation import planner
-from robot_agent.agent import Heard, Outputs
+from robot_agent.agent import Outputs
+from robot_agent.inputs import Heard
 from robot_agent.orders import StationView
 from sim_bridge.numeric import STATION_SESSION, AgentFleet
 from sim_bridge.world import World

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_agent.agent import Seen
+from robot_agent.inputs import Seen
 from tests.closed_loop.dry_pool import DryPool
 from wire.experiment import load_experiment
 from wire.messages import Mode, Order

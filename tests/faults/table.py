@@ -80,7 +80,7 @@ ROWS: tuple[Row, ...] = (
         {"neutral": SECONDS(0.9), "alert": SECONDS(0.8), RESUMED: TIMES()}, rows.board_disobeys, times=20,
     ),
     Row(
-        "thruster-broken", "Thruster dead, stuck, reversed, weak", "in the plant, 8 to 20 s into a flight; what is flagged stops",
+        "thruster-broken", "Thruster dead, stuck, reversed, weak", "in the plant, 8 to 20 s into a flight; flagged is stopped",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows.thruster_broken, times=40,
     ),

@@ -25,7 +25,8 @@ from groundstation.planner import plan
 from groundstation.recorder import valid_records
 from groundstation.web.requests import BadRequest, read_request
 from localizer.locate import Locator
-from robot_agent.agent import Agent, Heard, Inputs, Seen, Watched
+from robot_agent.agent import Agent
+from robot_agent.inputs import Heard, Inputs, Seen, Watched
 from robot_agent.mode import POWERED
 from robot_agent.orders import StationView
 from sim_bridge.board import Board

@@ -10,7 +10,8 @@ from groundstation.__main__ import cli
 from groundstation.bus_replay import SEEN_AND_SAID, chosen, send
 from groundstation.logfile import LogFile, open_log
 from groundstation.recorder import Recorder
-from robot_agent.agent import Agent, Inputs
+from robot_agent.agent import Agent
+from robot_agent.inputs import Inputs
 from tests.groundstation.synthetic import Script, write_run
 from wire import topics
 from wire.bus import Bus

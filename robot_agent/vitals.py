@@ -1,0 +1,110 @@
+"""How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
+
+from robot_agent.echo import EchoCheck
+from robot_agent.inputs import Inputs
+from robot_agent.mode import LIVE, POWERED, Health
+from robot_agent.orders import StationView
+from robot_agent.thruster_watch import ThrusterWatch
+from wire.experiment import Experiment
+from wire.frames import Array
+from wire.messages import Mode, Track
+
+ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
+NEVER_S = float("inf")
+
+
+class Vitals:
+    """What is remembered of one robot's senses from step to step."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._safety, self._battery, self._markers = (
+            experiment.safety,
+            experiment.vehicle.battery,
+            experiment.localizer.markers,
+        )
+        self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
+        self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
+        self._verified_ns: int | None = None  # and of the last one that is surely this robot
+        self._armed_since_ns: int | None = None  # since when the board should be armed and is not
+        self._board_armed = False  # the board has armed since it was last to be disarmed
+        self._asked_ns = -(10**18)
+
+    def note(self, inputs: Inputs, mode: Mode) -> None:
+        """Take in what a step has to go by, in the mode that the robot has been in until now."""
+        seen, telemetry = inputs.pose, inputs.telemetry
+        if seen is not None and seen.pose.track >= Track.KCF:
+            self._sighted_ns = seen.instant_ns
+            if seen.pose.identity_verified or not self._markers:
+                self._verified_ns = seen.instant_ns
+        if mode not in POWERED:
+            self._thrusters.reset()
+        elif telemetry.board_ms >= 0:
+            self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns)
+
+    def told(self, pulse_us: tuple[int, ...], delivered: Array, now_ns: int) -> None:
+        """These pulses went out, which give this wrench (3,): what board and gyroscope will be held against."""
+        self._echo.told(pulse_us, now_ns)
+        self._thrusters.told(float(delivered[2]), now_ns)
+
+    def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
+        """What reactions look at."""
+        telemetry = inputs.telemetry
+        disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
+        if self._board_armed and not telemetry.armed:
+            disarmed_s = NEVER_S  # by itself, and it knows why: only a person may arm it again
+        return Health(
+            pose_age_s=_age_s(self._sighted_ns, now_ns),
+            identity_age_s=_age_s(self._verified_ns, now_ns),
+            station_age_s=inputs.station.age_s,
+            board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
+            board_disarmed_s=disarmed_s,
+            battery_v=telemetry.battery_v if telemetry.battery_v > 0 else self._battery.full_v,
+            emergency_stop=inputs.emergency_stop,
+            solver_failed=solver_failed,
+            late_steps=inputs.late_steps,
+            echo_wrong_s=self._echo.wrong_s(telemetry, now_ns),
+            thrusters_broken=self._thrusters.broken,
+        )
+
+    def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
+        """Why not to arm now; empty if nothing is against it."""
+        health, limit_s = self.health(inputs, False, now_ns), self._safety.pose_hold_s
+        if inputs.emergency_stop:
+            return "the emergency stop is down"
+        if station.age_s > self._safety.station_hold_s:
+            return "no station is heard"
+        if health.board_age_s > limit_s:
+            return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
+        if inputs.telemetry.armed:
+            return "the thruster board is still armed"
+        if health.pose_age_s > limit_s:
+            return f"the last pose is {health.pose_age_s:.2f} s old"
+        if health.identity_age_s > limit_s:
+            return "its identity is not verified: no marker was read"
+        if health.battery_v < self._battery.no_arm_v:
+            return f"the battery has {health.battery_v:.1f} V, needs {self._battery.no_arm_v:.1f} V"
+        return ""
+
+    def arming(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
+        """What to tell a board that says that it is armed, or not; None: nothing, or not again so soon."""
+        wanted = mode in LIVE
+        if armed == wanted:
+            self._armed_since_ns, self._board_armed = None, wanted
+            return None
+        if self._armed_since_ns is None or not wanted:
+            self._armed_since_ns = now_ns if wanted else None
+        if now_ns - self._asked_ns < ARM_AGAIN_S * 1e9:
+            return None
+        self._asked_ns = now_ns
+        return wanted
+
+    def react_by_ns(self, mode: Mode) -> int | None:
+        """When the pose will be too old to go on as now."""
+        if mode not in POWERED or self._sighted_ns is None:
+            return None
+        limit_s = self._safety.pose_hold_s if mode is Mode.TRACKING else self._safety.pose_neutral_s
+        return self._sighted_ns + round(limit_s * 1e9) + 1
+
+
+def _age_s(instant_ns: int | None, now_ns: int) -> float:
+    return NEVER_S if instant_ns is None else (now_ns - instant_ns) * 1e-9
