@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from tests.faults.page import RESULTS, Result, machine, verdict, write_page
-from tests.faults.rig import Rig, Stuck, phase
+from tests.faults.rig import Rig, Stuck, moment
 from tests.faults.rigs import RIGS
 from tests.faults.rows import Row, Sample
 from tests.faults.table import ROWS
@@ -38,8 +38,7 @@ def fly_row(row: Row, times: int, seed: int, console: Console) -> Result:
                 while len(samples) < times:
                     random = np.random.default_rng([seed, len(samples)])
                     if rig is not None:
-                        rig.fly()
-                        phase(random)
+                        rig.cruise(moment(random))
                     samples.append(row.inject(rig, random))
                     shown = "  ".join(f"{name} {value:.3f}" for name, value in samples[-1].items())
                     console.print(f"{row.key} {len(samples)}/{times}: {shown}", highlight=False, soft_wrap=True)

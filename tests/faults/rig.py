@@ -30,6 +30,7 @@ from wire.transport import Endpoint, ZenohTransport
 
 PATIENCE_S = 60.0  # for what must come and has no limit of its own
 MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
+CRUISES = 10  # attempts at a flight in one piece
 ANSWERED_S = 5.0  # an order to the whole fleet, on a machine that has just started it
 WARNING = 3  # an event's level
 
@@ -277,6 +278,18 @@ class Rig:
             for r in self.robots
         )
 
+    def cruise(self, seconds: float) -> None:
+        """Fly, and have flown on for a while without a break. Raises Stuck where robots keep dropping out: on a machine too
+        busy for the flight itself no fault is measured."""
+        for _ in range(CRUISES):
+            self.fly()
+            end_s = time.monotonic() + seconds
+            while self.flying and time.monotonic() < end_s:
+                time.sleep(0.01)
+            if self.flying:
+                return
+        raise Stuck(f"no {seconds:.1f} s of flight in one piece: this machine is too busy ({self.folder})")
+
     # --- breaking
 
     def set_clock(self, name: str, offset_s: float) -> None:
@@ -336,6 +349,6 @@ class Rig:
         return self._wrong
 
 
-def phase(random: np.random.Generator) -> None:
-    """Let a random time go by, so that an injection falls anywhere within a control period."""
-    time.sleep(float(random.uniform(0.3, 1.0)))
+def moment(random: np.random.Generator) -> float:
+    """For how long to fly before an injection, s: so that it falls anywhere within a control period."""
+    return float(random.uniform(0.3, 1.0))

@@ -255,7 +255,7 @@ FELT = ("dead", "reversed")  # what is felt wherever the thruster pushes; the ot
 
 def thruster_broken(rig: Rig, random: Random) -> Sample:
     """Until somebody says so, what is not flagged must do no harm, and what is must lead to neutral."""
-    time.sleep(float(random.uniform(8.0, 20.0)))  # a flight's first seconds are rough, and excuse more
+    rig.cruise(float(random.uniform(8.0, 20.0)))  # a flight's first seconds are rough, and excuse more
     robot, number = int(random.choice(rig.robots)), int(random.integers(1, 5))
     how = str(random.choice([*FELT, "stuck", "weak 0.3"]))
     ns = rig.break_(f"thruster {robot}/{number} {how}")

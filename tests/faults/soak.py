@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from groundstation.runlog import read_log
-from tests.faults.rig import Rig, Stuck, phase
+from tests.faults.rig import Rig, Stuck, moment
 from tests.faults.table import ROWS
 from wire.experiment import load_experiment
 from wire.frames import Array
@@ -129,8 +129,7 @@ def real_time(hours: float, seed: int, watch: Watch, say: Callable[[str], None])
         seen_s = 0.0
         while time.monotonic() < end_s:
             try:
-                rig.fly()
-                phase(random)
+                rig.cruise(moment(random))
                 if time.monotonic() - seen_s > SAMPLE_S:
                     seen_s = time.monotonic()
                     watch.look({child.name: child.process.pid for child in rig.children.all})

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.faults.page import write_page
-from tests.faults.rig import Rig, phase
+from tests.faults.rig import Rig, moment
 from tests.faults.rows import Row
 from tests.faults.table import ROWS
 
@@ -31,8 +31,7 @@ def test_the_page_is_what_the_results_say(tmp_path: Path) -> None:
 @pytest.mark.parametrize("row", [row for row in ROWS if row.key in FAST], ids=lambda row: row.key)
 def test_a_fault_leaves_robots_safe(row: Row, lab: Rig) -> None:
     random = np.random.default_rng(1)
-    lab.fly()
-    phase(random)
+    lab.cruise(moment(random))
     found = row.inject(lab, random)
     assert found
     for name, value in found.items():
