@@ -57,7 +57,7 @@ def run(
     the mission to whoever sits there, with `poses` the simulator stands for camera and localizer, with a ring of `keys` they
     speak TLS, and `signed` has the boards' links signed. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     if not poses:
-        _check_sight(experiment)
+        check_sight(experiment)
     run_dir.mkdir(parents=True, exist_ok=True)
     file = run_dir / "experiment.toml"
     file.write_text(dump_experiment(experiment), encoding="utf-8")
@@ -99,7 +99,7 @@ def run(
     return 0 if passed else 1
 
 
-def _check_sight(experiment: Experiment) -> None:
+def check_sight(experiment: Experiment) -> None:
     """Raise ConfigError if the localizer could see no robot."""
     camera = experiment.camera
     wide_px = camera.px_per_m * experiment.vehicle.marker.side_m

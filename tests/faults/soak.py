@@ -3,12 +3,15 @@ or threads that grow, control that slows down, numbers that are not finite.
 
     python -m tests.faults.soak --hours 2
 
-Half of the time passes in lockstep with random timelines of faults, half by the wall clock with the injections of `make
-faults`.
+Half of the time passes by the simulator's clock, every scene in every way with random timelines of faults, half by the wall
+clock with the injections of `make faults`. What matters of the first half is how much is flown: `--simulated 10` flies ten
+hours of it, however long that takes, and nothing by the wall clock.
 """
 
 import argparse
+import itertools
 import math
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -23,23 +26,25 @@ from rich.console import Console
 from rich.table import Table
 
 from groundstation.runlog import read_log
+from sim_bridge.sil import check_sight
 from tests.faults.rig import Rig, Stuck, moment
 from tests.faults.table import ROWS
-from wire.experiment import load_experiment
+from wire.experiment import EXPERIMENTS, load_experiment
 from wire.frames import Array
 from wire.messages import Mode
+from wire.toml_file import ConfigError
 
 SAMPLE_S = 5.0
 IN_WATER = ("thruster {r}/{t} dead", "thruster {r}/{t} stuck", "thruster {r}/{t} reversed", "thruster {r}/{t} weak {f}",
             "imu {r} heading {f}", "imu {r} gyro {f}", "battery {r} sag {f}")  # fmt: skip
-ON_WIRES = (
-    "link {r} noisy {f}",
-    "link {r} slow {d}",
-    "camera frozen",
-    "camera glare {f}",
-    "camera occluded {f}",
-    "marker {r} lost",
-)
+ON_WIRES = ("link {r} noisy {f}", "link {r} slow {d}")
+IN_SIGHT = ("camera frozen", "camera glare {f}", "camera occluded {f}", "marker {r} lost")
+LOCKSTEP = ("sil", "--lockstep", "--no-web")
+WAYS = {
+    "camera": (LOCKSTEP, IN_WATER + ON_WIRES + IN_SIGHT),
+    "poses": ((*LOCKSTEP, "--poses"), IN_WATER + ON_WIRES),
+    "numeric": (("numeric",), IN_WATER),
+}
 # Growth from the second quarter of the samples to the last that is no leak: allocators and caches move by as much.
 MAY_GROW = {"memory MB": 8.0, "handles": 3.0, "threads": 3.0, "latency ms": 5.0}
 
@@ -156,48 +161,71 @@ def _latency_ms(rig: Rig) -> float:
     return float(np.median([s.exposure_to_pwm_ms for s in recent if s.mode is Mode.TRACKING]))
 
 
-# --- in lockstep
+# --- by the simulator's clock
 
 
-def lockstep(hours: float, seed: int, watch: Watch, say: Callable[[str], None]) -> list[str]:
-    """Flights of ten simulated minutes, one after the other, and within each a fault every half a minute."""
+def simulated(hours: float, seed: int, watch: Watch, say: Callable[[str], None], enough_h: float = math.inf) -> list[str]:
+    """Every scene there is in every way that it can be flown, in turn, and within each a fault every half a minute: until the
+    time is over, or so much has been flown."""
     random, end_s, trouble = np.random.default_rng(seed), time.monotonic() + hours * 3600.0, []
-    while time.monotonic() < end_s:
-        name = ("pool", "figure-eight")[int(random.integers(2))]
-        duration_s = min(600.0, max(20.0, (end_s - time.monotonic()) * 2.0))
-        robots = load_experiment(name).robot_ids
-        lines = random_faults(random, robots, duration_s, 1 + int(duration_s / 30.0), IN_WATER + ON_WIRES)
-        with tempfile.TemporaryDirectory(prefix="shoal-soak-") as out:
-            flown = str(int(random.integers(1 << 30)))
-            command = ["sil", name, "--no-web", "--lockstep", "--seed", flown, "--duration", f"{duration_s:.0f}", "--out", out]
-            for line in lines:
-                command += ["--fault", line]
-            run = subprocess.Popen([sys.executable, "-m", "sim_bridge", *command], stdout=subprocess.PIPE, text=True)
-            while run.poll() is None:
-                watch.look(_children(run.pid))
-                time.sleep(SAMPLE_S if hours > 0.1 else 0.5)
-            said = run.stdout.read() if run.stdout is not None else ""
-            logs = list(Path(out).glob("*/run.mcap"))
-            found = [f"{name}: {code}" for code in ([run.returncode] if run.returncode not in (0, 1) else [])]
-            found += [f"{name}: no log: {said[-300:]}"] if not logs else _unreadable(logs[0])
-            say(f"{name}, seed {flown}, {duration_s:.0f} s in lockstep, {len(lines)} faults: {found or 'well'}")
-            trouble += found
+    flown_s = dict.fromkeys(WAYS, 0.0)
+    for name, way in itertools.cycle(_flights(random)):
+        left_s = min((end_s - time.monotonic()) * 2.0, enough_h * 3600.0 - sum(flown_s.values()))
+        if left_s <= 0.0:
+            break
+        experiment = load_experiment(name)
+        duration_s = round(min(experiment.duration_s, max(20.0, left_s)))
+        arguments, kinds = WAYS[way]
+        lines = random_faults(random, experiment.robot_ids, duration_s, 1 + duration_s // 30, kinds)
+        command = [*arguments, name, "--seed", str(int(random.integers(1 << 30))), "--duration", str(duration_s)]
+        for line in lines:
+            command += ["--fault", line]
+        found = _flight(command, watch, SAMPLE_S if hours > 0.1 else 0.5)
+        flown_s[way] += duration_s
+        say(f"{way:8s} {name}: {duration_s} s, {len(lines)} faults: {'; '.join(found) or 'well'}")
+        trouble += [f"sim-bridge {shlex.join(command)}: {text}" for text in found]
+    say("flown: " + ", ".join(f"{seconds / 3600.0:.2f} h {way}" for way, seconds in flown_s.items()))
     return trouble
 
 
-def _children(pid: int) -> dict[str, int]:
-    """The processes of a flight."""
+def _flights(random: np.random.Generator) -> list[tuple[str, str]]:
+    """Scenes and ways, in a random order."""
+    flights = [(path.stem, way) for path in sorted(EXPERIMENTS.glob("*.toml")) for way in WAYS]
+    return [flights[k] for k in random.permutation(len(flights)) if _can_be_flown(*flights[k])]
+
+
+def _can_be_flown(name: str, way: str) -> bool:
+    if way != "camera":
+        return True
     try:
-        children = psutil.Process(pid).children()
-        commands = {child.pid: child.cmdline() for child in children}
+        check_sight(load_experiment(name))
+    except ConfigError:
+        return False
+    return True
+
+
+def _flight(command: list[str], watch: Watch, every_s: float) -> list[str]:
+    """What went wrong. That a run with broken thrusters misses its limits is nothing wrong."""
+    with tempfile.TemporaryDirectory(prefix="shoal-soak-") as out, (Path(out) / "said.txt").open("w") as said:
+        whole = [sys.executable, "-m", "sim_bridge", *command, "--out", out]
+        run = subprocess.Popen(whole, stdout=said, stderr=subprocess.STDOUT)
+        while run.poll() is None:
+            watch.look(_children(run.pid))
+            time.sleep(every_s)
+        logs = list(Path(out).glob("*/run.mcap"))
+        texts = [Path(out) / "said.txt", *Path(out).glob("*/logs/*.log")]
+        found = [f"exit code {run.returncode}"] if run.returncode not in (0, 1) else []
+        found += [f"{text.name}: a traceback" for text in texts if "Traceback" in text.read_text(encoding="utf-8")]
+        return found + (_unreadable(logs[0]) if logs else ["no log"])
+
+
+def _children(pid: int) -> dict[str, int]:
+    """The processes of a flight; of the agents one."""
+    try:
+        commands = {child.pid: child.cmdline() for child in psutil.Process(pid).children()}
     except psutil.Error:
         return {}
-    names = {}
-    for child, words in commands.items():
-        if "-m" in words:
-            robot = words[words.index("--robot") + 1] if "--robot" in words else ""
-            names[f"{words[words.index('-m') + 1]}{robot} in lockstep"] = child
-    return names
+    return {f"{words[words.index('-m') + 1]} in lockstep": child for child, words in commands.items() if "-m" in words}
 
 
 def _unreadable(log: Path) -> list[str]:
@@ -211,6 +239,7 @@ def main() -> int:
     """See the module's docstring."""
     parser = argparse.ArgumentParser(prog="make soak", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--hours", type=float, default=2.0)
+    parser.add_argument("--simulated", type=float, help="hours to fly by the simulator's clock, instead")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
     console, watch = Console(), Watch()
@@ -218,8 +247,11 @@ def main() -> int:
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
-    trouble = lockstep(options.hours / 2.0, options.seed, watch, say)
-    trouble += real_time(options.hours / 2.0, options.seed, watch, say)
+    if options.simulated is not None:
+        trouble = simulated(math.inf, options.seed, watch, say, options.simulated)
+    else:
+        trouble = simulated(options.hours / 2.0, options.seed, watch, say)
+        trouble += real_time(options.hours / 2.0, options.seed, watch, say)
     table = Table("who", "what", "second quarter", "last quarter", "per hour", "")
     trends = watch.trends()
     for t in trends:
