@@ -10,7 +10,7 @@ import typer
 from groundstation.again import Again, draw
 from groundstation.moment import hand_over
 from groundstation.rerun import rerun as do_again
-from wire.options import Settings
+from wire.options import AsJson, Settings
 
 
 def rerun(
@@ -18,7 +18,7 @@ def rerun(
     settings: Settings = None,
     robots: Annotated[list[int] | None, typer.Option("--robot", help="Only this robot. Repeatable.")] = None,
     figures: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Draw both there, one PDF a robot.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the comparison as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Feed what the robots were told in a run to their program once more, and compare what it does with what it did.
 

@@ -75,6 +75,9 @@ def sil(
     no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page.")] = False,
     keys: KeyRing = None,
     signed: Annotated[bool, typer.Option("--signed", help="Sign the links to the thruster boards, with new keys.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only say what would be flown and started, or why it cannot be.")
+    ] = False,
     source: Annotated[
         Path | None, typer.Option("--from", metavar="RUN", help="Go on from a moment of this run, instead of an EXPERIMENT.")
     ] = None,
@@ -89,40 +92,35 @@ def sil(
 
     Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
                sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
+               sim-bridge sil pool --set path.lap_s=30 --dry-run
                sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=25
     """
     from rich.console import Console
 
+    if source is not None and dry_run:
+        raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
     if source is not None:
         _go_on(experiment, source, at, _changes(seed, duration, settings), faults, out)
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge import sil as software_in_the_loop
+    from sim_bridge.programs import Way, check
 
     loaded = _load(experiment, seed, duration, settings, faults)
-    folder = _new_folder(out, loaded.name)
     console = Console()
+    page = None if no_web else software_in_the_loop.page_address(web)
+    way = Way(lockstep, page, manual, poses, keys, signed)
+    check(loaded, way)
+    if dry_run:
+        raise typer.Exit(software_in_the_loop.rehearse(loaded, out / f"{loaded.name}-TIME", way, console))
+    folder = _new_folder(out, loaded.name)
     mode = "lockstep" if lockstep else "real time"
     console.print(
         f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
     )
-    page = None if no_web else software_in_the_loop.page_address(web)
     if page is not None:
         console.print(f"operator page: http://{page}/", soft_wrap=True)
-    raise typer.Exit(
-        software_in_the_loop.run(
-            loaded,
-            folder,
-            lockstep=lockstep,
-            stop=Stop(),
-            console=console,
-            page=page,
-            manual=manual,
-            poses=poses,
-            keys=keys,
-            signed=signed,
-        )
-    )
+    raise typer.Exit(software_in_the_loop.run(loaded, folder, way, Stop(), console))
 
 
 @cli.command()

@@ -6,6 +6,7 @@ The processes are the ones that run in the pool, started as a person would start
 import json
 import os
 import resource
+import shlex
 import socket
 import subprocess
 import sys
@@ -21,10 +22,11 @@ from rich.table import Table
 from sim_bridge import faults
 from sim_bridge.monitor import Monitor
 from sim_bridge.processes import Child, Children
+from sim_bridge.programs import Program, Way, programs
 from sim_bridge.saboteur import Saboteur
 from wire.bus import Bus
 from wire.experiment import Experiment, dump_experiment
-from wire.faults import KINDS, OF_PROCESSES
+from wire.faults import KINDS
 from wire.link_key import new_key
 from wire.network import endpoint
 from wire.runtime import Stop
@@ -36,10 +38,10 @@ START_WITHIN_S = 30.0
 LOOK_EVERY_S = 0.2
 STALLED_S = 180.0  # without a heartbeat of the station: something waits for something that never comes
 SAFE_WITHIN_S = 1.0
-LEAST_MARKER_PX = 16  # two a cell and a margin
 SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 
 
+<<<<<<< HEAD
 def run(
     experiment: Experiment,
     run_dir: Path,
@@ -58,30 +60,28 @@ def run(
     speak TLS, and `signed` has the boards' links signed. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     if not poses:
         check_sight(experiment)
+=======
+def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Console) -> int:
+    """Run an experiment with all its processes, after `programs.check`. Returns the exit code: 0 passed, 1 failed, 130
+    interrupted."""
+>>>>>>> 110d2d4 (sim-bridge sil --dry-run; --json for orders, export and recover; the station's commands by what they are for, one module each)
     run_dir.mkdir(parents=True, exist_ok=True)
-    file = run_dir / "experiment.toml"
-    file.write_text(dump_experiment(experiment), encoding="utf-8")
-    if lockstep:
-        faults.only(experiment, tuple(kind for kind in KINDS if kind not in OF_PROCESSES), "processes break by the wall clock")
+    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     if not hasattr(resource, "prlimit"):
         faults.only(experiment, tuple(kind for kind in KINDS if kind != "disk"), "only Linux can feign a full disk")
-    if poses:
-        faults.only(experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera")
     clocks = frozenset(fault.broken.process for fault in experiment.sim.faults if fault.broken.kind == "clock")
     children = Children(run_dir / "logs", clocks)
     trouble: list[str] = []
-    secrets = tempfile.TemporaryDirectory(prefix="shoal-links-") if signed else None  # a run's folder is for everybody to read
+    secrets = tempfile.TemporaryDirectory(prefix="shoal-links-") if way.signed else None  # a run's folder all may read
     boards = _link_keys(Path(secrets.name), experiment.robot_ids) if secrets is not None else None
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-        options = ["--no-web"] if page is None else ["--web", page]
-        options += [] if manual else ["--auto"]
-        common = [str(file), *(["--lockstep"] if lockstep else []), *(["--keys", str(keys)] if keys is not None else [])]
-        station = _start_all(children, experiment, common, run_dir, address, ports, stop, options, poses, boards)
+        started = programs(experiment.robot_ids, way, run_dir, address, ports, boards)
+        station = _start_all(children, started, address, stop)
         if station is not None:
-            with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), keys))) as bus:
+            with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), way.keys))) as bus:
                 saboteur = Saboteur(experiment, children, bus)
-                trouble = _watch(children, station, Monitor(experiment, bus), saboteur, lockstep, stop, console)
+                trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
         mission_failed = station is None or station.exit_code != 0
         if station is not None and station.exit_code not in (None, 0, 1):
             trouble.append(station.explain())
@@ -99,6 +99,7 @@ def run(
     return 0 if passed else 1
 
 
+<<<<<<< HEAD
 def check_sight(experiment: Experiment) -> None:
     """Raise ConfigError if the localizer could see no robot."""
     camera = experiment.camera
@@ -108,36 +109,39 @@ def check_sight(experiment: Experiment) -> None:
             f"camera.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "
             f"can be read (allowed: from {LEAST_MARKER_PX} pixels on). Fly without the camera: --poses"
         )
+=======
+def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) -> int:
+    """Say what a run would be and what would be started, and leave nothing behind. Returns 0; raises ConfigError if it cannot
+    be flown: whether its plan can, the station's own dry run says."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "experiment.toml"
+        file.write_text(dump_experiment(experiment), encoding="utf-8")
+        asked = ["groundstation", "run", str(file), "--dry-run", "--run-dir", str(run_dir)]
+        told = subprocess.run([sys.executable, "-m", *asked], capture_output=True, text=True, check=False)
+    if told.returncode != 0:
+        raise ConfigError(told.stderr.strip().replace(f"{file}: ", ""))
+    console.print(told.stdout.strip(), soft_wrap=True, highlight=False)
+    pace = "lockstep, as fast as it goes" if way.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
+    console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
+    address = f"tcp/127.0.0.1:{free_port()}"
+    ports, boards = free_base_port(experiment.robot_ids), Path("LINK-KEYS") if way.signed else None
+    for program in programs(experiment.robot_ids, way, run_dir, address, ports, boards):
+        command = shlex.join(["python", "-m", program.module, *program.arguments])
+        console.print(f"  {program.name:13} {command}", soft_wrap=True, highlight=False)
+    for fault in experiment.sim.faults:
+        console.print(f"it would break, at {fault.at_s:g} s: {fault.what}", soft_wrap=True, highlight=False)
+    return 0
+>>>>>>> 110d2d4 (sim-bridge sil --dry-run; --json for orders, export and recover; the station's commands by what they are for, one module each)
 
 
-def _start_all(
-    children: Children,
-    experiment: Experiment,
-    common: list[str],
-    run_dir: Path,
-    address: str,
-    ports: int,
-    stop: Stop,
-    station_options: list[str],
-    poses: bool,
-    boards: Path | None,
-) -> Child | None:
-    """Station first: it is the router, and the others wait for it. None if it does not come up. In a folder of `boards` are
-    the keys of their links."""
-    station = children.start(
-        "groundstation", "groundstation", ["run", *common, "--run-dir", str(run_dir), "--listen", address, *station_options]
-    )
+def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> Child | None:
+    """The station, and the others when it listens. None if it does not come up."""
+    first, *others = wanted
+    station = children.start(first.name, first.module, first.arguments)
     if not _listens(address, station, stop):
         return None
-    client = [*common, "--station", address]
-    pool = ["--ports", str(ports), *(["--poses"] if poses else []), *(["--boards", str(boards)] if boards is not None else [])]
-    children.start("sim-bridge", "sim_bridge", ["pool", *client, *pool])
-    if not poses:
-        children.start("localizer", "localizer", ["run", *client])
-    for robot in experiment.robot_ids:
-        link = ["--link", f"udp:127.0.0.1:{ports + robot}"]
-        link += ["--link-key", str(boards / f"robot-{robot}.key")] if boards is not None else []
-        children.start(f"agent-{robot}", "robot_agent", ["run", *client, "--robot", str(robot), *link])
+    for program in others:
+        children.start(program.name, program.module, program.arguments)
     return station
 
 

@@ -15,7 +15,12 @@ import typer
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli as groundstation
+from sim_bridge.__main__ import cli as sim_bridge
+from wire.bus import Bus
+from wire.messages import Order, Reply
 from wire.options import experiments
+from wire.toml_file import ConfigError
+from wire.transport import MemoryHub, MemoryTransport
 
 ROOT = Path(__file__).parents[1]
 PROGRAMS = {
@@ -144,3 +149,52 @@ def test_json_is_json_and_nothing_else(tmp_path: Path) -> None:
     compared = json.loads(said)
     assert compared["runs"] == ["one", "two"] and page.is_file()
     assert {"key": "safety.radius_m", "values": ["0.3", "0.31"]} in compared["differences"]
+
+
+def test_what_recover_and_export_did_is_json_for_a_script(tmp_path: Path) -> None:
+    from tests.groundstation.synthetic import Script, write_run
+
+    write_run(tmp_path, Script(duration_s=1.0))
+    log = tmp_path / "run.mcap"
+    done = CliRunner().invoke(groundstation, ["recover", str(log), "--json"])
+    assert (done.exit_code, json.loads(done.stdout)) == (0, {"file": str(log), "mended": False})
+    done = CliRunner().invoke(groundstation, ["export", str(tmp_path), "--out", str(tmp_path / "tables"), "--json"])
+    files = json.loads(done.stdout)
+    assert done.exit_code == 0 and files
+    for entry in files:
+        assert len(Path(entry["file"]).read_text().splitlines()) == entry["rows"] + 1  # a line of names
+
+
+def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answer of a station that refuses, and of one that does not."""
+    hub = MemoryHub()
+    station = Bus(MemoryTransport(hub))
+    station.serve(
+        0, lambda header, command: Reply(0, command.order is Order.START, "" if command.order is Order.START else "no")
+    )
+    monkeypatch.setattr("wire.transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
+    for order, accepted in (("start", True), ("hold", False)):
+        done = CliRunner().invoke(groundstation, ["order", order, "--json"])
+        assert json.loads(done.stdout) == {"order": order, "accepted": accepted, "reason": "" if accepted else "no"}
+        assert done.exit_code == (0 if accepted else 1)
+
+
+def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> None:
+    def dry(*more: str) -> Any:
+        fault = ["--fault", "t=6 process agent-2 killed"]
+        return CliRunner().invoke(sim_bridge, ["sil", "blocked-path", "--dry-run", "--out", str(tmp_path), *fault, *more])
+
+    said = dry("--poses").stdout
+    assert [line.split()[0] for line in said.splitlines() if "python -m" in line] == [
+        "groundstation", "sim-bridge", "agent-1", "agent-2", "agent-3",
+    ]  # fmt: skip
+    assert "75 s" in said and said.count("starts at x") == 3
+    assert "at 6 s: process agent-2 killed" in said
+    for wrong, why in (
+        ([], "Fly without the camera"),
+        (["--poses", "--lockstep"], "processes break by the wall clock"),
+        (["--poses", "--set", "path.speed_mps=9", "--set", "path.slow=false"], "robot 1: speed"),
+    ):
+        refused = dry(*wrong).exception
+        assert isinstance(refused, ConfigError) and why in str(refused)
+    assert not list(tmp_path.iterdir())

@@ -10,6 +10,7 @@ from wire.experiment import EXPERIMENTS
 
 DEFAULT_STATION = "tcp/127.0.0.1:7447"
 DEFAULT_FLEET = "shoal"
+DEFAULT_WEB = "127.0.0.1:8000"
 REPLAY_PREFIX = "replay/"  # of the fleet that a recorded run is put on the bus as: no program of ours can join it
 
 
@@ -72,4 +73,6 @@ LinkKey = Annotated[
 LinkInsecure = Annotated[
     bool, typer.Option("--link-insecure", help="Let an unsigned link to the board leave this machine over UDP.")
 ]
+AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON, for a script.")]
+WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Where the operator's page is served.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Log details too.")]

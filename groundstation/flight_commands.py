@@ -1,0 +1,141 @@
+"""SHELL: `groundstation run`, and `plan`: what it would fly."""
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from groundstation.viewer_commands import Foxglove, address
+from wire.experiment import Experiment, dump_experiment, load_experiment
+from wire.options import (
+    DEFAULT_FLEET,
+    DEFAULT_STATION,
+    DEFAULT_WEB,
+    ExperimentName,
+    FleetName,
+    Insecure,
+    KeyRing,
+    LockstepMode,
+    Settings,
+    Verbose,
+    WebAddress,
+)
+from wire.runtime import Stop, start_log
+
+NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
+
+
+def run(
+    experiment: ExperimentName,
+    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
+    run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder for the run.")] = None,
+    auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
+    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the fleet's Zenoh router listens.")] = DEFAULT_STATION,
+    external_router: Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")] = False,
+    settings: Settings = None,
+    fleet: FleetName = DEFAULT_FLEET,
+    lockstep: LockstepMode = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    verbose: Verbose = False,
+    web: WebAddress = DEFAULT_WEB,
+    no_web: NoWeb = False,
+    web_certificate: Annotated[Path | None, typer.Option(help="TLS certificate (PEM) of the page.")] = None,
+    web_key: Annotated[Path | None, typer.Option(help="Its private key (PEM).")] = None,
+    web_token_file: Annotated[Path | None, typer.Option(help="File with the token that a page must know.")] = None,
+    foxglove: Foxglove = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be flown, or why it cannot be.")] = False,
+) -> None:
+    """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
+
+    Without --auto the station waits for orders: from the operator's page, or from another terminal
+    (`groundstation order start`).
+    Exit code 0 if the mission succeeded, 1 if not.
+
+    Examples:  groundstation run pool --listen tcp/0.0.0.0:7447 --keys keys
+               groundstation run pool --auto --dry-run
+    """
+    loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
+
+    from groundstation import station
+    from groundstation.report import write_report
+    from groundstation.web.guard import web_options
+    from wire.bus import Bus
+    from wire.network import endpoint
+    from wire.topics import Role, process_name
+    from wire.transport import ZenohTransport
+
+    token = web_token_file.read_text(encoding="utf-8").strip() if web_token_file is not None else ""
+    page = None if no_web else web_options(web, web_certificate, web_key, token)
+    viewer = address(foxglove) if foxglove is not None else None
+    if dry_run:
+        typer.echo(_intent(loaded, run_dir or out))
+        return
+    start_log("groundstation", verbose)
+    stop = Stop()
+    me = process_name(Role.STATION)
+    where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
+    folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder.mkdir(parents=True, exist_ok=True)
+    text = dump_experiment(loaded)
+    (folder / "experiment.toml").write_text(text, encoding="utf-8")
+    with Bus(ZenohTransport(where, stop), fleet) as bus:
+        succeeded = station.run(
+            loaded,
+            text,
+            bus,
+            folder,
+            automatic=auto,
+            lockstep=lockstep,
+            stop=stop,
+            web=page,
+            insecure=where.insecure,
+            viewer=viewer,
+        )
+    if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
+        write_report(folder)
+        typer.echo(f"report: {folder / 'report.html'}")
+    raise typer.Exit(0 if succeeded else 1)
+
+
+def _intent(experiment: Experiment, folder: Path) -> str:
+    """What a run of it would be. Raises ConfigError for what cannot be flown."""
+    from groundstation import planner
+    from groundstation.recorder import check_room
+
+    starts = planner.start_poses(experiment, planner.plan(experiment))
+    check_room(
+        next(place for place in (folder, *folder.resolve().parents) if place.is_dir()), experiment.recording.min_free_gb
+    )
+    lines = [
+        f"{experiment.title or experiment.name}: {experiment.duration_s:g} s, experiment {experiment.hash[:8]}, into {folder}"
+    ]
+    for robot, (x_m, y_m, z_m, yaw_rad) in starts.items():
+        lines.append(f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad")
+    return "\n".join(lines)
+
+
+def plan(experiment: ExperimentName, settings: Settings = None) -> None:
+    """Plan an experiment's trajectories without flying: prints them as JSON, or says why they cannot be flown.
+
+    Example:  groundstation plan islands > plan.json
+    """
+    from groundstation import planner
+
+    loaded = load_experiment(experiment, settings or ())
+    trajectories = planner.plan(loaded)
+    starts = planner.start_poses(loaded, trajectories)
+    robots = {
+        robot: {
+            "id": t.id,
+            "start": starts[robot].tolist(),
+            "period_s": t.period_s,
+            "eta": t.eta.tolist(),
+            "velocity": t.velocity.tolist(),
+            "acceleration": t.acceleration.tolist(),
+        }
+        for robot, t in trajectories.items()
+    }
+    typer.echo(json.dumps({"experiment": loaded.name, "hash": loaded.hash, "robots": robots}))
