@@ -37,14 +37,14 @@ class Way:
 def check(experiment: Experiment, way: Way) -> None:
     """Raise ConfigError for what cannot be flown in this way."""
     if not way.poses:
-        _check_sight(experiment)
+        check_sight(experiment)
     if way.lockstep:
         faults.only(experiment, tuple(kind for kind in KINDS if kind not in OF_PROCESSES), "processes break by the wall clock")
     if way.poses:
         faults.only(experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera")
 
 
-def _check_sight(experiment: Experiment) -> None:
+def check_sight(experiment: Experiment) -> None:
     """Raise ConfigError if the localizer could see no robot."""
     camera = experiment.camera
     wide_px = camera.px_per_m * experiment.vehicle.marker.side_m

@@ -41,30 +41,9 @@ SAFE_WITHIN_S = 1.0
 SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 
 
-<<<<<<< HEAD
-def run(
-    experiment: Experiment,
-    run_dir: Path,
-    *,
-    lockstep: bool,
-    stop: Stop,
-    console: Console,
-    page: str | None = None,
-    manual: bool = False,
-    poses: bool = False,
-    keys: Path | None = None,
-    signed: bool = False,
-) -> int:
-    """Run an experiment with all its processes; `page` is where the operator's page is served (host:port), `manual` leaves
-    the mission to whoever sits there, with `poses` the simulator stands for camera and localizer, with a ring of `keys` they
-    speak TLS, and `signed` has the boards' links signed. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
-    if not poses:
-        check_sight(experiment)
-=======
 def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Console) -> int:
     """Run an experiment with all its processes, after `programs.check`. Returns the exit code: 0 passed, 1 failed, 130
     interrupted."""
->>>>>>> 110d2d4 (sim-bridge sil --dry-run; --json for orders, export and recover; the station's commands by what they are for, one module each)
     run_dir.mkdir(parents=True, exist_ok=True)
     (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     if not hasattr(resource, "prlimit"):
@@ -99,17 +78,6 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
     return 0 if passed else 1
 
 
-<<<<<<< HEAD
-def check_sight(experiment: Experiment) -> None:
-    """Raise ConfigError if the localizer could see no robot."""
-    camera = experiment.camera
-    wide_px = camera.px_per_m * experiment.vehicle.marker.side_m
-    if experiment.localizer.markers and wide_px < LEAST_MARKER_PX:
-        raise ConfigError(
-            f"camera.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "
-            f"can be read (allowed: from {LEAST_MARKER_PX} pixels on). Fly without the camera: --poses"
-        )
-=======
 def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) -> int:
     """Say what a run would be and what would be started, and leave nothing behind. Returns 0; raises ConfigError if it cannot
     be flown: whether its plan can, the station's own dry run says."""
@@ -131,7 +99,6 @@ def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) 
     for fault in experiment.sim.faults:
         console.print(f"it would break, at {fault.at_s:g} s: {fault.what}", soft_wrap=True, highlight=False)
     return 0
->>>>>>> 110d2d4 (sim-bridge sil --dry-run; --json for orders, export and recover; the station's commands by what they are for, one module each)
 
 
 def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> Child | None:

@@ -26,7 +26,7 @@ from rich.console import Console
 from rich.table import Table
 
 from groundstation.runlog import read_log
-from sim_bridge.sil import check_sight
+from sim_bridge.programs import check_sight
 from tests.faults.rig import Rig, Stuck, moment
 from tests.faults.table import ROWS
 from wire.experiment import EXPERIMENTS, load_experiment
