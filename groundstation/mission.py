@@ -102,6 +102,8 @@ class Mission:
             self.crew.take_back()
             self._purpose = self._into_place
         self._go(order, now_ns)
+        if order is Order.RESUME:
+            self._clear_of_lost(fleet, now_ns)
         if order is Order.GO:
             self._want_detour(fleet, now_ns, tuple(via))
         return ""
@@ -258,11 +260,19 @@ class Mission:
         """Everybody holds. Only an automatic mission goes on by itself, when all are well again."""
         moving = self._not_in(Mode.HOLDING, fleet, self.crew.active)
         unfit = preflight(self._experiment, {r: fleet[r] for r in self.crew.active})
-        if moving or unfit or self._blocked(fleet):
+        if moving or unfit or (self._blocked(fleet) and not self.crew.out):
             self._since_ns = now_ns
         elif self.automatic and not self._held_by_person and now_ns - self._since_ns > SETTLE_S * 1e9:
             self._go(Event.WELL, now_ns)
+            self._clear_of_lost(fleet, now_ns)
         return self._ask(Order.HOLD, moving, now_ns)
+
+    def _clear_of_lost(self, fleet: Fleet, now_ns: int) -> None:
+        """Robots coast on when they are lost, and those who hold do not turn back: where that leaves somebody's place beside
+        one, all go on from the next places on their way that are free."""
+        if self.crew.out and not self.leg.home and self._blocked(fleet):
+            self._purpose = self._into_place
+            self._go(Event.BESIDE_LOST, now_ns)
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring everybody who moves to rest, then ask for the plan."""

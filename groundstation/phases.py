@@ -58,6 +58,7 @@ class Event(Enum):
     PLANNED = "all are at rest, and there is a new plan"
     NO_PLAN = "there is no plan to be found"
     WELL = "everybody holds and is well again (automatic missions)"
+    BESIDE_LOST = "somebody's place is beside a robot that is out"
     ARRIVED = "the end of the trajectories is reached"
 
 
@@ -119,6 +120,7 @@ TABLE: tuple[Row, ...] = (
     _row(FLYING, Event.HELD, Phase.PAUSED),
     _row(Phase.PAUSED, Event.WELL, Phase.RESUMING),
     _row(Phase.RESUMING, Event.OBEYED, Phase.RUNNING),
+    _row(Phase.RESUMING, Event.BESIDE_LOST, Phase.HALTING),
     # a new plan from rest: home, into place again, or closing up
     _row(FLYING | {Phase.PAUSED}, Event.LOST_CLOSE_UP, Phase.HALTING),
     _row(FLYING, Event.LOST_HOLD, Phase.PAUSED),

@@ -182,6 +182,26 @@ def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
 
 
 @pytest.mark.slow
+def test_those_who_held_for_a_lost_robot_go_on_past_it_when_asked() -> None:
+    """It coasts towards the place of the one before it, and lies there when a person lets the others go on."""
+    pool = flying("blocked-path", "sim.drifters=[]", 'mission.lost="hold"')
+    pool.run(6.0)
+    lose(pool, 1)
+    pool.until(Phase.PAUSED, within_s=5.0)
+    pool.run(8.0)
+    begin = len(pool.truth)
+    assert pool.wish(Order.RESUME) == ""
+    pool.until(Phase.DEGRADED, within_s=15.0)
+    assert Phase.RELOADING in pool.phases  # straight back to the plan, and they would have been beside it
+    pool.run(12.0)
+    assert pool.mission.phase is Phase.DEGRADED and "robot 2: silent" in pool.mission.reason
+    assert {pool.robots[i].states[-1].mode for i in (0, 2)} == {Mode.TRACKING}
+    assert pool.separation_m(begin) > 0.5
+    for i in (0, 2):
+        assert np.hypot(*(pool.robots[i].states[-1].eta - pool.robots[i].states[-1].eta_reference)[:2]) < 0.15
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("policy", ["go-on", "close-up"])
 def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str) -> None:
     pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
