@@ -247,6 +247,8 @@ def measure(kind: str) -> Measured:
         control.recv()
         sending = processes.Process(target=_send, args=(address, at_sender, stop))
         sending.start()
+        for at_child in (at_recorder, at_control, at_sender):
+            at_child.close()  # so that a child that fails is told of here, and not waited for
         recorder.send(sender.recv())
         cpu_s = recorder.recv()
         stop.set()
