@@ -39,6 +39,13 @@ class Lab:
         answer = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
         return answer.returncode, answer.stdout + answer.stderr
 
+    def set_off(self, patience_s: float = 60.0) -> None:
+        """Order the start, again while the station finds robots unfit: a loaded machine loses some messages now and then."""
+        deadline = time.monotonic() + patience_s
+        while (answer := self.order("order", "start")) != (0, "start: under way\n"):
+            assert answer[0] == 1 and time.monotonic() < deadline, answer
+            time.sleep(0.5)
+
     def says(self, name: str, text: str, times: int = 1, timeout_s: float = 30.0) -> None:
         log = self.folder / "logs" / f"{name}.log"
         deadline = time.monotonic() + timeout_s
@@ -62,7 +69,7 @@ def test_a_mission_by_hand(lab: Lab) -> None:
     lab.says("groundstation", "mission: waiting for the fleet\n")  # every robot is fit
     refused, why = lab.order("order", "hold")
     assert (refused, "HOLD is not possible when WAITING" in why) == (1, True)
-    assert lab.order("order", "start") == (0, "start: under way\n")
+    lab.set_off()
     for robot in (1, 2):
         lab.says(f"agent-{robot}", "INFO tracking")
     assert lab.order("order", "hold")[0] == 0
@@ -88,8 +95,7 @@ def test_a_mission_by_hand(lab: Lab) -> None:
 
 
 def test_the_log_of_a_mission_by_hand_gives_a_report(lab: Lab) -> None:
-    lab.says("groundstation", "mission: waiting for the fleet\n")
-    assert lab.order("order", "start")[0] == 0
+    lab.set_off()
     lab.says("agent-1", "INFO tracking")
     time.sleep(2.0)
     lab.children.stop()
