@@ -85,7 +85,7 @@ ROWS: tuple[Row, ...] = (
          "off its path": Measure(0.15, "m")}, rows.thruster_broken, times=40,
     ),
     Row(
-        "marker-gone", "A robot's marker plate comes off", "in the picture; another plate-less robot looks the same",
+        "marker-gone", "A robot's marker plate comes off", "in the picture, and put back when the robot is neutral",
         {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), RESUMED: TIMES()}, rows.marker_gone, times=20,
     ),
     Row(

@@ -22,6 +22,7 @@ def changed(name: str, value: float) -> Parameters:
 
 def test_they_begin_as_vehicle_and_board_have_them() -> None:
     experiment = load_experiment("pool")
+    assert Parameters.of(experiment) == POOL  # which was made when this file was read: before `make mutants` changes anything
     assert POOL.curve == tuple((us, single(force)) for us, force in experiment.vehicle.thruster.curve)
     assert (POOL.neutral_us, POOL.thruster_us, POOL.ankle_us) == (1500, (1100, 1900), (1000, 2000))
     assert (POOL.age_ns, POOL["SLEW_US_S"], POOL.trims_us) == (250_000_000, 8000, (0,) * 8)

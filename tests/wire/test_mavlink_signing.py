@@ -184,6 +184,7 @@ def test_timestamps_rise_whatever_the_clock_does(clock: list[int]) -> None:
 def test_ticks() -> None:
     assert ticks(EPOCH_NS - 1) == 0
     assert ticks(EPOCH_NS + 10_000) == 1
+    assert ticks(EPOCH_NS + 25_000) == 2
     assert ticks(1_893_456_000 * 10**9) == 47_338_560_000_000  # 2030: 5479 days of 8.64e9 ticks
 
 
