@@ -108,8 +108,8 @@ What a robot does by itself is in `docs/modes.md`, what a board does in `docs/bo
 
 * A thruster that is told next to nothing, one that has lost less than all, and one that goes on as it was told just then, may
   break unnoticed until it matters: the gyroscope feels nothing. The observer takes the force that is missing for a push of the
-  water and works against it: the robot flies on, less well. In waves and gusts, and in a flight's first seconds, only what turns
-  the robot more than they do is noticed. Which thruster it is, nobody can feel: try them one by one.
+  water and works against it: the robot flies on, less well. In waves and gusts, and in a flight's first seconds, only what
+  turns the robot more than they do is noticed. Which thruster it is, nobody can feel: try them one by one.
 * When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
   goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
 * A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number
