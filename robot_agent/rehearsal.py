@@ -26,6 +26,8 @@ ARM_AFTER = 20  # steps, 1 s: until the estimate stands
 
 def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs, int]]:
     """Agent, inputs and time of one control step after the other, without end; whoever asks does the step."""
+    unmoved = experiment.safety.model_copy(update={"watch_thrusters": False})  # here thrusters move nothing
+    experiment = experiment.model_copy(update={"safety": unmoved})
     agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
     period_ns, me = round(period_s * 1e9), experiment.robot_ids.index(robot)
     trajectory = _circle(period_s)
