@@ -129,9 +129,8 @@ def write_page(path: Path, rows: Sequence[Row]) -> None:
             continue
         result = found[row.key]
         for name, figure in result.figures.items():
-            lines.append(
-                f"| `{row.key}` | {row.fault} | {row.how} | {name} | {' | '.join(figure.shown)} | {_mark(figure.kept)} |"
-            )
+            shown = f"{' | '.join(figure.shown)} | {_mark(figure.kept)}" if figure.times else "0 | | | | not measured"
+            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {name} | {shown} |")
         lines += [f"| `{row.key}` | | | stuck {len(result.stuck)} times | | | | | {_mark(False)} |"] if result.stuck else []
     wrong, not_finite = (sum(getattr(r, name) for r in found.values()) for name in ("wrong", "not_finite"))
     machines = sorted({result.machine for result in found.values()})
