@@ -11,7 +11,6 @@ from sim_bridge.sil import free_port
 from tests.faults.rig import Rig
 
 # Of machines whose clocks nobody has set; the pool's is the one that stamps pictures.
-CLOCKS_S = {"groundstation": 3600.0, "localizer": -7200.0, "agent-1": -86400.0, "agent-2": 1800.0}
 
 
 @contextmanager
@@ -32,7 +31,6 @@ def small_disk(seed: int) -> Iterator[Rig]:
 RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
     "lab": lambda seed: Rig(seed=seed),
     "patched": lambda seed: Rig(seed=seed, clocks_s={}),
-    "clocks": lambda seed: Rig(seed=seed, clocks_s=CLOCKS_S),
     "router": lambda seed: Rig(seed=seed, own_router=True),
     "page": lambda seed: Rig(seed=seed, station_options=("--web", f"127.0.0.1:{free_port()}")),
     "disk": small_disk,

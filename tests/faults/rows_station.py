@@ -54,11 +54,13 @@ def _looks(rig: Rig, pages: list[Child]) -> None:
 
 
 def clock_step(rig: Rig, random: Random) -> Sample:
-    """That the robots fly at all with such clocks is half of the test."""
+    """And back: a robot whose clock is off when the fleet is to start is sent to a person first."""
     ns = time.monotonic_ns()
     name = str(random.choice(["groundstation", "localizer", *(f"agent-{r}" for r in rig.robots)]))
     rig.set_clock(name, float(random.choice([-3600.0, 3600.0])) * int(random.integers(1, 48)))
     time.sleep(2.0)
+    rig.set_clock(name, 0.0)
+    time.sleep(1.0)
     return {LEFT: _left(rig, ns)}
 
 

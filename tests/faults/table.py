@@ -112,8 +112,8 @@ ROWS: tuple[Row, ...] = (
         times=3, rig="page",
     ),
     Row(
-        "clock-step", "Clock skew between machines", "clocks up to a day apart; one of them steps by 1 to 47 hours",
-        {"robots that left their path": TIMES()}, rows_station.clock_step, rig="clocks",
+        "clock-step", "Clock skew between machines", "one of the clocks steps by 1 to 47 hours, and back",
+        {"robots that left their path": TIMES()}, rows_station.clock_step, rig="patched",
     ),
     Row(
         "disk-full", "Log: disk full", "the log's file system is filled up",
