@@ -81,7 +81,7 @@ def main() -> int:
     table = Table("row", "measure", "N", "median", "worst", "limit", "", title=machine())
     for result in results:
         for name, figure in result.figures.items():
-            table.add_row(result.key, name, *figure.shown, verdict(figure.kept))
+            table.add_row(result.key, name, *figure.shown, verdict(figure.kept, figure.times))
         for text in result.stuck:
             table.add_row(result.key, text, "", "", "", "", verdict(False))
     console.print(table)

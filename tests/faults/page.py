@@ -15,6 +15,9 @@ from tests.faults.rows import Row, Sample
 RESULTS = Path(__file__).parent / "results.json"
 
 
+NOT_MEASURED = "not measured"
+
+
 def machine() -> str:
     """This one, in a line."""
     names = [line.split(":", 1)[1].strip() for line in _cpuinfo() if line.startswith("model name")]
@@ -27,9 +30,9 @@ def _cpuinfo() -> list[str]:
     return path.read_text(encoding="utf-8").splitlines() if path.exists() else []
 
 
-def verdict(kept: bool) -> str:
-    """In a word."""
-    return "kept" if kept else "NOT KEPT"
+def verdict(kept: bool, times: int = 1) -> str:
+    """In a word, after so many injections."""
+    return ("kept" if kept else "NOT KEPT") if times else NOT_MEASURED
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,8 @@ class Figure:
     @property
     def shown(self) -> tuple[str, str, str, str]:
         """Injections, median, worst, limit."""
+        if not self.times:
+            return "0", "", "", ""
         digits = 0 if self.unit == "times" else 3
         limit = f"{self.limit:g} {self.unit}".strip() + (f" ({self.quantile:.0%})" if self.quantile < 1.0 else "")
         return str(self.times), f"{self.median:.{digits}f}", f"{self.worst:.{digits}f}", limit
@@ -125,12 +130,12 @@ def write_page(path: Path, rows: Sequence[Row]) -> None:
     lines += ["| Row | Fault | How | Measured | N | median | worst | limit | |", "|---|---|---|---|---|---|---|---|---|"]
     for row in rows:
         if row.key not in found:
-            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | not measured | | | | | |")
+            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {NOT_MEASURED} | | | | | |")
             continue
         result = found[row.key]
         for name, figure in result.figures.items():
-            shown = f"{' | '.join(figure.shown)} | {_mark(figure.kept)}" if figure.times else "0 | | | | not measured"
-            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {name} | {shown} |")
+            mark = _mark(figure.kept) if figure.times else NOT_MEASURED
+            lines.append(f"| `{row.key}` | {row.fault} | {row.how} | {name} | {' | '.join(figure.shown)} | {mark} |")
         lines += [f"| `{row.key}` | | | stuck {len(result.stuck)} times | | | | | {_mark(False)} |"] if result.stuck else []
     wrong, not_finite = (sum(getattr(r, name) for r in found.values()) for name in ("wrong", "not_finite"))
     machines = sorted({result.machine for result in found.values()})

@@ -10,7 +10,7 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -82,11 +82,11 @@ class Rig:
         station_options: Sequence[str] = ("--no-web",),
         run_dir: Path | None = None,
         own_router: bool = False,
-        clocks_s: Mapping[str, float] | None = None,
+        patched: bool = False,
     ) -> None:
         """With `poses` there is neither camera nor localizer; with `wires` robots' boards are behind pseudo-terminals, and
-        robot 1 reaches the station through a NetWire. With `own_router` the network does not live in the station. `clocks_s`,
-        offsets of processes' wall clocks by name, starts all but the pool by way of patched.py."""
+        robot 1 reaches the station through a NetWire. With `own_router` the network does not live in the station.
+        `patched` starts all but the pool by way of patched.py."""
         self.folder = Path(tempfile.mkdtemp(prefix="shoal-faults-"))
         self.experiment = load_experiment(experiment, [*settings, f"seed={seed}"])
         self.robots = self.experiment.robot_ids
@@ -102,7 +102,7 @@ class Rig:
         self.truth = Truth()
         self.not_finite = 0
         self._seed, self._poses, self._with_wires = seed, poses, wires
-        self.station_options, self._own_router, self._clocks_s = list(station_options), own_router, clocks_s
+        self.station_options, self._own_router, self._patched = list(station_options), own_router, patched
         self._checked = dict.fromkeys(self.robots, (0, 0))
         self._wrong = 0
         self._commands: dict[str, list[str]] = {}
@@ -129,8 +129,6 @@ class Rig:
             robot: SerialWire(robot, ports + robot, self._seed) for robot in (self.robots if self._with_wires else ())
         }
         self.children.log_dir.mkdir(parents=True)
-        for name, offset_s in (self._clocks_s or {}).items():
-            self.set_clock(name, offset_s)
         if self._own_router:
             self.station_options.append("--external-router")
             self.bus = Bus(ZenohTransport(Endpoint(self.address, router=True)))
@@ -170,7 +168,7 @@ class Rig:
         log = self.folder / "logs" / f"{name}.log"
         if log.exists():
             log.rename(log.with_name(f"{name}-{time.monotonic_ns()}.log"))
-        if self._clocks_s is not None and name != "sim-bridge":
+        if self._patched and name != "sim-bridge":
             module, arguments = "tests.faults.patched", [str(self.children.clock_file(name)), module, *arguments]
         self.children.start(name, module, arguments)
 

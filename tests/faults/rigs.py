@@ -30,7 +30,7 @@ def small_disk(seed: int) -> Iterator[Rig]:
 
 RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
     "lab": lambda seed: Rig(seed=seed),
-    "patched": lambda seed: Rig(seed=seed, clocks_s={}),
+    "patched": lambda seed: Rig(seed=seed, patched=True),
     "router": lambda seed: Rig(seed=seed, own_router=True),
     "page": lambda seed: Rig(seed=seed, station_options=("--web", f"127.0.0.1:{free_port()}")),
     "disk": small_disk,
