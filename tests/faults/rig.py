@@ -108,6 +108,7 @@ class Rig:
         self._commands: dict[str, list[str]] = {}
         self._changed = threading.Condition()
         self._mission = ""
+        self._taken_off_s = float("-inf")
 
     # --- up and down
 
@@ -266,6 +267,7 @@ class Rig:
             elif self._mission in ("WAITING", "LOADING"):
                 reply = self.order(Order.START)
             time.sleep(0.1)
+            self._taken_off_s = time.monotonic()
 
     @property
     def flying(self) -> bool:
@@ -277,9 +279,12 @@ class Rig:
         )
 
     def cruise(self, seconds: float) -> None:
-        """Fly, and have flown on for a while without a break. Raises Stuck where robots keep dropping out: on a machine too
-        busy for the flight itself no fault is measured."""
+        """Fly, and have flown on for a while without a break. A flight past its half is begun anew: no injection is to meet
+        its end. Raises Stuck where robots keep dropping out: a machine too busy for the flight itself measures no fault."""
         for _ in range(CRUISES):
+            if time.monotonic() - self._taken_off_s > 0.5 * self.experiment.duration_s:
+                self.order(Order.DISARM)
+                self.wait(lambda: not self.flying, "landed")
             self.fly()
             end_s = time.monotonic() + seconds
             while self.flying and time.monotonic() < end_s:

@@ -10,8 +10,6 @@ from pathlib import Path
 from sim_bridge.sil import free_port
 from tests.faults.rig import Rig
 
-# Of machines whose clocks nobody has set; the pool's is the one that stamps pictures.
-
 
 @contextmanager
 def small_disk(seed: int) -> Iterator[Rig]:
@@ -32,7 +30,7 @@ RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
     "lab": lambda seed: Rig(seed=seed),
     "patched": lambda seed: Rig(seed=seed, patched=True),
     "router": lambda seed: Rig(seed=seed, own_router=True),
-    "page": lambda seed: Rig(seed=seed, station_options=("--web", f"127.0.0.1:{free_port()}")),
+    "page": lambda seed: Rig(seed=seed, settings=("duration_s=200",), station_options=("--web", f"127.0.0.1:{free_port()}")),
     "disk": small_disk,
     "fleet": lambda seed: Rig("fleet-20", seed=seed, poses=True, wires=False),
 }

@@ -1,5 +1,6 @@
 """SHELL: faults around the station: its page, its disk, its network, the machines' clocks."""
 
+import itertools
 import os
 import shutil
 import signal
@@ -13,13 +14,13 @@ from mcap.reader import make_reader
 
 from groundstation.recorder import recover
 from sim_bridge.processes import Child
-from tests.faults.rig import Rig
+from tests.faults.rig import Rig, Stuck
 from tests.faults.rows import Random, Sample
 from wire.messages import Mode
 
 LEFT = "robots that left their path"
 GAP = "longest gap between heartbeats"
-FILLER_BYTES = 1 << 20
+SMALL_DISK_BYTES = 1 << 30
 
 
 def _left(rig: Rig, ns: int) -> float:
@@ -87,19 +88,21 @@ def _read_back(log: Path, until_unix_ns: int) -> dict[str, float]:
 
 def disk_full(rig: Rig, random: Random) -> Sample:
     filler = rig.run_dir / "filler"
+    if shutil.disk_usage(rig.run_dir).total > SMALL_DISK_BYTES:
+        raise Stuck(f"{rig.run_dir} is on a disk too large to be filled up: only root can mount a small one")
     ns, now_unix_ns = time.monotonic_ns(), time.time_ns()
-    with suppress(OSError), filler.open("wb", buffering=0) as file:
-        while file.write(os.urandom(FILLER_BYTES)) == FILLER_BYTES:
-            pass
-        while file.write(b"x"):
-            pass
+    with filler.open("wb", buffering=0) as file:
+        for step in (1 << 20, 4096):  # reserved, not written: writing would keep the machine busy for a second
+            with suppress(OSError):
+                for at in itertools.count(os.fstat(file.fileno()).st_size, step):
+                    os.posix_fallocate(file.fileno(), at, step)
     alert_s = rig.alert_s(ns, "log stopped")
     time.sleep(1.0)
     found = {"alert": alert_s, GAP: _gap_s(rig, ns), LEFT: _left(rig, ns)}
     filler.unlink()
     found |= _read_back(_log(rig), now_unix_ns)
     rig.signal("groundstation", signal.SIGKILL)
-    rig.restart("groundstation")
+    _another_station(rig)
     return found
 
 
@@ -108,9 +111,13 @@ def log_killed(rig: Rig, random: Random) -> Sample:
     rig.signal("groundstation", signal.SIGKILL)
     rig.process("groundstation").process.wait()
     found = _read_back(_log(rig), now_unix_ns)
+    _another_station(rig)
+    return found
+
+
+def _another_station(rig: Rig) -> None:
     rig.restart("groundstation")
     rig.wait(lambda: all(rig.mode(r) is not Mode.TRACKING for r in rig.robots), "robots off their path")
-    return found
 
 
 # --- a flood
