@@ -154,7 +154,8 @@ class Board:
             self._outbox.append(self._value(index))
         if refusal is not None:
             self._outbox.append(self._link.parameter_error(asker, name, index, refusal.code))
-            self._outbox.append(self._link.text(WARNING, f"{name}: {refusal.words}"))
+            bounds = f" ({self.rules.parameters.table[index].bounds})" if refusal is Refusal.RANGE else ""
+            self._outbox.append(self._link.text(WARNING, f"{name}: {refusal.words}{bounds}"))
 
     def _value(self, index: int) -> bytes:
         parameters = self.rules.parameters

@@ -29,6 +29,15 @@ class Parameter:
     whole: bool
     meaning: str
 
+    @property
+    def bounds(self) -> str:
+        """In words."""
+        return f"{self.low:g} to {self.high:g}{', whole' if self.whole else ''}"
+
+    def takes(self, value: float) -> bool:
+        """Whether a value is in range; NaN is in none."""
+        return self.low <= value <= self.high and (not self.whole or value == int(value))
+
 
 def _us(name: str, meaning: str, low: float = PULSE_RANGE_US[0], high: float = PULSE_RANGE_US[1]) -> Parameter:
     return Parameter(name, low, high, True, meaning)
@@ -107,21 +116,17 @@ class Parameters:
         index = self.index.get(name)
         if index is None:
             return Refusal.UNKNOWN
-        row = self.table[index]
-        if not row.low <= value <= row.high or (row.whole and value != int(value)):  # NaN is in no range
+        if not self.table[index].takes(value):
             return Refusal.RANGE
         new = replace(self, values=(*self.values[:index], single(value), *self.values[index + 1 :]))
-        return new if new.consistent else Refusal.INCONSISTENT
+        return new if new.is_consistent() else Refusal.INCONSISTENT
 
     def restored(self, values: Mapping[str, float]) -> "Parameters":
         """With the values that were kept, if together they are acceptable; those of an older table may be missing."""
-        kept = tuple(single(values.get(row.name, own)) for row, own in zip(self.table, self.values, strict=True))
-        inside = all(r.low <= v <= r.high and (not r.whole or v == int(v)) for r, v in zip(self.table, kept, strict=True))
-        new = replace(self, values=kept)
-        return new if inside and new.consistent else self
+        new = replace(self, values=tuple(single(values.get(row.name, self[row.name])) for row in self.table))
+        return new if all(row.takes(new[row.name]) for row in self.table) and new.is_consistent() else self
 
-    @property
-    def consistent(self) -> bool:
+    def is_consistent(self) -> bool:
         """Whether the values fit one another."""
         points = self.curve
         rising = all(a[0] < b[0] and a[1] <= b[1] for a, b in pairwise(points))

@@ -151,7 +151,7 @@ class Rules:
         """Look at the age of the last override and move the outputs."""
         if self.armed and self._is_stale(now_ns):
             self._disarm(WARNING, f"disarmed: no override for {self.parameters.age_ns // 1_000_000} ms")
-        elapsed_s = 0.0 if self._stepped_ns is None else max(now_ns - self._stepped_ns, 0) / S_NS
+        elapsed_s = 0.0 if self._stepped_ns is None else max((now_ns - self._stepped_ns) / S_NS, 0.0)
         self._stepped_ns = now_ns
         if self.armed:
             self._move(self.parameters["SLEW_US_S"] * elapsed_s)
@@ -163,10 +163,11 @@ class Rules:
 
     def _move(self, reach_us: float) -> None:
         """Towards the command, thrusters no faster than the slew rate."""
-        pairs = zip(self._thrusters_us, self._command[:THRUSTERS], strict=True)
-        self._thrusters_us = [now + min(max(goal - now, -reach_us), reach_us) for now, goal in pairs]
-        held = zip(self._ankles_us, self._command[THRUSTERS:], strict=True)
-        self._ankles_us = [now if goal == IGNORED else goal for now, goal in held]
+        for i in range(THRUSTERS):
+            thruster, ankle = self._command[i], self._command[THRUSTERS + i]
+            self._thrusters_us[i] += min(max(thruster - self._thrusters_us[i], -reach_us), reach_us)
+            if ankle != IGNORED:
+                self._ankles_us[i] = ankle
 
     def _disarm(self, severity: int, reason: str) -> None:
         self.armed = False

@@ -41,7 +41,7 @@ class Verdict(Enum):
 
 def ticks(unix_ns: int) -> int:
     """The timestamp of an instant of Unix time; 0 before 2015."""
-    return max(unix_ns - EPOCH_NS, 0) // TICK_NS
+    return max((unix_ns - EPOCH_NS) // TICK_NS, 0)
 
 
 def _hash(key: Key, signed: bytes) -> bytes:

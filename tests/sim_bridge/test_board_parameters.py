@@ -29,7 +29,11 @@ def test_they_begin_as_vehicle_and_board_have_them() -> None:
     assert POOL.thresholds_v == (single(10.8), single(10.5), single(9.9))
     assert POOL["BAT_HYST_V"] == single(0.3)
     assert POOL.dead_zone_us == (1477, 1523)
-    assert POOL.consistent
+    assert POOL.is_consistent()
+
+
+def test_the_age_is_whole_milliseconds() -> None:
+    assert Parameters.of(load_experiment("pool", ["sim.board.neutral_after_s=0.2004"]))["CMD_AGE_MS"] == 200
 
 
 def test_every_value_lies_in_its_range_and_every_name_fits_the_wire() -> None:
@@ -39,6 +43,15 @@ def test_every_value_lies_in_its_range_and_every_name_fits_the_wire() -> None:
         assert re.fullmatch(r"[A-Z][A-Z0-9_]{2,15}", row.name)
         assert row.meaning
     assert len(POOL.index) == len(POOL.table)
+
+
+def test_a_curve_has_a_pulse_and_a_thrust_for_each_point() -> None:
+    rows = Parameters.of(load_experiment("pool")).table[len(FIXED) :]
+    assert rows[:2] == (
+        Parameter("CRV01_US", 500, 2500, True, "thrust curve, point 1: pulse"),
+        Parameter("CRV01_N", -1000, 1000, False, "thrust curve, point 1: thrust, N"),
+    )
+    assert [row.name for row in rows[-2:]] == ["CRV12_US", "CRV12_N"]
 
 
 def test_one_change_changes_one_value() -> None:
@@ -114,7 +127,7 @@ def test_a_curve_that_is_nowhere_zero_has_no_dead_zone() -> None:
     values = tuple(
         1.0 if row.name.endswith("_N") and value == 0 else value for row, value in zip(POOL.table, POOL.values, strict=True)
     )
-    assert not Parameters(POOL.table, values).consistent
+    assert not Parameters(POOL.table, values).is_consistent()
 
 
 def test_unknown_names() -> None:
@@ -126,6 +139,13 @@ def test_what_was_kept_comes_back() -> None:
     assert POOL.restored(kept)["THR2_TRIM_US"] == -20
     assert POOL.restored({}) == POOL
     assert POOL.restored({"SLEW_US_S": 500.0, "GONE_SINCE": 1.0})["SLEW_US_S"] == 500
+
+
+@pytest.mark.parametrize(
+    ("name", "ends"), [("CMD_AGE_MS", (50, 300)), ("SLEW_US_S", (100, 100_000)), ("ANK4_TRIM_US", (-100, 100))]
+)
+def test_what_was_kept_may_be_at_the_ends_of_its_range(name: str, ends: tuple[float, float]) -> None:
+    assert [POOL.restored({name: value})[name] for value in ends] == list(ends)
 
 
 @pytest.mark.parametrize(
@@ -142,7 +162,7 @@ def test_whatever_is_written_all_stays_consistent(writes: list[tuple[Parameter, 
     for row, value in writes:
         new = parameters.changed(row.name, value)
         parameters = new if isinstance(new, Parameters) else parameters
-        assert parameters.consistent
+        assert parameters.is_consistent()
         assert all(r.low <= v <= r.high for r, v in zip(parameters.table, parameters.values, strict=True))
 
 
@@ -162,5 +182,6 @@ def test_the_page_lists_every_parameter() -> None:
     """docs/board.md is what somebody writes a firmware from."""
     page = (Path(__file__).parents[2] / "docs" / "board.md").read_text(encoding="utf-8")
     for row, value in zip(FIXED, POOL.values, strict=False):
-        text = f"| `{row.name}` | {row.low:g} to {row.high:g}{', whole' if row.whole else ''} | {value:g} | {row.meaning} |"
+        text = f"| `{row.name}` | {row.bounds} | {value:g} | {row.meaning} |"
         assert text in page, text
+        assert len(f"{row.name}: {Refusal.RANGE.words} ({row.bounds})") <= 50  # what a STATUSTEXT holds

@@ -59,7 +59,7 @@ def test_power_on() -> None:
 
 
 def test_power_on_stands_in_the_middle_of_the_ankles() -> None:
-    assert fresh(ANK_MIN_US=1201).echo_us == (*LEVEL, *(1600,) * 4)
+    assert fresh(ANK_MIN_US=1203).echo_us == (*LEVEL, *(1601,) * 4)
 
 
 def test_arming_says_so() -> None:
@@ -149,6 +149,7 @@ def test_refused_overrides_keep_nothing_alive_and_overrides_do() -> None:
     rules = flying()
     rules.override(COMPUTER, (1099, *AHEAD[1:]), 400 * MS)
     rules.override(STRANGER, AHEAD, 400 * MS)
+    assert rules.overrides_refused == 2
     rules.step(451 * MS)
     assert not rules.armed
     rules = flying()
@@ -390,6 +391,7 @@ def test_the_gate_is_shut_to_all_without_the_key_and_to_the_past() -> None:
     assert rules.gate.judge(Signer(key, lambda: 1000).sign(frame), *COMPUTER) is Verdict.REPLAYED
     assert rules.gate.judge(Signer(key, lambda: 1001).sign(frame), *COMPUTER) is Verdict.GOOD
     assert Rules(PARAMETERS, COMPUTER).gate.judge(bytes([0xFD, 0, 0]), *STRANGER) is Verdict.GOOD
+    assert Rules(PARAMETERS, COMPUTER, key).gate.judge(Signer(key, lambda: 1).sign(frame), *COMPUTER) is Verdict.GOOD
 
 
 def test_a_key_over_the_link_shuts_the_gate_and_forgets_the_last_override() -> None:

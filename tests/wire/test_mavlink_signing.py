@@ -155,6 +155,11 @@ def test_each_stream_has_its_own_time() -> None:
     assert gate.newest == NOW + 1000
 
 
+def test_time_begins_with_the_first_tick() -> None:
+    frame = bytes([0xFD, 0, 1])
+    assert Gate(KEY).judge(Signer(KEY, lambda: 0).sign(frame), 1, 191) is Verdict.GOOD
+
+
 def test_there_is_an_end_to_streams() -> None:
     gate, frame = Gate(KEY), bytes([0xFD, 0, 1])
     verdicts = [gate.judge(Signer(Key(SECRET, i), lambda: NOW).sign(frame), 1, 1) for i in range(STREAMS + 3)]
@@ -181,6 +186,14 @@ def test_timestamps_rise_whatever_the_clock_does(clock: list[int]) -> None:
     assert all(stamp >= min(now, limit) for stamp, now in zip(stamps, clock, strict=True))
 
 
+def test_a_clock_that_stands_still_uses_one_tick_for_each_frame() -> None:
+    """What is used up has to last: the computer reserves 60 s at a time."""
+    for now in (0, 1, NOW):
+        signer = Signer(KEY, iter([now] * 3).__next__)
+        stamps = [int.from_bytes(signer.sign(b"frame")[6:12], "little") for _ in range(3)]
+        assert stamps == [max(now, 1) + i for i in range(3)]
+
+
 def test_ticks() -> None:
     assert ticks(EPOCH_NS - 1) == 0
     assert ticks(EPOCH_NS + 10_000) == 1
@@ -193,6 +206,7 @@ def test_a_key_is_checked_and_never_shown() -> None:
     for secret, link in ((b"short", 0), (SECRET, 256), (SECRET, -1)):
         with pytest.raises(ValueError, match="32 bytes"):
             Key(secret, link)
+    assert [Key(SECRET, link).link_id for link in (0, 255)] == [0, 255]
 
 
 def test_a_flood_of_names_shuts_nobody_out_for_long() -> None:
