@@ -10,6 +10,7 @@ from groundstation.replay_commands import replay
 from groundstation.rerun_commands import moment, rerun
 from groundstation.run_commands import compare, comparison, export, record, recover, report
 from groundstation.viewer_commands import foxglove_layout
+from wire.extras import run_role
 from wire.runtime import run_app
 
 cli = typer.Typer(
@@ -29,7 +30,7 @@ cli.add_typer(keys_cli, name="keys")
 
 def app() -> None:
     """Entry point."""
-    run_app(cli)
+    run_role(lambda: run_app(cli), "station")
 
 
 if __name__ == "__main__":

@@ -66,11 +66,12 @@ def new_common_name(process: str) -> str:
 
 
 def issue(authority: Pair, common_name: str, hosts: Sequence[str], now: datetime, days: float = MEMBER_DAYS) -> Pair:
-    """A certificate for a member. With `hosts` (names and addresses) it may be the station there."""
+    """A certificate for a member. With `hosts` (names and addresses) it may be the station there. Raises ValueError for an
+    authority that is none, or is put together from two."""
     root = x509.load_pem_x509_certificate(authority.certificate)
     signer = load_pem_private_key(authority.private_key, password=None)
-    if not isinstance(signer, ec.EllipticCurvePrivateKey):
-        raise ValueError("the authority's private key is not one of ours")
+    if not isinstance(signer, ec.EllipticCurvePrivateKey) or signer.public_key() != root.public_key():
+        raise ValueError("the private key is not that of the authority's certificate")
     key = ec.generate_private_key(ec.SECP256R1())
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH, *([ExtendedKeyUsageOID.SERVER_AUTH] if hosts else [])]
     builder = (

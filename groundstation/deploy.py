@@ -60,6 +60,12 @@ def parse_targets(texts: Sequence[str]) -> tuple[Target, ...]:
     return targets
 
 
+def check_home(home: str) -> None:
+    """Whether a folder can be a board's home. Raises ConfigError."""
+    if not re.fullmatch(r"/[\w./-]+", home, re.ASCII):
+        raise ConfigError(f"--home {home!r}: no folder for a board (allowed: an absolute path of letters, digits, . _ - /)")
+
+
 PROBE = (
     "uname -m; python3 -c 'import sys, venv, ensurepip; print(\"%d.%d\" % sys.version_info[:2])' 2>/dev/null || echo none; "
     "cat {home}/manifest 2>/dev/null || true"

@@ -8,6 +8,7 @@ import typer
 
 from wire.experiment import load_experiment
 from wire.options import DEFAULT_FLEET, FleetName, Insecure, KeyRing, Settings
+from wire.toml_file import ConfigError
 
 
 def deploy(
@@ -34,24 +35,32 @@ def deploy(
                groundstation deploy pi@192.168.1.21=1 --station tls/192.168.1.10:7447 --keys keys --dry-run
     """
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     from groundstation.deploy import parse_targets
-    from groundstation.deploy_shell import Wanted, deploy_all
-    from wire.network import is_loopback, parse_address
-    from wire.toml_file import ConfigError
+    from groundstation.deploy_shell import Wanted, check, deploy_all
 
     targets = parse_targets(boards)
-    if keys is None and not insecure and not is_loopback(parse_address(station)[1]):
-        raise ConfigError(f"{station}: robots need keys to get there: --keys FOLDER, or an explicit --insecure")
     loaded = load_experiment(experiment, settings or ())
-    command = tuple(shlex.split(ssh))
+    command = _command(ssh)
     wanted = Wanted(loaded, station, fleet, link, link_key, home, keys, insecure, wheelhouse, command, restart, dry_run)
+    check(targets, wanted)
     table = Table("board", "robot", "would change" if dry_run else "changed", "version", "service")
     failed = False
     for outcome in deploy_all(targets, wanted):
         failed |= bool(outcome.trouble)
-        what = f"[red]{outcome.trouble}[/]" if outcome.trouble else ", ".join(outcome.changed) or "nothing"
+        what = f"[red]{escape(outcome.trouble)}[/]" if outcome.trouble else ", ".join(outcome.changed) or "nothing"
         table.add_row(outcome.target.host, str(outcome.target.robot), what, outcome.version, outcome.service)
     Console().print(table)
     raise typer.Exit(1 if failed else 0)
+
+
+def _command(text: str) -> tuple[str, ...]:
+    try:
+        words = tuple(shlex.split(text))
+    except ValueError as error:
+        raise ConfigError(f"--ssh {text!r}: no command: {error}") from None
+    if not words:
+        raise ConfigError("--ssh '': no command (default: ssh)")
+    return words

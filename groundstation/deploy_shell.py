@@ -17,6 +17,8 @@ from groundstation import deploy, wheelhouse
 from groundstation.deploy import Probe, Target
 from wire.experiment import Experiment, dump_experiment
 from wire.keys import open_keys
+from wire.link import parse_link
+from wire.network import parse_address, refuse_open
 from wire.toml_file import ConfigError
 from wire.topics import Role, process_name
 
@@ -57,6 +59,21 @@ class Outcome:
     trouble: str = ""
 
 
+def check(targets: Sequence[Target], wanted: Wanted) -> None:
+    """What can be said before any board is asked. Raises ConfigError."""
+    parse_address(wanted.station)
+    if wanted.ring is None:
+        refuse_open(wanted.station, wanted.insecure)
+    parse_link(wanted.link)
+    deploy.check_home(wanted.home)
+    if wanted.wheels is not None:
+        _found(wanted.wheels)
+    for target in targets:
+        wanted.experiment.robot(target.robot)
+        if wanted.ring is not None:
+            open_keys(wanted.ring, process_name(Role.ROBOT, target.robot))
+
+
 def deploy_all(targets: Sequence[Target], wanted: Wanted) -> Iterable[Outcome]:
     """All boards, a few at once; one that fails does not keep the others from theirs."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
@@ -72,7 +89,6 @@ def _tried(target: Target, wanted: Wanted) -> Outcome:
 
 def deploy_one(target: Target, wanted: Wanted) -> Outcome:
     """One board. Raises ConfigError with the reason why not."""
-    wanted.experiment.robot(target.robot)
     home = shlex.quote(wanted.home)
     probe = deploy.read_probe(target.host, _ssh(wanted, target, deploy.PROBE.format(home=home), b"", ANSWER_S))
     parts = _parts(target, wanted, probe)
@@ -92,10 +108,7 @@ def deploy_one(target: Target, wanted: Wanted) -> Outcome:
 
 
 def _parts(target: Target, wanted: Wanted, probe: Probe) -> dict[str, Files]:
-    wheels = wanted.wheels if wanted.wheels is not None else wheelhouse.wheels(probe)
-    found = sorted(wheels.glob("*.whl"))
-    if not any(path.name.startswith("shoal-") for path in found):
-        raise ConfigError(f"{wheels}: holds no wheel of shoal")
+    found = _found(wanted.wheels if wanted.wheels is not None else wheelhouse.wheels(probe))
     parts: dict[str, Files] = {
         "software": [(f"software/{path.name}", path.read_bytes()) for path in found],
         "experiment": [("experiment.toml", dump_experiment(wanted.experiment).encode())],
@@ -107,6 +120,14 @@ def _parts(target: Target, wanted: Wanted, probe: Probe) -> dict[str, Files]:
         secret = (keys.ca, keys.certificate, keys.private_key)
         parts["keys"] = [(f"keys/{process}/{path.name}", path.read_bytes()) for path in secret]
     return parts
+
+
+def _found(wheels: Path) -> list[Path]:
+    """The wheels in a folder. Raises ConfigError where ours is not among them."""
+    found = sorted(wheels.glob("*.whl"))
+    if not any(path.name.startswith("shoal-") for path in found):
+        raise ConfigError(f"{wheels}: holds no wheel of shoal")
+    return found
 
 
 def _init(target: Target, wanted: Wanted) -> list[str]:

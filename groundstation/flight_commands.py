@@ -23,6 +23,7 @@ from wire.options import (
     WebAddress,
 )
 from wire.runtime import Stop, start_log
+from wire.toml_file import ConfigError, files_named
 
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 
@@ -67,7 +68,7 @@ def run(
     from wire.topics import Role, process_name
     from wire.transport import ZenohTransport
 
-    token = web_token_file.read_text(encoding="utf-8").strip() if web_token_file is not None else ""
+    token = _token(web_token_file) if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)
     viewer = address(foxglove) if foxglove is not None else None
     if dry_run:
@@ -78,9 +79,10 @@ def run(
     me = process_name(Role.STATION)
     where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
     folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    folder.mkdir(parents=True, exist_ok=True)
     text = dump_experiment(loaded)
-    (folder / "experiment.toml").write_text(text, encoding="utf-8")
+    with files_named(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "experiment.toml").write_text(text, encoding="utf-8")
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         succeeded = station.run(
             loaded,
@@ -98,6 +100,14 @@ def run(
         write_report(folder)
         typer.echo(f"report: {folder / 'report.html'}")
     raise typer.Exit(0 if succeeded else 1)
+
+
+def _token(file: Path) -> str:
+    with files_named(file):
+        try:
+            return file.read_text(encoding="utf-8").strip()
+        except UnicodeDecodeError:
+            raise ConfigError(f"--web-token-file {file}: not a text") from None
 
 
 def _intent(experiment: Experiment, folder: Path) -> str:

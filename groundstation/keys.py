@@ -4,9 +4,11 @@ Private files are created with mode 0600 in folders of 0700, before the first by
 """
 
 import os
+import re
 import shutil
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
 from pathlib import Path
 
 import tomli_w
@@ -14,7 +16,7 @@ import tomli_w
 from groundstation import authority
 from groundstation.authority import Pair
 from wire.keys import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
-from wire.toml_file import ConfigError
+from wire.toml_file import ConfigError, files_named
 from wire.topics import Role, process_name
 
 AUTHORITY_KEY = "authority.key"
@@ -23,28 +25,50 @@ ALWAYS_HOSTS = ("localhost", "127.0.0.1", "::1")
 
 def init(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[Issued]:
     """A new ring: authority, and the members that every fleet has. Raises ConfigError where there is one already."""
-    if (ring / CA).exists() or (ring / AUTHORITY_KEY).exists():
-        raise ConfigError(f"{ring}: has keys already; a new authority would lock every robot out (choose another folder)")
-    ring.mkdir(parents=True, exist_ok=True)
-    ring.chmod(0o700)
-    root = authority.make_authority(fleet, now)
-    _write(ring / CA, root.certificate, 0o644)
-    _write(ring / AUTHORITY_KEY, root.private_key, 0o600)
-    _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
+    for host in hosts:
+        if not _is_host(host):
+            raise ConfigError(
+                f"--host {host!r}: no name or address of a host (letters, digits, . and -; not a port, no brackets)"
+            )
+    with files_named(ring):
+        if (ring / CA).exists() or (ring / AUTHORITY_KEY).exists():
+            raise ConfigError(f"{ring}: has keys already; a new authority would lock every robot out (choose another folder)")
+        ring.mkdir(parents=True, exist_ok=True)
+        ring.chmod(0o700)
+        root = authority.make_authority(fleet, now)
+        _write(ring / CA, root.certificate, 0o644)
+        _write(ring / AUTHORITY_KEY, root.private_key, 0o600)
+        _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
     return [add(ring, role, 0, now) for role in ("station", "operator", "localizer", "simulator", "viewer")]
+
+
+def _is_host(text: str) -> bool:
+    try:
+        ip_address(text)
+        return True
+    except ValueError:
+        return re.fullmatch(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?", text) is not None
 
 
 def add(ring: Path, role: str, robot: int, now: datetime, days: float = authority.MEMBER_DAYS) -> Issued:
     """A certificate for one process, in a folder of its name. An earlier one of that process no longer counts."""
     if role not in ROLE_NAMES:
         raise ConfigError(f"{role!r} is no role (allowed: {', '.join(ROLE_NAMES)})")
-    if (ROLE_NAMES[role] is Role.ROBOT) != (robot > 0):
-        raise ConfigError(f"{role} {robot or ''}: a robot needs its number, from 1; nobody else has one")
+    if (ROLE_NAMES[role] is Role.ROBOT) != (robot != 0) or not 0 <= robot <= 999:
+        raise ConfigError(f"{role} {robot or ''}".rstrip() + ": a robot needs its number, 1 to 999; nobody else has one")
+    if not 0.0 < days <= authority.AUTHORITY_YEARS * 365:
+        raise ConfigError(
+            f"--days {days:g}: no time for a certificate (allowed: up to {authority.AUTHORITY_YEARS * 365} days)"
+        )
     process = process_name(ROLE_NAMES[role], robot)
     members, root = read_members(ring), _authority(ring)
     common_name = authority.new_common_name(process)
-    pair = authority.issue(root, common_name, members.hosts if role == "station" else (), now, days)
-    _lay_down(ring / process, root.certificate, pair)
+    try:
+        pair = authority.issue(root, common_name, members.hosts if role == "station" else (), now, days)
+    except ValueError as error:
+        raise ConfigError(f"{ring / CA} and {ring / AUTHORITY_KEY}: make no certificate: {error}") from None
+    with files_named(ring):
+        _lay_down(ring / process, root.certificate, pair)
     issued = Issued(
         process=process,
         role=role,
@@ -54,7 +78,8 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = authorit
         expires=_seconds(now + timedelta(days=days)),
     )
     earlier = _without(members, process, now)
-    _write_members(ring, earlier.model_copy(update={"member": (*earlier.member, issued)}))
+    with files_named(ring):
+        _write_members(ring, earlier.model_copy(update={"member": (*earlier.member, issued)}))
     return issued
 
 
@@ -64,9 +89,10 @@ def revoke(ring: Path, process: str, now: datetime) -> None:
     valid = [m.process for m in members.member if m.revoked is None]
     if process not in valid:
         raise ConfigError(f"{process}: has no certificate (there are: {', '.join(valid) or 'none'})")
-    _write_members(ring, _without(members, process, now))
-    if (ring / process).is_dir():
-        shutil.rmtree(ring / process)
+    with files_named(ring):
+        _write_members(ring, _without(members, process, now))
+        if (ring / process).is_dir():
+            shutil.rmtree(ring / process)
 
 
 def _without(members: MemberList, process: str, now: datetime) -> MemberList:
@@ -79,10 +105,11 @@ def _without(members: MemberList, process: str, now: datetime) -> MemberList:
 
 
 def _authority(ring: Path) -> Pair:
-    for path in (ring / CA, ring / AUTHORITY_KEY):
-        if not path.is_file():
-            raise ConfigError(f"{path}: missing (`groundstation keys init` makes it; put it back if it is in a safe)")
-    return Pair((ring / CA).read_bytes(), (ring / AUTHORITY_KEY).read_bytes())
+    with files_named(ring):
+        for path in (ring / CA, ring / AUTHORITY_KEY):
+            if not path.is_file():
+                raise ConfigError(f"{path}: missing (`groundstation keys init` makes it; put it back if it is in a safe)")
+        return Pair((ring / CA).read_bytes(), (ring / AUTHORITY_KEY).read_bytes())
 
 
 def _lay_down(folder: Path, ca: bytes, pair: Pair) -> None:

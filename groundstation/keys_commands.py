@@ -43,7 +43,7 @@ def init(
 def add(
     role: Annotated[str, typer.Argument(help="station, operator, robot, localizer, simulator or viewer.")],
     robot: Annotated[int, typer.Argument(help="A robot's number.")] = 0,
-    days: Annotated[float, typer.Option(min=0.01, help="How long it is valid.")] = 397.0,
+    days: Annotated[float, typer.Option(min=0.01, max=3650, help="How long it is valid.")] = 397.0,
     ring: Ring = DEFAULT_RING,
 ) -> None:
     """Make a certificate; an earlier one of the same process no longer counts once the station has been restarted.

@@ -3,14 +3,14 @@
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from groundstation.again import Again, draw
-from groundstation.moment import hand_over
-from groundstation.rerun import rerun as do_again
 from wire.options import AsJson, Settings
+
+if TYPE_CHECKING:
+    from groundstation.again import Again
 
 
 def rerun(
@@ -29,6 +29,9 @@ def rerun(
     Examples:  groundstation rerun runs/pool-20260101-120000
                groundstation rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=25 --figures figures
     """
+    from groundstation.again import draw
+    from groundstation.rerun import rerun as do_again
+
     found = do_again(run_folder, robots or (), settings or ())
     if figures is not None:
         figures.mkdir(parents=True, exist_ok=True)
@@ -49,10 +52,12 @@ def moment(
     robot: Annotated[int, typer.Option(help="Which robot.")],
 ) -> None:
     """Hand over to stdout what a robot had been through up to a moment, for `sim-bridge sil --from`."""
+    from groundstation.moment import hand_over
+
     hand_over(run_folder, at, robot, sys.stdout.buffer)
 
 
-def _tell(found: list[Again]) -> None:
+def _tell(found: "list[Again]") -> None:
     """The comparison as tables."""
     from rich.console import Console
     from rich.table import Table

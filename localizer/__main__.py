@@ -7,6 +7,7 @@ import typer
 from localizer.calibrate_commands import calibrate, check
 from localizer.measure_commands import SourceName, evaluate, latency
 from wire.experiment import load_experiment
+from wire.extras import run_role
 from wire.options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -71,7 +72,7 @@ cli.command()(evaluate)
 
 def app() -> None:
     """Entry point."""
-    run_app(cli)
+    run_role(lambda: run_app(cli), "localizer")
 
 
 if __name__ == "__main__":

@@ -47,12 +47,12 @@ def run(
     ] = None,
     robot: Annotated[int | None, typer.Option(help="Which robot of the experiment this is.")] = None,
     link: Annotated[
-        str | None, typer.Option(help=f"The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD]. [default: {DEFAULT_LINK}]")
+        str | None, typer.Option(help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].", show_default=DEFAULT_LINK)
     ] = None,
     link_key: LinkKey = None,
     link_insecure: LinkInsecure = False,
     station: Annotated[
-        str | None, typer.Option(metavar="ENDPOINT", help=f"Where the station's router listens. [default: {DEFAULT_STATION}]")
+        str | None, typer.Option(metavar="ENDPOINT", help="Where the station's router listens.", show_default=DEFAULT_STATION)
     ] = None,
     fleet: Annotated[str | None, typer.Option(callback=live_fleet, help="Name of the fleet.")] = None,
     settings: Settings = None,

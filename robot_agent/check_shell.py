@@ -2,11 +2,9 @@
 tried."""
 
 import itertools
-import os
 import platform
-import stat
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from importlib import metadata
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from robot_agent.check_network import look_at_network
 from robot_agent.config import Board, open_board
 from robot_agent.rehearsal import rehearse
 from wire.experiment import Experiment, load_experiment
+from wire.link import parse_link, serial_trouble
 from wire.link_key import agent_end
 from wire.mavlink import Telemetry
 from wire.toml_file import ConfigError
@@ -46,50 +45,44 @@ def look_over(board: Board, thrusters: Callable[[Experiment], Iterator[Finding]]
     if experiment is not None:
         yield _timing(experiment, board.robot)
     yield from _device(board)
+    heard = False
     if flying:  # two programs on one thruster board: what one sends the other would spoil
         yield Finding("thruster board", Verdict.SKIPPED, "this robot's agent has it (systemctl stop shoal-agent)")
     else:
-        yield from _board(board)
-    if thrusters is None or experiment is None or flying:
+        heard = yield from _board(board)
+    if thrusters is None or experiment is None or not heard:
         yield Finding("thrusters", Verdict.SKIPPED, "not turned (--thrusters turns them one by one)")
     else:
         yield from thrusters(experiment)
 
 
 def _device(board: Board) -> Iterator[Finding]:
-    kind, _, rest = board.link.partition(":")
-    if kind != "serial":
-        return
-    device = Path(rest.rpartition(":")[0] if rest.rpartition(":")[2].isdigit() else rest)
-    if not device.exists():
-        yield Finding("device", Verdict.FAIL, f"{device}: not there; is the board plugged in, and powered?")
-    elif not stat.S_ISCHR(device.stat().st_mode):
-        yield Finding("device", Verdict.FAIL, f"{device}: is no serial port")
-    elif not os.access(device, os.R_OK | os.W_OK):
-        yield Finding(
-            "device", Verdict.FAIL, f"{device}: no permission; add the user to its group (sudo usermod -aG dialout USER)"
-        )
-    else:
-        yield Finding("device", Verdict.OK, f"{device}: can be read and written")
+    try:
+        address = parse_link(board.link)
+    except ConfigError:
+        return  # the thruster board's line says it
+    if address.kind == "serial":
+        trouble = serial_trouble(Path(address.where))
+        verdict = Verdict.FAIL if trouble else Verdict.OK
+        yield Finding("device", verdict, trouble or f"{address.where}: can be read and written")
 
 
-def _board(board: Board) -> Iterator[Finding]:
+def _board(board: Board) -> Generator[Finding, None, bool]:
+    """Returns whether it is heard."""
     try:
         telemetry = hear_board(board)
     except ConfigError as error:
         yield Finding("thruster board", Verdict.FAIL, str(error))
-        return
-    if telemetry is None:
-        yield Finding("thruster board", Verdict.FAIL, f"{board.link}: silent for {BOARD_WITHIN_S:g} s")
-        return
+        return False
     detail = (
         f"heard; {telemetry.battery_v:.1f} V, depth {telemetry.depth_m:.2f} m, {'ARMED' if telemetry.armed else 'disarmed'}"
     )
     yield Finding("thruster board", Verdict.WARN if telemetry.armed else Verdict.OK, detail)
+    return True
 
 
-def hear_board(board: Board) -> Telemetry | None:
-    """What the thruster board says, or None if it says nothing."""
+def hear_board(board: Board) -> Telemetry:
+    """What the thruster board says. Raises ConfigError if it says nothing."""
     wires, signing = open_board(board)
     mavlink = agent_end(board.robot, signing)
     try:
@@ -102,9 +95,21 @@ def hear_board(board: Board) -> Telemetry | None:
                 heard = mavlink.telemetry
                 if heard.battery_v > 0.0:
                     break
+        if heard is None:
+            why = wires.trouble or _others(mavlink.telemetry)
+            raise ConfigError(f"{board.link}: silent for {BOARD_WITHIN_S:g} s{why and '; '}{why}")
         return heard
     finally:
         wires.close()
+
+
+def _others(seen: Telemetry) -> str:
+    """What came in the place of the robot's own board, if anything did."""
+    if seen.forged_frames:
+        return "what comes is signed with another key, or there is no link_key"
+    if seen.unsigned_frames:
+        return "what comes is not signed (over a cable, `robot-agent params give-key FILE` gives the board a key)"
+    return "what comes is not of this robot's board" if seen.foreign_frames else ""
 
 
 def _computer(board: Board) -> Iterator[Finding]:

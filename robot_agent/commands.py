@@ -8,11 +8,11 @@ import typer
 
 from robot_agent.check import Finding, Verdict, exit_code, to_json
 from robot_agent.config import DEFAULT_LINK, choose, load_board, template
-from wire.experiment import Experiment
-from wire.network import parse_address
-from wire.options import DEFAULT_FLEET
+from wire.experiment import Experiment, load_experiment
+from wire.network import parse_address, refuse_open
+from wire.options import DEFAULT_FLEET, FleetName
 from wire.runtime import start_log
-from wire.toml_file import ConfigError
+from wire.toml_file import ConfigError, files_named
 
 ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The board's configuration (`robot-agent init`).")]
 DEFAULT_CONFIG = Path("agent.toml")
@@ -23,9 +23,11 @@ CAREFUL = "Each thruster will turn. Is the robot free, and is nobody's hand near
 def init(
     robot: Annotated[int, typer.Option(min=1, max=999, help="Which robot of the experiment this is.")],
     station: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the station's router listens.")],
-    experiment: Annotated[str, typer.Option(help="What is flown.")] = "pool",
-    fleet: Annotated[str, typer.Option(help="Name of the fleet.")] = DEFAULT_FLEET,
-    link: Annotated[str, typer.Option(help="The thruster board.")] = DEFAULT_LINK,
+    experiment: Annotated[
+        str, typer.Option(help="What is flown: a shipped experiment, or a path, relative to the file.")
+    ] = "pool",
+    fleet: FleetName = DEFAULT_FLEET,
+    link: Annotated[str, typer.Option(help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")] = DEFAULT_LINK,
     link_key: Annotated[str | None, typer.Option(metavar="FILE", help="What signs the link, relative to the file.")] = None,
     keys: Annotated[str | None, typer.Option(metavar="FOLDER", help="The key ring, relative to the file.")] = None,
     insecure: Annotated[bool, typer.Option("--insecure", help="An open network, without keys.")] = False,
@@ -34,17 +36,22 @@ def init(
 ) -> None:
     """Write a commented configuration for this board.
 
-    Example:  robot-agent init --robot 3 --station tls/192.168.1.10:7447 --keys keys
+    Example:  robot-agent init --robot 2 --station tls/192.168.1.10:7447 --keys keys
     """
-    from wire.link import open_link
+    from wire.link import parse_link
 
     parse_address(station)
-    open_link(link, secured=True).close()
-    if out.exists() and not force:
-        raise ConfigError(f"{out}: is there already (--force writes over it)")
+    if keys is None:
+        refuse_open(station, insecure)
+    parse_link(link)
+    if not experiment.endswith(".toml"):  # a file may be brought later
+        load_experiment(experiment).robot(robot)
     given = {"experiment": experiment, "robot": robot, "link": link, "station": station, "fleet": fleet}
     board = choose({**given, "link_key": link_key, "keys": keys, "insecure": insecure}, None)
-    out.write_text(template(out.name, board), encoding="utf-8")
+    with files_named(out):
+        if out.exists() and not force:
+            raise ConfigError(f"{out}: is there already (--force writes over it)")
+        out.write_text(template(out.name, board), encoding="utf-8")
     typer.echo(f"{out}: written; `robot-agent check --config {out}` looks the board over")
 
 

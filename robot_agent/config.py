@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Self
 
-from pydantic import Field, model_validator
+import tomli_w
+from pydantic import AfterValidator, Field, model_validator
 
 from wire.link import Link, open_link
 from wire.link_key import Signing
-from wire.options import DEFAULT_FLEET, DEFAULT_STATION
+from wire.options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
 from wire.toml_file import ConfigError, Section, check, read_toml
 
 DEFAULT_LINK = "serial:/dev/ttyACM0:115200"
@@ -23,12 +24,12 @@ TEMPLATE = """\
 # Its number in the experiment.
 robot = {robot}
 # What is flown: a shipped experiment or a path. It must be the station's, key by key.
-experiment = "{experiment}"
+{experiment}
 # Where the ground station's Zenoh router listens, and the fleet's name: fleets of different names ignore each other.
-station = "{station}"
-fleet = "{fleet}"
+{station}
+{fleet}
 # The thruster board: serial:DEVICE[:BAUD] or udp:HOST:PORT.
-link = "{link}"
+{link}
 # A key that signs this link (`robot-agent link-key FILE`; the board has the same). UDP to another machine needs one, or
 # link_insecure = true:
 {link_key}
@@ -63,7 +64,7 @@ class Board(Section):
     robot: Annotated[int, Field(ge=1, le=999)]
     experiment: str
     station: str
-    fleet: str = DEFAULT_FLEET
+    fleet: Annotated[str, AfterValidator(fleet_name)] = DEFAULT_FLEET
     link: str = DEFAULT_LINK
     link_key: str | None = None
     link_insecure: bool = False
@@ -113,14 +114,8 @@ def open_board(board: Board) -> tuple[Link, Signing | None]:
 
 def template(name: str, board: Board) -> str:
     """The commented file of a board, as `init` writes it."""
-    return TEMPLATE.format(
-        name=name,
-        robot=board.robot,
-        experiment=board.experiment,
-        station=board.station,
-        fleet=board.fleet,
-        link=board.link,
-        link_key=f'link_key = "{board.link_key}"' if board.link_key is not None else '# link_key = "link.key"',
-        keys=f'keys = "{board.keys}"' if board.keys is not None else '# keys = "keys"',
-        insecure="insecure = true" if board.insecure else "# insecure = true",
-    )
+    given = board.model_dump(include={"experiment", "station", "fleet", "link", "link_key", "keys"}, exclude_none=True)
+    written = {key: tomli_w.dumps({key: value}).rstrip() for key, value in given.items()}
+    left_out = {"link_key": '# link_key = "link.key"', "keys": '# keys = "keys"'}
+    insecure = "insecure = true" if board.insecure else "# insecure = true"
+    return TEMPLATE.format(name=name, robot=board.robot, insecure=insecure, **{**left_out, **written})

@@ -1,6 +1,7 @@
 """SHELL: `robot-agent params`: the parameters of the thruster board, read and written."""
 
 import math
+import re
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ from wire.toml_file import ConfigError
 
 AGAIN_S = 0.3  # between one question and its repetition
 WITHIN_S = 5.0  # for an answer
+LARGEST = 3.4028234e38  # of single precision, which parameters have on the wire
 
 LinkAddress = Annotated[str, typer.Option("--link", help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")]
 WhichRobot = Annotated[int | None, typer.Option("--robot", help="Whose board; default: the one that is heard first.")]
@@ -54,8 +56,8 @@ def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Ite
     wires = open_link(link, secured=signing is not None or insecure)
     try:
         talk = Talk(wires, client)
-        if not talk.until(lambda: client.robot_id is not None, lambda: b""):
-            raise ConfigError(f"--link {link}: no board is heard (is it powered, and does the link need --link-key?)")
+        if not talk.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
+            raise ConfigError(f"--link {link}: {client.silence or wires.trouble or 'no board is heard (is it powered?)'}")
         yield talk
     finally:
         wires.close()
@@ -84,6 +86,7 @@ def get(
 
     Example:  robot-agent params get SLEW_US_S --link serial:/dev/ttyACM0
     """
+    _check_name(name)
     with _talk(link, robot, key, insecure) as talk:
         client = talk.client
         talk.until(lambda: name in client.values or client.error is not None, lambda: client.ask(name))
@@ -103,6 +106,9 @@ def set_one(
 
     Example:  robot-agent params set THR1_TRIM_US -- -12
     """
+    _check_name(name)
+    if not abs(value) <= LARGEST:  # as NaN is not
+        raise ConfigError(f"{name} {value:g}: no value for a parameter (allowed: numbers up to {LARGEST:g})")
     with _talk(link, robot, key, insecure) as talk:
         client, close = talk.client, 1e-6 * max(abs(value), 1.0)  # it comes back in single precision
         done = talk.until(
@@ -138,6 +144,13 @@ def give_key(
         if not talk.until(lambda: talk.client.told > 0, talk.client.ask_all):
             raise ConfigError(f"--link {link}: the board does not answer to the key")
     typer.echo(f"robot {robot}: the link is signed with {file}")
+
+
+def _check_name(name: str) -> None:
+    if not re.fullmatch(r"[!-~]{1,16}", name):
+        raise ConfigError(
+            f"{name!r}: no parameter's name (allowed: 1 to 16 ASCII characters, as `robot-agent params list` has them)"
+        )
 
 
 def _found(client: ParameterClient, name: str) -> float:

@@ -9,6 +9,7 @@ import typer
 from sim_bridge.compare_commands import compare, tune
 from sim_bridge.conformance_shell import board_conformance
 from wire.experiment import Experiment, load_experiment
+from wire.extras import run_role
 from wire.options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
@@ -24,6 +25,7 @@ from wire.options import (
     experiments,
 )
 from wire.runtime import Stop, log, run_app, start_log
+from wire.toml_file import files_named
 
 cli = typer.Typer(
     help="The pool in software: water, robots, thruster boards and an overhead camera, on the same wires as the real ones.",
@@ -213,11 +215,14 @@ def _new_folder(out: Path, name: str) -> Path:
     stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
         folder = out / f"{stem}{suffix}"
-        try:
-            folder.mkdir(parents=True)
-            return folder
-        except FileExistsError:
-            continue
+        with files_named(out):
+            try:
+                folder.mkdir(parents=True)
+                return folder
+            except FileExistsError:
+                if folder.exists():
+                    continue
+                raise
     raise RuntimeError(f"cannot make a folder {out / stem}")
 
 
@@ -226,7 +231,7 @@ def pool(
     experiment: ExperimentName,
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
-    ports: Annotated[int, typer.Option(help="The board of robot N is at UDP port PORTS + N.")] = 14550,
+    ports: Annotated[int, typer.Option(min=0, help="The board of robot N is at UDP port PORTS + N.")] = 14550,
     settings: Settings = None,
     boards: BoardFolder = None,
     lockstep: LockstepMode = False,
@@ -242,6 +247,7 @@ def pool(
     from sim_bridge.board import Board
     from sim_bridge.board_memory import boards_in
     from sim_bridge.pool import Pool
+    from sim_bridge.sockets import Sockets
     from wire.bus import Bus
     from wire.network import endpoint
     from wire.topics import Role, process_name
@@ -252,6 +258,7 @@ def pool(
     loaded = load_experiment(experiment, settings or ())
     where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
     make = boards_in(boards) if boards is not None else Board
+    Sockets(ports, loaded.robot_ids, loaded.seed).close()  # ports that are taken are told before the wait for the station
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         Pool(loaded, bus, ports, stop, lockstep, poses, make).run()
 
@@ -292,7 +299,7 @@ cli.command()(tune)
 
 def app() -> None:
     """Entry point."""
-    run_app(cli)
+    run_role(lambda: run_app(cli), "all")
 
 
 if __name__ == "__main__":

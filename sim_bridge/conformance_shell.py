@@ -59,10 +59,13 @@ def board_conformance(
         dry = True
     signing = Signing.of(key, "conformance") if key is not None else None
     address = port if port.startswith(("udp:", "serial:")) else f"serial:{port}"
-    link = open_link(address, secured=signing is not None or insecure)
+    link = open_link(address, secured=signing is not None or insecure, option="--port")
     try:
         wire = LinkWire(link)
-        robot = robot if robot is not None else _who_is_there(wire, signing, port)
+        client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
+        robot = _who_is_there(wire, client)
+        if robot is None:
+            raise ConfigError(f"--port {port}: {client.silence or link.trouble or 'no board is heard (is it powered?)'}")
         probe = Probe(wire, robot) if signing is None else Probe(wire, robot, signing.key, signing.stamps)
         outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:
@@ -77,18 +80,15 @@ def board_conformance(
     raise typer.Exit(1 if failed else 0)
 
 
-def _who_is_there(wire: Wire, signing: Signing | None, port: str) -> int:
-    """The system id of the first board that is heard."""
-    client = ParameterClient() if signing is None else ParameterClient(None, signing.key, signing.stamps)
+def _who_is_there(wire: Wire, client: ParameterClient) -> int | None:
+    """The system id of the board that is heard, if one is."""
     end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), 0
-    while client.robot_id is None and wire.now_ns() < end_ns:
+    while not (client.heard and client.robot_id is not None) and wire.now_ns() < end_ns:
         if wire.now_ns() - asked_ns > 1e9:
             asked_ns = wire.now_ns()
             wire.send(client.heartbeat())
         client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
-    if client.robot_id is None:
-        raise ConfigError(f"--port {port}: no board is heard (is it powered, and does the link need --link-key?)")
-    return client.robot_id
+    return client.robot_id if client.heard else None
 
 
 def _told(outcomes: Iterable[Outcome], quiet: bool) -> Iterator[Outcome]:

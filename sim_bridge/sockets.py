@@ -6,6 +6,7 @@ import socket
 from sim_bridge.lossy_link import LossyLink
 from sim_bridge.world import World
 from wire.mavlink import is_override
+from wire.toml_file import ConfigError
 
 READ_BYTES = 65536
 PEERS = 8  # the robot's computer, and ground stations beside it
@@ -68,12 +69,22 @@ class Sockets:
     noisy."""
 
     def __init__(self, base_port: int, robots: tuple[int, ...], seed: int) -> None:
+        """The board of robot N is at `base_port` + N. Raises ConfigError naming a port that cannot be had."""
         self.commands = [0] * len(robots)  # sets of pulses that reached each port, whatever the link made of them
         self.burst_ms = [0] * len(robots)  # board time of the last burst that went out of each port
         self._measured_ms = [0] * len(robots)
         self._to_board = [LossyLink(seed, robot, 0) for robot in robots]
         self._from_board = [LossyLink(seed, robot, 1) for robot in robots]
-        self._ports = [Port("127.0.0.1", base_port + robot) for robot in robots]
+        self._ports: list[Port] = []
+        for robot in robots:
+            try:
+                self._ports.append(Port("127.0.0.1", base_port + robot))
+            except (OSError, OverflowError) as error:
+                self.close()
+                why = error.strerror if isinstance(error, OSError) else "allowed: up to 65535"
+                raise ConfigError(
+                    f"--ports {base_port}: UDP port {base_port + robot}, of robot {robot}'s board: {why}"
+                ) from None
 
     def exchange(self, world: World) -> None:
         """Take what has arrived; give the boards what the links let through by now."""

@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import re
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -198,3 +199,58 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
         refused = dry(*wrong).exception
         assert isinstance(refused, ConfigError) and why in str(refused)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "says"),
+    [
+        ("groundstation", ["--help"], ""),
+        ("groundstation", ["order", "start", "--station", "nowhere"], "not a place where a station can be"),
+        ("groundstation", ["report", "runs"], "pip install 'shoal[station]'"),
+        (
+            "localizer",
+            ["run", "pool"],
+            "the package cv2 is not installed; what this needs comes with: pip install 'shoal[localizer]'",
+        ),
+        ("sim-bridge", ["pool", "pool"], "pip install 'shoal[all]'"),
+    ],
+)
+def test_a_role_that_is_not_installed_says_what_installs_it(program: str, arguments: list[str], says: str) -> None:
+    """The base installation, as on a robot's board: all four commands are there."""
+    lacking = ("cv2", "mcap", "mcap_protobuf", "starlette", "uvicorn", "websockets", "matplotlib", "msgspec", "pyarrow", "av")
+    script = f"import sys; sys.modules.update(dict.fromkeys({lacking})); from {PROGRAMS[program]}.__main__ import app; app()"
+    done = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=False)
+    assert (done.returncode, "Traceback" in done.stderr) == (2 if says else 0, False)
+    assert says in done.stderr
+
+
+@pytest.mark.parametrize("fleet", ["", "lab/*", "a#b", "-x", "x" * 33, "replay/lab", 'a"b', "a b", "Bö"])
+def test_what_is_no_fleet_is_refused(fleet: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(groundstation, ["keys", "init", "--keys", str(tmp_path / "keys"), f"--fleet={fleet}"])
+    assert (done.exit_code, list(tmp_path.iterdir())) == (2, [])
+    assert "fleet's name" in done.output or "recorded run" in done.output
+
+
+def test_a_port_that_is_taken_is_told_before_the_station_is_waited_for() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        port = taken.getsockname()[1]
+        refused = CliRunner().invoke(sim_bridge, ["pool", "pool", "--ports", str(port - 1)]).exception
+    assert f"UDP port {port}, of robot 1's board: Address already in use" in str(refused)
+    assert "65536" in str(CliRunner().invoke(sim_bridge, ["pool", "pool", "--ports", "65535"]).exception)
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    code, _, said = ended("groundstation", "run", "pool", "--run-dir", str(tmp_path / "file" / "run"), "--no-web")
+    assert (code, said) == (2, f"{tmp_path}/file/run: Not a directory\n")
+    for command in (["sil", "pool", "--no-web"], ["numeric", "pool"]):
+        refused = CliRunner().invoke(sim_bridge, [*command, "--out", str(tmp_path / "file")]).exception
+        assert isinstance(refused, ConfigError) and "Not a directory" in str(refused)
+
+
+def test_a_token_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    (tmp_path / "token").write_bytes(b"\xff")
+    for name, says in (("nowhere", "nowhere: No such file"), ("token", "token: not a text")):
+        refused = CliRunner().invoke(groundstation, ["run", "pool", "--web-token-file", str(tmp_path / name)]).exception
+        assert isinstance(refused, ConfigError) and says in str(refused)

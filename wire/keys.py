@@ -5,9 +5,10 @@ A key ring is a folder with one folder per process, named as the process is:
     keys/ca.pem  members.toml  authority.key      only where the station runs; the last belongs in a safe
     keys/agent-1/ca.pem  cert.pem  key.pem        all that robot 1's board gets
 
-`groundstation keys` makes it. Private keys are read by Zenoh, from the file; nothing here looks at them.
+`groundstation keys` makes it. Private keys are read by OpenSSL and Zenoh, from the file; nothing here looks at them.
 """
 
+import ssl
 import stat
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -17,7 +18,7 @@ from typing import Annotated
 from pydantic import Field
 
 from wire.access import Member
-from wire.toml_file import ConfigError, Section, check, read_toml
+from wire.toml_file import ConfigError, Section, check, files_named, read_toml
 from wire.topics import Role
 
 CA, CERTIFICATE, PRIVATE_KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.toml"
@@ -78,19 +79,34 @@ class MemberList(Section):
 
 
 def open_keys(ring: Path, process: str) -> Keys:
-    """The keys of one process. Raises ConfigError saying what is missing, or who else can read them."""
+    """The keys of one process. Raises ConfigError saying what is missing or damaged, or who else can read them."""
     keys = Keys(ring / process)
-    for path in (keys.ca, keys.certificate, keys.private_key):
-        if not path.is_file():
-            raise ConfigError(f"--keys {ring}: {path} is missing (made by `groundstation keys add`, copied by `deploy`)")
-    mode = stat.S_IMODE(keys.private_key.stat().st_mode)
+    with files_named(keys.folder):
+        for path in (keys.ca, keys.certificate, keys.private_key):
+            if not path.is_file():
+                raise ConfigError(f"--keys {ring}: {path} is missing (made by `groundstation keys add`, copied by `deploy`)")
+            path.open("rb").close()
+        mode = stat.S_IMODE(keys.private_key.stat().st_mode)
     if mode & 0o077:
         raise ConfigError(f"{keys.private_key}: mode {mode:04o} lets others read it; chmod 600 {keys.private_key}")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(keys.ca)
+    except ssl.SSLError:
+        raise ConfigError(f"{keys.ca}: not a certificate (made by `groundstation keys`, copied by `deploy`)") from None
+    try:
+        context.load_cert_chain(keys.certificate, keys.private_key, password="")  # nobody is asked for one
+    except ssl.SSLError as error:
+        why = (error.reason or "not PEM").lower().replace("_", " ")
+        raise ConfigError(f"{keys.certificate} and {keys.private_key}: not a certificate and its key: {why}") from None
     return keys
 
 
 def read_members(ring: Path) -> MemberList:
     """Everybody who has a certificate. Raises ConfigError where there is no such list, or it is no good."""
+    with files_named(ring):
+        if not (ring / MEMBERS).exists():
+            raise ConfigError(f"--keys {ring}: no key ring, {MEMBERS} is missing in it (`groundstation keys init` makes one)")
     return check(MemberList, read_toml(ring / MEMBERS), str(ring / MEMBERS))
 
 

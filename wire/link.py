@@ -1,8 +1,12 @@
 """SHELL: the wire to the thruster board: a UDP socket or a serial port. Bytes only; wire/mavlink.py gives them meaning."""
 
+import errno
 import ipaddress
+import os
 import select
 import socket
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import serial
@@ -11,6 +15,30 @@ from wire.toml_file import ConfigError
 
 READ_BYTES = 65536
 FORMS = "udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:/dev/ttyACM0:115200"
+BAUDS = range(300, 12_000_001)
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a thruster board is: `kind` is udp or serial, `number` the port or the baud rate."""
+
+    kind: str
+    where: str
+    number: int
+
+
+def parse_link(text: str, option: str = "--link") -> Address:
+    """The parts of an address. Raises ConfigError naming what is allowed."""
+    kind, _, rest = text.partition(":")
+    first, _, last = rest.rpartition(":")
+    if kind == "udp" and first and last.isdecimal() and 0 < int(last) < 65536:
+        return Address(kind, first, int(last))
+    if kind == "serial" and rest:
+        device, baud = (first, int(last)) if first and last.isdecimal() else (rest, 115200)
+        if baud in BAUDS:
+            return Address(kind, device, baud)
+        raise ConfigError(f"{option} {text!r}: no baud rate (allowed: {BAUDS.start} to {BAUDS.stop - 1})")
+    raise ConfigError(f"{option} {text!r}: not an address of a thruster board (allowed: {FORMS})")
 
 
 class Link(Protocol):
@@ -21,6 +49,11 @@ class Link(Protocol):
     def wait(self, timeout_s: float) -> None: ...
     def close(self) -> None: ...
 
+    @property
+    def trouble(self) -> str:
+        """Why nothing gets through, as far as this end can tell; else empty."""
+        return ""
+
 
 class UdpLink:
     """A board behind UDP, as in simulation or on an Ethernet autopilot."""
@@ -29,21 +62,24 @@ class UdpLink:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect((host, port))
         self._socket.setblocking(False)
+        self.trouble = ""
 
     def send(self, data: bytes) -> None:
         try:
             self._socket.send(data)
-        except OSError:  # refused: nobody is at the other end now
-            return
+        except OSError as error:  # refused: nobody is at the other end now
+            self.trouble = error.strerror or str(error)
 
     def read(self) -> bytes:
         datagrams = []
         while True:
             try:
                 datagrams.append(self._socket.recv(READ_BYTES))
+                self.trouble = ""
             except BlockingIOError:
                 return b"".join(datagrams)
             except ConnectionRefusedError:
+                self.trouble = "connection refused: the machine is there, but nothing listens on that port"
                 continue  # the answer to an earlier send; behind it may be data
 
     def wait(self, timeout_s: float) -> None:
@@ -60,13 +96,20 @@ class SerialLink:
     def __init__(self, device: str, baud: int) -> None:
         self._device, self._baud = device, baud
         self._port: serial.Serial | None = None
+        self._refusal = ""
         self._reopen()
+
+    @property
+    def trouble(self) -> str:
+        return "" if self._port is not None else serial_trouble(Path(self._device)) or self._refusal
 
     def _reopen(self) -> None:
         try:
             self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
-        except (OSError, serial.SerialException):
+        except (OSError, serial.SerialException) as error:
             self._port = None
+            taken = error.errno in (errno.EAGAIN, errno.EBUSY)
+            self._refusal = f"{self._device}: {IN_USE if taken else error}"
 
     def send(self, data: bytes) -> None:
         try:
@@ -97,30 +140,39 @@ class SerialLink:
         self._drop()
 
 
+IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
+
+
+def serial_trouble(device: Path) -> str:
+    """Why a serial port cannot be opened, as far as it can be seen without opening it; empty if it can."""
+    if not device.exists():
+        return f"{device}: not there; is the board plugged in, and powered?"
+    if not device.is_char_device():
+        return f"{device}: is no serial port"
+    if not os.access(device, os.R_OK | os.W_OK):
+        return f"{device}: no permission; add the user to its group (sudo usermod -aG dialout USER)"
+    return ""
+
+
 def is_local(host: str) -> bool:
-    """Whether a host is this machine, by its loopback address. Raises ConfigError if it has none."""
-    try:
-        return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
-    except OSError as error:
-        raise ConfigError(f"{host!r}: no address of a host: {error.strerror}") from None
+    """Whether a host is this machine, by its loopback address. Raises OSError if it has none."""
+    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
 
 
-def open_link(address: str, secured: bool = False) -> Link:
+def open_link(text: str, secured: bool = False, option: str = "--link") -> Link:
     """The link of an address. UDP to another machine has to be `secured`: signed, or said to be insecure. Raises ConfigError
     naming what is allowed."""
-    kind, _, rest = address.partition(":")
-    first, _, last = rest.rpartition(":")
-    if kind == "udp" and first and last.isdigit() and 0 < int(last) < 65536:
-        if not (secured or is_local(first)):
+    address = parse_link(text, option)
+    if address.kind == "serial":
+        return SerialLink(address.where, address.number)
+    try:
+        if not (secured or is_local(address.where)):
             raise ConfigError(
-                f"--link {address!r}: unsigned UDP leaves this machine, and anybody on its way could drive the thrusters "
+                f"{option} {text!r}: unsigned UDP leaves this machine, and anybody on its way could drive the thrusters "
                 "(allowed: with --link-key FILE, which `robot-agent link-key` makes, or with --link-insecure)"
             )
-        try:
-            return UdpLink(first, int(last))
-        except OSError as error:
-            raise ConfigError(f"--link {address!r}: {error.strerror}") from None
-    if kind == "serial" and rest:
-        device, baud = (first, int(last)) if first and last.isdigit() else (rest, 115200)
-        return SerialLink(device, baud)
-    raise ConfigError(f"--link {address!r}: not an address of a thruster board (allowed: {FORMS})")
+        return UdpLink(address.where, address.number)
+    except (socket.gaierror, UnicodeError):  # the second for a part of a name that is empty or longer than 63
+        raise ConfigError(f"{option} {text!r}: {address.where!r} is no address of a host, nor a name that has one") from None
+    except OSError as error:
+        raise ConfigError(f"{option} {text!r}: {error.strerror}") from None

@@ -26,6 +26,9 @@ class ParameterClient:
         self.robot_id = robot_id
         self._sender = Sender(STATION, key, lambda: max(now(), gate.newest + 1))
         self._receiver = Receiver(self._is_board, gate)
+        self.heard = False
+        self._others: set[int] = set()  # robots whose boards speak on the link as well
+        self._key = key
         self._count: int | None = None
         self._by_index: dict[int, str] = {}
         self.values: dict[str, float] = {}
@@ -34,6 +37,8 @@ class ParameterClient:
         self.error: tuple[str, int] | None = None  # last PARAM_ERROR: of which parameter, MAV_PARAM_ERROR
 
     def _is_board(self, peer: Peer) -> bool:
+        if peer[1] == BOARD_COMPONENT and self.robot_id not in (None, peer[0]):
+            self._others.add(peer[0])
         return peer[1] == BOARD_COMPONENT and self.robot_id in (None, peer[0])
 
     def heartbeat(self) -> bytes:
@@ -77,6 +82,19 @@ class ParameterClient:
         return self._count is not None and len(self._by_index) == self._count
 
     @property
+    def silence(self) -> str:
+        """Why no board is heard, as far as what has come tells; empty if one is, or nothing has come."""
+        if self.heard:
+            return ""
+        if self._others:
+            return f"heard: the board of robot {min(self._others)}, not that of robot {self.robot_id}"
+        if self._receiver.refused[Verdict.FORGED]:
+            return "a board is heard that signs " + ("with another key" if self._key else "(--link-key FILE)")
+        if self._receiver.refused[Verdict.UNSIGNED]:
+            return "a board is heard that has no key (over a cable, `robot-agent params give-key FILE` gives it one)"
+        return ""
+
+    @property
     def signed(self) -> bool:
         """Whether the board signs with a key that is not this end's."""
         return self._receiver.refused[Verdict.FORGED] > 0
@@ -88,6 +106,7 @@ class ParameterClient:
 
     def _read(self, message: Any) -> None:
         kind = message.get_type()
+        self.heard = True
         if self.robot_id is None and kind == "HEARTBEAT":
             self.robot_id = message.get_srcSystem()
         if kind == "PARAM_VALUE" and math.isfinite(message.param_value) and message.param_index < message.param_count:

@@ -38,6 +38,18 @@ def is_loopback(host: str) -> bool:
         return host == "localhost"
 
 
+def refuse_open(address: str, insecure: bool) -> None:
+    """Raises ConfigError for an address that needs keys, to be used where there are none."""
+    protocol, host, _ = parse_address(address)
+    if protocol == "tls":
+        raise ConfigError(f"{address}: TLS needs --keys FOLDER (`groundstation keys init` makes them)")
+    if not is_loopback(host) and not insecure:
+        raise ConfigError(
+            f"{address}: other machines could command the robots; off loopback a fleet needs --keys FOLDER "
+            "(`groundstation keys init` makes them, docs/security.md), or an explicit --insecure"
+        )
+
+
 def endpoint(
     address: str,
     process: str,
@@ -50,20 +62,14 @@ def endpoint(
 ) -> Endpoint:
     """Where the router is, or to be, and how to speak to it. With a key ring always TLS, whatever the address says.
     Raises ConfigError for what would be open to others without having been asked for."""
-    protocol, host, port = parse_address(address)
+    _, host, port = parse_address(address)
     if ring is not None:
         if insecure:
             raise ConfigError("--insecure and --keys: with keys the network is not open; leave one of them out")
         where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         keys = open_keys(ring, process)
         return Endpoint(f"tls/{where}", router, lossless, keys, _access(fleet, ring) if router else None)
-    if protocol == "tls":
-        raise ConfigError(f"{address}: TLS needs --keys FOLDER (`groundstation keys init` makes them)")
-    if not is_loopback(host) and not insecure:
-        raise ConfigError(
-            f"{address}: other machines could command the robots; off loopback a fleet needs --keys FOLDER "
-            "(`groundstation keys init` makes them, docs/security.md), or an explicit --insecure"
-        )
+    refuse_open(address, insecure)
     if not is_loopback(host):
         log.warning(INSECURE)
     return Endpoint(address, router, lossless, insecure=not is_loopback(host))

@@ -1,6 +1,7 @@
 """SHELL: command line options that all four programs share, so that they read the same everywhere, and how a shell completes
 them."""
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -14,11 +15,21 @@ DEFAULT_WEB = "127.0.0.1:8000"
 REPLAY_PREFIX = "replay/"  # of the fleet that a recorded run is put on the bus as: no program of ours can join it
 
 
-def live_fleet(fleet: str | None) -> str | None:
-    """A fleet's name, if it is not that of a recorded run."""
-    if fleet is not None and fleet.startswith(REPLAY_PREFIX):
-        raise typer.BadParameter(f"{fleet!r} is a recorded run: nobody can join it")
+def fleet_name(fleet: str) -> str:
+    """A fleet's name, if it can be one: keys on the bus and certificates begin with it. Raises ValueError."""
+    if fleet.startswith(REPLAY_PREFIX):
+        raise ValueError(f"{fleet!r} is a recorded run: nobody can join it")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}", fleet):
+        raise ValueError(f"{fleet!r} is no fleet's name (allowed: up to 32 letters, digits, _ . and -)")
     return fleet
+
+
+def live_fleet(fleet: str | None) -> str | None:
+    """`fleet_name` as an option has it."""
+    try:
+        return fleet if fleet is None else fleet_name(fleet)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def experiments(begun: str) -> list[str]:

@@ -1,6 +1,8 @@
 """SHELL: load a TOML file into a checked pydantic model; every complaint names file, key, value and what is allowed."""
 
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -18,6 +20,15 @@ class Section(BaseModel):
 
 
 S = TypeVar("S", bound=Section)
+
+
+@contextmanager
+def files_named(path: Path) -> Iterator[None]:
+    """What the file system refuses meanwhile becomes a ConfigError that says where and why."""
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"{error.filename or path}: {error.strerror or error}") from None
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -108,7 +119,9 @@ def _explain(problem: Any, model: type[Section]) -> str:
         if kind not in problem["input"]:
             return f"{key}.{kind}: missing, and it has no default"
         return f"{key}.{kind} = {_as_written(problem['input'][kind])}: must be one of {context['expected_tags']}"
-    if problem["loc"] and not isinstance(problem["input"], dict):
+    if not problem["loc"]:
+        return message
+    if not isinstance(problem["input"], dict):
         return f"{key} = {_as_written(problem['input'])}: {message}"
     return f"{key}: {message}"
 
@@ -136,7 +149,7 @@ def _locate(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[str, ty
             holder = sections[0]
             field = holder.model_fields.get(part)
             sections = _sections(field.annotation) if field is not None else []
-    return ".".join(parts) or "(the whole file)", holder
+    return ".".join(parts), holder
 
 
 def _sections(annotation: Any) -> list[type[BaseModel]]:

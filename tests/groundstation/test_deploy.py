@@ -78,6 +78,37 @@ def test_a_digest_is_of_names_and_contents_in_any_order() -> None:
     assert len({deploy.digest(f) for f in (files, [("a", b"2"), ("b", b"1")], [("a", b"1")], [("a", b"12"), ("b", b"")])}) == 4
 
 
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--station", "nowhere"], "'nowhere': not a place where a station can be"),
+        (["--link", "usb"], "--link 'usb': not an address of a thruster board (allowed: "),
+        (["--home", "shoal"], "--home 'shoal': no folder for a board (allowed: an absolute path"),
+        (["--home", "/opt/my shoal"], "no folder for a board"),
+        (["--ssh", ""], "--ssh '': no command"),
+        (["--ssh", 'ssh "x'], "no command: No closing quotation"),
+        (["--wheelhouse", "nowhere"], "nowhere: holds no wheel of shoal"),
+        (["--set", "robots=[]"], "robots"),
+        (["--keys", "nowhere"], "nowhere/agent-1/ca.pem is missing"),
+        (["--experiment", "puddle"], "no such experiment"),
+    ],
+)
+def test_what_is_wrong_here_is_told_before_a_board_is_asked(options: list[str], says: str, tmp_path: Path) -> None:
+    keys.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
+    keys.add(tmp_path / "keys", "robot", 1, datetime.now(UTC))
+    sound = ["--station", "tls/127.0.0.1:7999", "--keys", str(tmp_path / "keys"), "--ssh", "false"]
+    result = CliRunner().invoke(cli, ["deploy", "localhost=1", *sound, *options])
+    assert isinstance(result.exception, ConfigError) and says in str(result.exception)
+    robot_9 = CliRunner().invoke(cli, ["deploy", "localhost=9", *sound]).exception
+    assert str(robot_9) == "robot 9: not in experiment 'pool' (allowed: 1, 2)"
+
+
+def test_without_keys_a_board_is_not_sent_where_others_are(tmp_path: Path) -> None:
+    for station, says in (("tcp/10.0.0.1:7447", "other machines could command"), ("tls/10.0.0.1:7447", "TLS needs --keys")):
+        refused = CliRunner().invoke(cli, ["deploy", "localhost=1", "--station", station, "--ssh", "false"]).exception
+        assert isinstance(refused, ConfigError) and says in str(refused)
+
+
 # --- the whole
 
 

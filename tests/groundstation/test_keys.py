@@ -88,12 +88,56 @@ def test_the_revoked_and_the_expired_are_not_admitted(ring: Path) -> None:
         keys.revoke(ring, "agent-1", NOW)
 
 
+@pytest.mark.parametrize("host", ["", "a b", "pöol.local", "tls/10.0.0.1", "10.0.0.1:7447", "[::1]", "-x", "x" * 255])
+def test_a_host_that_is_none_is_refused_before_anything_is_made(host: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no name or address of a host"):
+        keys.init(tmp_path / "keys", ["pool.local", host], "shoal", NOW)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_station_has_the_hosts_that_were_named(tmp_path: Path) -> None:
+    hosts = ["pool-1.lab.local", "x", "10.0.0.1", "fe80::1"]
+    keys.init(tmp_path, hosts, "shoal", NOW)
+    names = certificate(tmp_path, "groundstation").extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert {*hosts} <= {*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))}
+
+
+def test_an_authority_that_is_none_or_another_fleets_makes_nothing(ring: Path, tmp_path: Path) -> None:
+    keys.init(tmp_path / "other", [], "other", NOW)
+    others, own = (folder / "authority.key" for folder in (tmp_path / "other", ring))
+    authority = own.read_bytes()
+    for wrong in (others.read_bytes(), b"junk"):
+        own.write_bytes(wrong)
+        with pytest.raises(ConfigError, match=r"keys/ca\.pem and .*keys/authority\.key: make no certificate"):
+            keys.add(ring, "robot", 1, NOW)
+    own.write_bytes(authority)
+    (ring / "ca.pem").write_bytes(b"junk")
+    with pytest.raises(ConfigError, match="make no certificate"):
+        keys.add(ring, "robot", 1, NOW)
+    assert not (ring / "agent-1").exists()
+
+
+def test_a_ring_that_cannot_be_written_or_is_not_there_is_named(ring: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ConfigError, match=r"file: File exists"):
+        keys.init(tmp_path / "file", [], "shoal", NOW)
+    (ring / "agent-1").touch()
+    with pytest.raises(ConfigError, match=r"agent-1: File exists"):
+        keys.add(ring, "robot", 1, NOW)
+    with pytest.raises(ConfigError, match=r"nowhere: no key ring, members\.toml is missing in it"):
+        keys.revoke(tmp_path / "nowhere", "agent-1", NOW)
+
+
 def test_what_would_do_harm_is_refused(ring: Path) -> None:
     with pytest.raises(ConfigError, match="a new authority would lock every robot out"):
         keys.init(ring, [], "shoal", NOW)
-    for role, robot in (("robot", 0), ("viewer", 3)):
-        with pytest.raises(ConfigError, match="a robot needs its number"):
+    for role, robot in (("robot", 0), ("viewer", 3), ("robot", 1000), ("robot", -1)):
+        with pytest.raises(ConfigError, match="a robot needs its number, 1 to 999"):
             keys.add(ring, role, robot, NOW)
+    for days in (0.0, -1.0, float("nan"), float("inf"), 3651.0):
+        with pytest.raises(ConfigError, match=r"--days .*\(allowed: up to 3650 days\)"):
+            keys.add(ring, "robot", 1, NOW, days)
+    assert not list(ring.glob("agent-*"))
     with pytest.raises(ConfigError, match=r"'admin' is no role \(allowed: station, operator, robot"):
         keys.add(ring, "admin", 0, NOW)
     (ring / "authority.key").unlink()

@@ -43,10 +43,10 @@ def invoke(*arguments: str) -> Result:
 
 def test_init_writes_what_run_reads(tmp_path: Path) -> None:
     file = tmp_path / "agent.toml"
-    wanted = ["--robot", "3", "--station", "tls/192.168.1.10:7447", "--keys", "keys", "--out", str(file)]
+    wanted = ["--robot", "2", "--station", "tls/192.168.1.10:7447", "--keys", "keys", "--out", str(file)]
     assert invoke("init", *wanted).exit_code == 0
     board = load_board(file)
-    assert (board.robot, board.experiment, board.station) == (3, "pool", "tls/192.168.1.10:7447")
+    assert (board.robot, board.experiment, board.station) == (2, "pool", "tls/192.168.1.10:7447")
     assert board.keys == str(tmp_path / "keys")
     assert board.realtime == Realtime(priority=20, cores=(), lock_memory=True)
     assert sum(line.lstrip().startswith("#") or "#" in line for line in file.read_text().splitlines()) > 8
@@ -55,13 +55,44 @@ def test_init_writes_what_run_reads(tmp_path: Path) -> None:
     assert "is there already" in str(again.exception)
 
 
+def test_init_writes_any_path_so_that_toml_reads_it(tmp_path: Path) -> None:
+    file, odd = tmp_path / "agent.toml", 'a "b" \\c.key'
+    options = ["--robot", "1", "--station", "tcp/127.0.0.1:7447", "--link-key", odd, "--experiment", "later.toml"]
+    assert invoke("init", *options, "--out", str(file)).exit_code == 0
+    board = load_board(file)
+    assert (board.link_key, board.experiment) == (str(tmp_path / odd), str(tmp_path / "later.toml"))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--station", "tcp/192.168.1.10:7447"], "other machines could command the robots"),
+        (["--station", "tls/192.168.1.10:7447"], "TLS needs --keys FOLDER"),
+        (["--station", "192.168.1.10"], "not a place where a station can be (allowed: tcp/HOST:PORT"),
+        (["--experiment", "puddle"], "'puddle': no such experiment (allowed: blocked-path"),
+        (["--robot", "3"], "robot 3: not in experiment 'pool' (allowed: 1, 2)"),
+        (["--link", "usb:1"], "--link 'usb:1': not an address of a thruster board (allowed: udp:HOST:PORT"),
+        (["--link", "serial:/dev/ttyACM0:1"], "no baud rate (allowed: 300 to 12000000)"),
+        (["--out", "nowhere/agent.toml"], "nowhere/agent.toml: No such file or directory"),
+        (["--out", ".", "--force"], ".: Is a directory"),
+    ],
+)
+def test_init_refuses_what_run_would(options: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused = invoke("init", "--robot", "1", "--station", "tcp/127.0.0.1:7447", *options).exception
+    assert isinstance(refused, ConfigError) and says in str(refused)
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
         ("robot = 0", "robot = 0: "),
         ('robot = 1\nspeed = "high"', "speed: unknown key (allowed here: experiment, fleet"),
         ("robot = 1\nrealtime.priority = 100", "realtime.priority = 100: "),
-        ('robot = 1\nkeys = "k"\ninsecure = true', "leave one of them out"),
+        ('robot = 1\nkeys = "k"\ninsecure = true', "agent.toml: insecure = true beside keys: with keys"),
+        ('robot = 1\nfleet = "lab/*"', "fleet = 'lab/*': 'lab/*' is no fleet's name (allowed: up to 32 letters"),
+        ('robot = 1\nfleet = "replay/lab"', "is a recorded run: nobody can join it"),
     ],
 )
 def test_a_bad_file_says_which_key(tmp_path: Path, text: str, says: str) -> None:
@@ -192,8 +223,9 @@ def test_what_is_wrong_is_named(tmp_path: Path) -> None:
     file = tmp_path / "agent.toml"
     text = 'experiment = "pool"\nrobot = 9\nstation = "{}"\nlink = "serial:/dev/nothing-here"\nkeys = "keys"\n'
     file.write_text(text.format(f"tls/127.0.0.1:{free_port()}"))
-    code, found = checked(tmp_path)
+    code, found = checked(tmp_path, "--thrusters", "--yes")
     assert code == 1
+    assert found["thrusters"][0] == "skipped"  # nobody turns what is not heard
     for what, says in (
         ("experiment", "robot"),
         ("device", "/dev/nothing-here: not there"),

@@ -58,11 +58,32 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
         assert "SLEW_US_S        8000\n" in listed
         assert say("set", "--link", link, "THR1_TRIM_US", "--", "-12") == (0, "THR1_TRIM_US = -12\n")
         code, said = say("set", "--link", link, "CMD_AGE_MS", "5000")
-        assert code == 1 and "CMD_AGE_MS is still 250: CMD_AGE_MS: out of range" in said
+        assert code == 1 and "CMD_AGE_MS is still 250: CMD_AGE_MS: out of range (50 to 300, whole)" in said
         code, said = say("get", "--link", link, "NO_SUCH_THING")
         assert code == 1 and "the board has no such parameter" in said
     with board(f"pty:{tmp_path}/plug", tmp_path / "boards"):
         assert say("get", "--link", link, "THR1_TRIM_US") == (0, "-12\n")
+
+
+def test_what_cannot_be_asked_for_is_not(tmp_path: Path) -> None:
+    for name in ("", "SLÉW", "A_NAME_OF_17_CHAR"):
+        assert "no parameter's name (allowed: 1 to 16 ASCII characters" in say("get", name)[1]
+    for value in ("1e39", "-- -1e39", "inf", "nan"):
+        assert "no value for a parameter (allowed: numbers up to 3.4" in say("set", "SLEW_US_S", *value.split())[1]
+
+
+def test_a_board_that_is_not_there_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("robot_agent.params.WITHIN_S", 0.5)
+    monkeypatch.setattr("sim_bridge.conformance_shell.HEARD_WITHIN_S", 0.5)
+    (tmp_path / "file").touch()
+    for port, says in (
+        (f"serial:{tmp_path}/plug", f"{tmp_path}/plug: not there; is the board plugged in"),
+        (f"serial:{tmp_path}/file", f"{tmp_path}/file: is no serial port"),
+        (f"udp:127.0.0.1:{free_port()}", "connection refused: the machine is there, but nothing listens on that port"),
+    ):
+        assert f"--link {port}: {says}" in say("list", "--link", port)[1]
+        examined = CliRunner().invoke(sim_bridge, ["board-conformance", "--port", port, "--dry"])
+        assert f"--port {port}: {says}" in str(examined.exception)
 
 
 def test_a_key_is_given_over_the_cable_and_kept(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from wire.experiment import load_experiment
 from wire.link_key import load_key
 from wire.mavlink import AgentLink
 from wire.mavlink_frames import Sender
+from wire.mavlink_params import ParameterClient
 from wire.mavlink_signing import Key
 from wire.toml_file import ConfigError
 
@@ -322,3 +323,24 @@ def test_a_folder_keeps_a_key_for_its_owners_eyes_only(tmp_path: Path) -> None:
     assert load_key(tmp_path / "robot-2.key").secret == KEY.secret  # which refuses what others can read
     assert KEY.secret.hex() not in (tmp_path / "robot-2.json").read_text()
     assert boards_in(tmp_path)(POOL, 2, 1).signed and not boards_in(tmp_path)(POOL, 1, 1).signed
+
+
+@pytest.mark.parametrize(
+    ("robot", "key", "boards", "says"),
+    [
+        (None, None, None, ""),
+        (1, KEY, KEY, ""),
+        (2, None, None, "heard: the board of robot 1, not that of robot 2"),
+        (None, None, KEY, "a board is heard that signs (--link-key FILE)"),
+        (1, Key(bytes(32)), KEY, "a board is heard that signs with another key"),
+        (1, KEY, None, "a board is heard that has no key (over a cable, `robot-agent params give-key FILE` gives it one)"),
+    ],
+)
+def test_who_hears_no_board_is_told_why(robot: int | None, key: Key | None, boards: Key | None, says: str) -> None:
+    client, bench = ParameterClient(robot, key, lambda: 1000), Bench(boards)
+    assert (client.heard, client.silence) == (False, "")  # nothing has come
+    for _ in range(4):
+        bench.board.receive(client.heartbeat(), bench.now_ns)
+        client.receive(bench.board.step(bench.now_ns, STILL, STILL, STILL), bench.now_ns)
+        bench.now_ns += 1_000_000_000
+    assert (client.heard, client.silence) == (not says, says)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from wire.link import SerialLink, UdpLink, open_link
+from wire.link import Address, SerialLink, UdpLink, open_link, parse_link
 from wire.toml_file import ConfigError
 
 
@@ -31,6 +31,7 @@ def test_udp_carries_bytes_both_ways_and_survives_a_board_that_comes_late() -> N
         for _ in range(3):  # nobody listens: refused, and not an error
             link.send(b"hello")
             assert link.read() == b""
+        assert "nothing listens on that port" in link.trouble
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
             board.bind(("127.0.0.1", port))
             board.settimeout(5)
@@ -41,6 +42,7 @@ def test_udp_carries_bytes_both_ways_and_survives_a_board_that_comes_late() -> N
             board.sendto(b"one", peer)
             board.sendto(b"two", peer)
             assert read_for(link, b"two") == b"onetwo"
+            assert link.trouble == ""
     finally:
         link.close()
 
@@ -62,11 +64,16 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
         for _ in range(3):  # unplugged: silence, and not an error
             link.send(b"x")
             assert link.read() == b""
+        assert link.trouble == f"{plug}: not there; is the board plugged in, and powered?"
         controller, device = pty.openpty()
         plug.symlink_to(os.ttyname(device))
         link.read()
         link.send(b"again")
         assert os.read(controller, 100) == b"again"
+        assert link.trouble == ""
+        second = open_link(f"serial:{plug}")
+        assert "in use by another program" in second.trouble
+        second.close()
     finally:
         link.close()
 
@@ -75,3 +82,8 @@ def test_a_wrong_address_is_explained() -> None:
     for address in ("udp:127.0.0.1", "udp:host:99999", "tcp:1.2.3.4:5", "", "serial:"):
         with pytest.raises(ConfigError, match=r"allowed: udp:HOST:PORT or serial:DEVICE"):
             open_link(address)
+    for baud in (0, 299, 12_000_001):
+        with pytest.raises(ConfigError, match=rf"--port 'serial:/dev/x:{baud}': no baud rate \(allowed: 300 to 12000000\)"):
+            parse_link(f"serial:/dev/x:{baud}", "--port")
+    assert parse_link("serial:/dev/x:300") == Address("serial", "/dev/x", 300)
+    assert parse_link("serial:/dev/serial/by-id/usb:1-port") == Address("serial", "/dev/serial/by-id/usb:1-port", 115200)

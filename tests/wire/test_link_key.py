@@ -103,5 +103,5 @@ def test_unsigned_udp_stays_on_this_machine() -> None:
     with pytest.raises(ConfigError, match=r"unsigned UDP leaves this machine.*--link-key FILE.*--link-insecure"):
         open_link("udp:192.0.2.1:14551")
     open_link("udp:192.0.2.1:14551", secured=True).close()
-    with pytest.raises(ConfigError, match="no address of a host"):
+    with pytest.raises(ConfigError, match="is no address of a host"):
         open_link("udp:no-such-host.invalid:14551")

@@ -71,12 +71,21 @@ def test_keys_that_others_can_read_are_refused(ring: Path) -> None:
 def test_what_cannot_be_is_refused(ring: Path) -> None:
     with pytest.raises(ConfigError, match=r"agent-9.*missing"):
         endpoint("tls/127.0.0.1:7447", "agent-9", ring)
+    for name in ("ca.pem", "cert.pem", "key.pem"):
+        shutil.copytree(ring / "viewer", ring / "agent-9", dirs_exist_ok=True)
+        (ring / "agent-9" / name).write_text("junk")
+        with pytest.raises(ConfigError, match=rf"agent-9/{name}.*not a certificate"):
+            endpoint("tls/127.0.0.1:7447", "agent-9", ring)
+    shutil.copytree(ring / "viewer", ring / "agent-9", dirs_exist_ok=True)
+    shutil.copy(ring / "operator" / "key.pem", ring / "agent-9" / "key.pem")
+    with pytest.raises(ConfigError, match="not a certificate and its key: key values mismatch"):
+        endpoint("tls/127.0.0.1:7447", "agent-9", ring)
     with pytest.raises(ConfigError, match="TLS needs --keys"):
         endpoint("tls/127.0.0.1:7447", "viewer", None)
     with pytest.raises(ConfigError, match="--insecure and --keys"):
         endpoint("tls/127.0.0.1:7447", "viewer", ring, insecure=True)
     shutil.copytree(ring / "groundstation", ring.parent / "robot" / "groundstation")
-    with pytest.raises(ConfigError, match=r"members\.toml: no such file"):
+    with pytest.raises(ConfigError, match=r"members\.toml is missing"):
         endpoint("tls/127.0.0.1:7447", "groundstation", ring.parent / "robot", router=True)
 
 
