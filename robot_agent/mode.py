@@ -12,7 +12,7 @@ from wire.tuning import Safety
 from wire.vehicle import Battery
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
-BOARD_DISOBEYS_S = 0.3  # an echo or two may be lost; a thruster that runs by itself should not for long
+BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thruster that runs by itself should not for long
 BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
 LATE_STEPS = 3  # as many as a plan may bridge
 DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
@@ -59,7 +59,7 @@ class Health:
     emergency_stop: bool
     solver_failed: bool
     late_steps: int = 0  # in a row
-    echo_wrong_s: float = 0.0  # for how long the board has put out other pulses than it was told
+    echo_wrong_s: float = 0.0  # for how much of the last second the board has put out other pulses than it was told
     thrusters_broken: bool = False  # they do not turn the robot as they should
 
 

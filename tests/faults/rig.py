@@ -60,6 +60,13 @@ class BoardView:
         """Whether the thrusters run now."""
         return bool(self.changes) and not self.changes[-1][1]
 
+    def told_s(self, such: Callable[[tuple[int, ...]], bool], from_ns: int, to_ns: int) -> float:
+        """For how much of a time the pulses that were taken last were such."""
+        total_ns, taken = 0, list(self.taken)
+        for (ns, pulses), (until_ns, _) in zip(taken, [*taken[1:], (to_ns, ())], strict=True):
+            total_ns += max(min(until_ns, to_ns) - max(ns, from_ns), 0) if such(pulses) else 0
+        return total_ns * 1e-9
+
     def neutral_since(self, ns: int) -> int | None:
         """Since when the board has been neutral and has stayed so, not before `ns`; None if it is not."""
         if not self.changes or not self.changes[-1][1]:

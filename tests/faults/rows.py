@@ -239,12 +239,21 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
     }
 
 
+SAME_US = 5  # a board whose outputs differ by no more than this from what they were told does as it is told
+
+
 def board_disobeys(rig: Rig, random: Random) -> Sample:
-    """Its outputs 1 and 2 are confused: what the robot's computer sent and what the board says it puts out differ."""
+    """Its outputs 1 and 2 are confused. Only while both are told different pulses does the board put out anything else than it
+    was told, and only that time counts."""
     robot = int(random.choice(rig.robots))
     ns = rig.break_(f"board {robot} crossed")
-    found = {"neutral": rig.neutral_s(ns, [robot]), "alert": rig.alert_s(ns)}
+    neutral_s, alert_s = rig.neutral_s(ns, [robot]), rig.alert_s(ns)
     rig.break_()
+    board = rig.boards[robot]
+    found = {
+        name: board.told_s(lambda pulses: abs(pulses[0] - pulses[1]) > SAME_US, ns, ns + round(seconds * 1e9))
+        for name, seconds in (("neutral", neutral_s), ("alert", alert_s))
+    }
     return {**found, RESUMED: _resumed(rig, (robot,), 1.0)}
 
 

@@ -76,7 +76,8 @@ ROWS: tuple[Row, ...] = (
         {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows.link_garbage,
     ),
     Row(
-        "board-disobeys", "The board puts out other pulses than it is told", "two of its outputs are confused",
+        "board-disobeys", "The board puts out other pulses than it is told",
+        f"two of its outputs are confused; only time counts in which they are told pulses more than {rows.SAME_US} us apart",
         {"neutral": SECONDS(0.9), "alert": SECONDS(0.8), RESUMED: TIMES()}, rows.board_disobeys, times=20,
     ),
     Row(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.faults.page import write_page
-from tests.faults.rig import Rig, moment
+from tests.faults.rig import BoardView, Rig, moment
 from tests.faults.rows import Row
 from tests.faults.table import ROWS
 
@@ -38,3 +38,13 @@ def test_a_fault_leaves_robots_safe(row: Row, lab: Rig) -> None:
         measure = row.measures[name]
         assert value <= measure.limit + (SLACK_S if measure.unit == "s" else 0.0), name
     assert lab.wrongly_taken() == 0 and lab.not_finite == 0
+
+
+def test_time_counts_while_a_board_is_told_such_pulses() -> None:
+    board = BoardView(
+        taken=[(0, (1500, 1500)), (100, (1500, 1520)), (200, (1500, 1501)), (300, (1540, 1500)), (400, (1500, 1500))]
+    )
+    apart = [
+        board.told_s(lambda pulses: abs(pulses[0] - pulses[1]) > 5, *span) * 1e9 for span in ((0, 500), (150, 350), (0, 50))
+    ]
+    assert apart == pytest.approx([200.0, 100.0, 0.0])
