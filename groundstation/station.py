@@ -247,9 +247,9 @@ def run(
         record_everything(bus, recorder, clock)
         with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool, contextlib.ExitStack() as served:
             mission = Mission(experiment, leg, starts, automatic)
-            states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
-            poses = {r: bus.inbox(topics.POSE, Pose, r) for r in experiment.robot_ids}
-            plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids}
+            states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
+            poses = bus.inboxes(topics.POSE, Pose, experiment.robot_ids)
+            plans = bus.inboxes(topics.PLAN, Plan, experiment.robot_ids)
             obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
             tuner = Tuner(experiment)
             laps = Laps(tuner.lap_s)

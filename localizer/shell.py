@@ -68,7 +68,7 @@ class Shell:
     ) -> None:
         self._experiment, self._bus, self._stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames = page, publish_frames
-        self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
+        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
         self._source = own or open_bus(bus, clock, experiment.camera.rate_hz, self._states)
         self._locator = Locator(experiment)
         self._watch = _obstacle_watch(experiment)

@@ -2,7 +2,8 @@
 
 By the wall clock a step comes as soon as a pose has arrived, about one period (EARLY, LATE) after the last step; without a
 pose it comes anyway, and no later than the instant at which the last one gets too old. So the loop falls in step with the
-camera, and a pose never waits. In lockstep it comes when the simulator says so and every input it names is here.
+camera, and a pose never waits. Nor does an order that takes the power away: it brings a step of its own. In lockstep a step
+comes when the simulator says so and every input it names is here.
 """
 
 import threading
@@ -12,6 +13,7 @@ from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.journal import answered, inputs_of, noted, order_noted, station_view
+from robot_agent.mode import POWERED
 from robot_agent.watchdog import Watchdog
 from wire import topics
 from wire.bus import Bus, Received
@@ -54,10 +56,11 @@ class Shell:
         self._poses = bus.inbox(topics.POSE, Pose, robot)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus) if lockstep else None
         self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
-        self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in experiment.robot_ids if r != robot}
+        self._plans = bus.inboxes(topics.PLAN, Plan, (r for r in experiment.robot_ids if r != robot))
         self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
         self._obstacles_up_to_ns: int | None = None
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
+        self._hurry = threading.Event()  # an order took the power away: the thrusters are not to wait for the next pose
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._dropped = 0  # frames of the board, for their signature
         self._budget_ns = round(BUDGET * experiment.controller.period_s * 1e9)
@@ -122,8 +125,11 @@ class Shell:
             now_ns = self._clock.now_ns()
             heartbeat = self._station()
             record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
+            powered = self.agent.mode in POWERED
             reply = self.agent.order(header, command, station_view(record, now_ns), now_ns)
             self._orders += 1
+            if powered and self.agent.mode not in POWERED:
+                self._hurry.set()
         self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
         log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
         return reply
@@ -168,13 +174,14 @@ class Shell:
         while not self._stop.requested:
             latest_s = min(last_s + (1 + LATE) * period_s, self._react_by_s())
             # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
-            time.sleep(max(min(last_s + (1 - EARLY) * period_s, latest_s) - time.monotonic(), 0.0))
+            self._hurry.wait(max(min(last_s + (1 - EARLY) * period_s, latest_s) - time.monotonic(), 0.0))
             fresh = wait(
                 self._bus,
                 self._stop,
-                lambda seen=taken: self._poses.newest_header() is not seen,  # type: ignore[misc]
+                lambda seen=taken: self._hurry.is_set() or self._poses.newest_header() is not seen,  # type: ignore[misc]
                 latest_s - time.monotonic(),
             )
+            self._hurry.clear()
             now_s = time.monotonic()
             due_s = now_s if fresh else min(now_s, last_s + (1 + LATE) * period_s)
             taken = self._poses.newest_header()

@@ -22,7 +22,7 @@ class Monitor:
 
     def __init__(self, experiment: Experiment, bus: Bus) -> None:
         self._experiment = experiment
-        self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids}
+        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
         self._progress = Progress(

@@ -62,7 +62,7 @@ class Pool:
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = Sockets(base_port, experiment.robot_ids, experiment.seed)
-        self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in experiment.robot_ids if experiment.sim.faults}
+        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids if experiment.sim.faults else ())
         cv2.setNumThreads(1)  # two cores, five processes: more threads only fight
         self._eye: Renderer | Located = (
             Located(experiment, experiment.seed) if poses else Renderer(experiment, experiment.seed)
@@ -95,7 +95,7 @@ class Pool:
     def _starts(self) -> Array | None:
         """Start poses (n, 4): as the experiment gives them, or an offset from where the robot's trajectory begins."""
         robots = self._experiment.robots
-        inboxes = {r.id: self._bus.inbox(topics.TRAJECTORY, Trajectory, r.id) for r in robots if r.start is None}
+        inboxes = self._bus.inboxes(topics.TRAJECTORY, Trajectory, (r.id for r in robots if r.start is None))
         while not wait(self._bus, self._stop, lambda: all(i.newest_header() for i in inboxes.values()), 10.0):
             if self._stop.requested:
                 return None

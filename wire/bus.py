@@ -12,7 +12,7 @@ import secrets
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -42,6 +42,18 @@ class Received(Generic[M]):
     late_ns: int = 0  # how much longer it was on its way than the fastest of late
 
 
+@dataclass(slots=True, eq=False)
+class _Kept(Generic[M]):
+    """What an inbox keeps of a message; decoded when somebody asks for it."""
+
+    header: Header
+    payload: bytes
+    arrived_ns: int
+    late_ns: int
+    decoded: bool = False
+    received: Received[M] | None = None
+
+
 class Inbox(Generic[M]):
     """The newest message of one topic. Never a queue: what is older than the newest is gone.
 
@@ -49,55 +61,52 @@ class Inbox(Generic[M]):
     """
 
     def __init__(self, bus: "Bus", topic: Topic, kind: type[M], robot: int | None) -> None:
+        """Of `Bus.inbox`, which has it filled."""
         self.dropped = 0  # repeated, reordered
         self.bad = 0  # not decodable
         self.last_error = ""
         self.name = topic.key(robot)
         self._bus, self._topic, self._kind = bus, topic, kind
-        self._kept: deque[tuple[Header, bytes, int, int]] = deque(maxlen=KEPT)
+        self._kept: deque[_Kept[M]] = deque(maxlen=KEPT)
         self._lateness = Lateness()
-        self._decoded: dict[tuple[int, int], Received[M] | None] = {}
-        bus.subscribe(topic, robot, self._store)
 
-    def _store(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+    def store(self, header: Header, payload: bytes) -> None:
+        """A message has come."""
         with self._bus.arrival:
-            last = self._kept[-1][0] if self._kept else None
+            last = self._kept[-1].header if self._kept else None
             if last is not None and last.session == header.session and header.sequence <= last.sequence:
                 self.dropped += 1
                 return
             arrived_ns = time.monotonic_ns()
             late_ns = self._lateness.of(header.session, header.stamp_ns + header.age_ns, arrived_ns)
-            self._kept.append((header, payload, arrived_ns, late_ns))
+            self._kept.append(_Kept(header, payload, arrived_ns, late_ns))
             self._bus.arrival.notify_all()
 
     def newest_header(self) -> Header | None:
         """Header of the newest message, decoded or not: cheap, for waiting."""
-        return self._kept[-1][0] if self._kept else None
+        return self._kept[-1].header if self._kept else None
 
     def newest(self, up_to_ns: int | None = None) -> Received[M] | None:
         """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none."""
         with self._bus.arrival:
-            kept = list(self._kept)
-        self._decoded = {k: v for k, v in self._decoded.items() if any(k == (h.session, h.sequence) for h, *_ in kept)}
-        for header, payload, arrived_ns, late_ns in reversed(kept):
-            if up_to_ns is not None and header.stamp_ns > up_to_ns:
+            kept = tuple(self._kept)
+        for one in reversed(kept):
+            if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
                 continue
-            identity = (header.session, header.sequence)
-            if identity not in self._decoded:
-                self._decoded[identity] = self._decode(header, payload, arrived_ns, late_ns)
-            found = self._decoded[identity]
-            if found is not None:
-                return found
+            if not one.decoded:
+                one.received, one.decoded = self._decode(one), True
+            if one.received is not None:
+                return one.received
         return None
 
-    def _decode(self, header: Header, payload: bytes, arrived_ns: int, late_ns: int) -> Received[M] | None:
+    def _decode(self, kept: "_Kept[M]") -> Received[M] | None:
         try:
-            message = decode(self._kind, payload, f"session {header.session:x}", self._topic.name)
+            message = decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
         except DecodeError as error:
             self.bad += 1
             self.last_error = str(error)
             return None
-        return Received(message, header, arrived_ns, late_ns)
+        return Received(message, kept.header, kept.arrived_ns, kept.late_ns)
 
 
 class Bus:
@@ -140,6 +149,26 @@ class Bus:
 
     def inbox(self, topic: Topic, kind: type[M], robot: int | None = None) -> Inbox[M]:
         """The newest message of a topic, of one robot where the topic has robots. `kind` is the topic's type."""
+        inbox = self._inbox(topic, kind, robot)
+        self.subscribe(topic, robot, lambda topic, key, header, payload: inbox.store(header, payload))
+        return inbox
+
+    def inboxes(self, topic: Topic, kind: type[M], robots: Iterable[int]) -> dict[int, Inbox[M]]:
+        """An inbox for each of these robots, filled by one subscription: Zenoh has a thread for each, and 19 that take turns
+        at Python's lock cost more than what they bring."""
+        inboxes = {robot: self._inbox(topic, kind, robot) for robot in robots}
+        by_key = {self._key(inbox.name): inbox for inbox in inboxes.values()}
+
+        def store(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+            inbox = by_key.get(key)
+            if inbox is not None:
+                inbox.store(header, payload)
+
+        if inboxes:
+            self.subscribe(topic, None, store)
+        return inboxes
+
+    def _inbox(self, topic: Topic, kind: type[M], robot: int | None) -> Inbox[M]:
         if kind is not topic.type:
             raise TypeError(f"topic {topic.name} carries {topic.type.__name__}, not {kind.__name__}")
         return Inbox(self, topic, kind, robot)

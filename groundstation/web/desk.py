@@ -84,9 +84,9 @@ class Desk:
         self._experiment, self._trajectories, self._bus, self._clock = experiment, trajectories, bus, clock
         self._station, self._mode = station, mode
         robots = experiment.robot_ids
-        self._states = {r: bus.inbox(topics.STATE, RobotState, r) for r in robots}
-        self._poses = {r: bus.inbox(topics.POSE, Pose, r) for r in robots}
-        self._plans = {r: bus.inbox(topics.PLAN, Plan, r) for r in robots}
+        self._states = bus.inboxes(topics.STATE, RobotState, robots)
+        self._poses = bus.inboxes(topics.POSE, Pose, robots)
+        self._plans = bus.inboxes(topics.PLAN, Plan, robots)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
         self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
         self._previews = bus.inbox(topics.PREVIEW, Preview)

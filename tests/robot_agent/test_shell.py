@@ -1,0 +1,45 @@
+"""A robot's program: when it steps."""
+
+import threading
+import time
+
+import pytest
+
+from robot_agent import shell
+from tests.sim_bridge.test_bench import free_port
+from wire import topics
+from wire.bus import Bus
+from wire.experiment import load_experiment
+from wire.link import open_link
+from wire.messages import Command, Mode, Order, RobotState, StationHeartbeat
+from wire.runtime import Stop, wait
+from wire.transport import MemoryHub, MemoryTransport
+
+PATIENCE_S = 20.0
+NEVER = 1e4  # periods
+
+
+@pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
+def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
+    order: Order, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shell, "LATE", NEVER)
+    hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port()}")
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    heard = station.inbox(topics.STATE, RobotState, 1)
+    robot = shell.Shell(load_experiment("pool"), 1, bus, link, False, stop)
+    robot.agent.mode = Mode.HOLDING
+    thread = threading.Thread(target=robot.run)
+    thread.start()
+    try:
+        while not station.order(Command(order, robot=1), time.time_ns(), 1.0).accepted:  # until it serves, and hears us
+            station.publish(topics.HEARTBEAT, StationHeartbeat(), time.time_ns())
+        assert wait(station, stop, lambda: heard.newest_header() is not None, PATIENCE_S)
+    finally:
+        stop.request()
+        thread.join()
+        link.close()
+    told = heard.newest()
+    assert told is not None
+    assert told.message.mode is {Order.STOP: Mode.STOPPED, Order.DISARM: Mode.DISARMED}[order]
+    assert set(told.message.pulse_us) == {1500}
