@@ -3,12 +3,16 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from sim_bridge import faults
+from sim_bridge.optics import project
 from wire.experiment import Experiment
 from wire.faults import KINDS, OF_PROCESSES
 from wire.toml_file import ConfigError
 
 LEAST_MARKER_PX = 16  # two a cell and a margin
+BLIND = "Fly without the camera: --poses"
 
 
 @dataclass(frozen=True)
@@ -45,14 +49,20 @@ def check(experiment: Experiment, way: Way) -> None:
 
 
 def check_sight(experiment: Experiment) -> None:
-    """Raise ConfigError if the localizer could see no robot."""
+    """Raise ConfigError if the localizer could not see every robot where it starts."""
     camera = experiment.camera
     wide_px = camera.px_per_m * experiment.vehicle.marker.side_m
     if experiment.localizer.markers and wide_px < LEAST_MARKER_PX:
         raise ConfigError(
             f"camera.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "
-            f"can be read (allowed: from {LEAST_MARKER_PX} pixels on). Fly without the camera: --poses"
+            f"can be read (allowed: from {LEAST_MARKER_PX} pixels on). {BLIND}"
         )
+    for number, robot in enumerate(experiment.robots):
+        if robot.start is not None:
+            u, v = project(camera, np.array([robot.start[:3]]))[0]
+            if not (0 <= u < camera.size_px[0] and 0 <= v < camera.size_px[1]):  # true for what is behind the lens
+                place = ", ".join(f"{value:g}" for value in robot.start[:3])
+                raise ConfigError(f"robots.{number}.start = [{place}, ...]: is not in the camera's picture. {BLIND}")
 
 
 def programs(

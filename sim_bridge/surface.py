@@ -111,8 +111,11 @@ class Caustics:
 
 
 def _fold(value: Float, size: int) -> Float:
-    last = np.float32(size - 1.001)
-    folded: Float = last - np.abs(last - np.abs(value))
+    """Onto 0 .. size - 1, as often as it takes: in a deep basin light wanders farther than the pattern is wide."""
+    last, away = np.float32(size - 1.001), np.abs(value)
+    if away.max() > 2 * last:
+        away = np.mod(away, 2 * last)
+    folded: Float = last - np.abs(last - away)
     return folded
 
 

@@ -31,6 +31,7 @@ from wire.transport import Endpoint, ZenohTransport
 PATIENCE_S = 60.0  # for what must come and has no limit of its own
 MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
 CRUISES = 10  # attempts at a flight in one piece
+COMES_UP_S = 2.0  # from the mission's first word of a flight to all thrusters running
 ANSWERED_S = 5.0  # an order to the whole fleet, on a machine that has just started it
 WARNING = 3  # an event's level
 
@@ -264,7 +265,9 @@ class Rig:
         reply = Reply(0, False)
         while not self.flying:
             if time.monotonic() > deadline:
-                raise Stuck(f"no flight: mission {self._mission}, last answer {reply.reason!r} ({self.folder})")
+                raise Stuck(f"no flight: mission {self._mission}, last answer {reply.reason[:500]!r} ({self.folder})")
+            if self._mission == "RUNNING" and self._comes_up():
+                break
             if self._mission in steps:
                 reply = self.order(steps[self._mission])
             elif self._mission in ("WAITING", "LOADING") and any(
@@ -272,9 +275,15 @@ class Rig:
             ):
                 reply = self.order(Order.DISARM)
             elif self._mission in ("WAITING", "LOADING"):
-                reply = self.order(Order.START)
+                astray = "from its start" in reply.reason  # adrift for minutes, between two attempts
+                reply = self.order(Order.RETURN if astray else Order.START)
             time.sleep(0.1)
             self._taken_off_s = time.monotonic()
+
+    def _comes_up(self) -> bool:
+        """Whether a mission that has just begun to run flies before long."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.flying or self._mission != "RUNNING", COMES_UP_S) and self.flying
 
     @property
     def flying(self) -> bool:

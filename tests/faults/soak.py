@@ -2,6 +2,7 @@
 or threads that grow, control that slows down, numbers that are not finite.
 
     python -m tests.faults.soak --hours 2
+    python -m tests.faults.soak --simulated 10 --way numeric --way poses
 
 Half of the time passes by the simulator's clock, every scene in every way with random timelines of faults, half by the wall
 clock with the injections of `make faults`. What matters of the first half is how much is flown: `--simulated 10` flies ten
@@ -16,7 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -164,12 +165,19 @@ def _latency_ms(rig: Rig) -> float:
 # --- by the simulator's clock
 
 
-def simulated(hours: float, seed: int, watch: Watch, say: Callable[[str], None], enough_h: float = math.inf) -> list[str]:
+def simulated(
+    hours: float,
+    seed: int,
+    watch: Watch,
+    say: Callable[[str], None],
+    enough_h: float = math.inf,
+    ways: Sequence[str] = tuple(WAYS),
+) -> list[str]:
     """Every scene there is in every way that it can be flown, in turn, and within each a fault every half a minute: until the
     time is over, or so much has been flown."""
     random, end_s, trouble = np.random.default_rng(seed), time.monotonic() + hours * 3600.0, []
-    flown_s = dict.fromkeys(WAYS, 0.0)
-    for name, way in itertools.cycle(_flights(random)):
+    flown_s = dict.fromkeys(ways, 0.0)
+    for name, way in itertools.cycle(_flights(random, ways)):
         left_s = min((end_s - time.monotonic()) * 2.0, enough_h * 3600.0 - sum(flown_s.values()))
         if left_s <= 0.0:
             break
@@ -188,9 +196,9 @@ def simulated(hours: float, seed: int, watch: Watch, say: Callable[[str], None],
     return trouble
 
 
-def _flights(random: np.random.Generator) -> list[tuple[str, str]]:
+def _flights(random: np.random.Generator, ways: Sequence[str]) -> list[tuple[str, str]]:
     """Scenes and ways, in a random order."""
-    flights = [(path.stem, way) for path in sorted(EXPERIMENTS.glob("*.toml")) for way in WAYS]
+    flights = [(path.stem, way) for path in sorted(EXPERIMENTS.glob("*.toml")) for way in ways]
     return [flights[k] for k in random.permutation(len(flights)) if _can_be_flown(*flights[k])]
 
 
@@ -240,17 +248,18 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="make soak", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--simulated", type=float, help="hours to fly by the simulator's clock, instead")
+    parser.add_argument("--way", action="append", choices=WAYS, help="to fly by the simulator's clock; repeatable; else all")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
-    console, watch = Console(), Watch()
+    console, watch, ways = Console(), Watch(), options.way or tuple(WAYS)
 
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
     if options.simulated is not None:
-        trouble = simulated(math.inf, options.seed, watch, say, options.simulated)
+        trouble = simulated(math.inf, options.seed, watch, say, options.simulated, ways)
     else:
-        trouble = simulated(options.hours / 2.0, options.seed, watch, say)
+        trouble = simulated(options.hours / 2.0, options.seed, watch, say, ways=ways)
         trouble += real_time(options.hours / 2.0, options.seed, watch, say)
     table = Table("who", "what", "second quarter", "last quarter", "per hour", "")
     trends = watch.trends()

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project, rays
+from sim_bridge.surface import Caustics
 from sim_bridge.view import mosaic
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array, body_to_pool
@@ -278,6 +279,15 @@ def test_water_moves_and_repeats() -> None:
     moving = renderer(*CLEAN[:2], *CLEAN[3:], *SMALL, "sim.picture.caustics=0.25")
     mean = np.mean([moving.render(alone, REST, t, 0) for t in np.arange(0, 2.4, 0.1)])
     assert mean == pytest.approx(np.mean(still), rel=0.03), "caustics move light about, they do not make any"
+
+
+@pytest.mark.parametrize("depth_m", [0.3, 1.5, 100.0])
+def test_no_light_is_lost_however_deep_the_basin(depth_m: float) -> None:
+    caustics = Caustics(experiment(f"pool.size_m=[4,3,{depth_m}]").pool, np.random.default_rng(1))
+    light = caustics.pattern(0.7)
+    assert light.shape == (301, 401)
+    assert light.min() >= 0.0
+    assert light.mean() == pytest.approx(1.0, abs=0.05)  # foci are cut at CAUSTIC_BRIGHTEST
 
 
 def test_ripples_shift_the_floor_as_tilted_water_does() -> None:

@@ -1,0 +1,24 @@
+"""What can keep a run from being one."""
+
+import pytest
+
+from sim_bridge.programs import Way, check
+from wire.experiment import load_experiment
+from wire.toml_file import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "complaint"),
+    [
+        ("islands", (), "camera.position_m.2 = -32: from there markers are 3 pixels wide"),
+        ("numeric-disturbed", (), r"robots.1.start = \[0.5, 3, -1, ...\]: is not in the camera's picture"),
+        ("drone", ("robots.1.start=[0,0,-9,0]",), r"robots.1.start = \[0, 0, -9, ...\]"),  # behind the lens
+    ],
+)
+def test_who_cannot_be_seen_flies_without_the_camera_or_not_at_all(
+    name: str, settings: tuple[str, ...], complaint: str
+) -> None:
+    experiment = load_experiment(name, settings)
+    check(experiment, Way(poses=True))
+    with pytest.raises(ConfigError, match=f"{complaint}.*--poses"):
+        check(experiment, Way())
