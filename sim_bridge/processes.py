@@ -39,11 +39,14 @@ class Child:
         return self.process.poll()
 
     def explain(self) -> str:
-        """How it ended, with the last line it wrote."""
+        """How it ended, or that it has not got ready, with the last line it wrote."""
         code = self.exit_code
-        how = f"killed by {signal.Signals(-code).name}" if code is not None and code < 0 else f"ended with exit code {code}"
+        if code is None:
+            how = "has not got ready"
+        else:
+            how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
         lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-        return f"{self.name} {how}{f': {lines[-1]}' if lines and code else ''}"
+        return f"{self.name} {how}{f': {lines[-1]}' if lines and code != 0 else ''}"
 
 
 @dataclass

@@ -56,15 +56,15 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         started = programs(experiment.robot_ids, way, run_dir, address, ports, boards)
-        station = _start_all(children, started, address, stop)
-        if station is not None:
+        station, came_up = _start_all(children, started, address, stop)
+        if came_up:
             with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), way.keys))) as bus:
                 saboteur = Saboteur(experiment, children, bus)
                 trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
-        mission_failed = station is None or station.exit_code != 0
-        if station is not None and station.exit_code not in (None, 0, 1):
+        mission_failed = not came_up or station.exit_code != 0
+        if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
             trouble.append(station.explain())
-            console.print(f"[red]{trouble[-1]}[/]", soft_wrap=True)
+            _alarm(console, trouble[-1])
     finally:
         children.stop()
         if secrets is not None:
@@ -72,8 +72,9 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
     if stop.requested:
         console.print("interrupted: every process is stopped")
         return 130
-    passed = report(run_dir, console) and not mission_failed and not trouble
-    console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
+    passed = came_up and report(run_dir, console) and not mission_failed and not trouble
+    if came_up:
+        console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
     return 0 if passed else 1
 
@@ -101,15 +102,20 @@ def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) 
     return 0
 
 
-def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> Child | None:
-    """The station, and the others when it listens. None if it does not come up."""
+def _alarm(console: Console, text: str) -> None:
+    """In red, and to the letter: programs say things in brackets too."""
+    console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
+
+
+def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> tuple[Child, bool]:
+    """The station, and the others when it listens; whether it does."""
     first, *others = wanted
     station = children.start(first.name, first.module, first.arguments)
     if not _listens(address, station, stop):
-        return None
+        return station, False
     for program in others:
         children.start(program.name, program.module, program.arguments)
-    return station
+    return station, True
 
 
 def _link_keys(folder: Path, robots: tuple[int, ...]) -> Path:
@@ -139,14 +145,14 @@ def _watch(
             for child in children.ended():
                 if child.name not in trouble and child is not station and child.name not in saboteur.killed:
                     trouble[child.name] = child.explain()
-                    console.print(f"[red]{trouble[child.name]}[/]", soft_wrap=True)
+                    _alarm(console, trouble[child.name])
             if trouble and lockstep:
                 break  # the others would wait for it for ever
             if monitor.heartbeats != heartbeats:
                 heartbeats, moved_s = monitor.heartbeats, time.monotonic()
             elif time.monotonic() - moved_s > STALLED_S:
                 trouble["all"] = f"nothing has moved for {STALLED_S:.0f} s"
-                console.print(f"[red]{trouble['all']}[/]", soft_wrap=True)
+                _alarm(console, trouble["all"])
                 break
             if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
                 said_s = time.monotonic()
@@ -163,18 +169,15 @@ def report(run_dir: Path, console: Console) -> bool:
         [sys.executable, "-m", "groundstation", "report", str(run_dir)], capture_output=True, text=True, check=False
     )
     if writing.returncode != 0:
-        console.print(f"[red]no report: {writing.stderr.strip() or writing.stdout.strip()}[/]")
+        _alarm(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
     result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
     console.print(_table(result) if result["duration_s"] else "[red]nothing was flown[/]")
     for check in result["checks"]:
         if result["duration_s"] and not check["passed"]:
-            console.print(
-                f"[red]not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}[/]",
-                soft_wrap=True,
-            )
+            _alarm(console, f"not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}")
     for fault in result["faults"]:
-        console.print(f"[red]fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}[/]", soft_wrap=True)
+        _alarm(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
     return bool(result["passed"])
 
 

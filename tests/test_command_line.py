@@ -224,6 +224,20 @@ def test_a_role_that_is_not_installed_says_what_installs_it(program: str, argume
     assert says in done.stderr
 
 
+def test_a_station_that_does_not_come_up_says_why(tmp_path: Path) -> None:
+    (tmp_path / "matplotlib.py").write_text("raise ModuleNotFoundError(name='matplotlib')")  # as where it is not installed
+    done = subprocess.run(
+        [sys.executable, "-m", "sim_bridge", "sil", "pool", "--no-web", "--out", str(tmp_path / "runs")],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert "groundstation ended with exit code 2: the package matplotlib is not installed" in done.stdout
+    assert "pip install 'shoal[station]'" in done.stdout
+
+
 @pytest.mark.parametrize("fleet", ["", "lab/*", "a#b", "-x", "x" * 33, "replay/lab", 'a"b', "a b", "Bö"])
 def test_what_is_no_fleet_is_refused(fleet: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(groundstation, ["keys", "init", "--keys", str(tmp_path / "keys"), f"--fleet={fleet}"])
