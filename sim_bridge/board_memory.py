@@ -7,7 +7,7 @@ from pathlib import Path
 from sim_bridge.board import Board, Kept
 from wire.experiment import Experiment
 from wire.link_key import load_key, write_key
-from wire.toml_file import ConfigError
+from wire.toml_file import ConfigError, files_named
 
 MakeBoard = Callable[[Experiment, int, int], Board]  # of an experiment, for a robot, with a seed
 
@@ -40,7 +40,8 @@ def _read(memory: Path) -> Kept:
 
 def _write(memory: Path, key: Path, kept: Kept) -> None:
     new, told = memory.with_suffix(".new"), {"parameters": dict(kept.parameters), "heard": kept.heard, "sent": kept.sent}
-    new.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-    new.replace(memory)
-    if kept.key is not None and not (key.exists() and load_key(key).secret == kept.key.secret):
-        write_key(key, kept.key)
+    with files_named(memory):
+        new.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        new.replace(memory)
+        if kept.key is not None and not (key.exists() and load_key(key).secret == kept.key.secret):
+            write_key(key, kept.key)

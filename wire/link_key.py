@@ -93,8 +93,10 @@ class Signing:
 
     @classmethod
     def of(cls, path: Path, program: str, link_id: int = 0) -> "Signing":
-        """The key of a file, and beside it the file of the times that this program has used. Raises ConfigError."""
-        return cls(load_key(path, link_id), Stamps(path.with_name(f"{path.name}.{program}-stamps")))
+        """The key of a file, and the file of the times that this program has used: beside it, or where systemd has a service
+        keep its state, which is all that it may write. Raises ConfigError."""
+        folder = Path(os.environ.get("STATE_DIRECTORY") or path.parent)
+        return cls(load_key(path, link_id), Stamps(folder / f"{path.name}.{program}-stamps"))
 
 
 def agent_end(robot: int, signing: Signing | None) -> AgentLink:

@@ -44,6 +44,7 @@ def test_the_unit_says_what_was_decided() -> None:
         "WatchdogSec=2",
         "Restart=always",
         "User=pi",
+        "StateDirectory=shoal-agent",
         "ExecStart=/opt/shoal/venv/bin/robot-agent run --config /opt/shoal/agent.toml",
     ):
         assert line in lines

@@ -344,3 +344,12 @@ def test_who_hears_no_board_is_told_why(robot: int | None, key: Key | None, boar
         client.receive(bench.board.step(bench.now_ns, STILL, STILL, STILL), bench.now_ns)
         bench.now_ns += 1_000_000_000
     assert (client.heard, client.silence) == (not says, says)
+
+
+def test_a_board_whose_memory_is_gone_says_so(tmp_path: Path) -> None:
+    folder = tmp_path / "boards"
+    board = boards_in(folder)(POOL, 1, 1)
+    folder.rmdir()
+    station = Sender(STATION)
+    with pytest.raises(ConfigError, match=r"boards/robot-1\.new: No such file or directory"):
+        board.receive(station.pack(dialect.MAVLink_param_set_message(1, 1, b"SLEW_US_S", 500.0, 9)), 0)

@@ -97,6 +97,16 @@ def test_programs_with_one_key_have_times_of_their_own(tmp_path: Path) -> None:
     }
 
 
+def test_a_service_keeps_its_times_where_it_may_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    home, state = tmp_path / "home", tmp_path / "state"
+    home.mkdir()
+    state.mkdir()
+    new_key(home / "robot-1.key")
+    monkeypatch.setenv("STATE_DIRECTORY", str(state))
+    Signing.of(home / "robot-1.key", "agent")
+    assert [path.name for path in (*home.iterdir(), *state.iterdir())] == ["robot-1.key", "robot-1.key.agent-stamps"]
+
+
 def test_unsigned_udp_stays_on_this_machine() -> None:
     open_link("udp:127.0.0.1:14551").close()
     open_link("udp:localhost:14551").close()
