@@ -131,6 +131,7 @@ class Agent:
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
         self._vitals.told(pulses, output.wrench_delivered, now_ns)
+        self._vitals.flew(output, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
         return Outputs(

@@ -66,6 +66,7 @@ class ControlOutput:
     iterations: int
     slack_m: float  # by how much the plan enters the space of another robot
     pose_age_s: float  # of the pose the estimate rests on
+    is_free: bool  # to go along the path: nobody and nothing leads it round
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +156,7 @@ class Controller:
         plan = self._law.plan(
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current
         )
-        return self._put_out(plan, estimate, path, command, company, now_ns)
+        return self._put_out(plan, estimate, path, command, company, lead is path, now_ns)
 
     def acted(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """These went out at `now_ns`, (3,) each, in the place of what the step of that instant came to."""
@@ -206,7 +207,14 @@ class Controller:
         return weight, command
 
     def _put_out(
-        self, plan: MpcPlan, estimate: Estimate, path: Path, command: Array, company: Company, now_ns: int
+        self,
+        plan: MpcPlan,
+        estimate: Estimate,
+        path: Path,
+        command: Array,
+        company: Company,
+        is_free: bool,
+        now_ns: int,
     ) -> ControlOutput:
         failed = plan.solve is Solve.FAILED
         pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
@@ -237,6 +245,7 @@ class Controller:
             iterations=plan.iterations,
             slack_m=plan.slack_m,
             pose_age_s=estimate.pose_age_s,
+            is_free=is_free,
         )
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
@@ -269,6 +278,7 @@ class Controller:
             iterations=0,
             slack_m=0.0,
             pose_age_s=float("inf") if estimate is None else estimate.pose_age_s,
+            is_free=False,
         )
 
 

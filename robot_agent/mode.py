@@ -60,7 +60,8 @@ class Health:
     solver_failed: bool
     late_steps: int = 0  # in a row
     echo_wrong_s: float = 0.0  # for how much of the last second the board has put out other pulses than it was told
-    thrusters_broken: bool = False  # they do not turn the robot as they should
+    thrusters_broken: bool = False  # they do not turn and push the robot as they should
+    off_path: bool = False  # farther than it may be, and for no reason
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("thruster board disarmed", LIVE, lambda h, s, b: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
     Reaction("thruster board disobeys", POWERED, lambda h, s, b: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
     Reaction("thrusters do not do as told", POWERED, lambda h, s, b: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
+    Reaction("off its path", POWERED, lambda h, s, b: h.off_path, Mode.FAULT),
     Reaction("battery empty", LIVE, lambda h, s, b: h.battery_v < b.neutral_v, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s, b: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
     Reaction("no control solution", POWERED, lambda h, s, b: h.solver_failed, Mode.FAULT),

@@ -1,4 +1,4 @@
-"""Do the thrusters turn the robot as they are told? Pure.
+"""Do the thrusters turn the robot as they are told, as far as the gyroscope can tell? Pure.
 
 Each leg turns the robot as it pushes, and the gyroscope feels that at once: a thruster that is dead, weak, reversed or stuck
 leaves a yaw moment that nothing else explains. A first-order observer of the yaw rate r,
@@ -7,7 +7,7 @@ leaves a yaw moment that nothing else explains. A first-order observer of the ya
 
 gives that moment smoothed over T, without differences of a noisy rate. What stays the same for long is taken for granted (a
 gyroscope's bias, thrusters that are not alike), and so is a share of N: mass, voltage and curve are never known exactly. What
-is left over is held against what was left over before, so a robot in rough water bears more.
+is left over is held against what was left over before (unusual.py), so a robot in rough water bears more.
 
 What it cannot see is a thruster that is told next to nothing, or goes on doing what it did when it stuck, for as long as that
 is what it is told: neither moves the robot. Limits are measured, on flights of the article's robot with masses and thrusters
@@ -17,6 +17,7 @@ off by 30 %, in waves and gusts (tests/robot_agent/test_thruster_watch.py).
 import math
 from collections import deque
 
+from robot_agent.unusual import Unusual
 from wire.vehicle import Vehicle
 
 NS = 1_000_000_000
@@ -24,11 +25,10 @@ SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idl
 LASTING_S = 5.0  # how fast what stays the same is taken for granted
 SHARE = 0.3  # of N: how far masses and thrusters may be off
 SHARE_HELD_S = 0.5  # the largest N, smoothed alike, counts for so long
-FACTOR = 1.5  # by how much it must be more than what was before,
-PEAK_HELD_S = 10.0  # which counts for so long,
-PEAK_AGE_NS = NS  # and only once it is this old: else what breaks would excuse itself
+FACTOR = 1.5  # by how much what is left over must be more than before
 FIRST_NM = 0.009  # before there was anything: starts are rough
 LEAST_NM = 0.002  # noise
+HELD_S = 10.0  # what was left over before counts for so long
 LASTS_S = 0.4  # a bump is shorter
 LONGEST_NS = NS // 5  # between two steps; after a longer gap it begins anew
 
@@ -48,9 +48,8 @@ class ThrusterWatch:
         self.broken = False  # stays so until the next reset
         self._rate: float | None = None
         self._at_ns = 0
-        self._acting = self._smooth = self._strongest = self._lasting = self._over_s = 0.0
-        self._peak = FIRST_NM
-        self._young: deque[tuple[int, float]] = deque()  # left over, not yet old enough for the peak
+        self._acting = self._smooth = self._strongest = self._lasting = 0.0
+        self._left_over = Unusual(FACTOR, FIRST_NM, LEAST_NM, HELD_S, LASTS_S)
 
     def told(self, moment_nm: float, now_ns: int) -> None:
         """Pulses went out that turn the robot with this moment. Of two at one instant the last counts."""
@@ -75,7 +74,7 @@ class ThrusterWatch:
             self._strongest = max(self._strongest, abs(self._smooth))
             left_over = abs(residual - self._lasting) - SHARE * self._strongest
             self._lasting += -math.expm1(-elapsed_s / LASTING_S) * (residual - self._lasting)
-            self._judge(max(left_over, 0.0), elapsed_s)
+            self.broken |= self._left_over.step(max(left_over, 0.0), elapsed_s, at_ns)
 
     def _push(self, from_ns: int, to_ns: int) -> float:
         """Let the thrusters follow what they were told; the integral of their moment."""
@@ -97,11 +96,3 @@ class ThrusterWatch:
         predicted = rate + elapsed_s * (push - drag) / self._mass
         self._rate = predicted - math.expm1(-elapsed_s / SMOOTH_S) * (measured - predicted)
         return self._mass * (measured - self._rate) / SMOOTH_S
-
-    def _judge(self, left_over: float, elapsed_s: float) -> None:
-        self._over_s = self._over_s + elapsed_s if left_over > max(LEAST_NM, FACTOR * self._peak) else 0.0
-        self.broken |= self._over_s > LASTS_S - 1e-9
-        self._peak *= math.exp(-elapsed_s / PEAK_HELD_S)
-        self._young.append((self._at_ns, left_over))
-        while self._young[0][0] <= self._at_ns - PEAK_AGE_NS:
-            self._peak = max(self._peak, self._young.popleft()[1])

@@ -1,9 +1,14 @@
 """How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
 
+import math
+
+from robot_agent.controller import ControlOutput
 from robot_agent.echo import EchoCheck
 from robot_agent.inputs import Inputs
+from robot_agent.leg_watch import LegWatch
 from robot_agent.mode import LIVE, POWERED, Health
 from robot_agent.orders import StationView
+from robot_agent.path_watch import PathWatch
 from robot_agent.thruster_watch import ThrusterWatch
 from wire.experiment import Experiment
 from wire.frames import Array
@@ -23,6 +28,8 @@ class Vitals:
             experiment.localizer.markers,
         )
         self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
+        self._legs, self._path = LegWatch(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
+        self._mode = Mode.DISARMED
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
         self._armed_since_ns: int | None = None  # since when the board should be armed and is not
@@ -36,8 +43,12 @@ class Vitals:
             self._sighted_ns = seen.instant_ns
             if seen.pose.identity_verified or not self._markers:
                 self._verified_ns = seen.instant_ns
+        if mode is not self._mode:
+            self._path.reset()
+        self._mode = mode
         if mode not in POWERED:
             self._thrusters.reset()
+            self._legs.reset()
         elif telemetry.board_ms >= 0:
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns)
 
@@ -45,6 +56,12 @@ class Vitals:
         """These pulses went out, which give this wrench (3,): what board and gyroscope will be held against."""
         self._echo.told(pulse_us, now_ns)
         self._thrusters.told(float(delivered[2]), now_ns)
+
+    def flew(self, output: ControlOutput, now_ns: int) -> None:
+        """What a control step found out about how the robot moves."""
+        self._legs.step(output.wrench_delivered, float(output.nu[3]), output.disturbance, float(output.eta[3]), now_ns)
+        off_m = math.dist(output.eta[:2].tolist(), output.eta_command[:2].tolist())
+        self._path.step(off_m, output.is_free, now_ns)
 
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
         """What reactions look at."""
@@ -63,7 +80,8 @@ class Vitals:
             solver_failed=solver_failed,
             late_steps=inputs.late_steps,
             echo_wrong_s=self._echo.wrong_s(telemetry, now_ns),
-            thrusters_broken=self._thrusters.broken,
+            thrusters_broken=self._thrusters.broken or self._legs.broken,
+            off_path=self._path.left,
         )
 
     def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:

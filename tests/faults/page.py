@@ -111,10 +111,12 @@ percentage holds for that share of them. One row again: `make faults ARGS="--row
 
 What a robot does by itself is in `docs/modes.md`, what a board does in `docs/board.md`. Known gaps:
 
-* A thruster that is told next to nothing, one that has lost less than all, and one that goes on as it was told just then, may
-  break unnoticed until it matters: the gyroscope feels nothing. The observer takes the force that is missing for a push of the
-  water and works against it: the robot flies on, less well. In waves and gusts, and in a flight's first seconds, only what
-  turns the robot more than they do is noticed. Which thruster it is, nobody can feel: try them one by one.
+* A thruster that is told next to nothing, one that has lost half or less, and one that goes on as it was told just then, may
+  break unnoticed until it matters: neither gyroscope nor observer find that a force is missing. A thruster that is stuck
+  makes the robot turn to and fro, more and more, and that may be all there is to see: then the distance from its path
+  decides, `safety.off_path_m`. In still water 0.1 m will do, as measured below; the default of 0.3 m leaves room for waves and
+  gusts. In these, and in a flight's first seconds, only what moves the robot more than they do is noticed. Which thruster it
+  is, nobody can feel: try them one by one.
 * When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
   goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
 * A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number

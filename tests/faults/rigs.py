@@ -28,6 +28,7 @@ def small_disk(seed: int) -> Iterator[Rig]:
 
 RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
     "lab": lambda seed: Rig(seed=seed),
+    "still": lambda seed: Rig(seed=seed, settings=("safety.off_path_m=0.1",)),
     "patched": lambda seed: Rig(seed=seed, patched=True),
     "router": lambda seed: Rig(seed=seed, own_router=True),
     "page": lambda seed: Rig(seed=seed, settings=("duration_s=200",), station_options=("--web", f"127.0.0.1:{free_port()}")),

@@ -259,17 +259,21 @@ def board_disobeys(rig: Rig, random: Random) -> Sample:
 
 # --- the thrusters
 
-FELT = ("dead", "reversed")  # what is felt wherever the thruster pushes; the others may go on as they were told to
+FELT = ("dead", "reversed")  # what is found wherever the thruster pushes; the others may go on as they were told to
+THRUST_LEFT = {"dead": 0.0, "reversed": -1.0}
+LACKING_N = 0.1  # the least that counts: two thirds of what a thruster idles with
+WATCHED_S = 8.0
 
 
 def thruster_broken(rig: Rig, random: Random) -> Sample:
-    """Until somebody says so, what is not flagged must do no harm, and what is must lead to neutral."""
-    rig.cruise(float(random.uniform(8.0, 20.0)))  # a flight's first seconds are rough, and excuse more
+    """Until somebody says so, what is not flagged must do no harm, and what is must lead to neutral. A thruster that is told
+    next to nothing lacks nothing: until the flag only that time counts in which it does."""
+    rig.cruise(float(random.uniform(8.0, 15.0)))  # a flight's first seconds are rough, and excuse more
     robot, number = int(random.choice(rig.robots)), int(random.integers(1, 5))
     how = str(random.choice([*FELT, "stuck", "weak 0.3"]))
     ns = rig.break_(f"thruster {robot}/{number} {how}")
     off_m, astray_m, i = 0.0, 0.0, rig.robots.index(robot)
-    while time.monotonic_ns() - ns < 5e9 and rig.mode(robot) in POWERED:
+    while time.monotonic_ns() - ns < WATCHED_S * 1e9 and rig.mode(robot) in POWERED:
         time.sleep(0.05)
         state = rig.states[robot][-1].state
         if state.mode in POWERED:
@@ -278,7 +282,14 @@ def thruster_broken(rig: Rig, random: Random) -> Sample:
     found = {"estimate off the truth": off_m, "off its path": astray_m}
     if rig.mode(robot) not in POWERED:
         flagged_s = rig.alert_s(ns)
-        found |= {"flagged": flagged_s, "neutral after the flag": rig.neutral_s(ns, [robot]) - flagged_s}
+        found["neutral after the flag"] = rig.neutral_s(ns, [robot]) - flagged_s
+        if how in FELT:
+            lost, force_n = 1.0 - THRUST_LEFT[how], rig.experiment.vehicle.thruster.force_n
+            found["flagged"] = rig.boards[robot].told_s(
+                lambda pulses: lost * abs(float(force_n(np.array(pulses[number - 1], dtype=float)))) > LACKING_N,
+                ns,
+                ns + round(flagged_s * 1e9),
+            )
     elif how in FELT:
         found["flagged"] = NEVER_S
     rig.break_()
