@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -34,13 +33,15 @@ from wire import topics
 from wire.access import INSECURE
 from wire.bus import Bus, Inbox
 from wire.codec import Header
+from wire.endpoint import PATIENT_MS
 from wire.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Command, LocalizerStatus, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat, Tick
-from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
+from wire.messages import Command, LocalizerStatus, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat
+from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
 from wire.topics import WHOLE_FLEET
 
 ORDER_TIMEOUT_S = 0.5
+LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
 TROUBLED = frozenset({Phase.FAILED, Phase.ABORTING, Phase.STOPPED, Phase.DEGRADED})
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 DRIFTS_MPS = 0.05  # what moves faster will lie elsewhere when the formation comes by
@@ -92,14 +93,16 @@ class Station:
             new_gains = self.tuner.untold()
         for gains in new_gains:
             self.bus.publish(topics.TUNING, gains, now_ns)
-        timeout_s = LOCKSTEP_PATIENCE_S if lockstep else ORDER_TIMEOUT_S
+        timeout_s = LOCKSTEP_ORDER_TIMEOUT_S if lockstep else ORDER_TIMEOUT_S
         self.pending += [(c, self.pool.submit(self.bus.order, c, now_ns, timeout_s)) for c in commands]
         if lockstep:
             for _, future in self.pending:
                 future.result()
         stopped = self.mission.phase is Phase.STOPPED
         pace = self.mission.pace
-        beat = StationHeartbeat(self.experiment.hash, stopped, self.mission.phase.name, pace.lag_s, 1.0 - pace.rate)
+        planned = tuple(robot for robot, seen in self.seen.items() if seen.state is not None and seen.state.planned)
+        phase = self.mission.phase.name
+        beat = StationHeartbeat(self.experiment.hash, stopped, phase, pace.lag_s, 1.0 - pace.rate, planned)
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
         self._tell()
 
@@ -272,9 +275,13 @@ def run(
             if viewer is not None:
                 served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
                 log.info("viewers: ws://%s:%d", *viewer)
+            ticks = Lockstep(bus, stop, clock) if isinstance(clock, LockstepClock) else None
             bus.announce("groundstation")
             started_s = time.monotonic()
-            (_lockstep_loop if lockstep else _wall_loop)(station, stop)
+            if ticks is not None:
+                _lockstep_loop(station, ticks)
+            else:
+                _wall_loop(station, stop)
             log.info("mission %s after %.1f s", mission.phase.value, time.monotonic() - started_s)
             return mission.phase is Phase.DONE and not mission.failed and not recorder.error
     finally:
@@ -296,22 +303,16 @@ def _wall_loop(station: Station, stop: Stop) -> None:
         wait(station.bus, stop, _never, (due_ns - time.monotonic_ns()) * 1e-9)
 
 
-def _lockstep_loop(station: Station, stop: Stop) -> None:
-    assert isinstance(station.clock, LockstepClock)
-    lockstep = Lockstep(station.bus, stop, station.clock)
+def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
     while (tick := lockstep.next()) is not None:
-        lockstep.await_all(_inputs(station, tick))
-        station.obstacles_up_to_ns = tick.frame_ns - 1  # the last picture's poses are here, what else it showed may not be
+        # What the robots found in the step before, and where the picture shows them.
+        up_to_ns = lockstep.await_sight(tick, station.localizer, station.poses, station.obstacles)
+        if up_to_ns is None or not lockstep.await_all([(station.states[r], tick.previous_ns) for r in tick.robots]):
+            return
+        station.obstacles_up_to_ns = up_to_ns
         station.cycle(tick.now_ns, lockstep=True)
         if _over(station) and station.mission.automatic:
             return
-
-
-def _inputs(station: Station, tick: Tick) -> list[tuple[Inbox[Any] | tuple[Inbox[Any], ...], int]]:
-    """What the station needs before it may act on a tick: every robot's state of the step before, and its newest pose, or the
-    localizer's word that it is done with the picture."""
-    states = [(station.states[r], tick.previous_ns) for r in tick.robots]
-    return [*states, *(((station.poses[r], station.localizer), tick.frame_ns) for r in tick.robots)]
 
 
 def _never() -> bool:

@@ -52,7 +52,7 @@ def latency(
         if source == BUS:
             where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
             bus = stack.enter_context(Bus(ZenohTransport(where, stop), fleet))
-            pictures = open_bus(bus, clock, loaded.camera.rate_hz, {})
+            pictures = open_bus(bus, clock, stop, loaded.camera.rate_hz, {})
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))

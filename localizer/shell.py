@@ -69,10 +69,10 @@ class Shell:
         self._experiment, self._bus, self._stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames = page, publish_frames
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
-        self._source = own or open_bus(bus, clock, experiment.camera.rate_hz, self._states)
+        self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states)
         self._locator = Locator(experiment)
         self._watch = _obstacle_watch(experiment)
-        self._obstacles = Obstacles()
+        self._obstacles, self._obstacles_ns = Obstacles(), -1  # the newest, and the stamp of the newest that was told
         self._status = LocalizerStatus()
         self._told = CameraHealth.OK
         self._video: VideoMaker | None = None
@@ -104,7 +104,9 @@ class Shell:
         frame_ms = (time.perf_counter_ns() - started_ns) * 1e-6
         found = located.status
         told = tuple(robot for robot, _ in located.poses)
-        status = LocalizerStatus(found.camera, found.frames, shot.dropped, frame_ms, age_ns * 1e-6, found.message, told)
+        status = LocalizerStatus(
+            found.camera, found.frames, shot.dropped, frame_ms, age_ns * 1e-6, found.message, told, self._obstacles_ns
+        )
         self._publish_status(status, shot.stamp_ns)
         self._look_for_obstacles(shot, located)
         previews.offer(shot, located, self._obstacles)
@@ -120,7 +122,7 @@ class Shell:
         seen = [[pose.x_m, pose.y_m, pose.depth_m] for _, pose in located.poses if pose.track is not Track.LOST]
         found = self._watch.step(shot.pixels, shot.instant_ns, np.array(seen).reshape(-1, 3))
         if found is not None:
-            self._obstacles = found
+            self._obstacles, self._obstacles_ns = found, shot.stamp_ns
             self._bus.publish(topics.OBSTACLES, found, shot.stamp_ns, age_ns=max(self._clock.now_ns() - shot.instant_ns, 0))
 
     def _say_absent(self, previews: Previews) -> None:

@@ -70,20 +70,20 @@ class LockstepSource:
 
     trouble, silent_after_s = "", math.inf
 
-    def __init__(self, bus: Bus, clock: LockstepClock, states: Mapping[int, Inbox[RobotState]]) -> None:
-        self._bus, self._clock, self._states = bus, clock, states
+    def __init__(self, bus: Bus, clock: LockstepClock, stop: Stop, states: Mapping[int, Inbox[RobotState]]) -> None:
+        self._lockstep, self._clock, self._states = Lockstep(bus, stop, clock), clock, states
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence = _Sequence()
 
     def shots(self, stop: Stop) -> Iterator[Shot]:
         """See Source. Without a tick time stands still, so nothing is ever late."""
-        lockstep = Lockstep(self._bus, stop, self._clock)
         done_ns = -1
-        while (tick := lockstep.next()) is not None:
+        while not stop.requested and (tick := self._lockstep.next()) is not None:
             if tick.frame_ns <= done_ns:
                 continue
             states = [(self._states[robot], tick.previous_ns) for robot in tick.robots]
-            lockstep.await_all([(self._frames, tick.frame_ns), *states])
+            if not self._lockstep.await_all([(self._frames, tick.frame_ns), *states]):
+                return
             received = self._frames.newest(tick.frame_ns)
             if received is not None:
                 done_ns = tick.frame_ns

@@ -10,7 +10,7 @@ from localizer.source_files import FolderSource, VideoSource
 from localizer.source_v4l2 import V4l2Source
 from wire.bus import Bus, Inbox
 from wire.messages import RobotState
-from wire.runtime import Clock, LockstepClock
+from wire.runtime import Clock, LockstepClock, Stop
 from wire.sight import Camera
 from wire.toml_file import ConfigError
 
@@ -19,9 +19,9 @@ ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
 FASTEST = math.inf
 
 
-def open_bus(bus: Bus, clock: Clock, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> Source:
+def open_bus(bus: Bus, clock: Clock, stop: Stop, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> Source:
     """Frames of the fleet's camera, by the clock that is given."""
-    return LockstepSource(bus, clock, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock, rate_hz)
+    return LockstepSource(bus, clock, stop, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock, rate_hz)
 
 
 def open_own(name: str, camera: Camera, clock: Clock) -> Source:

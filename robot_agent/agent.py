@@ -247,6 +247,7 @@ class Agent:
             slack_m=output.slack_m,
             thruster_test=self._test.result if self._test is not None else "",
             heard=heard,
+            planned=output.estimated,
         )
 
 

@@ -22,7 +22,7 @@ from wire.experiment import Experiment
 from wire.link import Link
 from wire.link_key import Signing, agent_end
 from wire.messages import Command, LocalizerStatus, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, StepInputs, Tick
-from wire.runtime import LOCKSTEP_PATIENCE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+from wire.runtime import LOCKSTEP_SAYS_S, SLICE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 
 EARLY = 0.25  # of a period: a step may come this much before its time, for a pose
 LATE = 0.5  # of a period: a step waits this much longer for a pose; one with an old pose is worth less than a late one
@@ -49,8 +49,9 @@ class Shell:
         """With `signing` what goes to the board is signed, and so must be what it says."""
         self.agent = Agent(experiment, robot)
         self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
-        self._lockstep, self._watchdog = lockstep, watchdog or Watchdog({})
+        self._watchdog = watchdog or Watchdog({})
         self._clock: Clock = LockstepClock() if lockstep else WallClock()
+        self._lockstep = Lockstep(bus, stop, self._clock) if isinstance(self._clock, LockstepClock) else None
         self._signing = signing
         self._mavlink = agent_end(robot, signing)
         self._poses = bus.inbox(topics.POSE, Pose, robot)
@@ -77,7 +78,7 @@ class Shell:
         self._bus.announce(f"agent-{self._robot}")
         log.info("ready, experiment %s", self._experiment.hash[:8])
         self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
-        for due_ns, up_to_ns in self._lockstep_pace() if self._lockstep else self._wall_pace():
+        for due_ns, up_to_ns in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
             started_ns = time.perf_counter_ns()
             now_ns = self._clock.now_ns()
             with self._turn:
@@ -122,7 +123,8 @@ class Shell:
 
     def _order(self, header: Header, command: Command) -> Reply:
         with self._turn:
-            now_ns = self._clock.now_ns()
+            # In lockstep the station may have taken up a tick that we have not: an order of that tick is given in it.
+            now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
             heartbeat = self._station()
             record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
             powered = self.agent.mode in POWERED
@@ -195,31 +197,38 @@ class Shell:
             return float("inf")
         return time.monotonic() + (react_by_ns - now_ns) * 1e-9
 
-    def _lockstep_pace(self) -> Iterator[tuple[int, int]]:
-        assert isinstance(self._clock, LockstepClock) and self._localizer is not None
-        lockstep = Lockstep(self._bus, self._stop, self._clock)
-        while (tick := lockstep.next(meanwhile=self._greet)) is not None:
-            others = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in tick.robots]
-            # Of a robot that it does not see the localizer tells no pose, but always what it has told.
-            lockstep.await_all([((self._poses, self._localizer), tick.frame_ns), (self._heartbeats, tick.now_ns), *others])
-            status = self._localizer.newest()
-            if status is not None and status.header.stamp_ns >= tick.frame_ns and self._robot in status.message.robots:
-                lockstep.await_all([(self._poses, tick.frame_ns)])
-            self._await_board(tick)
-            # What was seen in this tick's picture is told after its poses; in the one before, it was told before them.
-            self._obstacles_up_to_ns = tick.frame_ns - 1
+    def _lockstep_pace(self, lockstep: Lockstep) -> Iterator[tuple[int, int]]:
+        # Greeted until the first tick and not after: what reaches the board must not depend on how long a tick takes.
+        tick = lockstep.next(meanwhile=self._greet)
+        while tick is not None and self._await_inputs(lockstep, tick):
             yield tick.now_ns, tick.previous_ns
+            tick = lockstep.next()
 
-    def _await_board(self, tick: Tick) -> None:
-        """Wait for the board's burst that counts at this tick."""
+    def _await_inputs(self, lockstep: Lockstep, tick: Tick) -> bool:
+        """Wait for all that counts at a tick. False when told to stop."""
+        assert self._localizer is not None
+        up_to_ns = lockstep.await_sight(tick, self._localizer, {self._robot: self._poses}, self._obstacles)
+        if up_to_ns is None or not lockstep.await_all([(self._heartbeats, tick.now_ns)]):
+            return False
+        self._obstacles_up_to_ns = up_to_ns
+        heartbeat = self._heartbeats.newest()
+        planned = heartbeat.message.planned if heartbeat is not None else ()
+        plans = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in planned]
+        return lockstep.await_all(plans) and self._await_board(tick)
+
+    def _await_board(self, tick: Tick) -> bool:
+        """Wait for the board's burst that counts at this tick. False when told to stop."""
         wanted = dict(zip(tick.robots, tick.board_ms, strict=True)).get(self._robot, 0)
-        deadline = time.monotonic() + LOCKSTEP_PATIENCE_S
-        while not self._stop.requested and time.monotonic() < deadline:
+        said_s = time.monotonic()
+        while not self._stop.requested:
             self._mavlink.receive(self._link.read(), tick.now_ns)
             if self._mavlink.telemetry.board_ms >= wanted:
-                return
-            self._link.wait(0.1)
-        log.error("lockstep: no burst %d ms from the board", wanted)
+                return True
+            self._link.wait(SLICE_S)
+            if time.monotonic() - said_s > LOCKSTEP_SAYS_S:
+                said_s = time.monotonic()
+                log.warning("lockstep: waiting for the board's burst of %d ms", wanted)
+        return False
 
     # --- outputs
 

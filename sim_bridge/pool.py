@@ -25,8 +25,8 @@ from wire.bus import Bus
 from wire.experiment import Experiment
 from wire.faults import Break
 from wire.frames import Array
-from wire.messages import Frame, RobotState, Tick, Trajectory
-from wire.runtime import LOCKSTEP_PATIENCE_S, SLICE_S, Clock, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+from wire.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
+from wire.runtime import LOCKSTEP_SAYS_S, SLICE_S, Clock, LockstepClock, Stop, WallClock, log, log_to_bus, wait
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ class Pool:
         self._prepared: tuple[Shot, NDArray[np.uint8]] | None = None
         self._bare: frozenset[int] = frozenset()
         self._frame_index = 0
-        self._frame_ns = -1
+        self._frame_ns = self._obstacles_ns = -1
         self._neutral = dict.fromkeys(experiment.robot_ids, True)
 
     def run(self) -> None:
@@ -187,8 +187,14 @@ class Pool:
         age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
         for robot, pose in zip(self._experiment.robot_ids, self._eye.poses(shot.eta), strict=True):
             self._bus.publish(topics.POSE, pose, shot.stamp_ns, robot, age_ns=age_ns)
+        if self._lockstep is not None:  # where others wait for what is told of each picture
+            told = LocalizerStatus(
+                CameraHealth.OK, shot.index, robots=self._experiment.robot_ids, obstacles_ns=self._obstacles_ns
+            )
+            self._bus.publish(topics.LOCALIZER, told, shot.stamp_ns)
         obstacles = self._eye.obstacles(shot.time_s)
         if obstacles is not None:
+            self._obstacles_ns = shot.stamp_ns
             self._bus.publish(topics.OBSTACLES, obstacles, shot.stamp_ns, age_ns=age_ns)
 
     def _publish_frame(self, renderer: Renderer, shot: Shot) -> None:
@@ -225,15 +231,7 @@ class Pool:
         return None
 
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
-        everyone = {"groundstation", *(f"agent-{r}" for r in self._experiment.robot_ids)}
-        everyone |= {"localizer"} if isinstance(self._eye, Renderer) else set()
-        while not wait(self._bus, self._stop, lambda: everyone <= self._bus.present, LOCKSTEP_PATIENCE_S):
-            if self._stop.requested:
-                return
-            log.info("waiting for %s", ", ".join(sorted(everyone - self._bus.present)))
-        while not (self._sockets.all_heard or self._stop.requested):  # else the first bursts would go nowhere
-            self._sockets.wait(SLICE_S)
-            self._sockets.exchange(world)
+        self._await_everyone(world)
         period_ns = round(self._experiment.controller.period_s * 1e9)
         tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9), -1
         self._shoot(world)
@@ -247,6 +245,22 @@ class Pool:
             self._tick(world, tick_ns, previous_ns)
             tick_ns, previous_ns = tick_ns + period_ns, tick_ns
 
+    def _await_everyone(self, world: World) -> None:
+        """Until all are there and every board has heard whom to answer, in words that it can follow on."""
+        self._sockets.forget()
+        everyone = {"groundstation", *(f"agent-{r}" for r in self._experiment.robot_ids)}
+        everyone |= {"localizer"} if isinstance(self._eye, Renderer) else set()
+        said_s = time.monotonic()
+        while not self._stop.requested:
+            self._sockets.exchange(world)
+            missing = everyone - self._bus.present
+            if not missing and self._sockets.all_heard:
+                return
+            if time.monotonic() - said_s > LOCKSTEP_SAYS_S:
+                said_s = time.monotonic()
+                log.info("waiting for %s", ", ".join(sorted(missing)) or "the robots to greet their boards")
+            self._sockets.wait(SLICE_S)
+
     def _shoot(self, world: World) -> None:
         self._frame_ns = world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)
@@ -256,13 +270,13 @@ class Pool:
         """Where faults wait for the start, see every robot's last state before time goes on: else chance would set it."""
         if not self._states or world.start_ns is not None or stamp_ns < 0:
             return
-        inboxes = [self._states[robot] for robot in robots]
 
         def here() -> bool:
-            headers = [inbox.newest_header() for inbox in inboxes]
+            headers = [self._states[robot].newest_header() for robot in robots if f"agent-{robot}" in self._bus.present]
             return all(header is not None and header.stamp_ns >= stamp_ns for header in headers)
 
-        wait(self._bus, self._stop, here, LOCKSTEP_PATIENCE_S)
+        while not (wait(self._bus, self._stop, here, LOCKSTEP_SAYS_S) or self._stop.requested):
+            log.warning("lockstep: waiting for the robots' states of %.3f s", stamp_ns * 1e-9)
         self._look_for_start(world, 0)
 
     def _tick(self, world: World, tick_ns: int, previous_ns: int) -> None:
@@ -274,14 +288,16 @@ class Pool:
         board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
         self._bus.publish(topics.TICK, Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms), tick_ns)
         self._prepare_picture(world)
-        deadline = time.monotonic() + 2 * LOCKSTEP_PATIENCE_S
+        said_s = time.monotonic()
         while not self._stop.requested:
             self._sockets.exchange(world)
             late = [r for r, i, n in zip(robots, indices, before, strict=True) if self._sockets.commands[i] <= n]
             late = [r for r in late if f"agent-{r}" in self._bus.present]
             if not late:
                 return
-            if time.monotonic() > deadline:
-                log.error("lockstep: no pulses from robot %s; going on without", ", ".join(map(str, late)))
-                return
+            if time.monotonic() - said_s > LOCKSTEP_SAYS_S:
+                said_s = time.monotonic()
+                log.warning(
+                    "lockstep: at %.3f s waiting for the pulses of robot %s", tick_ns * 1e-9, ", ".join(map(str, late))
+                )
             self._sockets.wait(SLICE_S)

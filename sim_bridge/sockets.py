@@ -44,6 +44,11 @@ class Port:
                 self._heard_ns[peer] = now_ns
             datagrams.append(data)
 
+    def forget(self) -> None:
+        """As if nobody had spoken yet."""
+        self.read(0)
+        self._heard_ns.clear()
+
     def send(self, data: bytes, now_ns: int) -> None:
         """To all who are there."""
         for peer, heard_ns in list(self._heard_ns.items()):
@@ -85,6 +90,12 @@ class Sockets:
                 raise ConfigError(
                     f"--ports {base_port}: UDP port {base_port + robot}, of robot {robot}'s board: {why}"
                 ) from None
+
+    def forget(self) -> None:
+        """Throw away what lies there, and who it is from: the last of it may have been dropped, and what follows on such a gap
+        in the numbers looks old to a board."""
+        for port in self._ports:
+            port.forget()
 
     def exchange(self, world: World) -> None:
         """Take what has arrived; give the boards what the links let through by now."""

@@ -131,6 +131,7 @@ class LocalizerStatus:
     frame_age_ms: float = 0.0  # exposure to publish
     message: str = ""
     robots: tuple[int, ...] = ()  # whose poses in this picture are told
+    obstacles_ns: int = -1  # stamp of the newest Obstacles told before them; -1: none yet
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,17 +199,20 @@ class RobotState:
     slack_m: float = 0.0  # by how much the plan enters the space of another robot
     thruster_test: str = ""  # "", "running", "passed", or what was wrong
     heard: tuple[int, ...] = ()  # neighbours whose plans are fresh
+    planned: bool = False  # and to whom it told its own in this step; not while it does not know where it is
 
 
 @dataclass(frozen=True, eq=False)
 class StationHeartbeat:
-    """The station is alive, and whether the red button is down. In lockstep it also says: my orders for this step are out."""
+    """The station is alive, and whether the red button is down. In lockstep it also says: my orders for this step are out, and
+    these are the plans to wait for."""
 
     experiment_hash: str = ""
     emergency_stop: bool = False
     mission: str = ""  # the mission's state, for people
     lag_s: float = 0.0  # by how much the virtual structure is behind its timetable at the header's stamp
     slowing: float = 0.0  # and how fast that grows: 0 at full pace, 1 where it stands
+    planned: tuple[int, ...] = ()  # robots that told a plan in their last step, as far as heard
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,20 +11,20 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from types import FrameType
 from typing import Any, Protocol
 
 from wire import topics
 from wire.bus import Bus, Inbox, Received
-from wire.messages import Event, Tick
+from wire.messages import Event, LocalizerStatus, Obstacles, Pose, Tick
 from wire.toml_file import ConfigError
 from wire.transport import Unreached
 
 log = logging.getLogger("shoal")
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
-LOCKSTEP_PATIENCE_S = 60.0  # an input that never comes: go on without it rather than hang; the log says so
+LOCKSTEP_SAYS_S = 60.0  # how often a process says what it waits for: to go on without would be another run
 
 _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
 
@@ -105,7 +105,7 @@ def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> b
 
 
 class Lockstep:
-    """One process's side of the simulator's clock."""
+    """One process's side of the simulator's clock. Make it before the process is announced: the first tick comes but once."""
 
     def __init__(self, bus: Bus, stop: Stop, clock: LockstepClock) -> None:
         self._bus, self._stop, self._clock = bus, stop, clock
@@ -128,19 +128,34 @@ class Lockstep:
         header = self._ticks.newest_header()
         return header is not None and header.stamp_ns > self._last_ns
 
-    def await_all(self, inputs: Iterable[tuple[Inbox[Any] | tuple[Inbox[Any], ...], int]]) -> None:
-        """Wait until each inbox, or one of several, holds a message with at least the stamp given. A negative stamp asks for
-        nothing: there was no step before the first."""
-        wanted = [(i if isinstance(i, tuple) else (i,), stamp_ns) for i, stamp_ns in inputs if stamp_ns >= 0]
+    def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> bool:
+        """Wait until each inbox holds a message with at least the stamp given. A negative stamp asks for nothing: there was no
+        step before the first. False when the process is to stop."""
+        wanted = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
 
-        def here(inboxes: tuple[Inbox[Any], ...], stamp_ns: int) -> bool:
-            headers = [inbox.newest_header() for inbox in inboxes]
-            return any(header is not None and header.stamp_ns >= stamp_ns for header in headers)
+        def missing() -> list[str]:
+            headers = [(inbox.name, inbox.newest_header(), stamp_ns) for inbox, stamp_ns in wanted]
+            return [name for name, header, stamp_ns in headers if header is None or header.stamp_ns < stamp_ns]
 
-        if not wait(self._bus, self._stop, lambda: all(here(i, s) for i, s in wanted), LOCKSTEP_PATIENCE_S):
-            missing = ", ".join(" or ".join(inbox.name for inbox in i) for i, s in wanted if not here(i, s))
-            if missing and not self._stop.requested:
-                log.error("lockstep: no %s for %.3f s; going on without", missing, self._clock.tick_ns * 1e-9)
+        while not wait(self._bus, self._stop, lambda: not missing(), LOCKSTEP_SAYS_S):
+            if self._stop.requested:
+                return False
+            log.warning("lockstep: at %.3f s waiting for %s", self._clock.tick_ns * 1e-9, ", ".join(missing()))
+        return True
+
+    def await_sight(
+        self, tick: Tick, localizer: Inbox[LocalizerStatus], poses: Mapping[int, Inbox[Pose]], obstacles: Inbox[Obstacles]
+    ) -> int | None:
+        """Wait for what the localizer tells of the picture that counts at a tick: its status says whose poses that are, and
+        which obstacles it told of before. Returns up to which stamp obstacles count at this tick; None when the process is to
+        stop."""
+        if not self.await_all([(localizer, tick.frame_ns)]):
+            return None
+        status = localizer.newest()
+        assert status is not None, localizer.last_error
+        told, up_to_ns = status.message.robots, status.message.obstacles_ns
+        seen = [(inbox, tick.frame_ns) for robot, inbox in poses.items() if robot in told]
+        return up_to_ns if self.await_all([*seen, (obstacles, up_to_ns)]) else None
 
 
 class _BusHandler(logging.Handler):

@@ -8,7 +8,7 @@ import pytest
 
 from wire import runtime, topics
 from wire.bus import Bus
-from wire.messages import Event, LocalizerStatus, StationHeartbeat, Tick
+from wire.messages import CameraHealth, Event, LocalizerStatus, Obstacles, Pose, StationHeartbeat, Tick
 from wire.runtime import Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -77,25 +77,42 @@ def test_lockstep_gives_each_tick_once_and_does_something_meanwhile() -> None:
     assert lockstep.next() is None  # no tick comes twice
 
 
-def test_lockstep_waits_for_every_input_and_in_the_end_goes_on_without(
+def test_lockstep_waits_for_every_input_and_goes_on_without_none(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulator, process = two_buses()
     inbox = process.inbox(topics.HEARTBEAT, StationHeartbeat)
-    lockstep = Lockstep(process, Stop(install=False), LockstepClock())
-    lockstep.await_all([(inbox, -1)])  # before the first step there was none to wait for
+    tidings, stop = process.inbox(topics.LOCALIZER, LocalizerStatus), Stop(install=False)
+    lockstep = Lockstep(process, stop, LockstepClock())
+    assert lockstep.await_all([(inbox, -1)])  # before the first step there was none to wait for
     threading.Timer(0.05, lambda: simulator.publish(topics.HEARTBEAT, StationHeartbeat(), 100)).start()
-    lockstep.await_all([(inbox, 100)])
+    assert lockstep.await_all([(inbox, 100)])
     assert inbox.newest() is not None
-    tidings = process.inbox(topics.LOCALIZER, LocalizerStatus)
-    threading.Timer(0.05, lambda: simulator.publish(topics.LOCALIZER, LocalizerStatus(), 101)).start()
-    lockstep.await_all([((inbox, tidings), 101)])  # one of both is enough
-    assert tidings.newest() is not None
-    monkeypatch.setattr(runtime, "LOCKSTEP_PATIENCE_S", 0.05)
-    started_s = time.monotonic()
-    lockstep.await_all([(inbox, 102)])
-    assert time.monotonic() - started_s >= 0.05
-    assert "no station/heartbeat" in caplog.text
+    monkeypatch.setattr(runtime, "LOCKSTEP_SAYS_S", 0.02)
+    threading.Timer(0.1, stop.request).start()
+    assert not lockstep.await_all([(inbox, 100), (tidings, 102)])
+    assert "waiting for localizer/status" in caplog.text and "station/heartbeat" not in caplog.text
+
+
+def test_what_is_seen_counts_when_all_of_it_is_here_in_whatever_order_it_comes() -> None:
+    """The status of a picture says whose poses to wait for, and which obstacles, told at the picture before."""
+    simulator, process = two_buses()
+    localizer, obstacles = process.inbox(topics.LOCALIZER, LocalizerStatus), process.inbox(topics.OBSTACLES, Obstacles)
+    poses = {robot: process.inbox(topics.POSE, Pose, robot) for robot in (1, 2)}
+    lockstep = Lockstep(process, Stop(install=False), LockstepClock())
+    came: list[int | None] = []
+    sight = threading.Thread(target=lambda: came.append(lockstep.await_sight(Tick(80, 30, 50), localizer, poses, obstacles)))
+    sight.start()
+    for topic, message, stamp_ns, robot in (
+        (topics.POSE, Pose(0.0, 0.0, 0.0), 50, 1),
+        (topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, robots=(1,), obstacles_ns=40), 50, None),
+        (topics.OBSTACLES, Obstacles(), 40, None),
+    ):
+        time.sleep(0.02)
+        assert not came
+        simulator.publish(topic, message, stamp_ns, robot)
+    sight.join(10.0)
+    assert came == [40]  # robot 2 was not seen: nobody waits for its pose
 
 
 def test_the_logs_lines_travel_as_events_debug_ones_do_not() -> None:

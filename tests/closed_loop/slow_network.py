@@ -1,0 +1,167 @@
+"""All processes of a lockstep run in this one, around their real shells, on a network and a machine that are slow by chance.
+
+What they publish, hear, ask and answer is held up as long as a seed says: every process by itself, every topic by itself, so
+that what was sent first may come last, as it may between processes. Only messages of one topic to one listener stay in order.
+"""
+
+import queue
+import random
+import threading
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from groundstation import station
+from localizer import shell as localizer_shell
+from robot_agent import shell as agent_shell
+from sim_bridge.pool import Pool
+from sim_bridge.sil import free_base_port
+from wire import topics
+from wire.bus import Bus
+from wire.codec import Header, decode
+from wire.experiment import Experiment, dump_experiment
+from wire.link import UdpLink
+from wire.runtime import LockstepClock, Stop, log
+from wire.topics import Qos, Topic
+from wire.transport import Answer, Deliver, MemoryHub, MemoryTransport, Presence
+
+SHORT_S, LONG_S = 0.002, 0.02  # how long something is held up: mostly, and where chance is against it
+AT_ONCE = 0.5  # share of the listeners that hear everything at once
+STALLED, STALL_S = 0.01, 0.25  # share of what is sent or heard before which all stops, and for how long at most
+BY_THE_WALL = frozenset({"step_us", "frame_ms"})  # what a message tells of the machine
+DRAWN = frozenset(  # numbers that a process draws when it starts
+    {"plan_sessions", "station_session", "obstacles_session", "order_session", "recipient", "session"}
+)
+COMPARED = tuple(
+    topic for topic in topics.TOPICS if topic.recorded and topic not in (topics.EVENT, topics.PREVIEW, topics.TUNING)
+)
+
+
+class Slow(MemoryTransport):
+    """One process's place on the hub. With no `chance` nothing is held up."""
+
+    def __init__(self, hub: MemoryHub, chance: random.Random | None, closing: ExitStack) -> None:
+        super().__init__(hub)
+        self._chance, self._closing = chance, closing
+
+    def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]:
+        put, chance = super().publisher(key, qos), self._chance
+        if chance is None:
+            return put
+
+        def late(payload: bytes, header: bytes) -> None:
+            if chance.random() < STALLED:
+                time.sleep(STALL_S * chance.random())
+            put(payload, header)
+
+        return late
+
+    def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
+        super().subscribe(key, qos, self._queued(deliver))
+
+    def watch(self, key: str, presence: Presence) -> None:
+        super().watch(key, self._queued(presence))
+
+    def serve(self, key: str, answer: Answer) -> None:
+        def late(payload: bytes, header: bytes) -> bytes:
+            self._hold_up()
+            said = answer(payload, header)
+            self._hold_up()
+            return said
+
+        super().serve(key, late)
+
+    def _hold_up(self) -> None:
+        if self._chance is not None:
+            time.sleep((LONG_S if self._chance.random() < 0.2 else SHORT_S) * self._chance.random())
+
+    def _queued(self, deliver: Callable[..., None]) -> Callable[..., None]:
+        """In a thread of its own, as a callback of Zenoh's is."""
+        chance = self._chance
+        if chance is None:
+            return deliver
+        waiting: queue.Queue[tuple[Any, ...] | None] = queue.Queue()
+        longest_s = 0.0 if chance.random() < AT_ONCE else SHORT_S if chance.random() < 0.5 else LONG_S
+        own = random.Random(chance.random())
+
+        def work() -> None:
+            while (message := waiting.get()) is not None:
+                time.sleep((STALL_S if longest_s and own.random() < STALLED else longest_s) * own.random())
+                deliver(*message)
+
+        thread = threading.Thread(target=work, daemon=True)
+        thread.start()
+        self._closing.callback(thread.join, 10.0)
+        self._closing.callback(waiting.put, None)
+        return lambda *message: waiting.put(message)
+
+
+@dataclass
+class Told:
+    """All that was published, by key: what every message was about, and what it said but for what must differ."""
+
+    messages: dict[str, list[tuple[int, Any]]] = field(default_factory=dict)
+
+    def note(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        said = _plain(decode(topic.type, payload, "test", topic.name))
+        self.messages.setdefault(key, []).append((header.stamp_ns, said))
+
+    def differs(self, other: "Told") -> str:
+        """The first message, by its stamp, that is not the same; empty if all are, as far as both go."""
+        found = []
+        for key in sorted(self.messages.keys() | other.messages.keys()):
+            ours, theirs = self.messages.get(key, []), other.messages.get(key, [])
+            if abs(len(ours) - len(theirs)) > 2:  # the last may have been told before the end or not
+                found.append((0, key, f"{len(ours)} and {len(theirs)} messages"))
+            pairs = zip(ours, theirs, strict=False)
+            found += [(min(a[0], b[0]), key, f"{a} and {b}") for a, b in pairs if a != b][:1]
+        return "\n".join(f"{stamp_ns * 1e-9:.3f} s {key}: {what:.600}" for stamp_ns, key, what in sorted(found))
+
+
+def _plain(value: Any) -> Any:
+    if is_dataclass(value):
+        return {f.name: _plain(getattr(value, f.name)) for f in fields(value) if f.name not in BY_THE_WALL | DRAWN}
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value
+
+
+def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = True) -> Told:
+    """Fly an experiment to its end, everything held up as `seed` says (None: nothing); with `poses` without the camera."""
+    hub, told, stop = MemoryHub(), Told(), Stop(install=False)
+    handlers = log.handlers[:]
+    folder.mkdir()
+    toml = dump_experiment(experiment)
+    with ExitStack() as closing:
+
+        def bus(process: str) -> Bus:
+            chance = None if seed is None else random.Random(f"{seed} {process}")
+            return closing.enter_context(Bus(Slow(hub, chance, closing)))
+
+        witness = Bus(MemoryTransport(hub))
+        for topic in COMPARED:
+            witness.subscribe(topic, None, told.note)
+        ports = free_base_port(experiment.robot_ids)
+        shells = [Pool(experiment, bus("sim-bridge"), ports, stop, True, poses).run]
+        for robot in experiment.robot_ids:
+            link = UdpLink("127.0.0.1", ports + robot)
+            closing.callback(link.close)
+            shells.append(agent_shell.Shell(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
+        if not poses:
+            shells.append(localizer_shell.Shell(experiment, bus("localizer"), stop, LockstepClock()).run)
+        threads = [threading.Thread(target=run, daemon=True) for run in shells]
+        closing.callback(log.handlers.__setitem__, slice(None), handlers)
+        try:
+            for thread in threads:
+                thread.start()
+            station.run(experiment, toml, bus("groundstation"), folder, automatic=True, lockstep=True, stop=stop)
+        finally:
+            stop.request()
+            for thread in threads:
+                thread.join(20.0)
+    return told

@@ -1,0 +1,75 @@
+"""Lockstep says the same to the last bit however slow the machine, and whoever of its processes is late."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_bridge.board import SENT_BETWEEN, Board
+from sim_bridge.sil import free_base_port
+from sim_bridge.sockets import Sockets
+from sim_bridge.world import World
+from tests.closed_loop.slow_network import fly
+from wire.experiment import Experiment, load_experiment
+from wire.link import UdpLink
+from wire.mavlink import AgentLink
+from wire.mavlink_signing import Key
+from wire.messages import Mode
+
+ADRIFT = "sim.drifters=[{radius_m=0.2, start_m=[-3.0, 0.2, 0.5], from_s=0.0, velocity_mps=[0.1, 0.0, 0.0]}]"
+NOISY = "t=0.1 for=0.6 link 1 noisy 0.3"
+LATER = SENT_BETWEEN + 1  # than a new board begins to count, in ticks of a signature's timestamp
+POOL = load_experiment("pool", ["duration_s=0.9"], [NOISY])
+BALL = load_experiment("blocked-path", ["duration_s=0.9", ADRIFT])
+
+
+@pytest.mark.parametrize(
+    ("experiment", "poses", "seeds"),
+    [
+        pytest.param(POOL, True, (1, 2), id="noisy-link"),
+        pytest.param(BALL, True, (3,), id="obstacle"),
+        pytest.param(POOL, False, (4, 5), id="camera", marks=pytest.mark.slow),
+        pytest.param(POOL, True, range(10, 40), id="noisy-link-often", marks=[pytest.mark.slow, pytest.mark.timeout(900)]),
+        pytest.param(BALL, True, range(10, 40), id="obstacle-often", marks=[pytest.mark.slow, pytest.mark.timeout(900)]),
+    ],
+)
+def test_whoever_is_late_everybody_says_the_same(
+    experiment: Experiment, poses: bool, seeds: tuple[int, ...] | range, tmp_path: Path
+) -> None:
+    """All that goes over the bus but previews and lines for people: truth, poses, plans, states, inputs, orders."""
+    undisturbed = fly(experiment, tmp_path / "undisturbed", None, poses)
+    for robot in experiment.robot_ids:
+        modes = {said["mode"] for _, said in undisturbed.messages[f"shoal/robot/{robot}/state"]}
+        assert Mode.TRACKING in modes, "nothing was flown"
+    for seed in seeds:
+        assert not fly(experiment, tmp_path / str(seed), seed, poses).differs(undisturbed), f"seed {seed}"
+
+
+@pytest.mark.parametrize("key", [None, Key(bytes(range(32)))], ids=["plain", "signed"])
+@pytest.mark.parametrize("greetings", [600, 728])  # half the numbers' range apart: behind one gap or the other all looks old
+def test_a_board_that_was_greeted_for_a_minute_takes_the_first_pulses(greetings: int, key: Key | None) -> None:
+    """While the others start, a robot greets its board ten times a second; of what nobody reads a port drops the last."""
+    ports = free_base_port(POOL.robot_ids)
+    sockets = Sockets(ports, POOL.robot_ids, POOL.seed)
+    link, computer = UdpLink("127.0.0.1", ports + 1), AgentLink(1, key, lambda: LATER)
+    starts = np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 0.0]])
+    world = World(POOL, POOL.seed, starts, lambda experiment, robot, seed: Board(experiment, robot, seed, key))
+    try:
+        for _ in range(greetings):
+            link.send(computer.heartbeat())
+        sockets.forget()
+        link.send(computer.heartbeat())  # the next, before time begins
+        sockets.wait(1.0)
+        sockets.exchange(world)
+        link.send(computer.pulses((1500,) * 8))
+        link.send(computer.arm(True))
+        while computer.telemetry.board_ms < 0 and world.now_ns < 200_000_000:
+            sockets.exchange(world)
+            for i, data in world.step():
+                sockets.send(i, data, world)
+            sockets.deliver(world)
+            computer.receive(link.read(), world.now_ns)
+        assert computer.telemetry.armed
+    finally:
+        sockets.close()
+        link.close()
