@@ -289,7 +289,7 @@ def valid_records(path: Path) -> Iterator[McapRecord]:
         reader = StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
         try:
             yield from reader.records
-        except (McapError, ValueError, struct.error, zstandard.ZstdError):
+        except (McapError, ValueError, struct.error, zstandard.ZstdError, MemoryError):  # the last: of a length that is none
             return
 
 

@@ -51,6 +51,8 @@ def check(model: type[S], table: dict[str, Any], source: str) -> S:
     except ValidationError as error:
         lines = [_explain(problem, model) for problem in error.errors()]
         raise ConfigError("\n".join(f"{source}: {line}" for line in lines)) from None
+    except RecursionError:
+        raise ConfigError(f"{source}: a value is nested too deep: tables in tables, or lists in lists") from None
 
 
 def _frozen(value: Any) -> Any:

@@ -4,6 +4,7 @@ import itertools
 import random
 import resource
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -15,6 +16,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
+from mcap.writer import MCAP0_MAGIC
 from mcap_protobuf.decoder import DecoderFactory
 
 from groundstation.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room, is_complete, recover, valid_records
@@ -211,6 +213,13 @@ def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
         kept_before = len(found)
     assert kept_before == 8
     assert not list(tmp_path.glob("*.mending"))
+
+
+def test_a_length_that_is_none_ends_what_can_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    lying = struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", 1 << 53)  # an attachment: times, name, type, length of data
+    path.write_bytes(MCAP0_MAGIC + b"\x09" + struct.pack("<Q", len(lying) + 4) + lying + bytes(4))
+    assert list(valid_records(path)) == []
 
 
 def test_recovered_file_keeps_experiment_metadata_and_sessions(tmp_path: Path) -> None:

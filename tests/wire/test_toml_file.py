@@ -178,6 +178,13 @@ def test_a_setting_that_leads_nowhere(setting: str, complaint: str) -> None:
     assert f"--set {setting}" in str(caught.value)
 
 
+def test_what_is_nested_too_deep_is_a_complaint_too() -> None:
+    table: dict[str, Any] = {}
+    apply_setting(table, ".".join("a" * 3000) + "=1")
+    with pytest.raises(ConfigError, match="^lab: a value is nested too deep"):
+        check(File, table, "lab")
+
+
 @given(st.text(max_size=40))
 def test_any_setting_is_applied_or_refused(setting: str) -> None:
     table = copy.deepcopy(GOOD)
