@@ -181,7 +181,7 @@ def test_a_setting_that_leads_nowhere(setting: str, complaint: str) -> None:
 def test_what_is_nested_too_deep_is_a_complaint_too() -> None:
     table: dict[str, Any] = {}
     apply_setting(table, ".".join("a" * 3000) + "=1")
-    with pytest.raises(ConfigError, match="^lab: a value is nested too deep"):
+    with pytest.raises(ConfigError, match=r"^lab: a value is nested too deep"):
         check(File, table, "lab")
 
 
