@@ -19,7 +19,7 @@ from benchmarks.harness import Row
 from sim_bridge.camera import Renderer
 from sim_bridge.dynamics import Plant
 from sim_bridge.numeric import fly
-from wire.experiment import Experiment, load_experiment
+from wire.experiment import Experiment, dump_experiment, load_experiment
 from wire.frames import Array
 from wire.scene import Robot
 
@@ -102,16 +102,31 @@ def flight_rows() -> Iterator[Row]:
         yield Row.of(BENCHMARK, f"numeric flight, {name}, {len(experiment.robots)} robots", "ours", "x real time", speeds)
 
 
+def first_of_fleet(robots: int) -> str:
+    """The file of an experiment: the first robots of fleet-20."""
+    whole = load_experiment("fleet-20")
+    kept = whole.robots[:robots]
+    numbers = {robot.id for robot in kept}
+    beside = [robot.model_copy(update={"neighbours": tuple(sorted(numbers & set(robot.neighbours)))}) for robot in kept]
+    return dump_experiment(whole.model_copy(update={"name": f"fleet-{robots}", "robots": tuple(beside)}))
+
+
 def process_rows() -> Iterator[Row]:
-    """All processes: in lockstep as fast as it goes, and twenty robots in real time."""
+    """All processes: in lockstep as fast as it goes, and fleets in real time."""
     runs = (
         ("lockstep, pool, camera in the loop", "pool", ("--lockstep",)),
         ("lockstep, pool, poses instead of frames", "pool", ("--lockstep", "--poses")),
         ("lockstep, fleet-20, poses instead of frames", "fleet-20", ("--lockstep", "--poses")),
+        ("real time, 5 of fleet-20, poses instead of frames", 5, ("--poses",)),
+        ("real time, 10 of fleet-20, poses instead of frames", 10, ("--poses",)),
         ("real time, fleet-20, poses instead of frames", "fleet-20", ("--poses",)),
     )
-    for case, name, options in runs:
+    for case, what, options in runs:
         with tempfile.TemporaryDirectory() as folder:
+            name = what
+            if isinstance(what, int):
+                name = f"{folder}/fleet.toml"
+                Path(name).write_text(first_of_fleet(what), encoding="utf-8")
             command = [sys.executable, "-m", "sim_bridge", "sil", name, "--no-web", "--out", folder, *options]
             done = subprocess.run([*command, "--duration", str(LOCKSTEP_S)], capture_output=True, text=True, check=False)
             results = list(Path(folder).glob("*/result.json"))

@@ -37,12 +37,13 @@ from wire.endpoint import PATIENT_MS
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Command, LocalizerStatus, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat
-from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
+from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus
 from wire.topics import WHOLE_FLEET
 
 ORDER_TIMEOUT_S = 0.5
 LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent again, an order would count at a later step
 TROUBLED = frozenset({Phase.FAILED, Phase.ABORTING, Phase.STOPPED, Phase.DEGRADED})
+PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
 DRIFTS_MPS = 0.05  # what moves faster will lie elsewhere when the formation comes by
 
@@ -77,6 +78,7 @@ class Station:
     recorder_told: bool = False
     pictures_told: bool = False
     turn: threading.Lock = field(default_factory=threading.Lock)  # a person's wish comes from a network thread
+    hurry: threading.Event = field(default_factory=threading.Event)  # a wish that is not to wait for the next cycle
 
     def cycle(self, now_ns: int, lockstep: bool) -> None:
         """Read the fleet, run the mission, send its orders, beat."""
@@ -161,6 +163,8 @@ class Station:
         """A person's order for the whole fleet. Why not, or nothing when it is under way."""
         with self.turn:
             reason = self.mission.wish(order, self.seen, self.clock.now_ns(), via)
+        if order in PROMPT and not reason:
+            self.hurry.set()
         log.info("%s asked for: %s", order.name, reason or "under way")
         return reason
 
@@ -296,11 +300,14 @@ def _wall_loop(station: Station, stop: Stop) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
     due_ns = time.monotonic_ns()
     while not stop.requested:
+        station.hurry.clear()
         station.cycle(station.clock.now_ns(), lockstep=False)
         if _over(station) and station.mission.automatic:
             return
-        due_ns = max(due_ns + period_ns, time.monotonic_ns())
-        wait(station.bus, stop, _never, (due_ns - time.monotonic_ns()) * 1e-9)
+        now_ns = time.monotonic_ns()
+        if now_ns >= due_ns:
+            due_ns = max(due_ns + period_ns, now_ns)
+        station.hurry.wait((due_ns - now_ns) * 1e-9)
 
 
 def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
@@ -313,7 +320,3 @@ def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
         station.cycle(tick.now_ns, lockstep=True)
         if _over(station) and station.mission.automatic:
             return
-
-
-def _never() -> bool:
-    return False
