@@ -16,6 +16,7 @@ from wire.toml_file import ConfigError
 READ_BYTES = 65536
 FORMS = "udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:/dev/ttyACM0:115200"
 BAUDS = range(300, 12_000_001)
+IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
 
 
 @dataclass(frozen=True)
@@ -138,9 +139,6 @@ class SerialLink:
 
     def close(self) -> None:
         self._drop()
-
-
-IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
 
 
 def serial_trouble(device: Path) -> str:

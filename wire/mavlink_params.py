@@ -37,9 +37,10 @@ class ParameterClient:
         self.error: tuple[str, int] | None = None  # last PARAM_ERROR: of which parameter, MAV_PARAM_ERROR
 
     def _is_board(self, peer: Peer) -> bool:
-        if peer[1] == BOARD_COMPONENT and self.robot_id not in (None, peer[0]):
+        wanted = self.robot_id in (None, peer[0])
+        if peer[1] == BOARD_COMPONENT and not wanted:
             self._others.add(peer[0])
-        return peer[1] == BOARD_COMPONENT and self.robot_id in (None, peer[0])
+        return peer[1] == BOARD_COMPONENT and wanted
 
     def heartbeat(self) -> bytes:
         """Somebody is there: a board behind UDP learns whom to answer."""
