@@ -30,9 +30,9 @@ from wire.runtime import LockstepClock, Stop, log
 from wire.topics import Qos, Topic
 from wire.transport import Answer, Deliver, MemoryHub, MemoryTransport, Presence
 
-SHORT_S, LONG_S = 0.002, 0.02  # how long something is held up: mostly, and where chance is against it
-AT_ONCE = 0.5  # share of the listeners that hear everything at once
-STALLED, STALL_S = 0.01, 0.25  # share of what is sent or heard before which all stops, and for how long at most
+SHORT_S, LONG_S = 0.002, 0.03  # how long something is held up: mostly, and where chance is against it
+LATEST_S = (0.0, 0.0, SHORT_S, LONG_S)  # how late a listener may hear: one of these, drawn for each
+STALLED, STALL_S = 0.01, 0.25  # share of what a process sends before which it is stopped, and for how long at most
 BY_THE_WALL = frozenset({"step_us", "frame_ms"})  # what a message tells of the machine
 DRAWN = frozenset(  # numbers that a process draws when it starts
     {"plan_sessions", "station_session", "obstacles_session", "order_session", "recipient", "session"}
@@ -86,12 +86,12 @@ class Slow(MemoryTransport):
         if chance is None:
             return deliver
         waiting: queue.Queue[tuple[Any, ...] | None] = queue.Queue()
-        longest_s = 0.0 if chance.random() < AT_ONCE else SHORT_S if chance.random() < 0.5 else LONG_S
+        longest_s = chance.choice(LATEST_S)
         own = random.Random(chance.random())
 
         def work() -> None:
             while (message := waiting.get()) is not None:
-                time.sleep((STALL_S if longest_s and own.random() < STALLED else longest_s) * own.random())
+                time.sleep(longest_s * own.random())
                 deliver(*message)
 
         thread = threading.Thread(target=work, daemon=True)
