@@ -1,4 +1,5 @@
 """SHELL: why a station cannot be reached, in words: a plain TCP and TLS handshake, step by step, with the process's own keys.
+And why it cannot listen.
 
 Zenoh says only that it could not connect. What a person needs to know is whether nobody listens there, the way is cut, the
 station is another one, or it does not believe this process's certificate.
@@ -15,10 +16,9 @@ ALERT_S = 0.5  # TLS 1.3: a refused certificate is told after the handshake, in 
 
 def trouble_reaching(address: str, keys: Keys | None) -> str:
     """What fails first on the way to `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if nothing does."""
-    host, _, port = address.partition("/")[2].partition("#")[0].rpartition(":")
-    host = host.strip("[]")
+    host, port = _place(address)
     try:
-        with socket.create_connection((host, int(port)), timeout=CONNECT_S) as plain:
+        with socket.create_connection((host, port), timeout=CONNECT_S) as plain:
             return _handshake(plain, host, keys) if keys is not None else ""
     except TimeoutError:
         return "no answer: is it switched on, and on this network?"
@@ -26,6 +26,25 @@ def trouble_reaching(address: str, keys: Keys | None) -> str:
         return "connection refused: the machine is there, but no station listens on that port"
     except OSError as error:
         return f"{error.strerror or error}"
+
+
+def trouble_listening(address: str) -> str:
+    """Why no router can be had at `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if one could."""
+    host, port = _place(address)
+    try:
+        family, kind, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        with socket.socket(family, kind) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(place)
+            probe.listen(1)
+    except OSError as error:
+        return f"{error.strerror or error}"
+    return ""
+
+
+def _place(address: str) -> tuple[str, int]:
+    host, _, port = address.partition("/")[2].partition("#")[0].rpartition(":")
+    return host.strip("[]"), int(port)
 
 
 def _handshake(plain: socket.socket, host: str, keys: Keys) -> str:

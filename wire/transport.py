@@ -19,7 +19,7 @@ import zenoh.ext
 
 from wire.endpoint import Endpoint as Endpoint  # whoever opens a transport needs one
 from wire.endpoint import settings
-from wire.reach import trouble_reaching
+from wire.reach import trouble_listening, trouble_reaching
 from wire.topics import Qos
 
 log = logging.getLogger("shoal")
@@ -88,7 +88,7 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            raise Unreached(f"cannot listen at {endpoint.address}: {error}") from None
+            raise Unreached(f"cannot listen at {endpoint.address}: {trouble_listening(endpoint.address) or error}") from None
     began_s, say_s = time.monotonic(), 0.0
     while True:
         try:
