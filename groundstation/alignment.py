@@ -257,7 +257,8 @@ def _states(entries: Sequence[Entry[RobotState]], inputs: Mapping[int, StepInput
 
 
 def _frame_times(log: RunLog, start_ns: int) -> Array:
-    found = [((e.stamp_ns - start_ns) * 1e-9, e.message.frame_ms) for e in log.of(topics.LOCALIZER, LocalizerStatus)]
+    statuses = log.of(topics.LOCALIZER, LocalizerStatus)  # none has a frame where the simulator stands for the localizer
+    found = [((e.stamp_ns - start_ns) * 1e-9, e.message.frame_ms) for e in statuses if e.message.frame_ms > 0.0]
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
