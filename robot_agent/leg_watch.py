@@ -28,10 +28,9 @@ NOISE_N = 0.02  # what the observer finds in still water with nothing broken
 MEAN_S = 1.0  # shares are of means: what comes and goes with a wave is none
 MOVED_HELD_S = 1.5  # what moves the robot counts for so long: as long as the observer takes
 IDLE_N = 0.1  # a share of less is not asked for
-FACTOR = 2.0  # by how much a share must be more than before
-FIRST_SHARE = 0.12  # before there was any
+FIRST_SHARE = 0.2  # before there was any
+START_HELD_S = 14.0
 LEAST_SHARE = 0.08
-HELD_S = 40.0  # masses and thrusts stay as they are
 LASTS_S = 0.5
 LONGEST_NS = NS // 5  # between two steps; after a longer gap it begins anew
 
@@ -52,7 +51,7 @@ class LegWatch:
         self._surge_n = self._turn_n = self._drag_n = 0.0  # the largest lately; of yaw as forces at the legs
         self._pushed, self._turned_n = 0j, 0.0  # what lasts: x + iy of the pool, N; yaw
         self._missing_n = self._moved_n = 0.0  # means
-        self._share = Unusual(FACTOR, FIRST_SHARE, LEAST_SHARE, HELD_S, LASTS_S)
+        self._share = Unusual(FIRST_SHARE, START_HELD_S, LEAST_SHARE, LASTS_S)
 
     def step(self, told: Array, yaw_rate_radps: float, disturbance: Array, yaw_rad: float, now_ns: int) -> None:
         """The wrench (3,) told to the thrusters; what the observer says of yaw and of the disturbance (4,), body frame."""

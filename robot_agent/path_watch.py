@@ -1,8 +1,9 @@
 """Has a robot left its path without a reason? Pure. The last line: whatever it is that nobody has thought of, a robot that
 does not go where it means to go says so.
 
-Reasons are a way round somebody or something (not that somebody is near: whoever drifts comes near to others), and not having
-arrived yet: a robot that starts off its path, or comes back to it, is watched from where it has been close to it.
+Reasons are a way round somebody or something, taken while the robot was on its path (whoever drifts off comes near to others
+as well), and not having arrived yet: a robot that starts off its path, or comes back to it, is watched from where it has been
+close to it.
 """
 
 ARRIVED = 0.5  # of the limit
@@ -23,11 +24,9 @@ class PathWatch:
         self._since_ns: int | None = None
 
     def step(self, off_m: float, is_free: bool, now_ns: int) -> None:
-        """How far off its goal the robot is; `is_free`: nothing leads it round."""
-        if not is_free:
-            self._has_arrived = False
-        elif off_m < ARRIVED * self._limit_m:
-            self._has_arrived = True
+        """How far off its path the robot is; `is_free`: nothing leads it round."""
+        if off_m < ARRIVED * self._limit_m:
+            self._has_arrived = is_free
         if not (self._has_arrived and off_m > self._limit_m):
             self._since_ns = None
         elif self._since_ns is None:

@@ -25,10 +25,9 @@ SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idl
 LASTING_S = 5.0  # how fast what stays the same is taken for granted
 SHARE = 0.3  # of N: how far masses and thrusters may be off
 SHARE_HELD_S = 0.5  # the largest N, smoothed alike, counts for so long
-FACTOR = 1.5  # by how much what is left over must be more than before
-FIRST_NM = 0.009  # before there was anything: starts are rough
+FIRST_NM = 0.0095  # left over before there was anything: starts are rough
+START_HELD_S = 7.0
 LEAST_NM = 0.002  # noise
-HELD_S = 10.0  # what was left over before counts for so long
 LASTS_S = 0.4  # a bump is shorter
 LONGEST_NS = NS // 5  # between two steps; after a longer gap it begins anew
 
@@ -49,7 +48,7 @@ class ThrusterWatch:
         self._rate: float | None = None
         self._at_ns = 0
         self._acting = self._smooth = self._strongest = self._lasting = 0.0
-        self._left_over = Unusual(FACTOR, FIRST_NM, LEAST_NM, HELD_S, LASTS_S)
+        self._left_over = Unusual(FIRST_NM, START_HELD_S, LEAST_NM, LASTS_S)
 
     def told(self, moment_nm: float, now_ns: int) -> None:
         """Pulses went out that turn the robot with this moment. Of two at one instant the last counts."""

@@ -60,7 +60,7 @@ class Vitals:
     def flew(self, output: ControlOutput, now_ns: int) -> None:
         """What a control step found out about how the robot moves."""
         self._legs.step(output.wrench_delivered, float(output.nu[3]), output.disturbance, float(output.eta[3]), now_ns)
-        off_m = math.dist(output.eta[:2].tolist(), output.eta_command[:2].tolist())
+        off_m = math.dist(output.eta[:2].tolist(), output.eta_reference[:2].tolist())
         self._path.step(off_m, output.is_free, now_ns)
 
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:

@@ -281,7 +281,7 @@ def thruster_broken(rig: Rig, random: Random) -> Sample:
             astray_m = max(astray_m, float(np.hypot(*(state.eta_reference - rig.truth.eta[i])[:2])))
     found = {"estimate off the truth": off_m, "off its path": astray_m}
     if rig.mode(robot) not in POWERED:
-        flagged_s = rig.alert_s(ns)
+        flagged_s = rig.alert_s(ns, "fault (")  # what the station says of it; others may warn of other things
         found["neutral after the flag"] = rig.neutral_s(ns, [robot]) - flagged_s
         if how in FELT:
             lost, force_n = 1.0 - THRUST_LEFT[how], rig.experiment.vehicle.thruster.force_n

@@ -38,8 +38,12 @@ def test_who_has_not_arrived_yet_or_comes_back_does_not() -> None:
 
 def test_who_makes_way_has_a_reason_until_it_is_back() -> None:
     off_m = [0.05] * 20 + [0.8] * 100 + [0.4] * 100 + [0.05] * 20 + [0.4] * 100
-    is_free = [True] * 20 + [False] * 100 + [True] * 220
+    is_free = [True] * 19 + [False] * 101 + [True] * 220
     assert left(off_m, is_free) == 20 + 100 + 100 + 20 + 10
+
+
+def test_who_drifts_off_and_comes_near_to_others_has_none() -> None:
+    assert left([0.05] * 20 + [0.2] * 20 + [0.31] * 100, [True] * 25 + [False] * 115) == 50
 
 
 def test_once_said_it_stays_so_until_the_goal_is_another() -> None:

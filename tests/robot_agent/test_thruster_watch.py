@@ -35,7 +35,7 @@ def flagged(settings: Sequence[str], duration_s: float, faults: Sequence[str] = 
 @pytest.mark.parametrize(
     ("at_s", "what"),
     [
-        (8.0, "2/1 dead"),
+        (12.0, "2/1 dead"),
         (11.0, "1/2 dead"),
         (14.0, "2/3 dead"),
         (17.0, "1/4 dead"),
