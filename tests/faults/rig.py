@@ -262,21 +262,26 @@ class Rig:
         deadline = time.monotonic() + (PATIENCE_S if len(self.robots) <= MANY else MANY_PATIENCE_S)
         steps = {"STOPPED": Order.CLEAR_STOP, "DONE": Order.LOAD, "FAILED": Order.LOAD, "RUNNING": Order.DISARM}
         steps |= {"PAUSED": Order.DISARM}
-        reply = Reply(0, False)
+        reply, astray = Reply(0, False), False  # adrift for minutes, between two attempts
         while not self.flying:
             if time.monotonic() > deadline:
                 raise Stuck(f"no flight: mission {self._mission}, last answer {reply.reason[:500]!r} ({self.folder})")
             if self._mission == "RUNNING" and self._comes_up():
                 break
-            if self._mission in steps:
+            astray |= "from its start" in reply.reason
+            if astray and self._mission in ("WAITING", "DONE", "FAILED"):
+                reply = self.order(Order.RETURN)
+                astray = not reply.accepted
+            elif astray and self._mission == "LOADING":
+                reply = self.order(Order.DISARM)
+            elif self._mission in steps:
                 reply = self.order(steps[self._mission])
             elif self._mission in ("WAITING", "LOADING") and any(
                 self.mode(r) in (Mode.FAULT, Mode.HOLDING) for r in self.robots
             ):
                 reply = self.order(Order.DISARM)
             elif self._mission in ("WAITING", "LOADING"):
-                astray = "from its start" in reply.reason  # adrift for minutes, between two attempts
-                reply = self.order(Order.RETURN if astray else Order.START)
+                reply = self.order(Order.START)
             time.sleep(0.1)
             self._taken_off_s = time.monotonic()
 
