@@ -30,7 +30,7 @@ class Safety(Section):
     margin_m: NotNegative = 0.05
     bubble_mps: NotNegative = 0.1  # how fast the space around a silent neighbour grows
     bubble_max_m: NotNegative = 0.5  # and how far: a robot that is gone must not push the others against the walls
-    pose_hold_s: Positive = 0.2  # hold, then (pose_neutral_s) neutral, counted from the last pose
+    pose_hold_s: Positive = 0.19  # hold, then (pose_neutral_s) neutral, counted from the last pose: within 0.2 s, all told
     pose_neutral_s: Positive = 0.45
     station_hold_s: Positive = 1.0
     station_neutral_s: Positive = 3.0

@@ -187,7 +187,7 @@ def test_what_nobody_can_guess_has_no_default(tmp_path: Path, key: str) -> None:
         ("controller.mpc.solver=ipopt", "controller.mpc.solver = 'ipopt': .*'osqp' or 'daqp'"),
         ("controller.guidance.max_correction_rad=1.6", "less than 1.57"),
         ("camera.position_m=[0, 0, 1]", "camera: position_m z = 1.0: the camera must hang above the water"),
-        ("safety.pose_neutral_s=0.1", "safety: pose_neutral_s = 0.1 must be more than pose_hold_s = 0.2"),
+        ("safety.pose_neutral_s=0.1", "safety: pose_neutral_s = 0.1 must be more than pose_hold_s = 0.19"),
         ("safety.station_disarm_s=2", "station_disarm_s = 2.0 must be more than station_neutral_s = 3.0"),
         ("name=Pool 1", "name = 'Pool 1'"),
         ("seed=-1", "seed = -1"),
