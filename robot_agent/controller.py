@@ -66,7 +66,7 @@ class ControlOutput:
     iterations: int
     slack_m: float  # by how much the plan enters the space of another robot
     pose_age_s: float  # of the pose the estimate rests on
-    is_free: bool  # to go along the path: nobody and nothing leads it round
+    is_free: bool  # to go along the path: nobody and nothing leads it round, or pushes it aside
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,7 +156,8 @@ class Controller:
         plan = self._law.plan(
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current
         )
-        return self._put_out(plan, estimate, path, command, company, lead is path, now_ns)
+        is_free = lead is path and not keep_clear.bind(plan.eta)
+        return self._put_out(plan, estimate, path, command, company, is_free, now_ns)
 
     def acted(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """These went out at `now_ns`, (3,) each, in the place of what the step of that instant came to."""

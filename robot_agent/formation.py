@@ -23,6 +23,7 @@ NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the 
 LONGEST_PLAN = 1000  # rows of a plan that is resampled
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
+LEANS_M = 0.02  # a plan so near a half-space's border would be another one without it
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
 MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
 SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal,
@@ -66,6 +67,11 @@ class HalfSpaces:
     node: NDArray[np.intp]  # (rows,)
     normal: NDArray[np.complex128]  # (rows,) x + iy
     offset: Array  # (rows,)
+
+    def bind(self, eta: Array) -> bool:
+        """Whether a plan (horizon + 1, 4) leans against any of them."""
+        places = eta[self.node, 0] + 1j * eta[self.node, 1]
+        return bool(((places * self.normal.conj()).real < self.offset + LEANS_M).any())
 
 
 # What is to be kept clear of: places and directions away from it, how far beyond the distance to keep we are, all (nodes,),

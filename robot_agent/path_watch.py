@@ -1,9 +1,9 @@
 """Has a robot left its path without a reason? Pure. The last line: whatever it is that nobody has thought of, a robot that
 does not go where it means to go says so.
 
-Reasons are a way round somebody or something, taken while the robot was on its path (whoever drifts off comes near to others
-as well), and not having arrived yet: a robot that starts off its path, or comes back to it, is watched from where it has been
-close to it.
+Reasons are a way round somebody or something, or room made for somebody, from when the robot was still on its path (whoever
+drifts off comes near to others as well), and not having arrived yet: a robot that starts off its path, or comes back to it, is
+watched from where it has been close to it.
 """
 
 ARRIVED = 0.5  # of the limit
@@ -24,7 +24,7 @@ class PathWatch:
         self._since_ns: int | None = None
 
     def step(self, off_m: float, is_free: bool, now_ns: int) -> None:
-        """How far off its path the robot is; `is_free`: nothing leads it round."""
+        """How far off its path the robot is; `is_free`: nothing leads it round, or aside."""
         if off_m < ARRIVED * self._limit_m:
             self._has_arrived = is_free
         if not (self._has_arrived and off_m > self._limit_m):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.formation import MEANT_S, NEAREST, Formation, HalfSpaces, Neighbour, Rank
+from robot_agent.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Rank
 from wire.frames import Array
 from wire.messages import Plan
 from wire.tuning import Mpc as MpcConfig
@@ -199,3 +199,11 @@ def test_where_each_is_now_and_means_to_go_read_from_each_plan_alone() -> None:
         moved = other.plan.eta_reference[then] - other.plan.eta_reference[now]
         assert company.now[i] == pytest.approx(other.plan.eta[now])
         assert company.meant[i] == pytest.approx(complex(moved[0], moved[1]) / (PERIOD_S * max(then - now, 1)))
+
+
+@pytest.mark.parametrize(("x_m", "leans"), [(0.7, False), (0.53, False), (0.51, True), (0.3, True)])
+def test_a_plan_leans_against_a_half_space_that_it_is_close_to_or_in(x_m: float, leans: bool) -> None:
+    eta = np.zeros((4, 4))
+    eta[2, :2] = x_m, 9.0
+    assert HalfSpaces(np.array([2]), np.array([1 + 0j]), np.array([0.5])).bind(eta) is leans
+    assert not NOWHERE.bind(eta)
