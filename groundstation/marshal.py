@@ -26,7 +26,8 @@ WAIT_STEP_S = 1.0
 LONGEST_WAIT_S = 120.0
 SLOWER = 0.7  # a bend that is too sharp for the speed is taken at less of it
 NEAR_M = 1e-3
-ABSURD_M = 1.0  # beyond twice the basin nobody is
+ABSURD_M = 1.0  # beyond twice the basin nobody is,
+ABSURD_RAD = 1e4  # and nobody has turned so often
 ORDERS = 6  # orders of the robots that are tried
 ASIDE_M = (0.8, 1.2, 1.8, 2.6)  # how far a robot goes to make room
 ASIDE_WAYS = 12
@@ -70,6 +71,8 @@ def marshal(
     for robot, rest in starts.items():
         if not np.all(np.abs(rest[:3]) <= np.array(experiment.pool.size_m) + ABSURD_M):
             raise PlanError(f"robot {robot} says that it is at ({rest[0]:.3g}, {rest[1]:.3g}, {rest[2]:.3g}) m")
+        if not abs(rest[3]) <= ABSURD_RAD:  # true for NaN too
+            raise PlanError(f"robot {robot} says that it heads {rest[3]:.3g} rad")
     around = basin(experiment, things)
     trips = _marshal(experiment, around, dict(starts), dict(goals), MAKING_ROOM)
     return {robot: _with_heading(trip, float(starts[robot][3]), experiment) for robot, trip in trips.items()}

@@ -114,3 +114,10 @@ def test_no_way_is_said_and_why() -> None:
     ring = np.array([[2.0 * np.cos(a), 2.0 * np.sin(a), 0.7] for a in np.linspace(0.0, 2.0 * np.pi, 16)])
     with pytest.raises(PlanError, match=r"robot 1: no way from \(0\.00, 0\.00\) to \(4\.00, 0\.00\) m"):
         marshal(pool(), {1: pose(0.0, 0.0)}, {1: pose(4.0, 0.0)}, ring)
+
+
+@pytest.mark.parametrize("absurd", [(np.nan, 0.0), (1e9, 0.0), (0.0, np.nan), (0.0, np.inf)])
+def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, float]) -> None:
+    x, yaw = absurd
+    with pytest.raises(PlanError, match="robot 1 says that it"):
+        marshal(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NOTHING)
