@@ -102,32 +102,31 @@ def flight_rows() -> Iterator[Row]:
         yield Row.of(BENCHMARK, f"numeric flight, {name}, {len(experiment.robots)} robots", "ours", "x real time", speeds)
 
 
-def first_of_fleet(robots: int) -> str:
-    """The file of an experiment: the first robots of fleet-20."""
+def first_of_fleet(robots: int) -> Experiment:
+    """The first robots of fleet-20."""
     whole = load_experiment("fleet-20")
     kept = whole.robots[:robots]
     numbers = {robot.id for robot in kept}
     beside = [robot.model_copy(update={"neighbours": tuple(sorted(numbers & set(robot.neighbours)))}) for robot in kept]
-    return dump_experiment(whole.model_copy(update={"name": f"fleet-{robots}", "robots": tuple(beside)}))
+    return whole.model_copy(update={"name": f"fleet-{robots}", "robots": tuple(beside)})
 
 
 def process_rows() -> Iterator[Row]:
     """All processes: in lockstep as fast as it goes, and fleets in real time."""
+    pool, fleet = load_experiment("pool"), load_experiment("fleet-20")
     runs = (
-        ("lockstep, pool, camera in the loop", "pool", ("--lockstep",)),
-        ("lockstep, pool, poses instead of frames", "pool", ("--lockstep", "--poses")),
-        ("lockstep, fleet-20, poses instead of frames", "fleet-20", ("--lockstep", "--poses")),
-        ("real time, 5 of fleet-20, poses instead of frames", 5, ("--poses",)),
-        ("real time, 10 of fleet-20, poses instead of frames", 10, ("--poses",)),
-        ("real time, fleet-20, poses instead of frames", "fleet-20", ("--poses",)),
+        ("lockstep, pool, camera in the loop", pool, ("--lockstep",)),
+        ("lockstep, pool, poses instead of frames", pool, ("--lockstep", "--poses")),
+        ("lockstep, fleet-20, poses instead of frames", fleet, ("--lockstep", "--poses")),
+        ("real time, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--poses",)),
+        ("real time, 10 of fleet-20, poses instead of frames", first_of_fleet(10), ("--poses",)),
+        ("real time, fleet-20, poses instead of frames", fleet, ("--poses",)),
     )
-    for case, what, options in runs:
+    for case, experiment, options in runs:
         with tempfile.TemporaryDirectory() as folder:
-            name = what
-            if isinstance(what, int):
-                name = f"{folder}/fleet.toml"
-                Path(name).write_text(first_of_fleet(what), encoding="utf-8")
-            command = [sys.executable, "-m", "sim_bridge", "sil", name, "--no-web", "--out", folder, *options]
+            file = Path(folder) / "experiment.toml"
+            file.write_text(dump_experiment(experiment), encoding="utf-8")
+            command = [sys.executable, "-m", "sim_bridge", "sil", str(file), "--no-web", "--out", folder, *options]
             done = subprocess.run([*command, "--duration", str(LOCKSTEP_S)], capture_output=True, text=True, check=False)
             results = list(Path(folder).glob("*/result.json"))
             if not results:

@@ -15,10 +15,11 @@ from pathlib import Path
 
 from groundstation import deploy, wheelhouse
 from groundstation.deploy import Probe, Target
+from wire.endpoint import parse_address
 from wire.experiment import Experiment, dump_experiment
 from wire.keys import open_keys
 from wire.link import parse_link
-from wire.network import parse_address, refuse_open
+from wire.network import refuse_open
 from wire.toml_file import ConfigError
 from wire.topics import Role, process_name
 

@@ -56,10 +56,9 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = authorit
         raise ConfigError(f"{role!r} is no role (allowed: {', '.join(ROLE_NAMES)})")
     if (ROLE_NAMES[role] is Role.ROBOT) != (robot != 0) or not 0 <= robot <= 999:
         raise ConfigError(f"{role} {robot or ''}".rstrip() + ": a robot needs its number, 1 to 999; nobody else has one")
-    if not 0.0 < days <= authority.AUTHORITY_YEARS * 365:
-        raise ConfigError(
-            f"--days {days:g}: no time for a certificate (allowed: up to {authority.AUTHORITY_YEARS * 365} days)"
-        )
+    longest = authority.AUTHORITY_YEARS * 365
+    if not 0.0 < days <= longest:
+        raise ConfigError(f"--days {days:g}: no time for a certificate (allowed: up to {longest} days)")
     process = process_name(ROLE_NAMES[role], robot)
     members, root = read_members(ring), _authority(ring)
     common_name = authority.new_common_name(process)

@@ -12,7 +12,7 @@ from wire import topics
 from wire.bus import Bus
 from wire.keys import Keys, open_keys
 from wire.messages import StationHeartbeat
-from wire.network import endpoint, is_loopback, parse_address
+from wire.network import endpoint
 from wire.reach import trouble_reaching
 from wire.toml_file import ConfigError
 from wire.topics import Role, process_name
@@ -37,7 +37,7 @@ def look_at_network(board: Board) -> Generator[Finding, None, bool]:
     except ConfigError as error:
         yield Finding("station", Verdict.FAIL, str(error))
         return False
-    if keys is None and not is_loopback(parse_address(board.station)[1]):
+    if where.insecure:
         yield Finding("certificate", Verdict.WARN, "none: the network is open, anybody on it can command the robots")
     trouble = trouble_reaching(where.address, where.keys)
     if trouble:

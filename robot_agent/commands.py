@@ -8,8 +8,9 @@ import typer
 
 from robot_agent.check import Finding, Verdict, exit_code, to_json
 from robot_agent.config import DEFAULT_LINK, choose, load_board, template
+from wire.endpoint import parse_address
 from wire.experiment import Experiment, load_experiment
-from wire.network import parse_address, refuse_open
+from wire.network import refuse_open
 from wire.options import DEFAULT_FLEET, FleetName
 from wire.runtime import start_log
 from wire.toml_file import ConfigError, files_named

@@ -22,7 +22,7 @@ from wire.experiment import Experiment
 from wire.link import Link
 from wire.link_key import Signing, agent_end
 from wire.messages import Command, LocalizerStatus, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, StepInputs, Tick
-from wire.runtime import LOCKSTEP_SAYS_S, SLICE_S, Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+from wire.runtime import SLICE_S, Clock, Lockstep, LockstepClock, Reminder, Stop, WallClock, log, log_to_bus, wait
 
 EARLY = 0.25  # of a period: a step may come this much before its time, for a pose
 LATE = 0.5  # of a period: a step waits this much longer for a pose; one with an old pose is worth less than a late one
@@ -219,14 +219,13 @@ class Shell:
     def _await_board(self, tick: Tick) -> bool:
         """Wait for the board's burst that counts at this tick. False when told to stop."""
         wanted = dict(zip(tick.robots, tick.board_ms, strict=True)).get(self._robot, 0)
-        said_s = time.monotonic()
+        reminder = Reminder()
         while not self._stop.requested:
             self._mavlink.receive(self._link.read(), tick.now_ns)
             if self._mavlink.telemetry.board_ms >= wanted:
                 return True
             self._link.wait(SLICE_S)
-            if time.monotonic() - said_s > LOCKSTEP_SAYS_S:
-                said_s = time.monotonic()
+            if reminder.due():
                 log.warning("lockstep: waiting for the board's burst of %d ms", wanted)
         return False
 

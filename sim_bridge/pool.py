@@ -26,7 +26,7 @@ from wire.experiment import Experiment
 from wire.faults import Break
 from wire.frames import Array
 from wire.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
-from wire.runtime import LOCKSTEP_SAYS_S, SLICE_S, Clock, LockstepClock, Stop, WallClock, log, log_to_bus, wait
+from wire.runtime import LOCKSTEP_SAYS_S, SLICE_S, Clock, LockstepClock, Reminder, Stop, WallClock, log, log_to_bus, wait
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,14 +250,13 @@ class Pool:
         self._sockets.forget()
         everyone = {"groundstation", *(f"agent-{r}" for r in self._experiment.robot_ids)}
         everyone |= {"localizer"} if isinstance(self._eye, Renderer) else set()
-        said_s = time.monotonic()
+        reminder = Reminder()
         while not self._stop.requested:
             self._sockets.exchange(world)
             missing = everyone - self._bus.present
             if not missing and self._sockets.all_heard:
                 return
-            if time.monotonic() - said_s > LOCKSTEP_SAYS_S:
-                said_s = time.monotonic()
+            if reminder.due():
                 log.info("waiting for %s", ", ".join(sorted(missing)) or "the robots to greet their boards")
             self._sockets.wait(SLICE_S)
 
@@ -288,15 +287,14 @@ class Pool:
         board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
         self._bus.publish(topics.TICK, Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms), tick_ns)
         self._prepare_picture(world)
-        said_s = time.monotonic()
+        reminder = Reminder()
         while not self._stop.requested:
             self._sockets.exchange(world)
             late = [r for r, i, n in zip(robots, indices, before, strict=True) if self._sockets.commands[i] <= n]
             late = [r for r in late if f"agent-{r}" in self._bus.present]
             if not late:
                 return
-            if time.monotonic() - said_s > LOCKSTEP_SAYS_S:
-                said_s = time.monotonic()
+            if reminder.due():
                 log.warning(
                     "lockstep: at %.3f s waiting for the pulses of robot %s", tick_ns * 1e-9, ", ".join(map(str, late))
                 )

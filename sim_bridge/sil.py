@@ -25,6 +25,7 @@ from sim_bridge.processes import Child, Children
 from sim_bridge.programs import Program, Way, programs
 from sim_bridge.saboteur import Saboteur
 from wire.bus import Bus
+from wire.endpoint import parse_address
 from wire.experiment import Experiment, dump_experiment
 from wire.faults import KINDS
 from wire.link_key import new_key
@@ -205,11 +206,11 @@ def _table(result: dict[str, Any]) -> Table:
 
 
 def _listens(address: str, station: Child, stop: Stop) -> bool:
-    host, port = address.removeprefix("tcp/").rsplit(":", 1)
+    _, host, port = parse_address(address)
     deadline = time.monotonic() + START_WITHIN_S
     while time.monotonic() < deadline and station.exit_code is None and not stop.requested:
         try:
-            socket.create_connection((host, int(port)), timeout=1.0).close()
+            socket.create_connection((host, port), timeout=1.0).close()
             return True
         except OSError:
             time.sleep(0.05)

@@ -8,12 +8,24 @@ from dataclasses import dataclass
 from typing import Any
 
 from wire.keys import Keys
+from wire.toml_file import ConfigError
 from wire.topics import PLAN
 
 PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machine is slow, not cut off
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
 FLOOD = 10  # times a topic's rate: more often nobody needs to speak; what a busy machine held back comes in bunches
+FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.168.1.10:7447"
 TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
+
+
+def parse_address(address: str) -> tuple[str, str, int]:
+    """Protocol, host and port of a Zenoh endpoint. Raises ConfigError naming the forms it may have."""
+    protocol, slash, rest = address.partition("/")
+    host, _, port = rest.partition("#")[0].rpartition(":")
+    host = host.strip("[]")
+    if not slash or protocol not in ("tcp", "tls") or not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(f"{address!r}: not a place where a station can be (allowed: {FORMS})")
+    return protocol, host, int(port)
 
 
 @dataclass(frozen=True)

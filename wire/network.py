@@ -11,23 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from wire.access import INSECURE, access_control
+from wire.endpoint import Endpoint, parse_address
 from wire.keys import admitted, expiring, open_keys
 from wire.toml_file import ConfigError
-from wire.transport import Endpoint
 
 log = logging.getLogger("shoal")
-
-FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.168.1.10:7447"
-
-
-def parse_address(address: str) -> tuple[str, str, int]:
-    """Protocol, host and port of a Zenoh endpoint. Raises ConfigError naming the forms it may have."""
-    protocol, slash, rest = address.partition("/")
-    host, _, port = rest.partition("#")[0].rpartition(":")
-    host = host.strip("[]")
-    if not slash or protocol not in ("tcp", "tls") or not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ConfigError(f"{address!r}: not a place where a station can be (allowed: {FORMS})")
-    return protocol, host, int(port)
 
 
 def is_loopback(host: str) -> bool:

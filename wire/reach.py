@@ -8,6 +8,7 @@ station is another one, or it does not believe this process's certificate.
 import socket
 import ssl
 
+from wire.endpoint import parse_address
 from wire.keys import Keys
 
 CONNECT_S = 1.0
@@ -16,7 +17,7 @@ ALERT_S = 0.5  # TLS 1.3: a refused certificate is told after the handshake, in 
 
 def trouble_reaching(address: str, keys: Keys | None) -> str:
     """What fails first on the way to `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if nothing does."""
-    host, port = _place(address)
+    _, host, port = parse_address(address)
     try:
         with socket.create_connection((host, port), timeout=CONNECT_S) as plain:
             return _handshake(plain, host, keys) if keys is not None else ""
@@ -30,7 +31,7 @@ def trouble_reaching(address: str, keys: Keys | None) -> str:
 
 def trouble_listening(address: str) -> str:
     """Why no router can be had at `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if one could."""
-    host, port = _place(address)
+    _, host, port = parse_address(address)
     try:
         family, kind, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         with socket.socket(family, kind) as probe:
@@ -40,11 +41,6 @@ def trouble_listening(address: str) -> str:
     except OSError as error:
         return f"{error.strerror or error}"
     return ""
-
-
-def _place(address: str) -> tuple[str, int]:
-    host, _, port = address.partition("/")[2].partition("#")[0].rpartition(":")
-    return host.strip("[]"), int(port)
 
 
 def _handshake(plain: socket.socket, host: str, keys: Keys) -> str:

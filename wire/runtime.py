@@ -104,6 +104,21 @@ def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> b
     return False
 
 
+class Reminder:
+    """When a process that waits is to say so again."""
+
+    def __init__(self) -> None:
+        self._said_s = time.monotonic()
+
+    def due(self) -> bool:
+        """Once every LOCKSTEP_SAYS_S, from the beginning on."""
+        now_s = time.monotonic()
+        if now_s - self._said_s <= LOCKSTEP_SAYS_S:
+            return False
+        self._said_s = now_s
+        return True
+
+
 class Lockstep:
     """One process's side of the simulator's clock. Make it before the process is announced: the first tick comes but once."""
 
