@@ -12,8 +12,10 @@ from sim_bridge.scene import PHASES, Scene, Waters, vignette
 from sim_bridge.scenery import Hit, still_scene, trace
 from sim_bridge.surface import LOOP_S
 from sim_bridge.textures import Bytes, Float
-from sim_bridge.view import BLOCK, View
+from sim_bridge.view import BLOCK, View, seen_raw
 from wire.experiment import Experiment
+
+UNSEEN_SHARE = 1e-3  # of 255 grey levels less than half a one: blending would change no pixel
 
 
 class Backdrop:
@@ -29,15 +31,20 @@ class Backdrop:
         shade = vignette(self._view, waters.picture.vignetting)
         self._scene = Scene(waters, self._view, np.asarray(blocks, dtype=np.float32), shade)
         lean = np.sqrt(1.0 + lines.water_x**2 + lines.water_y**2)
+        self._blend = np.empty((self._view.height, self._view.width), np.uint8)
         self._phases = self._draw_phases(still_scene(experiment, self._hit, lean, LENS_SOFTNESS_PX, random))
 
     def at(self, time_s: float) -> tuple[Scene, Bytes]:
-        """The scene at a time, and a fresh raw mosaic (height, width) of it."""
+        """The scene at a time, and a raw mosaic (height, width) of it to draw on, good until the next one."""
         place = time_s / LOOP_S * PHASES
         first = int(np.floor(place))
         share = place - first
         before, after = (self._phases[phase % len(self._phases)] for phase in (first, first + 1))
-        return self._scene, np.asarray(cv2.addWeighted(before, 1.0 - share, after, share, 0.0), dtype=np.uint8)
+        if min(share, 1.0 - share) < UNSEEN_SHARE:
+            np.copyto(self._blend, after if share > 0.5 else before)
+        else:
+            cv2.addWeighted(before, 1.0 - share, after, share, 0.0, dst=self._blend)
+        return self._scene, self._blend
 
     def _draw_phases(self, still: Bytes) -> list[Bytes]:
         view, waters, window = self._view, self._scene.waters, self._view.whole
@@ -53,7 +60,7 @@ class Backdrop:
             slopes = self._scene.slopes(window, time_s)
             map_x = column + view.spread(pull_x[0] * slopes[0] + pull_x[1] * slopes[1], window)
             map_y = row + view.spread(pull_y[0] * slopes[0] + pull_y[1] * slopes[1], window)
-            raw = _refract(planes, map_x, map_y)
+            raw = seen_raw(planes, map_x, map_y).astype(np.float32)
             raw *= cv2.resize(light, (view.width, view.height), interpolation=cv2.INTER_LINEAR)
             raw *= self._scene.vignette
             raw += view.spread(self._scene.glare(window, slopes), window)
@@ -77,12 +84,3 @@ def _plan(hit: Hit, depth_m: float) -> tuple[Float, Float]:
     x = hit.x + np.where(hit.on_x_wall, np.copysign(down, hit.x), np.float32(0.0))
     y = hit.y + np.where(hit.on_y_wall, np.copysign(down, hit.y), np.float32(0.0))
     return x, y
-
-
-def _refract(planes: list[Bytes], map_x: Float, map_y: Float) -> Float:
-    """The still scene (red, green, blue planes) through displaced lines of sight, as a raw mosaic: each pixel's one colour."""
-    raw = np.empty(map_x.shape, np.float32)
-    for i, j, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
-        x, y = np.ascontiguousarray(map_x[i::2, j::2]), np.ascontiguousarray(map_y[i::2, j::2])
-        raw[i::2, j::2] = cv2.remap(planes[channel], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return raw

@@ -30,17 +30,22 @@ class Basin:
         has_walls = experiment.sim.plant.walls
         reach = np.array([length / 2, width / 2, depth]) if has_walls else np.full(3, np.inf)
         self._inside_m = reach - self._radius_m  # for centres; z has a floor only, the surface is water's business
+        self._clear_to_m = self._inside_m - NEAR_M
+        self._clear_from_m = np.array([*-self._clear_to_m[:2], -np.inf])
         self._islands_m = np.array([[*island.position_m, island.radius_m] for island in experiment.islands]).reshape(-1, 3)
         self._stiffness_npm = float(experiment.vehicle.mass.surge_kg) * CONTACT_RADPS**2
 
     def is_near(self, position_m: Array) -> bool:
         """Whether any hull at (n, 3) is about to touch something."""
-        reach = self._inside_m - NEAR_M
-        if (np.abs(position_m[:, :2]) > reach[:2]).any() or (position_m[:, 2] > reach[2]).any():
+        if ((position_m > self._clear_to_m) | (position_m < self._clear_from_m)).any():
             return True
         if len(self._islands_m) and (self._island_dents(position_m)[0] > -NEAR_M).any():
             return True
-        return len(self._pairs(position_m, 2.0 * self._radius_m + NEAR_M)[0]) > 0
+        within_m = 2.0 * self._radius_m + NEAR_M
+        if len(position_m) >= MANY:
+            return len(self._pairs(position_m, within_m)[0]) > 0
+        near = np.count_nonzero(_squared_distances(position_m) < within_m**2)
+        return bool(near > len(position_m))  # each is near itself
 
     def touches(self, position_m: Array) -> list[int]:
         """Indices of the hulls that touch a wall, the floor, an island or another hull."""
@@ -85,11 +90,16 @@ class Basin:
             pairs = cKDTree(position_m).query_pairs(within_m, output_type="ndarray")
             pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
             return pairs[:, 0], pairs[:, 1]
-        apart = position_m[:, None] - position_m
-        first, second = np.nonzero(np.sum(apart**2, axis=2) < within_m**2)
+        first, second = np.nonzero(_squared_distances(position_m) < within_m**2)
         upper = first < second
         return first[upper], second[upper]
 
     def _normal_force(self, dent_m: Array, dent_rate_mps: Array) -> Array:
         damping = np.maximum(1.0 + CONTACT_DAMPING_S_PER_M * dent_rate_mps, 0.0)
         return self._stiffness_npm * np.maximum(dent_m, 0.0) * damping
+
+
+def _squared_distances(position_m: Array) -> Array:
+    """Between all hulls at (n, 3): (n, n)."""
+    apart = position_m[:, None] - position_m
+    return np.asarray(np.add.reduce(apart * apart, axis=2))

@@ -4,7 +4,7 @@ Reads in the order light travels: backdrop (floor, walls, water), landmarks, sha
 to the nearest, noise. A camera under a drone (sim.camera_motion) is still during an exposure.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from sim_bridge.textures import Bytes, Float
 from sim_bridge.view import Window
 from wire.experiment import Experiment
 from wire.frames import Array
+from wire.sight import Camera
 
 CAMERA_STREAM = 3  # keeps this use of the seed apart from the others
 MARGIN_PX = 4.0  # around a robot's picture: ripples and soft edges
@@ -68,11 +69,8 @@ class Renderer:
         roll_pitch = np.zeros((len(eta), 2)) if tilt is None else tilt[:, :2]
         bodies: list[Body] = [*zip(self._sprites, eta, nu, roll_pitch, strict=True), *self._adrift(time_s)]
         if self._picture.shadows:
-            for sprite, pose, _, _ in bodies:
-                self._draw_shadow(raw, scene, sprite, pose)
-        far_m = optical_path_m(scene.view.camera, np.array([pose[:3] for _, pose, _, _ in bodies]))
-        for i in np.argsort(-far_m, kind="stable"):  # the farthest first
-            self._draw_body(raw, scene, bodies[i], time_s)
+            self._draw_shadows(raw, scene, bodies)
+        self._draw_bodies(raw, scene, bodies, time_s)
         return self._noise.add(raw, frame_index)
 
     def _adrift(self, time_s: float) -> list[Body]:
@@ -85,38 +83,60 @@ class Renderer:
         ]
 
     def _draw_landmarks(self, raw: Bytes, scene: Scene, time_s: float) -> None:
-        for plate, landmark in zip(self._plates, self._landmarks, strict=True):
-            place = np.array(landmark.position_m)
-            window = scene.view.window(plate.corners(place), MARGIN_PX)
+        places = [np.array(landmark.position_m) for landmark in self._landmarks]
+        corners = [plate.corners(place) for plate, place in zip(self._plates, places, strict=True)]
+        windows = scene.view.windows(corners, MARGIN_PX)
+        for plate, landmark, place, window in zip(self._plates, self._landmarks, places, windows, strict=True):
             if window is None:
                 continue
             slopes = scene.slopes(window, time_s)
             colour, cover = plate.layer(_sight(scene, window, slopes, place[2], time_s), place, attitude(landmark.yaw_rad))
             _lay(raw, scene, window, slopes, colour, cover)
 
-    def _draw_shadow(self, raw: Bytes, scene: Scene, sprite: Sprite, eta: Array) -> None:
-        window = scene.view.window(shadow_box(eta, scene.depth_m, sprite.radius_m), MARGIN_PX)
-        if window is not None:
-            shade(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
+    def _draw_shadows(self, raw: Bytes, scene: Scene, bodies: Sequence[Body]) -> None:
+        boxes = [shadow_box(eta, scene.depth_m, sprite.radius_m) for sprite, eta, _, _ in bodies]
+        for (sprite, eta, _, _), window in zip(bodies, scene.view.windows(boxes, MARGIN_PX), strict=True):
+            if window is not None:
+                shade(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
 
-    def _draw_body(self, raw: Bytes, scene: Scene, body: Body, time_s: float) -> None:
+    def _draw_bodies(self, raw: Bytes, scene: Scene, bodies: Sequence[Body], time_s: float) -> None:
+        """The farthest first; not what is above the lens."""
+        places = np.array([eta[:3] for _, eta, _, _ in bodies])
+        scales = _scales(scene.view.camera, places)
+        far_m = optical_path_m(scene.view.camera, places)
+        seen = [i for i in np.argsort(-far_m, kind="stable").tolist() if np.isfinite(scales[i])]
+        exposures = [self._exposure(bodies[i], scales[i]) for i in seen]
+        windows = scene.view.windows([box for _, box in exposures], MARGIN_PX)
+        for i, (instants, _), window in zip(seen, exposures, windows, strict=True):
+            if window is not None:
+                _draw_body(raw, scene, window, bodies[i], [_pose(at, bodies[i][3], scales[i]) for at in instants], time_s)
+
+    def _exposure(self, body: Body, px_per_m: float) -> tuple[list[Array], Array]:
+        """Where a body is during the exposure, and corners (16, 3) of a box around its way."""
         sprite, eta, nu, roll_pitch = body
-        probe = eta[:3] + np.array([[0.0, 0.0, 0.0], [PROBE_M, 0.0, 0.0], [0.0, PROBE_M, 0.0]])
-        seen = project(scene.view.camera, probe)
-        px_per_m = float(np.mean(np.linalg.norm(seen[1:] - seen[0], axis=1))) / PROBE_M
-        if not np.isfinite(px_per_m):
-            return  # above the lens
         instants = parts(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
         lean = float(np.hypot(*roll_pitch))
-        box = np.concatenate([sprite.box(instant, lean) for instant in (instants[0], instants[-1])])
-        window = scene.view.window(box, MARGIN_PX)
-        if window is None:
-            return
-        slopes = scene.slopes(window, time_s)
-        sight = _sight(scene, window, slopes, eta[2], time_s)
-        layers = [sprite.layer(sight, _pose(instant, roll_pitch, px_per_m)) for instant in instants]
+        return instants, np.concatenate([sprite.box(instant, lean) for instant in (instants[0], instants[-1])])
+
+
+def _scales(camera: Camera, places_m: Array) -> list[float]:
+    """Pixels per metre around places (k, 3); NaN above the lens."""
+    probes = places_m[:, None] + PROBE_M * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    seen = project(camera, probes.reshape(-1, 3)).reshape(-1, 3, 2)
+    scales: list[float] = (np.linalg.norm(seen[:, 1:] - seen[:, :1], axis=2).mean(axis=1) / PROBE_M).tolist()
+    return scales
+
+
+def _draw_body(raw: Bytes, scene: Scene, window: Window, body: Body, poses: Sequence[Pose], time_s: float) -> None:
+    """The mean of its pictures in `poses`."""
+    sprite, eta, _, _ = body
+    slopes = scene.slopes(window, time_s)
+    sight = _sight(scene, window, slopes, eta[2], time_s)
+    layers = [sprite.layer(sight, pose) for pose in poses]
+    colour, cover = layers[0]
+    if len(layers) > 1:
         colour, cover = (np.asarray(sum(planes) / np.float32(len(planes))) for planes in zip(*layers, strict=True))
-        _lay(raw, scene, window, slopes, colour, cover)
+    _lay(raw, scene, window, slopes, colour, cover)
 
 
 def _lay(raw: Bytes, scene: Scene, window: Window, slopes: Float, colour: Float, cover: Float) -> None:

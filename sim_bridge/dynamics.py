@@ -5,7 +5,7 @@ Deliberately richer than the controller's model, and written without it: it is t
     pulses -> thrusters.py, battery.py -> forces -> hull.py (bodies) + water.py, flow.py, basin.py (what surrounds them)
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,7 @@ class Plant:
         plant, vehicle = experiment.sim.plant, experiment.vehicle
         self._robots = experiment.robot_ids
         self._step_s = plant.step_s
+        self._instants_s = np.array([AT_ONCE_S, plant.step_s / 2, plant.step_s])
         self._sway = plant.sway
         self._nominal = vehicle
         self._thrusters = Thrusters(experiment, seed)
@@ -88,10 +89,9 @@ class Plant:
         harm = harm or self.unharmed
         power = self._supply.thrust_factor(state.charge, state.motors.force_n, harm.sag_v)
         move = self._thrusters.command(state.motors, pulses_us, harm.thrust * power[:, None])
-        end = self._thrusters.at(move, h)
-        start = self._thrusters.legs(self._thrusters.at(move, AT_ONCE_S))
-        middle = self._thrusters.legs(self._thrusters.at(move, h / 2))
-        last = self._thrusters.legs(end)
+        motors = self._thrusters.at(move, self._instants_s)
+        start, middle, last = self._thrusters.legs(motors)
+        end = Motors(motors.force_n[2], motors.ankle_rad[2], motors.pulses_us)
         contact = self._basin.is_near(state.eta[:, :3])
         x, rate = self._hull.pack(state.eta, state.nu, state.tilt), self._hull.rate
         k1 = rate(x, start, t, contact)
@@ -101,6 +101,11 @@ class Plant:
         eta, nu, tilt = self._hull.unpack(x + h / 6 * (k1 + 2 * (k2 + k3) + k4))
         charge = self._supply.drained(state.charge, end.force_n, h)
         return PlantState(state.steps + 1, eta, nu, end, tilt, charge)
+
+    def retold(self, ahead: PlantState, before: PlantState, pulses_us: Array) -> PlantState:
+        """`ahead`, a step after `before`, had these pulses (n, 8) been on the outputs: for `dead_steps` all that they change
+        is what thrusters and ankles will do later."""
+        return replace(ahead, motors=self._thrusters.retold(ahead.motors, before.motors, pulses_us))
 
     def acceleration(self, state: PlantState) -> Array:
         """d nu / dt now, shape (n, 4)."""

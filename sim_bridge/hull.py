@@ -15,6 +15,8 @@ from wire.experiment import Experiment
 from wire.frames import Array
 from wire.toml_file import ConfigError
 
+_CROSSED = np.array([[[-1.0], [1.0]], [[1.0], [-1.0]]])  # signs of cos(roll) sin(yaw), ... in the matrix of an attitude
+
 
 class LevelHull:
     """Surge, sway, heave, yaw. State: x, y, z, yaw, u, v, w, r.
@@ -44,7 +46,7 @@ class LevelHull:
         return rate[4:].T.copy()
 
     def rate(self, x: Array, legs: Array, time_s: float, contact: bool) -> Array:
-        """d/dt of the state, with the legs' forces (5, n) on surge, heave, yaw, roll, pitch given."""
+        """d/dt of the state, with the legs' forces (6, n) on surge, sway, heave, roll, pitch, yaw given."""
         nu = x[4:]
         c, s = np.cos(x[3]), np.sin(x[3])
         rate = np.empty_like(x)
@@ -54,7 +56,7 @@ class LevelHull:
         relative = nu if self._flow.still else nu - self._level(self._flow.velocity(x[:3], time_s), c, s)
         force = self._water.drag(relative)
         force[0] += legs[0]
-        force[2:4] += legs[1:3]
+        force[2:4] += legs[2::3]
         force[2] += self._water.lift(x[2])
         if self._water.disturbs:
             force[[0, 2, 3]] += self._water.disturbance(time_s)
@@ -97,7 +99,7 @@ class TiltingHull:
         plant, tilt = experiment.sim.plant, experiment.sim.plant.tilt
         self._flow, self._basin = flow, basin
         self._water = Water(experiment, tilts=True)
-        self._righting_nm = tilt.righting_nm
+        self._righting = tilt.righting_nm * np.array([[-1.0], [1.0]])  # N m about roll and pitch, per R[2, 1] and R[2, 0]
         surge, sway, heave, yaw = experiment.vehicle.inertia
         inertia = np.diag([surge, sway, heave, tilt.inertia_kg_m2, tilt.inertia_kg_m2, yaw])
         first_moment = tilt.righting_nm / GRAVITY_MPS2
@@ -115,7 +117,7 @@ class TiltingHull:
     def pack(self, eta: Array, nu: Array, tilt: Array) -> Array:
         """State rows of poses and level velocities (n, 4), and tilts [roll, pitch, and their rates] (n, 4)."""
         roll, pitch, roll_rate, pitch_rate = tilt.T
-        cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+        (cr, cp), (sr, sp) = np.cos(tilt.T[:2]), np.sin(tilt.T[:2])
         u, v, w, yaw_rate = nu.T
         ahead, down = cp * u - sp * w, sp * u + cp * w
         return np.array([
@@ -126,34 +128,31 @@ class TiltingHull:
 
     def unpack(self, x: Array) -> tuple[Array, Array, Array]:
         """The reverse: poses, velocities on level axes that turn with the heading, tilts; (n, 4) each."""
-        roll, pitch = x[3], x[4]
-        cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+        (cr, cp), (sr, sp) = np.cos(x[3:5]), np.sin(x[3:5])
         u, v, w, p, q, r = x[6:]
         down, turn = sr * v + cr * w, sr * q + cr * r
         nu = np.array([cp * u + sp * down, cr * v - sr * w, cp * down - sp * u, turn / cp]).T.copy()
-        tilt = np.array([roll, pitch, p + turn * sp / cp, cr * q - sr * r]).T.copy()
+        tilt = np.array([x[3], x[4], p + turn * sp / cp, cr * q - sr * r]).T.copy()
         return x[[0, 1, 2, 5]].T.copy(), nu, tilt
 
     def acceleration(self, x: Array, rate: Array) -> Array:
         """d nu / dt (n, 4) of the level velocities, from a state and its rate: differenced, exact to 1e-9."""
-        step_s = 1e-4
-        return np.asarray((self.unpack(x + step_s * rate)[1] - self.unpack(x - step_s * rate)[1]) / (2.0 * step_s))
+        step_s, n = 1e-4, x.shape[1]
+        _, nu, _ = self.unpack(np.concatenate([x + step_s * rate, x - step_s * rate], axis=1))
+        return np.asarray((nu[:n] - nu[n:]) / (2.0 * step_s))
 
     def rate(self, x: Array, legs: Array, time_s: float, contact: bool) -> Array:
-        """d/dt of the state, with the legs' forces (5, n) on surge, heave, yaw, roll, pitch given."""
-        (cr, cp, cy), (sr, sp, sy) = np.cos(x[3:6]), np.sin(x[3:6])
-        turn = np.array([
-            [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
-            [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
-            [-sp, sr * cp, cr * cp],
-        ])  # body to pool, (3, 3, n)  # fmt: skip
+        """d/dt of the state, with the legs' forces (6, n) on surge, sway, heave, roll, pitch, yaw given."""
+        trig = np.empty((2, *x[3:6].shape))
+        sines, cosines = np.sin(x[3:6], out=trig[0]), np.cos(x[3:6], out=trig[1])
+        turn = _attitudes(trig)
         nu = x[6:]
-        p, q, r = nu[3:]
         rate = np.empty_like(x)
-        rate[:3] = np.add.reduce(turn * nu[:3], axis=1)
-        yaw_rate = (sr * q + cr * r) / cp
-        rate[3] = p + sp * yaw_rate
-        rate[4] = cr * q - sr * r
+        np.add.reduce(turn * nu[:3], axis=1, out=rate[:3])
+        with_q, with_r = trig[:, 0] * nu[4], trig[::-1, 0] * nu[5]  # sin and cos of the roll: (sr q, cr q), (cr r, sr r)
+        yaw_rate = (with_q[0] + with_r[0]) / cosines[1]
+        rate[3] = nu[3] + sines[1] * yaw_rate
+        rate[4] = with_q[1] - with_r[1]
         rate[5] = yaw_rate
         relative = nu
         if not self._flow.still:
@@ -162,22 +161,33 @@ class TiltingHull:
             relative[:3] -= stream
         force = self._water.drag(relative)
         force[:3] += turn[2] * self._water.lift(x[2])
-        force[0] += legs[0]
-        force[2] += legs[1]
-        force[5] += legs[2]
-        force[3] += legs[3] - self._righting_nm * turn[2, 1]
-        force[4] += legs[4] - self._righting_nm * sp
+        push = legs.copy()
+        push[3:5] += self._righting * turn[2, 1::-1]
+        force += push
         if self._water.disturbs:
             force[[0, 2, 5]] += self._water.disturbance(time_s)
         if contact:
             force[:3] += _turned(self._basin.push(x[:3].T, rate[:3].T).T, turn)
-        rate[6:] = self._inverse @ force + self._coupling @ (relative[:, None] * relative).reshape(36, -1)
+        np.add(self._inverse @ force, self._coupling @ (relative[:, None] * relative).reshape(36, -1), out=rate[6:])
         if not self._flow.still:  # the water's velocity turns in the turning body's frame
-            a, b, c = stream
+            (p, q, r), (a, b, c) = nu[3:], stream
             rate[6:9] += np.array([b * r - c * q, c * p - a * r, a * q - b * p])
         if not self._flow.steady:
             rate[6:9] += _turned(self._flow.acceleration(x[:3], time_s), turn)
         return rate
+
+
+def _attitudes(trig: Array) -> Array:
+    """Body to pool (3, 3, n), Rz Ry Rx, of the sines and cosines (2, 3, n) of roll, pitch and yaw."""
+    (_, sp, _), (_, cp, _) = trig
+    roll, yaw = trig[:, 0], trig[::-1, 2]  # sin and cos of the roll, cos and sin of the yaw
+    turn = np.empty((3, *trig.shape[1:]))
+    np.multiply(cp, yaw, out=turn[:2, 0])
+    np.negative(sp, out=turn[2, 0])
+    np.multiply(roll, cp, out=turn[2, 1:])
+    np.multiply(roll * sp, yaw[:, None], out=turn[:2, 1:])
+    turn[:2, 1:] += _CROSSED * (trig[::-1, 0] * trig[:, 2, None])
+    return turn
 
 
 def _turned(vectors: Array, turn: Array) -> Array:

@@ -21,6 +21,7 @@ BAND_M = 0.125  # one row of dark tiles at the waterline
 COPING_M = 0.12  # pale stone around the basin
 MARK_RADIUS_M = 0.09
 MARK = np.array([26.0, 22.0, 226.0], np.float32)
+MOSAIC = np.array([[2, 1], [1, 0]])  # which of blue, green, red a pixel of a raw picture sees
 
 
 def water_colour(path_m: float) -> tuple[Float, Float]:
@@ -30,12 +31,12 @@ def water_colour(path_m: float) -> tuple[Float, Float]:
 
 def through_water(raw: Float, path_m: float) -> Float:
     """A mosaic seen through water, changed in place: each colour's share gets through, and the water adds its own."""
-    (blue, green, red), (veil_blue, veil_green, veil_red) = water_colour(path_m)
-    for i, j, share, veil in (
-        (0, 0, red, veil_red), (0, 1, green, veil_green), (1, 0, green, veil_green), (1, 1, blue, veil_blue),
-    ):  # fmt: skip
-        raw[i::2, j::2] *= share
-        raw[i::2, j::2] += veil
+    water = np.array(water_colour(path_m))[:, MOSAIC]  # share and veil, of even and odd rows, in even and odd columns
+    rows = np.empty((2, 2, raw.shape[1]), np.float32)
+    rows[..., 0::2], rows[..., 1::2] = water[..., :1], water[..., 1:]
+    for i, (share, veil) in enumerate(rows.swapaxes(0, 1)):
+        raw[i::2] *= share
+        raw[i::2] += veil
     return raw
 
 

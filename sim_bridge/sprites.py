@@ -7,14 +7,13 @@ Each pixel's line of sight is met with the sphere in closed form, so edges and t
 import copy
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
 from sim_bridge.plates import LENS_SOFTNESS_PX, Plate, Sight
 from sim_bridge.scenery import through_water
 from sim_bridge.textures import RED, SHELL_PX, Bytes, Float, shell
-from sim_bridge.view import Lines, View, Window, mosaic
+from sim_bridge.view import Lines, View, Window, seen_raw
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.scene import Robot
@@ -45,7 +44,8 @@ class Sprite:
 
     def __init__(self, radius_m: float, skin: Bytes, plate: Plate | None = None, height_m: float = 0.0) -> None:
         self.radius_m, self.height_m = radius_m, height_m
-        self._skin, self._plate = skin, plate
+        self._skin = [np.ascontiguousarray(skin[..., channel]) for channel in (2, 1, 0)]  # red, green, blue
+        self._plate = plate
         self._half_m = 0.0 if plate is None else float(np.sqrt(2.0) * plate.half_m)
 
     @classmethod
@@ -102,7 +102,7 @@ class Sprite:
         flat = np.float32(SHELL_PX / 2.0) / np.sqrt(2.0 * (1.0 + np.maximum(above, np.float32(-0.999))))
         column = (ahead[0] * normal_x + ahead[1] * normal_y - ahead[2] * up) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
         row = (aside[0] * normal_x + aside[1] * normal_y - aside[2] * up) * flat + np.float32(SHELL_PX / 2.0 - 0.5)
-        skin = mosaic(np.asarray(cv2.remap(self._skin, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)))
+        skin = seen_raw(self._skin, column, row)
         lamp_x, lamp_y, lamp_up = LAMP.astype(np.float32)
         lamp = np.maximum(normal_x * lamp_x + normal_y * lamp_y + up * lamp_up, np.float32(0.0))
         colour = skin * ((AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp) * sight.light) + GLOSS * _power(lamp, GLOSS_POWER)

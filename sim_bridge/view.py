@@ -4,6 +4,7 @@ Fields that change slowly across the picture (ripples, caustics on robots, glare
 and interpolated.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -105,17 +106,22 @@ class View:
         rows, columns = self.blocks.surface_x.shape
         return Window(0, self.height, 0, self.width, 0, rows, 0, columns)
 
-    def window(self, points_pool: Array, margin_px: float) -> Window | None:
-        """The rectangle that holds the pictures of all points (m, 3), or None if it lies outside the picture."""
-        pixels = project(self.camera, points_pool)
-        if not np.all(np.isfinite(pixels)):
-            return None
-        low, high = pixels.min(axis=0) - margin_px, pixels.max(axis=0) + margin_px
-        if high[0] < 0 or high[1] < 0 or low[0] > self.width - 1 or low[1] > self.height - 1:
+    def windows(self, points_pool: Sequence[Array], margin_px: float) -> list[Window | None]:
+        """For each of k things the rectangle that holds the pictures of all its points, (k, m, 3); None if that lies outside
+        the picture."""
+        if not len(points_pool):
+            return []
+        points = np.asarray(points_pool)
+        pixels = project(self.camera, points.reshape(-1, 3)).reshape(len(points), -1, 2)
+        low, high = pixels.min(axis=1) - margin_px, pixels.max(axis=1) + margin_px
+        return [self._window(*sides) for sides in np.concatenate([low, high], axis=1).tolist()]
+
+    def _window(self, low_x: float, low_y: float, high_x: float, high_y: float) -> Window | None:
+        if not (high_x >= 0 and high_y >= 0 and low_x <= self.width - 1 and low_y <= self.height - 1):  # NaN is nowhere
             return None
         rows, columns = self.blocks.surface_x.shape
-        left, right = max(int(low[0]) // BLOCK, 0), min(int(high[0]) // BLOCK + 1, columns)
-        top, bottom = max(int(low[1]) // BLOCK, 0), min(int(high[1]) // BLOCK + 1, rows)
+        left, right = max(int(low_x) // BLOCK, 0), min(int(high_x) // BLOCK + 1, columns)
+        top, bottom = max(int(low_y) // BLOCK, 0), min(int(high_y) // BLOCK + 1, rows)
         return Window(
             top * BLOCK, min(bottom * BLOCK, self.height), left * BLOCK, min(right * BLOCK, self.width),
             max(top - 1, 0), min(bottom + 1, rows), max(left - 1, 0), min(right + 1, columns),
@@ -130,11 +136,12 @@ class View:
         return np.asarray(fine[top : top + height, left : left + width], dtype=np.float32)
 
 
-def mosaic(bgr: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """What an RGGB sensor keeps of a picture (height, width, 3) in OpenCV's channel order: (height, width)."""
-    raw = np.ascontiguousarray(bgr[..., 1])
-    raw[0::2, 0::2] = bgr[0::2, 0::2, 2]
-    raw[1::2, 1::2] = bgr[1::2, 1::2, 0]
+def seen_raw(planes: Sequence[NDArray[np.uint8]], column: Float, row: Float) -> NDArray[np.uint8]:
+    """What an RGGB sensor's pixels see of a picture (its red, green and blue planes) at these places of it, in their shape."""
+    raw = np.empty(column.shape, np.uint8)
+    for i, j, plane in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        x, y = np.ascontiguousarray(column[i::2, j::2]), np.ascontiguousarray(row[i::2, j::2])
+        raw[i::2, j::2] = cv2.remap(planes[plane], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return raw
 
 

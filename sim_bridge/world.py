@@ -6,12 +6,13 @@
 `step` moves everything by one plant step. sim_bridge/pool.py puts it on the wires; time here is only the plant's.
 """
 
+from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
 from sim_bridge.board import Board
-from sim_bridge.dynamics import Plant
+from sim_bridge.dynamics import Harm, Plant, PlantState
 from sim_bridge.faults import BEFORE_S, Faults
 from wire.experiment import Experiment
 from wire.frames import Array
@@ -33,6 +34,8 @@ class World:
         self._frames = 1  # the first is at time 0
         self.faults = Faults(experiment)
         self.start_ns: int | None = None  # plant time at which the trajectories begin; whoever knows sets it
+        self._ahead: deque[PlantState] = deque()  # what the next steps come to, as long as the same is broken
+        self._ahead_harm: Harm | None = None
         self.exposed = False  # whether the last step reached the middle of an exposure
 
     @property
@@ -95,19 +98,29 @@ class World:
         steps = (self.exposure_ns - self.now_ns) // self._step_ns
         if not 0 < steps <= self._plant.dead_steps:
             return None
-        state, pulses = self._state, self.faults.pulses(self._pulses())
+        state, pulses, harm = self._state, self.faults.pulses(self._pulses()), self.faults.harm
+        self._ahead.clear()
+        self._ahead_harm = harm
         for _ in range(steps):
-            state = self._plant.step(state, pulses, self.faults.harm)
+            state = self._plant.step(state, pulses, harm)
+            self._ahead.append(state)
         return state.eta, state.nu, state.tilt
 
     def _pulses(self) -> Array:
         """On the boards' outputs, (n, 8)."""
         return np.array([board.pulses for board in self._boards], dtype=np.float64)
 
+    def _moved(self, pulses_us: Array, harm: Harm) -> PlantState:
+        """The plant one step on, which may have been looked at before."""
+        if self._ahead and self._ahead_harm is harm:
+            return self._plant.retold(self._ahead.popleft(), self._state, pulses_us)
+        self._ahead.clear()
+        return self._plant.step(self._state, pulses_us, harm)
+
     def step(self) -> list[tuple[int, bytes]]:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
         harm = self.faults.harm
-        self._state = state = self._plant.step(self._state, self.faults.pulses(self._pulses()), harm)
+        self._state = state = self._moved(self.faults.pulses(self._pulses()), harm)
         measures = self._boards[0].measures(self.now_ns)  # else nobody looks
         acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
         supply_v = self._plant.rest_v(state, harm).tolist() if measures else self._no_voltage

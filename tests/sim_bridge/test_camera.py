@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from sim_bridge.camera import Renderer
 from sim_bridge.optics import project, rays
 from sim_bridge.surface import Caustics
-from sim_bridge.view import mosaic
+from sim_bridge.view import seen_raw
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array, body_to_pool
 
@@ -166,10 +166,12 @@ def test_a_state_that_is_no_number_is_a_bug() -> None:
 
 
 def test_bayer_order_gives_right_colours() -> None:
+    column, row = np.meshgrid(np.arange(16, dtype=np.float32), np.arange(16, dtype=np.float32))
     for channel in range(3):
         plain = np.zeros((16, 16, 3), np.uint8)
         plain[..., channel] = 200
-        assert np.all(bgr(mosaic(plain))[4:-4, 4:-4] == plain[4:-4, 4:-4])
+        raw = seen_raw([np.ascontiguousarray(plain[..., k]) for k in (2, 1, 0)], column, row)
+        assert np.all(bgr(raw)[4:-4, 4:-4] == plain[4:-4, 4:-4])
 
 
 def test_a_ball_adrift_comes_when_it_should_and_is_drawn_where_it_is() -> None:

@@ -1,0 +1,63 @@
+"""The world that looks ahead: what it expects comes, and having looked changes nothing."""
+
+import numpy as np
+import pytest
+
+from sim_bridge.world import World
+from wire.experiment import load_experiment
+from wire.frames import Array
+from wire.mavlink import AgentLink
+
+FIRST_TICK, STEPS, TICKS = 6, 10, 40  # of 5 ms: an exposure is due four steps after each control step
+QUICK_ANKLES = "vehicle.legs.ankle_dead_time_s=0.015"  # pulses act before the exposure: nothing can be known of it
+
+Motion = tuple[Array, Array, Array]  # poses, velocities, tilts
+
+
+def fly(looks: bool, *settings: str) -> tuple[list[bytes], list[Motion | None], list[Motion]]:
+    """Robots under pulses drawn at random, a thruster dying on the way between a control step and an exposure. The state after
+    every step, what was expected of each exposure, and what came."""
+    experiment = load_experiment("pool", settings, ["t=0.54 for=0.3 thruster 1/2 dead"])
+    world = World(experiment, 1, np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 1.0]]))
+    world.start_ns = 0
+    links, random = [AgentLink(robot) for robot in experiment.robot_ids], np.random.default_rng(2)
+    states: list[bytes] = []
+    expected: list[Motion | None] = []
+    came: list[Motion] = []
+
+    def move(steps: int) -> None:
+        for _ in range(steps):
+            world.break_things()
+            world.step()
+            truth = world.truth()
+            parts = (world.eta, world.nu, world.tilt, truth.wrench, truth.disturbance)
+            states.append(b"".join(part.tobytes() for part in parts))
+
+    for i, link in enumerate(links):
+        world.receive(i, link.pulses((1500,) * 8))
+        world.receive(i, link.arm(True))
+    move(FIRST_TICK)
+    for _ in range(TICKS):
+        expected.append(world.next_exposure() if looks else None)
+        for i, link in enumerate(links):
+            world.receive(i, link.pulses((*random.integers(1250, 1750, 4).tolist(), *random.integers(1200, 1800, 4).tolist())))
+        move(4)
+        assert world.exposed
+        came.append((world.eta, world.nu, world.tilt))
+        move(STEPS - 4)
+    return states, expected, came
+
+
+def test_what_is_expected_of_an_exposure_comes_unless_something_breaks() -> None:
+    _, expected, came = fly(True)
+    right = [
+        then is not None and all(np.array_equal(a, b) for a, b in zip(then, now, strict=True))
+        for then, now in zip(expected, came, strict=True)
+    ]
+    assert right.count(False) == 2  # when it dies, and when it is whole again
+    assert came[-1][1].any()
+
+
+@pytest.mark.parametrize("settings", [(), (QUICK_ANKLES,), ("sim.plant.tilt.enabled=false",)])
+def test_having_looked_ahead_changes_nothing(settings: tuple[str, ...]) -> None:
+    assert fly(True, *settings)[0] == fly(False, *settings)[0]
