@@ -51,7 +51,7 @@ class LegWatch:
         self._surge_n = self._turn_n = self._drag_n = 0.0  # the largest lately; of yaw as forces at the legs
         self._pushed, self._turned_n = 0j, 0.0  # what lasts: x + iy of the pool, N; yaw
         self._missing_n = self._moved_n = 0.0  # means
-        self._share = Unusual(FIRST_SHARE, START_HELD_S, LEAST_SHARE, LASTS_S)
+        self._share = Unusual(FIRST_SHARE, START_HELD_S, START_HELD_S, LEAST_SHARE, LASTS_S)
 
     def step(self, told: Array, yaw_rate_radps: float, disturbance: Array, yaw_rad: float, now_ns: int) -> None:
         """The wrench (3,) told to the thrusters; what the observer says of yaw and of the disturbance (4,), body frame."""

@@ -5,9 +5,10 @@ leaves a yaw moment that nothing else explains. A first-order observer of the ya
 
     r^' = (N - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
 
-gives that moment smoothed over T, without differences of a noisy rate. What stays the same for long is taken for granted (a
-gyroscope's bias, thrusters that are not alike), and so is a share of N: mass, voltage and curve are never known exactly. What
-is left over is held against what was left over before (unusual.py), so a robot in rough water bears more.
+gives that moment smoothed over T, without differences of a noisy rate. Mass, voltage, drag and curve are never known exactly,
+thrusters are not alike, and a gyroscope has a bias: how far the residual goes with N, with d(r) and with nothing is learned in
+flight (habit.py), so a leg that is missing from a turn shows as soon as it is known how this robot turns. What is left over is
+held against what was left over before (unusual.py), so a robot in rough water bears more.
 
 What it cannot see is a thruster that is told next to nothing, or goes on doing what it did when it stuck, for as long as that
 is what it is told: neither moves the robot. Limits are measured, on flights of the article's robot with masses and thrusters
@@ -17,15 +18,23 @@ off by 30 %, in waves and gusts (tests/robot_agent/test_thruster_watch.py).
 import math
 from collections import deque
 
+import numpy as np
+
+from robot_agent.habit import Habit
 from robot_agent.unusual import Unusual
 from wire.vehicle import Vehicle
 
 NS = 1_000_000_000
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
-LASTING_S = 5.0  # how fast what stays the same is taken for granted
-SHARE = 0.3  # of N: how far masses and thrusters may be off
-SHARE_HELD_S = 0.5  # the largest N, smoothed alike, counts for so long
-FIRST_NM = 0.0095  # left over before there was anything: starts are rough
+SPREAD = (0.3, 0.3, 0.004)  # how far the residual may go with N, with d(r), and with nothing (N m), before any of it is known
+NOISE_NM = (0.002, 0.0007)  # of the residual: at first, and at least
+SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same
+SURE = 2.0  # standard deviations of what is not yet known
+SHARE = 0.07  # of the largest N in the last HELD_S, smoothed alike: lags and curves may be off
+HELD_S = 0.5
+FIRST_SHARE = 0.4  # starts are rough, in any water: at first a larger share is asked for,
+FIRST_NM = 0.018  # and this stands for what was left over before there was anything;
+FIRST_HELD_S = 4.5  # for so long
 START_HELD_S = 7.0
 LEAST_NM = 0.002  # noise
 LASTS_S = 0.4  # a bump is shorter
@@ -47,8 +56,11 @@ class ThrusterWatch:
         self.broken = False  # stays so until the next reset
         self._rate: float | None = None
         self._at_ns = 0
-        self._acting = self._smooth = self._strongest = self._lasting = 0.0
-        self._left_over = Unusual(FIRST_NM, START_HELD_S, LEAST_NM, LASTS_S)
+        self._acting = self._strongest = 0.0
+        self._causes = np.array([0.0, 0.0, 1.0])  # N and d(r), smoothed, and what is always there
+        self._share = FIRST_SHARE
+        self._habit = Habit(SPREAD, *NOISE_NM, SAME_S)
+        self._left_over = Unusual(FIRST_NM, FIRST_HELD_S, START_HELD_S, LEAST_NM, LASTS_S)
 
     def told(self, moment_nm: float, now_ns: int) -> None:
         """Pulses went out that turn the robot with this moment. Of two at one instant the last counts."""
@@ -66,13 +78,15 @@ class ThrusterWatch:
             self.broken, self._rate, self._at_ns = broken, yaw_rate_radps, at_ns
         elif elapsed_ns:
             elapsed_s, self._at_ns = elapsed_ns / NS, at_ns
-            self._strongest *= math.exp(-elapsed_s / SHARE_HELD_S)
+            drag = (self._linear + self._quadratic * abs(self._rate)) * self._rate
             push = self._push(at_ns - elapsed_ns, at_ns) / elapsed_s
-            residual = self._observe(self._rate, yaw_rate_radps, push, elapsed_s)
-            self._smooth += -math.expm1(-elapsed_s / SMOOTH_S) * (push - self._smooth)
-            self._strongest = max(self._strongest, abs(self._smooth))
-            left_over = abs(residual - self._lasting) - SHARE * self._strongest
-            self._lasting += -math.expm1(-elapsed_s / LASTING_S) * (residual - self._lasting)
+            residual = self._observe(self._rate, yaw_rate_radps, push - drag, elapsed_s)
+            self._causes = self._causes - math.expm1(-elapsed_s / SMOOTH_S) * (np.array([push, drag, 1.0]) - self._causes)
+            self._strongest = max(self._strongest * math.exp(-elapsed_s / HELD_S), abs(float(self._causes[0])))
+            self._share -= math.expm1(-elapsed_s / FIRST_HELD_S) * (SHARE - self._share)
+            usual, doubt = self._habit.expect(self._causes)
+            self._habit.note(self._causes, residual, elapsed_s, at_ns)
+            left_over = abs(residual - usual) - SURE * doubt - self._share * self._strongest
             self.broken |= self._left_over.step(max(left_over, 0.0), elapsed_s, at_ns)
 
     def _push(self, from_ns: int, to_ns: int) -> float:
@@ -89,9 +103,8 @@ class ThrusterWatch:
             self._acting, from_ns = wanted + behind * left, until_ns
         return impulse
 
-    def _observe(self, rate: float, measured: float, push: float, elapsed_s: float) -> float:
+    def _observe(self, rate: float, measured: float, moment: float, elapsed_s: float) -> float:
         """The residual moment."""
-        drag = (self._linear + self._quadratic * abs(rate)) * rate
-        predicted = rate + elapsed_s * (push - drag) / self._mass
+        predicted = rate + elapsed_s * moment / self._mass
         self._rate = predicted - math.expm1(-elapsed_s / SMOOTH_S) * (measured - predicted)
         return self._mass * (measured - self._rate) / SMOOTH_S

@@ -18,18 +18,19 @@ START_S = 10.0
 class Unusual:
     """One number, looked at step by step."""
 
-    def __init__(self, first: float, start_held_s: float, least: float, lasts_s: float) -> None:
-        """`first` stands for what came before there was anything, and counts for `start_held_s`, as all that comes of a start
-        does. What is not above `least` is never too much; what is shorter than `lasts_s` is a bump."""
-        self._start_held_s, self._least, self._lasts_s = start_held_s, least, lasts_s
-        self._start, self._peak, self._over_s, self._flown_s = first, 0.0, 0.0, 0.0
+    def __init__(self, first: float, first_held_s: float, start_held_s: float, least: float, lasts_s: float) -> None:
+        """`first` stands for what came before there was anything, and counts for `first_held_s`; what comes of a start counts
+        for `start_held_s`. What is not above `least` is never too much; what is shorter than `lasts_s` is a bump."""
+        self._first_held_s, self._start_held_s, self._least, self._lasts_s = first_held_s, start_held_s, least, lasts_s
+        self._first, self._start, self._peak, self._over_s, self._flown_s = first, 0.0, 0.0, 0.0, 0.0
         self._young: deque[tuple[int, float]] = deque()  # not yet old enough for the peaks
 
     def step(self, value: float, elapsed_s: float, at_ns: int) -> bool:
         """Whether it has been too large for long enough by now."""
-        is_large = value > max(self._least, FACTOR * max(self._start, self._peak))
+        is_large = value > max(self._least, FACTOR * max(self._first, self._start, self._peak))
         self._over_s = self._over_s + elapsed_s if is_large else 0.0
         self._flown_s += elapsed_s
+        self._first *= math.exp(-elapsed_s / self._first_held_s)
         self._start *= math.exp(-elapsed_s / self._start_held_s)
         self._peak *= math.exp(-elapsed_s / HELD_S)
         self._young.append((at_ns, value))

@@ -226,7 +226,9 @@ def link_garbage(rig: Rig, random: Random) -> Sample:
     """Bit flips, false starts, doubled and old frames for two seconds, forged ones among them; then a clean wire again."""
     robot = int(random.choice(rig.robots))
     wire, board = rig.wires[robot], rig.boards[robot]
-    wire.trouble = LineTrouble(flip=float(random.uniform(0.001, 0.01)), junk=0.3, doubled=0.3, forged=forgeries(robot, random))
+    wire.trouble = LineTrouble(
+        flip=float(random.uniform(0.001, 0.01)), junk=0.3, doubled=0.3, forged=forgeries(robot, wire.number, random)
+    )
     time.sleep(2.0)
     wire.trouble = LineTrouble()
     ns = time.monotonic_ns()
@@ -268,7 +270,7 @@ WATCHED_S = 8.0
 def thruster_broken(rig: Rig, random: Random) -> Sample:
     """Until somebody says so, what is not flagged must do no harm, and what is must lead to neutral. A thruster that is told
     next to nothing lacks nothing: until the flag only that time counts in which it does."""
-    rig.cruise(float(random.uniform(8.0, 15.0)))  # a flight's first seconds are rough, and excuse more
+    rig.cruise(float(random.uniform(10.0, 20.0)))  # a flight's first seconds are rough, and excuse more
     robot, number = int(random.choice(rig.robots)), int(random.integers(1, 5))
     how = str(random.choice([*FELT, "stuck", "weak 0.3"]))
     ns = rig.break_(f"thruster {robot}/{number} {how}")

@@ -82,7 +82,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "thruster-broken", "Thruster dead, stuck, reversed, weak",
-        "in the plant, 8 to 15 s into a flight in still water (safety.off_path_m = 0.1); for the flag only time counts in "
+        "in the plant, 10 to 20 s into a flight in still water (safety.off_path_m = 0.1); for the flag only time counts in "
         f"which {rows.LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows.thruster_broken, times=40, rig="still",

@@ -15,8 +15,10 @@ import numpy as np
 
 from wire.mavlink import AgentLink
 from wire.mavlink_board import BoardLink, Override
+from wire.mavlink_frames import MARKER
 
 READ_BYTES = 65536
+NUMBER_AT = 4  # in a frame
 IDLE_S = 0.02
 
 
@@ -46,6 +48,7 @@ class SerialWire:
     seed: int
     trouble: LineTrouble = field(default_factory=LineTrouble)
     said: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)  # instants, and pulses that the computer sent
+    number: int = 0  # of the newest frame that the computer sent
 
     def __post_init__(self) -> None:
         self._master, self._slave = pty.openpty()
@@ -90,6 +93,7 @@ class SerialWire:
         if to_board:
             events = self._reader.receive(data, now_ns)
             self.said += [(now_ns, event.pulses_us) for _, event in events if isinstance(event, Override)]
+            self.number = data[NUMBER_AT] if len(data) > NUMBER_AT and data[0] == MARKER else self.number
         if trouble.cut:
             return
         if trouble.junk and random.random() < trouble.junk:
@@ -123,17 +127,21 @@ class SerialWire:
 FORGED_US = 1717  # a pulse that no test ever commands
 
 
-def forgeries(robot: int, random: np.random.Generator) -> tuple[bytes, ...]:
-    """Overrides that no board may take: for another robot, from another system, damaged, beyond a servo's range, cut short."""
+def forgeries(robot: int, number: int, random: np.random.Generator) -> tuple[bytes, ...]:
+    """Overrides that no board may take: for another robot, damaged, cut short, beyond a servo's range. The last comes in the
+    computer's name after its frame of this number: with any other it might be refused for that alone."""
     pulses = (FORGED_US, *[1500] * 7)
     whole = AgentLink(robot).pulses(pulses)
     damaged = bytearray(whole)
     damaged[12] ^= 1 << int(random.integers(8))
+    computer = AgentLink(robot)
+    for _ in range((number + 1) % 256):
+        computer.pulses(pulses)
     return (
         AgentLink(robot % 49 + 1).pulses(pulses),
         bytes(damaged),
         whole[: int(random.integers(5, len(whole)))],
-        AgentLink(robot).pulses((2499, *pulses[1:])),
+        computer.pulses((2499, *pulses[1:])),
     )
 
 

@@ -50,9 +50,19 @@ def test_a_broken_thruster_is_found_within_two_seconds(at_s: float, what: str) -
 
 
 @pytest.mark.parametrize(
+    ("seed", "at_s", "what"),
+    [(3, 10.0, "2/3 dead"), (12, 11.45, "1/4 dead"), (18, 9.59, "2/2 dead"), (52, 13.07, "2/4 dead"), (59, 10.81, "1/3 dead")],
+)
+def test_a_leg_missing_from_a_turn_is_found_within_two_seconds(seed: int, at_s: float, what: str) -> None:
+    """The others make up for it: of what turns the robot a quarter is missing, no more than a wrong inertia may explain."""
+    assert list(flagged((f"seed={seed}",), at_s + WITHIN_S, [f"t={at_s} thruster {what}"])) == [int(what[0])]
+
+
+@pytest.mark.parametrize(
     "settings",
     [
         ("sim.plant.mass_error=-0.3", "sim.plant.thruster_spread=0.3"),
+        ("sim.plant.mass_error=-0.3", "sim.plant.drag_error=0.3", "seed=23"),
         (*ROUGH, "seed=3", "sim.plant.mass_error=0.3", "sim.plant.current_mps=[0.014,0,0]"),
     ],
     ids=str,
@@ -92,6 +102,14 @@ def test_an_obeyed_moment_is_no_alarm_and_its_opposite_is() -> None:
     assert not watched(told, told).broken
     assert not watched([1.25 * n for n in told], told).broken
     assert watched([*told[:300], *(-n for n in told[300:])], told).broken
+
+
+def test_how_a_robot_turns_is_learned() -> None:
+    """Seven tenths of the moment all the time are a heavy robot; seven tenths from now on are a broken one."""
+    told = [0.05 * math.sin(0.06 * k) for k in range(700)]
+    assert not watched([0.7 * n for n in told], told).broken
+    assert not watched([*told[:600], *(0.95 * n for n in told[600:])], told).broken
+    assert watched([*told[:600], *(0.7 * n for n in told[600:])], told).broken
 
 
 def test_a_gyroscope_with_a_bias_is_no_alarm() -> None:
