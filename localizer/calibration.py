@@ -9,6 +9,7 @@ A depth below zero is a point above the water (the plate of a surfaced robot): i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -21,6 +22,8 @@ from wire.sight import Camera
 _UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)
 _NEWTON_STEPS = 6  # quadratic from a paraxial start; round trips agree to 1e-11 px over the whole picture
 _DIFFERENCE_PX = 0.5  # central differences; the third derivative leaves < 1e-8 relative at any usable lens
+_STEPS_PX = _DIFFERENCE_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0], [0.0, 0.0], [0.0, 0.0]])
+_STEPS_M = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Tangent:
         """d(u, v) / d depth of a point that sinks straight down, (2,): towards the camera's foot."""
         return np.asarray(-self.pool_to_px @ self.jacobian[:, 2])
 
-    @property
+    @cached_property
     def px_per_m(self) -> float:
         """Scale of the picture here, the larger of both directions."""
         return float(np.linalg.norm(self.pool_to_px, axis=0).max())
@@ -92,12 +95,11 @@ class PoolView:
         """d(x, y) / d(u, v, depth) at pixels (n, 2) and depths (n,): shape (n, 2, 3), m/px, m/px, m/m."""
         pixels = np.asarray(points_px, dtype=np.float64)
         depth = np.broadcast_to(np.asarray(depth_m, dtype=np.float64), pixels.shape[:-1])
-        steps = _DIFFERENCE_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        around = self.pool(pixels[:, None, :] + steps, depth[:, None])  # (n, 4, 2)
         away = np.where(depth > 0, 1.0, -1.0)  # linear on either side of the surface: a whole metre is as exact as 1 mm
-        by_depth = (self.pool(pixels, depth + away) - self.pool(pixels, depth)) * away[:, None]
+        around = self.pool(pixels[:, None] + _STEPS_PX, depth[:, None] + away[:, None] * _STEPS_M)  # (n, 6, 2)
         by_u = (around[:, 0] - around[:, 1]) / (2 * _DIFFERENCE_PX)
         by_v = (around[:, 2] - around[:, 3]) / (2 * _DIFFERENCE_PX)
+        by_depth = (around[:, 5] - around[:, 4]) * away[:, None]
         return np.stack([by_u, by_v, by_depth], axis=-1)
 
     def tangents(self, positions_m: Sequence[Array], depths_m: Sequence[float]) -> list[Tangent]:

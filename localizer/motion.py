@@ -5,6 +5,7 @@ robot and its inputs; a second filter before it would only add lag and coloured 
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -52,13 +53,20 @@ def begin(pose: Array, covariance: Array) -> Motion:
 
 def predict(motion: Motion, step_s: float) -> Motion:
     """Move on by `step_s`; the unknown acceleration is constant over the step and independent of the last one's."""
-    transition = np.eye(6)
-    transition[[0, 1, 2], [3, 4, 5]] = step_s
+    transition, noise = _model(step_s)
     mean = transition @ motion.mean
     mean[2] = wrap(float(mean[2]))
+    return Motion(mean, transition @ motion.covariance @ transition.T + noise)
+
+
+@lru_cache(maxsize=16)  # cameras keep their periods, and robots share them
+def _model(step_s: float) -> tuple[Array, Array]:
+    """Transition of the state and covariance of what is unknown, (6, 6) each, over a step."""
+    transition = np.eye(6)
+    transition[[0, 1, 2], [3, 4, 5]] = step_s
     sigma = np.array([_ACCELERATION_MPS2, _ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2])
     gain = np.vstack([np.diag(sigma) * step_s**2 / 2.0, np.diag(sigma) * step_s])
-    return Motion(mean, transition @ motion.covariance @ transition.T + gain @ gain.T)
+    return transition, gain @ gain.T
 
 
 def innovation(motion: Motion, pose: Array) -> Array:

@@ -152,7 +152,7 @@ def _with_drop(points_m: Array, hull: Hull) -> Array:
 def _sample(colour: Colour, points_m: Array, body: BodyFrame) -> NDArray[np.float32]:
     """The picture at points (3, rows, columns) of the body: (3, rows, columns), BGR."""
     to_colour = np.column_stack([body.body_to_px, body.down_px]) / colour.shrink
-    place = np.tensordot(to_colour, points_m, axes=1) + colour.place(body.top_px)[:, None, None]
-    x, y = place.astype(np.float32)
+    place = to_colour @ points_m.reshape(3, -1) + colour.place(body.top_px)[:, None]
+    x, y = place.reshape(2, *points_m.shape[1:]).astype(np.float32)
     sampled = cv2.remap(colour.bgr, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return np.ascontiguousarray(np.moveaxis(sampled, -1, 0), dtype=np.float32)

@@ -27,6 +27,7 @@ CAUSTIC_BRIGHTEST = 4.0  # times the mean; a lamp is no point, so foci stay fini
 LAMP_HEIGHT_M = 4.0  # above the water
 # Fluorescent tubes on the ceiling: centre x, y and half length, half width, m. Mirrored they lie near the basin's ends.
 LAMPS_M = ((-3.1, -1.9, 0.85, 0.07), (2.6, -2.3, 0.85, 0.07), (3.3, 1.7, 0.85, 0.07))
+_LAMPS_M = np.array(LAMPS_M, np.float32).T[..., None, None]  # each value a plane for all lamps: (4, lamps, 1, 1)
 LAMP_EDGE_M = 0.12
 
 
@@ -129,9 +130,7 @@ def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> 
     slope_x, slope_y = slopes.reshape(2, *surface_x.shape)
     x = lens[0] + (surface_x - lens[0]) * np.float32(further) - slope_x * np.float32(2.0 * LAMP_HEIGHT_M)
     y = lens[1] + (surface_y - lens[1]) * np.float32(further) - slope_y * np.float32(2.0 * LAMP_HEIGHT_M)
-    total = np.zeros_like(surface_x)
-    for centre_x, centre_y, half_length, half_width in LAMPS_M:
-        along = np.clip((half_length - np.abs(x - centre_x)) / (2 * LAMP_EDGE_M) + 0.5, 0.0, 1.0)
-        across = np.clip((half_width - np.abs(y - centre_y)) / (2 * LAMP_EDGE_M) + 0.5, 0.0, 1.0)
-        total += (along * across).astype(np.float32)
-    return total
+    centre_x, centre_y, half_length, half_width = _LAMPS_M
+    along = np.clip((half_length - np.abs(x - centre_x)) / np.float32(2 * LAMP_EDGE_M) + np.float32(0.5), 0.0, 1.0)
+    across = np.clip((half_width - np.abs(y - centre_y)) / np.float32(2 * LAMP_EDGE_M) + np.float32(0.5), 0.0, 1.0)
+    return np.asarray(np.add.reduce(along * across, axis=0), dtype=np.float32)

@@ -208,9 +208,10 @@ def _frame_from_protobuf(image: Any) -> Frame:
         raise _Invalid("encoding", f"{image.encoding[:20]!r} is not allowed (allowed: bayer_rggb8)")
     if not (0 < image.width <= 16384 and 0 < image.height <= 16384 and image.step == image.width):
         raise _Invalid("step", f"{image.width} x {image.height} with step {image.step} is no packed picture")
-    if len(image.data) != image.step * image.height:
-        raise _Invalid("data", f"{len(image.data)} bytes, must be {image.step * image.height}")
-    return Frame(np.frombuffer(image.data, np.uint8).reshape(image.height, image.width))
+    data = image.data  # protobuf copies it for whoever looks at it
+    if len(data) != image.step * image.height:
+        raise _Invalid("data", f"{len(data)} bytes, must be {image.step * image.height}")
+    return Frame(np.frombuffer(data, np.uint8).reshape(image.height, image.width))
 
 
 def _image(cls: Any, schema: Any, form: str) -> tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]:
