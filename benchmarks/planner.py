@@ -11,8 +11,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import Row, run_peer, time_us
-from groundstation import legs
 from groundstation.checks import PlanError
+from groundstation.detour import detour
+from groundstation.legs import first_leg
 from groundstation.route import NoRoute, route
 from wire.experiment import load_experiment
 from wire.frames import Array
@@ -42,10 +43,10 @@ def flown(points: Array) -> Array:
 def _islands() -> Iterator[Row]:
     """The whole plan, and a detour in it, with all checks, in ms."""
     experiment = load_experiment("islands")
-    leg = legs.first_leg(experiment)
+    leg = first_leg(experiment)
     thing = np.array([[*leg.centre.eta[1000, :2], 0.1]])  # where the centre comes by after 50 s
-    plan = time_us(lambda: legs.first_leg(experiment), AGAIN)
-    again = time_us(lambda: legs.detour(experiment, leg, 20.0, thing), AGAIN)
+    plan = time_us(lambda: first_leg(experiment), AGAIN)
+    again = time_us(lambda: detour(experiment, leg, 20.0, thing), AGAIN)
     yield Row.of("planner", "plan, islands", "ours", "ms", [t * 1e-3 for t in plan])
     yield Row.of("planner", "replan under way, islands", "ours", "ms", [t * 1e-3 for t in again])
 

@@ -33,7 +33,8 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from benchmarks.harness import Row
 from groundstation import planner
-from groundstation.recorder import Recorder, recover, valid_records
+from groundstation.recorder import Recorder
+from groundstation.recovery import recover, valid_records
 from groundstation.station import record_everything
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, Seen

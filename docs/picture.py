@@ -8,7 +8,7 @@ import matplotlib.image
 import matplotlib.pyplot as plt
 from mcap.reader import make_reader
 
-from groundstation import alignment, figures
+from groundstation import alignment, figures_paths
 from groundstation.runlog import read_log
 from wire import codec, topics
 from wire.experiment import load_experiment
@@ -22,7 +22,7 @@ def main(run: Path) -> None:
     with (run / "run.mcap").open("rb") as file:
         previews = [m.data for _, c, m in make_reader(file).iter_messages() if c.topic.endswith(topics.PREVIEW.name)]
     jpeg = codec.decode(Preview, previews[round(SHOW_AT * len(previews))], str(run), topics.PREVIEW.name).jpeg
-    flown = figures.paths(alignment.align(load_experiment(str(run / "experiment.toml")), read_log(run / "run.mcap")))
+    flown = figures_paths.paths(alignment.align(load_experiment(str(run / "experiment.toml")), read_log(run / "run.mcap")))
     assert flown is not None, "the run has no paths to show"
     png = io.BytesIO()
     flown.savefig(png, format="png", dpi=200, bbox_inches="tight")

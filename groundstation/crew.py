@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 
-from groundstation import legs
 from groundstation.fleet import Fleet
-from groundstation.legs import Leg
+from groundstation.from_rest import assigned
+from groundstation.legs import Leg, continued
 from wire.frames import Array
 from wire.messages import Trajectory
 
@@ -34,12 +34,12 @@ class Crew:
         for robot in self.active:
             trajectory = self.trajectory(leg, robot)
             if trajectory is not None:
-                self.paths[robot] = legs.continued(self.paths[robot], trajectory)
+                self.paths[robot] = continued(self.paths[robot], trajectory)
 
     def close_up(self, leg: Leg, reached_s: float, fleet: Fleet) -> None:
         """Those who are left take the slots of the file's first robots, by the shortest ways."""
         slots = self.everybody[: len(self.active)]
-        self.slots |= legs.assigned(leg, reached_s, {r: fleet[r].eta for r in self.active}, slots)
+        self.slots |= assigned(leg, reached_s, {r: fleet[r].eta for r in self.active}, slots)
 
     def lose(self, robot: int, why: str) -> None:
         """The others go on without it."""

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from mcap.exceptions import McapError
 from mcap.reader import McapReader, make_reader
 
-from groundstation.recorder import is_complete, recover
+from groundstation.recovery import is_complete, recover
 from groundstation.runlog import key_topic
 from wire.codec import Header
 from wire.toml_file import ConfigError

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation import legs
+from groundstation.detour import can_detour
 from groundstation.fleet import RobotView
-from groundstation.legs import Leg
+from groundstation.legs import NOTHING, Leg, first_contact
 from wire.experiment import Experiment
 from wire.frames import Array
 
@@ -20,7 +20,7 @@ class Surroundings:
     """What the station knows besides its robots: things that lie in the pool, (k, 3: x, y, radius), and their numbers."""
 
     ids: tuple[int, ...] = ()
-    things: Array = field(default_factory=lambda: legs.NOTHING)
+    things: Array = field(default_factory=lambda: NOTHING)
 
 
 class Lookout:
@@ -48,10 +48,10 @@ class Lookout:
         """Where a formation in its shape, `reached_s` along a leg, would touch something; empty if nowhere, or if paths are
         not to be changed under way."""
         in_shape = not leg.home and reached_s >= leg.own_ways_until_s
-        if not (self._experiment.mission.detours and legs.can_detour(self._experiment) and in_shape):
+        if not (self._experiment.mission.detours and can_detour(self._experiment) and in_shape):
             return ""
-        return legs.first_contact(self._experiment, leg, reached_s, reached_s + AHEAD_S, things)
+        return first_contact(self._experiment, leg, reached_s, reached_s + AHEAD_S, things)
 
     def _things(self, now_ns: int | None) -> Array:
         sure = [now_ns is None or now_ns - self._since_ns.get(i, now_ns) >= SURE_S * 1e9 for i in self._around.ids]
-        return self._around.things[np.array(sure, dtype=bool)] if self._around.ids else legs.NOTHING
+        return self._around.things[np.array(sure, dtype=bool)] if self._around.ids else NOTHING

@@ -8,11 +8,12 @@ mission says which one it wants (`wanted`) and is told what came of it (`planned
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from groundstation import legs
 from groundstation.checks import PlanError
 from groundstation.crew import Crew
+from groundstation.detour import detour
 from groundstation.fleet import Fleet, casualty, preflight
-from groundstation.legs import Leg
+from groundstation.from_rest import gathered, homeward
+from groundstation.legs import Leg, on_grid
 from groundstation.lookout import Lookout, Surroundings
 from groundstation.pacing import Pace
 from groundstation.phases import FLYING, OVER, Event, Phase, after, refusal
@@ -119,13 +120,13 @@ class Mission:
         for robot in self.crew.active:
             if not can_move(fleet[robot]):
                 self.crew.lose(robot, "not fit to move")
-        self._purpose = lambda seen, begin_s: legs.homeward(
+        self._purpose = lambda seen, begin_s: homeward(
             self._experiment, begin_s, self.crew.rests(seen), self._starts, self._in_the_way(seen)
         )
 
     def _into_place(self, fleet: Fleet, begin_s: float) -> Leg:
         rests, slots, things = self.crew.rests(fleet), self.crew.active_slots(), self._in_the_way(fleet)
-        return legs.gathered(self._experiment, self.leg, begin_s, self._reached_s, rests, slots, things)
+        return gathered(self._experiment, self.leg, begin_s, self._reached_s, rests, slots, things)
 
     # --- the cycle
 
@@ -286,7 +287,7 @@ class Mission:
         fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.crew.active if fleet[r].mode is Mode.HOLDING)
         if self.wanted is None and self._purpose is not None and (not fast or waited_s > REST_WITHIN_S):
             period_s = self._experiment.controller.period_s
-            begin_s = legs.on_grid(self._reached_s + period_s, period_s)
+            begin_s = on_grid(self._reached_s + period_s, period_s)
             purpose, seen = self._purpose, dict(fleet)
             self.wanted = Wanted("a way for everybody from rest", lambda: purpose(seen, begin_s))
         return ()
@@ -315,10 +316,10 @@ class Mission:
         return self._lookout.contact(leg, self._reached_s, self._in_the_way(fleet, now_ns, 0.0))
 
     def _want_detour(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...]) -> None:
-        begin_s = legs.on_grid(self._reached_s + AHEAD_S, self._experiment.controller.period_s)
+        begin_s = on_grid(self._reached_s + AHEAD_S, self._experiment.controller.period_s)
         leg, things = self.leg, self._in_the_way(fleet, now_ns)
         self._deadline_s, self._asked_by_person = begin_s - LAST_CALL_S, bool(via)
-        self.wanted = Wanted("another path", lambda: legs.detour(self._experiment, leg, begin_s, things, via))
+        self.wanted = Wanted("another path", lambda: detour(self._experiment, leg, begin_s, things, via))
 
     def planned(self, outcome: Leg | PlanError, now_ns: int) -> None:
         """What came of the plan that was wanted."""

@@ -4,8 +4,7 @@ log, never the run.
     recorder = Recorder(run_dir / "run.mcap", experiment_toml, {"mode": "lockstep", "hash": experiment.hash})
     recorder.gather([bus.collect(topic) for topic in topics.TOPICS if topic.recorded], lambda header: clock.now_ns())
     ...
-    recorder.close()                    # in a finally
-    recover(path)                       # later, if the process was killed
+    recorder.close()                    # in a finally; what a killed process leaves behind, groundstation/recovery.py mends
 
 When the disk fills, pictures are given up first: the rest of a log is small, and worth more.
 
@@ -20,18 +19,13 @@ import itertools
 import json
 import os
 import shutil
-import struct
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, cast
 
-import zstandard
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC, Writer
+from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from wire.bus import Collected
@@ -44,7 +38,6 @@ FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write
 GATHER_S = 0.01  # how far `log_time` may be behind the arrival; a control step's messages come in bursts
 CHUNK_BYTES = 256 * 1024  # only previews reach it between flushes; several chunks a flush compress as well as one
 MAX_PENDING_BYTES = 64 * 1024 * 1024  # a disk that stalls this long (minutes of messages) must not eat the memory
-MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not make the reader ask for all memory
 JOIN_S = 10.0  # a disk that hangs must not keep the process from ending
 
 EXPERIMENT_NAME = "experiment.toml"
@@ -271,63 +264,3 @@ def check_room(folder: Path, least_gb: float) -> None:
         raise ConfigError(
             f"{folder}: {free_gb:.2f} GB free, a run needs {least_gb:g} (recording.min_free_gb): make room, or --out elsewhere"
         )
-
-
-def is_complete(path: Path) -> bool:
-    """Whether the file was closed: a file that was cut does not end in MCAP's magic."""
-    with path.open("rb") as file:
-        file.seek(0, os.SEEK_END)
-        if file.tell() < 2 * len(MCAP0_MAGIC):
-            return False
-        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
-        return file.read() == MCAP0_MAGIC
-
-
-def valid_records(path: Path) -> Iterator[McapRecord]:
-    """All records up to the first that is cut or damaged, chunks taken apart, checksums verified."""
-    with path.open("rb") as file:
-        reader = StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
-        try:
-            yield from reader.records
-        except (McapError, ValueError, struct.error, zstandard.ZstdError, MemoryError):  # the last: of a length that is none
-            return
-
-
-def recover(path: Path) -> bool:
-    """Make a cut file whole again: keep everything up to the cut, add the index. True if there was something to mend.
-
-    Raises OSError if the mended file cannot be written; the cut one then stays as it is.
-    """
-    if is_complete(path):
-        return False
-    mended = path.with_name(path.name + ".mending")
-    try:
-        with mended.open("wb") as file:
-            _copy(path, Writer(file, chunk_size=CHUNK_BYTES))
-            file.flush()
-            os.fsync(file.fileno())
-        mended.replace(path)
-    finally:
-        mended.unlink(missing_ok=True)
-    return True
-
-
-def _copy(path: Path, writer: Any) -> None:
-    schemas: dict[int, int] = {0: 0}
-    channels: dict[int, int] = {}
-    writer.start(library="shoal, recovered")
-    for record in valid_records(path):
-        if isinstance(record, Schema) and record.id not in schemas:
-            schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
-        elif isinstance(record, Channel) and record.id not in channels:
-            channels[record.id] = writer.register_channel(
-                record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
-            )
-        elif isinstance(record, Message):
-            channel = channels[record.channel_id]
-            writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
-        elif isinstance(record, Attachment):
-            writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
-        elif isinstance(record, Metadata):
-            writer.add_metadata(record.name, record.metadata)
-    writer.finish()

@@ -13,7 +13,7 @@ from groundstation.alignment import align
 from groundstation.evaluation import evaluate
 from groundstation.figures import FIGURES
 from groundstation.plotting import to_svg
-from groundstation.recorder import recover
+from groundstation.recovery import recover
 from groundstation.results import Errors, Result
 from groundstation.runlog import RunLog, read_log
 from groundstation.series import Happening, Series

@@ -131,11 +131,11 @@ def recover(
 
     Example:  groundstation recover runs/pool-20260101-120000/run.mcap
     """
-    from groundstation import recorder
+    from groundstation import recovery
 
     if not log_file.is_file():
         raise ConfigError(f"{log_file}: no such file")
-    mended = recorder.recover(log_file)
+    mended = recovery.recover(log_file)
     if as_json:
         typer.echo(json.dumps({"file": str(log_file), "mended": mended}))
         return

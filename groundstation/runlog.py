@@ -8,7 +8,8 @@ from typing import Any, Generic, TypeVar
 
 from mcap.records import Attachment, Channel, Message, Metadata
 
-from groundstation.recorder import END_METADATA, EXPERIMENT_NAME, RUN_METADATA, is_complete, valid_records
+from groundstation.recorder import END_METADATA, EXPERIMENT_NAME, RUN_METADATA
+from groundstation.recovery import is_complete, valid_records
 from wire import topics
 from wire.codec import DecodeError, decode
 from wire.topics import Topic

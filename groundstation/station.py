@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from groundstation import legs, planner
+from groundstation import planner
 from groundstation.checks import PlanError
 from groundstation.fleet import Ear, Fleet, preflight, view
 from groundstation.laps import Laps
-from groundstation.legs import Leg
+from groundstation.legs import Leg, first_leg
 from groundstation.lookout import Surroundings
 from groundstation.mission import OVER, Answer, Mission, Phase
 from groundstation.recorder import Recorder, check_room, run_metadata
@@ -242,7 +242,7 @@ def run(
     """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
     are served. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
-    leg = legs.first_leg(experiment)
+    leg = first_leg(experiment)
     trajectories = dict(leg.trajectories)
     starts = planner.start_poses(experiment, trajectories)
     mode = "lockstep" if lockstep else "real-time"

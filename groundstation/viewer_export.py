@@ -9,7 +9,8 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from groundstation.logfile import open_log
-from groundstation.recorder import CHUNK_BYTES, valid_records
+from groundstation.recorder import CHUNK_BYTES
+from groundstation.recovery import valid_records
 from groundstation.runlog import key_topic
 from groundstation.viewer_layout import layout
 from groundstation.viewer_scene import FRAMES, MOVING, SCHEMAS, STANDING, Picture, upright

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from groundstation import legs
 from groundstation.crew import Crew
+from groundstation.detour import can_detour
 from groundstation.fleet import Fleet, RobotView, preflight
 from groundstation.legs import Leg
 from wire.experiment import Experiment
@@ -29,7 +29,7 @@ def objection(
         return "; ".join(preflight(experiment, fleet, but=("thrusters",)))
     if order is Order.GO and not via:
         return "where to? (places for the formation's centre, x and y in m)"
-    if order is Order.GO and not legs.can_detour(experiment):
+    if order is Order.GO and not can_detour(experiment):
         return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
     if order is Order.REJOIN and not crew.out:
         return "nobody is out"

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from groundstation import legs, planner
+from groundstation import planner
 from groundstation.checks import PlanError
 from groundstation.fleet import RobotView
+from groundstation.legs import first_leg
 from groundstation.mission import Answer, Mission, Surroundings
 from groundstation.phases import Phase
 from robot_agent.agent import Agent
@@ -26,7 +27,7 @@ class CrewedPool(DryPool):
 
     def __init__(self, experiment: Experiment, automatic: bool = False, seed: int = 1) -> None:
         super().__init__(experiment, seed)
-        leg = legs.first_leg(self.experiment)
+        leg = first_leg(self.experiment)
         starts = planner.start_poses(self.experiment, leg.trajectories)
         self.mission = Mission(self.experiment, leg, starts, automatic)
         self.starts = starts

@@ -15,10 +15,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from tests.faults.onlooker import Stuck
 from tests.faults.page import RESULTS, Result, machine, verdict, write_page
-from tests.faults.rig import Rig, Stuck, moment
+from tests.faults.rig import Rig, moment
 from tests.faults.rigs import RIGS
-from tests.faults.rows import Row, Sample
+from tests.faults.row import Row, Sample
 from tests.faults.table import ROWS
 
 PAGE = Path("docs/faults.md")

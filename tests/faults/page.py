@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.faults.rows import Row, Sample
+from tests.faults.row import Row, Sample
 
 RESULTS = Path(__file__).parent / "results.json"
 

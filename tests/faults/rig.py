@@ -9,9 +9,7 @@ import socket
 import tempfile
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,65 +17,22 @@ import numpy as np
 
 from sim_bridge.processes import Child, Children
 from sim_bridge.sil import free_base_port, free_port
+from tests.faults.onlooker import PATIENCE_S, Onlooker, Stuck
 from tests.faults.wires import NetWire, SerialWire
 from wire import topics
 from wire.bus import Bus
-from wire.codec import DecodeError, Header, decode
 from wire.experiment import dump_experiment, load_experiment
-from wire.messages import Command, Event, Mode, Order, Reply, RobotState, StationHeartbeat, Truth
-from wire.topics import Topic
+from wire.messages import Command, Mode, Order, Reply
 from wire.transport import Endpoint, ZenohTransport
 
-PATIENCE_S = 60.0  # for what must come and has no limit of its own
 MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
 CRUISES = 10  # attempts at a flight in one piece
 COMES_UP_S = 2.0  # from the mission's first word of a flight to all thrusters running
 ANSWERED_S = 5.0  # an order to the whole fleet, on a machine that has just started it
-WARNING = 3  # an event's level
 
 
-class Stuck(Exception):
-    """The rig did not come to where an injection can be made, or recover from one."""
-
-
-@dataclass(frozen=True)
-class Heard:
-    """A robot's state as it came over the bus."""
-
-    ns: int
-    state: RobotState
-
-
-@dataclass
-class BoardView:
-    """What the witness at one board has told."""
-
-    changes: list[tuple[int, bool, bool]] = field(default_factory=list)  # instant, neutral, armed
-    taken: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)
-    refused: int = 0
-
-    @property
-    def thrusting(self) -> bool:
-        """Whether the thrusters run now."""
-        return bool(self.changes) and not self.changes[-1][1]
-
-    def told_s(self, such: Callable[[tuple[int, ...]], bool], from_ns: int, to_ns: int) -> float:
-        """For how much of a time the pulses that were taken last were such."""
-        total_ns, taken = 0, list(self.taken)
-        for (ns, pulses), (until_ns, _) in zip(taken, [*taken[1:], (to_ns, ())], strict=True):
-            total_ns += max(min(until_ns, to_ns) - max(ns, from_ns), 0) if such(pulses) else 0
-        return total_ns * 1e-9
-
-    def neutral_since(self, ns: int) -> int | None:
-        """Since when the board has been neutral and has stayed so, not before `ns`; None if it is not."""
-        if not self.changes or not self.changes[-1][1]:
-            return None
-        last_thrust = max((i for i, change in enumerate(self.changes) if not change[1]), default=-1)
-        return max(self.changes[last_thrust + 1][0], ns)
-
-
-class Rig:
-    """Station, pool, localizer and agents. Use as a context."""
+class Rig(Onlooker):
+    """Station, pool, localizer and agents, and who looks on. Use as a context."""
 
     def __init__(
         self,
@@ -95,27 +50,17 @@ class Rig:
         """With `poses` there is neither camera nor localizer; with `wires` robots' boards are behind pseudo-terminals, and
         robot 1 reaches the station through a NetWire. With `own_router` the network does not live in the station.
         `patched` starts all but the pool by way of patched.py."""
-        self.folder = Path(tempfile.mkdtemp(prefix="shoal-faults-"))
         self.experiment = load_experiment(experiment, [*settings, f"seed={seed}"])
-        self.robots = self.experiment.robot_ids
+        super().__init__(self.experiment.robot_ids, Path(tempfile.mkdtemp(prefix="shoal-faults-")))
         self.file = self.folder / "experiment.toml"
         self.file.write_text(dump_experiment(self.experiment), encoding="utf-8")
         self.run_dir = run_dir or self.folder / "run"
         self.children = Children(self.folder / "logs")
-        self.boards = {robot: BoardView() for robot in self.robots}
-        self.states: dict[int, deque[Heard]] = {robot: deque(maxlen=4000) for robot in self.robots}
-        self.events: deque[tuple[int, Event]] = deque(maxlen=4000)
-        self.beats: deque[int] = deque(maxlen=4000)
-        self.poses_ns: deque[int] = deque(maxlen=4000)
-        self.truth = Truth()
-        self.not_finite = 0
         self._seed, self._poses, self._with_wires = seed, poses, wires
         self.station_options, self._own_router, self._patched = list(station_options), own_router, patched
         self._checked = dict.fromkeys(self.robots, (0, 0))
         self._wrong = 0
         self._commands: dict[str, list[str]] = {}
-        self._changed = threading.Condition()
-        self._mission = ""
         self._taken_off_s = float("-inf")
 
     # --- up and down
@@ -156,7 +101,7 @@ class Rig:
         if not self._own_router:
             self.bus = Bus(ZenohTransport(Endpoint(self.address)))
         for topic in (topics.STATE, topics.EVENT, topics.HEARTBEAT, topics.POSE, topics.TRUTH):
-            self.bus.subscribe(topic, None, self._heard)
+            self.bus.subscribe(topic, None, self.heard)
 
     def __exit__(self, *exception: Any) -> None:
         self.children.stop()
@@ -185,71 +130,15 @@ class Rig:
         """The running process of that name."""
         return next(child for child in self.children.all if child.name == name)
 
-    # --- what is heard
-
     def _listen(self) -> None:
         try:
             connection, _ = self._harness.accept()
             self._witness = connection
             with connection.makefile("rb") as lines:
                 for line in lines:
-                    self._witnessed(json.loads(line))
+                    self.witnessed(json.loads(line))
         except OSError:
             return
-
-    def _witnessed(self, told: dict[str, Any]) -> None:
-        with self._changed:
-            if "taken" in told:
-                view = self.boards[told["robot"]]
-                if told["taken"]:
-                    view.taken.append((told["ns"], tuple(told["pulses"])))
-                else:
-                    view.refused += 1
-            elif "neutral" in told:
-                self.boards[told["robot"]].changes.append((told["ns"], told["neutral"], told["armed"]))
-            elif "not_finite" in told:
-                self.not_finite += 1
-            self._changed.notify_all()
-
-    def _heard(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        ns = time.monotonic_ns()
-        try:
-            message: Any = decode(topic.type, payload, "bus", topic.name)
-        except DecodeError:
-            return
-        with self._changed:
-            if topic is topics.STATE:
-                self.states[int(key.split("/")[-2])].append(Heard(ns, message))
-            elif topic is topics.EVENT:
-                self.events.append((ns, message))
-            elif topic is topics.POSE:
-                self.poses_ns.append(ns)
-            elif topic is topics.TRUTH:
-                self.truth = message
-            else:
-                self.beats.append(ns)
-                self._mission = message.mission if isinstance(message, StationHeartbeat) else ""
-            self._changed.notify_all()
-
-    def wait(self, ready: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:
-        """Sleep until `ready()`. Raises Stuck."""
-        with self._changed:
-            if not self._changed.wait_for(ready, timeout_s):
-                modes = {r: (self.mode(r).name, self.states[r][-1].state.fault if self.states[r] else "") for r in self.robots}
-                raise Stuck(f"{what}: not within {timeout_s:g} s (mission {self._mission}, robots {modes}; {self.folder})")
-
-    def mode(self, robot: int) -> Mode:
-        """As last heard."""
-        return self.states[robot][-1].state.mode if self.states[robot] else Mode.DISARMED
-
-    @property
-    def mission(self) -> str:
-        """The mission's phase as last heard."""
-        return self._mission
-
-    def since(self, robot: int, ns: int) -> Iterator[Heard]:
-        """States heard after an instant."""
-        return (heard for heard in list(self.states[robot]) if heard.ns >= ns)
 
     # --- flying
 
@@ -265,36 +154,35 @@ class Rig:
         reply, astray = Reply(0, False), False  # adrift for minutes, between two attempts
         while not self.flying:
             if time.monotonic() > deadline:
-                raise Stuck(f"no flight: mission {self._mission}, last answer {reply.reason[:500]!r} ({self.folder})")
-            if self._mission == "RUNNING" and self._comes_up():
+                raise Stuck(f"no flight: mission {self.mission}, last answer {reply.reason[:500]!r} ({self.folder})")
+            if self.mission == "RUNNING" and self._comes_up():
                 break
             astray |= "from its start" in reply.reason
-            if astray and self._mission in ("WAITING", "DONE", "FAILED"):
+            if astray and self.mission in ("WAITING", "DONE", "FAILED"):
                 reply = self.order(Order.RETURN)
                 astray = not reply.accepted
-            elif astray and self._mission == "LOADING":
+            elif astray and self.mission == "LOADING":
                 reply = self.order(Order.DISARM)
-            elif self._mission in steps:
-                reply = self.order(steps[self._mission])
-            elif self._mission in ("WAITING", "LOADING") and any(
+            elif self.mission in steps:
+                reply = self.order(steps[self.mission])
+            elif self.mission in ("WAITING", "LOADING") and any(
                 self.mode(r) in (Mode.FAULT, Mode.HOLDING) for r in self.robots
             ):
                 reply = self.order(Order.DISARM)
-            elif self._mission in ("WAITING", "LOADING"):
+            elif self.mission in ("WAITING", "LOADING"):
                 reply = self.order(Order.START)
             time.sleep(0.1)
             self._taken_off_s = time.monotonic()
 
     def _comes_up(self) -> bool:
         """Whether a mission that has just begun to run flies before long."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self.flying or self._mission != "RUNNING", COMES_UP_S) and self.flying
+        return self.comes(lambda: self.flying or self.mission != "RUNNING", COMES_UP_S) and self.flying
 
     @property
     def flying(self) -> bool:
         """Whether every robot tracks and every board thrusts."""
         fresh = time.monotonic_ns() - 300_000_000
-        return self._mission == "RUNNING" and all(
+        return self.mission == "RUNNING" and all(
             self.states[r] and self.states[r][-1].ns > fresh and self.mode(r) is Mode.TRACKING and self.boards[r].thrusting
             for r in self.robots
         )
@@ -333,30 +221,7 @@ class Rig:
         self._witness.sendall(json.dumps(what).encode() + b"\n")
         return ns
 
-    # --- measuring
-
-    def neutral_s(self, ns: int, robots: Sequence[int] | None = None, within_s: float = 15.0) -> float:
-        """Seconds from `ns` until the last of the robots' boards is neutral for good (at least a second)."""
-        chosen = self.robots if robots is None else robots
-        self.wait(lambda: all(not self.boards[r].thrusting for r in chosen), f"boards {tuple(chosen)} neutral", within_s)
-        time.sleep(0.6)
-        self.wait(lambda: all(not self.boards[r].thrusting for r in chosen), f"boards {tuple(chosen)} neutral", within_s)
-        found = [self.boards[r].neutral_since(ns) for r in chosen]
-        return (max(at for at in found if at is not None) - ns) * 1e-9
-
-    def mode_s(self, robot: int, modes: set[Mode], ns: int, within_s: float = 15.0) -> float:
-        """Seconds from `ns` until a robot says that it is in one of the modes."""
-        self.wait(lambda: any(h.state.mode in modes for h in self.since(robot, ns)), f"robot {robot} {modes}", within_s)
-        return (next(h.ns for h in self.since(robot, ns) if h.state.mode in modes) - ns) * 1e-9
-
-    def alert_s(self, ns: int, text: str = "", within_s: float = 15.0) -> float:
-        """Seconds from `ns` until a warning (with `text` in it) reaches whoever watches."""
-
-        def first() -> int | None:
-            return next((at for at, e in list(self.events) if at >= ns and e.level >= WARNING and text in e.message), None)
-
-        self.wait(lambda: first() is not None, f"warning {text!r}", within_s)
-        return ((first() or 0) - ns) * 1e-9
+    # --- was it right
 
     def wrongly_taken(self) -> int:
         """Overrides that boards behind wires took though their computers had not sent them, or not in this order, or not as

@@ -12,7 +12,7 @@ from typing import Any
 import tomli_w
 
 from tests.faults import targets
-from tests.faults.rows import Random, Sample
+from tests.faults.row import Random, Sample
 from tests.localizer.test_crossings import check_encounter
 from wire.experiment import Experiment, load_experiment
 from wire.toml_file import ConfigError, check

@@ -12,10 +12,11 @@ from pathlib import Path
 
 from mcap.reader import make_reader
 
-from groundstation.recorder import recover
+from groundstation.recovery import recover
 from sim_bridge.processes import Child
-from tests.faults.rig import Rig, Stuck
-from tests.faults.rows import Random, Sample
+from tests.faults.onlooker import Stuck
+from tests.faults.rig import Rig
+from tests.faults.row import Random, Sample
 from wire.messages import Mode
 
 LEFT = "robots that left their path"

@@ -28,7 +28,8 @@ from rich.table import Table
 
 from groundstation.runlog import read_log
 from sim_bridge.programs import check_sight
-from tests.faults.rig import Rig, Stuck, moment
+from tests.faults.onlooker import Stuck
+from tests.faults.rig import Rig, moment
 from tests.faults.table import ROWS
 from wire.experiment import EXPERIMENTS, load_experiment
 from wire.frames import Array

@@ -1,7 +1,7 @@
 """The table of faults: what is measured of each, and what it must not exceed."""
 
-from tests.faults import rows, rows_alone, rows_station
-from tests.faults.rows import RESUMED, SECONDS, STEP_S, TIMES, Measure, Row
+from tests.faults import rows_alone, rows_network, rows_robot, rows_sight, rows_station
+from tests.faults.row import RESUMED, SECONDS, STEP_S, TIMES, Measure, Row
 
 STATION_LOST = {
     "hold": SECONDS(1.0 + STEP_S),
@@ -13,101 +13,103 @@ STATION_LOST = {
 ROWS: tuple[Row, ...] = (
     Row(
         "localizer-killed", "Localizer dies", "SIGKILL",
-        {"hold after the last pose": SECONDS(0.2), "neutral": SECONDS(0.5), "alert": SECONDS(0.3)}, rows.localizer_killed,
+        {"hold after the last pose": SECONDS(0.2), "neutral": SECONDS(0.5), "alert": SECONDS(0.3)},
+        rows_sight.localizer_killed,
     ),
     Row(
         "localizer-hung", "Localizer hangs", "SIGSTOP, and SIGCONT when all are neutral",
         {"hold after the last pose": SECONDS(0.2), "neutral": SECONDS(0.5), "alert": SECONDS(0.3), RESUMED: TIMES()},
-        rows.localizer_hung,
+        rows_sight.localizer_hung,
     ),
     Row(
         "camera-frozen", "Frozen camera", "the same picture again and again, with new stamps",
-        {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), "alert": SECONDS(0.55), RESUMED: TIMES()}, rows.camera_frozen,
+        {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), "alert": SECONDS(0.55), RESUMED: TIMES()}, rows_sight.camera_frozen,
     ),
     Row(
         "agent-killed", "Agent killed", "SIGKILL, restarted",
-        {"neutral": SECONDS(0.35), "restarted and not disarmed": TIMES()}, rows.agent_killed,
+        {"neutral": SECONDS(0.35), "restarted and not disarmed": TIMES()}, rows_robot.agent_killed,
     ),
     Row(
         "agent-hung", "Agent hung", "SIGSTOP, SIGCONT up to 1.6 s later",
-        {"neutral": SECONDS(0.35), RESUMED: TIMES()}, rows.agent_hung,
+        {"neutral": SECONDS(0.35), RESUMED: TIMES()}, rows_robot.agent_hung,
     ),
     Row(
         "solver-stuck", "Agent hung", "a solver that never returns",
-        {"neutral": SECONDS(0.35)}, rows.solver_stuck, rig="patched",
+        {"neutral": SECONDS(0.35)}, rows_robot.solver_stuck, rig="patched",
     ),
     Row(
         "solver-slow", "QP late", "a solver that takes 30 ms",
-        {"neutral": SECONDS(0.35), "alert": SECONDS(0.5)}, rows.solver_slow, rig="patched",
+        {"neutral": SECONDS(0.35), "alert": SECONDS(0.5)}, rows_robot.solver_slow, rig="patched",
     ),
     Row(
         "solver-unsolved", "QP infeasible, not converged", "no quadratic program has a solution any more",
-        {"neutral": SECONDS(0.2 + STEP_S), "shifted plans": TIMES(3)}, rows.solver_unsolved, rig="patched",
+        {"neutral": SECONDS(0.2 + STEP_S), "shifted plans": TIMES(3)}, rows_robot.solver_unsolved, rig="patched",
     ),
     Row(
         "station-killed", "Ground station lost", "SIGKILL; the network's router dies with it",
-        {"neutral": SECONDS(3.0), RESUMED: TIMES()}, rows.station_killed, times=50,
+        {"neutral": SECONDS(3.0), RESUMED: TIMES()}, rows_network.station_killed, times=50,
     ),
     Row(
         "station-alone-killed", "Ground station lost", "SIGKILL; the router lives on",
         STATION_LOST,
-        rows.station_alone_killed, times=50, rig="router",
+        rows_network.station_alone_killed, times=50, rig="router",
     ),
     Row(
         "station-alone-hung", "Ground station lost", "SIGSTOP, and SIGCONT when all are disarmed",
         STATION_LOST,
-        rows.station_alone_hung, times=50, rig="router",
+        rows_network.station_alone_hung, times=50, rig="router",
     ),
     Row(
         "partition", "Network partition", "robot 1 cut off both ways or one way, 1 to 5 s",
         {"neutral": SECONDS(0.5), "neutral, still hearing": SECONDS(3.0), "neighbour's plan expired": SECONDS(0.6),
-         RESUMED: TIMES()}, rows.partition,
+         RESUMED: TIMES()}, rows_network.partition,
     ),
     Row(
         "partition-short", "Network partition", "robot 1 cut off for 0.2 s",
-        {"worse than holding": TIMES()}, rows.partition_short,
+        {"worse than holding": TIMES()}, rows_network.partition_short,
     ),
     Row(
         "link-cut", "MAVLink cut", "nothing passes the serial line either way",
-        {"neutral": SECONDS(0.3), RESUMED: TIMES()}, rows.link_cut,
+        {"neutral": SECONDS(0.3), RESUMED: TIMES()}, rows_robot.link_cut,
     ),
     Row(
         "link-garbage", "MAVLink garbage, bad CRC", "bit flips, false starts, frames doubled, late, forged; for 2 s",
-        {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows.link_garbage,
+        {"board in step again": SECONDS(0.25), "agent in step again": SECONDS(0.25)}, rows_robot.link_garbage,
     ),
     Row(
         "board-disobeys", "The board puts out other pulses than it is told",
-        f"two of its outputs are confused; only time counts in which they are told pulses more than {rows.SAME_US} us apart",
-        {"neutral": SECONDS(0.9), "alert": SECONDS(0.8), RESUMED: TIMES()}, rows.board_disobeys, times=20,
+        "two of its outputs are confused; only time counts in which they are told pulses more than "
+        f"{rows_robot.SAME_US} us apart",
+        {"neutral": SECONDS(0.9), "alert": SECONDS(0.8), RESUMED: TIMES()}, rows_robot.board_disobeys, times=20,
     ),
     Row(
         "thruster-broken", "Thruster dead, stuck, reversed, weak",
         "in the plant, 10 to 20 s into a flight in still water (safety.off_path_m = 0.1); for the flag only time counts in "
-        f"which {rows.LACKING_N} N are lacking",
+        f"which {rows_robot.LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
-         "off its path": Measure(0.15, "m")}, rows.thruster_broken, times=40, rig="still",
+         "off its path": Measure(0.15, "m")}, rows_robot.thruster_broken, times=40, rig="still",
     ),
     Row(
         "marker-gone", "A robot's marker plate comes off", "in the picture, and put back when the robot is neutral",
-        {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), RESUMED: TIMES()}, rows.marker_gone, times=20,
+        {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), RESUMED: TIMES()}, rows_sight.marker_gone, times=20,
     ),
     Row(
         "battery-empty", "Battery low", "the voltage sags by 3.5 V within 0.6 s",
-        {"neutral": SECONDS(3.0), "armed on an empty battery": TIMES()}, rows.battery_empty, times=20,
+        {"neutral": SECONDS(3.0), "armed on an empty battery": TIMES()}, rows_robot.battery_empty, times=20,
     ),
     Row(
         "emergency-stop", "Emergency stop", "a person's order",
-        {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows.emergency_stop,
+        {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows_network.emergency_stop,
     ),
     Row(
         "emergency-stop-20", "Emergency stop", "a person's order to 20 robots, at 5 steps a second: two cores carry no more",
-        {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows.emergency_stop,
+        {"all boards neutral": SECONDS(0.15, quantile=0.99), "started while stopped": TIMES()}, rows_network.emergency_stop,
         rig="fleet",
     ),
     Row(
         "emergency-stop-lossy", "Emergency stop", "the same, 30 % of what goes to and from the boards lost",
-        {"all boards neutral": SECONDS(0.5, quantile=0.99), "started while stopped": TIMES()}, rows.emergency_stop_lossy,
-        rig="fleet",
+        {"all boards neutral": SECONDS(0.5, quantile=0.99), "started while stopped": TIMES()},
+        rows_network.emergency_stop_lossy, rig="fleet",
     ),
     Row(
         "page-frozen", "Operator's browser frozen", "three pages connected, then stopped with SIGSTOP",

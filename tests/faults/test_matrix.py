@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.faults.onlooker import BoardView
 from tests.faults.page import write_page
-from tests.faults.rig import BoardView, Rig, moment
-from tests.faults.rows import Row
+from tests.faults.rig import Rig, moment
+from tests.faults.row import Row
 from tests.faults.table import ROWS
 
 SLACK_S = 1.0

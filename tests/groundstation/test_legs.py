@@ -5,9 +5,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from groundstation import legs
 from groundstation.checks import PlanError
-from groundstation.legs import Leg
+from groundstation.detour import detour
+from groundstation.from_rest import assigned, gathered
+from groundstation.legs import NOTHING, Leg, at, continued, first_contact, first_leg
 from robot_agent.reference import Follow, Sampler, seam_trouble, spliced
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
@@ -40,8 +41,8 @@ def check_smooth(trajectory: Trajectory, from_row: int = 0, to_row: int | None =
 
 
 def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
-    leg = legs.first_leg(BLOCKED)
-    new = legs.detour(BLOCKED, leg, 14.0, BALL)
+    leg = first_leg(BLOCKED)
+    new = detour(BLOCKED, leg, 14.0, BALL)
     assert clearance(leg, BALL[0], 14.0) < 0.3  # it was in the way
     assert clearance(new, BALL[0], 14.0) > BLOCKED.safety.radius_m + 0.2
     for a, b in combinations(new.trajectories.values(), 2):
@@ -56,10 +57,10 @@ def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
 def test_going_over_moves_nobodys_reference(scene: str) -> None:
     """What the robot is given at each step, through its own splice and its own sampler, across the seam."""
     experiment = load_experiment(scene)
-    leg = legs.first_leg(experiment)
+    leg = first_leg(experiment)
     begin_s = 30.0
     middle = leg.centre.eta[round(SEEN_S[scene] / PERIOD_S), :2]
-    new = legs.detour(experiment, leg, begin_s, np.array([[*middle, 0.1]]))
+    new = detour(experiment, leg, begin_s, np.array([[*middle, 0.1]]))
     for robot, then in new.trajectories.items():
         old = leg.trajectories[robot]
         assert seam_trouble(old, then) == ""
@@ -76,9 +77,9 @@ def test_going_over_moves_nobodys_reference(scene: str) -> None:
 
 
 def test_a_seam_that_jumps_is_refused_by_the_robot() -> None:
-    leg = legs.first_leg(BLOCKED)
+    leg = first_leg(BLOCKED)
     old = leg.trajectories[1]
-    new = legs.detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
+    new = detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
     beside = new.eta + np.array([0.0, 1e-3, 0.0, 0.0])
     aside = Trajectory("x", new.period_s, beside, new.velocity, new.acceleration, new.begin_s)
     assert "its pose jumps by 0.001" in seam_trouble(old, aside)
@@ -91,43 +92,43 @@ def test_a_seam_that_jumps_is_refused_by_the_robot() -> None:
 
 
 def test_two_detours_one_after_the_other_and_a_place_that_a_person_asks_for() -> None:
-    leg = legs.first_leg(BLOCKED)
-    first = legs.detour(BLOCKED, leg, 10.0, BALL)
-    second = legs.detour(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
+    leg = first_leg(BLOCKED)
+    first = detour(BLOCKED, leg, 10.0, BALL)
+    second = detour(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
     assert all(seam_trouble(first.trajectories[r], second.trajectories[r]) == "" for r in (1, 2, 3))
     assert clearance(second, BALL[0], 16.0) > 0.3 and clearance(second, np.array([2.5, 1.0, 0.2]), 16.0) > 0.3
-    asked = legs.detour(BLOCKED, leg, 10.0, legs.NOTHING, [(1.0, 1.5)])
+    asked = detour(BLOCKED, leg, 10.0, NOTHING, [(1.0, 1.5)])
     assert np.hypot(*(asked.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01
-    again = legs.detour(BLOCKED, asked, 13.0, np.array([[-0.7, 0.3, 0.1]]))
+    again = detour(BLOCKED, asked, 13.0, np.array([[-0.7, 0.3, 0.1]]))
     assert np.hypot(*(again.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01  # the person's place still counts
 
 
 def test_no_way_round_is_refused_with_the_reason() -> None:
     wall = np.array([[1.0, y, 0.3] for y in np.arange(-4.0, 4.1, 0.5)])
-    leg = legs.first_leg(BLOCKED)
+    leg = first_leg(BLOCKED)
     with pytest.raises(PlanError, match="no way from"):
-        legs.detour(BLOCKED, leg, 14.0, wall)
+        detour(BLOCKED, leg, 14.0, wall)
     with pytest.raises(PlanError, match="only a level path"):
-        legs.detour(load_experiment("pool"), legs.first_leg(load_experiment("pool")), 5.0, BALL)
+        detour(load_experiment("pool"), first_leg(load_experiment("pool")), 5.0, BALL)
     with pytest.raises(PlanError, match=r"too near|exceeds"):
-        legs.detour(BLOCKED, leg, leg.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
+        detour(BLOCKED, leg, leg.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
 
 
 def test_what_lies_on_the_path_is_told_with_robot_place_and_time() -> None:
-    leg = legs.first_leg(BLOCKED)
-    said = legs.first_contact(BLOCKED, leg, 14.0, 60.0, BALL)
+    leg = first_leg(BLOCKED)
+    said = first_contact(BLOCKED, leg, 14.0, 60.0, BALL)
     assert said.startswith("at (1.00, 0.10) m, on the path of robot 3, in 2")
-    assert legs.first_contact(BLOCKED, leg, 14.0, 20.0, BALL) == ""  # later
-    assert legs.first_contact(BLOCKED, leg, 60.0, 75.0, BALL) == ""  # behind
-    assert legs.first_contact(BLOCKED, leg, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
+    assert first_contact(BLOCKED, leg, 14.0, 20.0, BALL) == ""  # later
+    assert first_contact(BLOCKED, leg, 60.0, 75.0, BALL) == ""  # behind
+    assert first_contact(BLOCKED, leg, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
 
 
 def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:
-    leg = legs.first_leg(BLOCKED)
+    leg = first_leg(BLOCKED)
     reached_s, begin_s = 20.0, 21.0
-    here = {r: legs.at(t, np.array([reached_s])).eta[0] for r, t in leg.trajectories.items()}
+    here = {r: at(t, np.array([reached_s])).eta[0] for r, t in leg.trajectories.items()}
     rests = {**here, 3: here[3] + [-1.0, -0.6, 0.0, 0.0]}
-    new = legs.gathered(BLOCKED, leg, begin_s, reached_s, rests, {1: 1, 2: 2, 3: 3})
+    new = gathered(BLOCKED, leg, begin_s, reached_s, rests, {1: 1, 2: 2, 3: 3})
     for robot, t in new.trajectories.items():
         assert np.abs(t.eta[0, :3] - rests[robot][:3]).max() < 1e-9
         assert np.abs(t.velocity[0]).max() == 0.0
@@ -139,21 +140,21 @@ def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:
 
 
 def test_a_gap_closes_without_anybody_crossing() -> None:
-    leg = legs.first_leg(BLOCKED)
-    eta = {r: legs.at(leg.trajectories[r], np.array([20.0])).eta[0] for r in (2, 3)}
-    slots = legs.assigned(leg, 20.0, eta, (1, 2))
+    leg = first_leg(BLOCKED)
+    eta = {r: at(leg.trajectories[r], np.array([20.0])).eta[0] for r in (2, 3)}
+    slots = assigned(leg, 20.0, eta, (1, 2))
     assert set(slots) == {2, 3} and set(slots.values()) == {1, 2}
 
     def way(robot: int, slot: int) -> float:
-        return float(np.sum((eta[robot] - legs.at(leg.trajectories[slot], np.array([20.0])).eta[0])[:3] ** 2))
+        return float(np.sum((eta[robot] - at(leg.trajectories[slot], np.array([20.0])).eta[0])[:3] ** 2))
 
     assert way(2, slots[2]) + way(3, slots[3]) <= way(2, slots[3]) + way(3, slots[2])
 
 
 def test_what_was_flown_and_what_comes_are_one_path() -> None:
-    leg = legs.first_leg(BLOCKED)
-    new = legs.detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
-    whole = legs.continued(leg.trajectories[1], new)
+    leg = first_leg(BLOCKED)
+    new = detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
+    whole = continued(leg.trajectories[1], new)
     seam = round(14.0 / PERIOD_S)
     assert (whole.begin_s, whole.id) == (0.0, new.id)
     np.testing.assert_array_equal(whole.eta[:seam], leg.trajectories[1].eta[:seam])
@@ -180,14 +181,14 @@ def replanned(seed: int) -> str:
     and differences alone; else why there was none."""
     experiment, random = world(seed)
     try:
-        leg = legs.first_leg(experiment)
+        leg = first_leg(experiment)
     except PlanError as error:
         return f"first: {error}"
     begin_s = float(np.round(random.uniform(5.0, 20.0) / PERIOD_S)) * PERIOD_S
     ahead = leg.centre.eta[round((begin_s + random.uniform(14.0, 25.0)) / PERIOD_S), :2]
     thing = np.array([[*(ahead + random.uniform(-0.4, 0.4, 2)), random.uniform(0.1, 0.3)]])
     try:
-        new = legs.detour(experiment, leg, begin_s, thing)
+        new = detour(experiment, leg, begin_s, thing)
     except PlanError as error:
         return f"detour: {error}"
     for a, b in combinations(new.trajectories.values(), 2):

@@ -2,56 +2,27 @@
 
 import itertools
 import random
-import resource
 import signal
-import struct
 import subprocess
 import sys
 import threading
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Message
-from mcap.stream_reader import StreamReader
-from mcap.writer import MCAP0_MAGIC
 from mcap_protobuf.decoder import DecoderFactory
 
-from groundstation.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room, is_complete, recover, valid_records
+from groundstation.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
+from groundstation.recovery import is_complete, recover
 from sim_bridge.sil import free_port
+from tests.groundstation.small_log import SECOND, pose, record_poses, sequences
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, decode, encode
-from wire.messages import Event, Pose, Preview, Track, Video
+from wire.messages import Event, Pose, Preview, Video
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
-
-SECOND = 1_000_000_000
-
-
-def pose(k: int) -> Pose:
-    return Pose(0.01 * k, -0.5, 0.1, np.eye(3), Track.MARKER, True, 0.9, 0.3)
-
-
-def record_poses(path: Path, count: int, session: int = 7) -> None:
-    recorder = Recorder(path, "name = 'pool'\n", {"mode": "lockstep", "seed": "3"})
-    for k in range(count):
-        header = Header(session, k + 1, k * SECOND // 20)
-        recorder.put(topics.POSE, "shoal/robot/1/pose", header, encode(pose(k)), k * SECOND // 20 + 1000)
-    recorder.close()
-    assert recorder.error == ""
-    assert recorder.dropped == 0
-
-
-def sequences(path: Path) -> list[int]:
-    """Sequence numbers in a file, read strictly by mcap's indexed reader, with every checksum checked."""
-    with path.open("rb") as file:
-        for _ in StreamReader(file, validate_crcs=True).records:
-            pass
-    with path.open("rb") as file:
-        return [message.sequence for _, _, message in make_reader(file).iter_messages()]
 
 
 def test_what_went_in_comes_out_unchanged(tmp_path: Path) -> None:
@@ -173,67 +144,6 @@ def test_a_place_that_cannot_be_written_is_told_at_once(tmp_path: Path) -> None:
         Recorder(tmp_path / "missing" / "run.mcap", "", {})
 
 
-def test_recover_leaves_a_whole_file_alone(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    record_poses(path, 5)
-    before = path.read_bytes()
-    assert is_complete(path)
-    assert recover(path) is False
-    assert path.read_bytes() == before
-
-
-def several_flushes(path: Path) -> None:
-    """A file of several chunks, as a run of some seconds has."""
-    recorder = Recorder(path, "name = 'pool'\n", {"mode": "lockstep"})
-    for k in range(8):
-        payload = encode(Preview(random.Random(k).randbytes(150_000)), 0)  # incompressible: two fill a chunk
-        recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k + 1, k), payload, k)
-    recorder.close()
-
-
-def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
-    """kill -9 and power loss cut anywhere: between records, within one, within the index that close writes."""
-    whole = tmp_path / "whole.mcap"
-    several_flushes(whole)
-    data = whole.read_bytes()
-    rng = random.Random(5)
-    cuts = [0, 1, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9, *(rng.randrange(len(data)) for _ in range(40))]
-    cuts += [len(data) - rng.randrange(3000) for _ in range(40)]  # the index
-    kept_before = 0
-    for cut in sorted(cuts):
-        path = tmp_path / "cut.mcap"
-        path.write_bytes(data[:cut])
-        if is_complete(path):
-            continue
-        expected = [record.sequence for record in valid_records(path) if isinstance(record, Message)]
-        assert recover(path) is True
-        found = sequences(path)
-        assert found == expected == list(range(1, len(found) + 1))
-        assert len(found) >= kept_before  # a later cut never keeps less
-        kept_before = len(found)
-    assert kept_before == 8
-    assert not list(tmp_path.glob("*.mending"))
-
-
-def test_a_length_that_is_none_ends_what_can_be_read(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    lying = struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", 1 << 53)  # an attachment: times, name, type, length of data
-    path.write_bytes(MCAP0_MAGIC + b"\x09" + struct.pack("<Q", len(lying) + 4) + lying + bytes(4))
-    assert list(valid_records(path)) == []
-
-
-def test_recovered_file_keeps_experiment_metadata_and_sessions(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    record_poses(path, 20, session=0xBEEF)
-    path.write_bytes(path.read_bytes()[:-100])
-    assert recover(path)
-    with path.open("rb") as file:
-        reader = make_reader(file)
-        assert next(iter(reader.iter_attachments())).data == b"name = 'pool'\n"
-        assert {item.name: item.metadata for item in reader.iter_metadata()}["run"]["mode"] == "lockstep"
-        assert {channel.metadata["session"] for _, channel, _ in reader.iter_messages()} == {"beef"}
-
-
 CHILD = """
 import sys, time
 from pathlib import Path
@@ -316,22 +226,6 @@ def test_full_disk_stops_the_log_and_nothing_else(tmp_path: Path) -> None:
     found = sequences(path)
     assert found == list(range(1, len(found) + 1))
     assert 2 <= len(found) < int(last)
-
-
-def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    several_flushes(path)
-    cut = path.read_bytes()[:-50]
-    path.write_bytes(cut)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
-    try:
-        with pytest.raises(OSError, match="too large"):
-            recover(path)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert path.read_bytes() == cut
-    assert not list(tmp_path.glob("*.mending"))
 
 
 def test_put_costs_the_caller_nothing_while_the_disk_hangs(tmp_path: Path) -> None:

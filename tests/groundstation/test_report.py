@@ -12,10 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib.figure import Figure
 
-from groundstation import figures
+from groundstation import figures, figures_errors, figures_paths
 from groundstation.alignment import align
 from groundstation.plotting import MOST_POINTS, Line, Panel, stack, thin, to_svg
-from groundstation.recorder import Recorder, is_complete
+from groundstation.recorder import Recorder
+from groundstation.recovery import is_complete
 from groundstation.report import write_report
 from groundstation.runlog import read_log
 from groundstation.series import Series
@@ -213,7 +214,7 @@ def drawn(figure: Figure | None) -> Figure:
 
 
 def test_tracking_figure_plots_the_errors(series: Series) -> None:
-    figure = drawn(figures.tracking_errors(series))
+    figure = drawn(figures_errors.tracking_errors(series))
     for axis, axes in enumerate(figure.axes):
         curves = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.lines}
         for robot in (1, 2):
@@ -223,7 +224,7 @@ def test_tracking_figure_plots_the_errors(series: Series) -> None:
 
 
 def test_paths_are_seen_from_above(series: Series) -> None:
-    axes = drawn(figures.paths(series)).axes[0]
+    axes = drawn(figures_paths.paths(series)).axes[0]
     bottom, top = axes.get_ylim()
     assert bottom > 1.25 > -1.25 > top  # y grows downwards, and the whole pool is in view
     assert axes.get_aspect() == 1.0
@@ -251,7 +252,7 @@ def test_nothing_to_draw_is_none() -> None:
 
 
 def test_svg_keeps_text_as_text(series: Series) -> None:
-    svg = to_svg(drawn(figures.tracking_errors(series)), "tracking")
+    svg = to_svg(drawn(figures_errors.tracking_errors(series)), "tracking")
     assert ">robot 1<" in svg
     assert "x error [m]" in svg
     assert svg.startswith("<svg")

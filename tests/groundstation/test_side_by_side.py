@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from groundstation.recorder import is_complete
+from groundstation.recovery import is_complete
 from groundstation.report import evaluated, write_figures
 from groundstation.runlog import read_log
 from groundstation.side_by_side import Run, differences, drawn, figures_of

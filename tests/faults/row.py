@@ -1,0 +1,58 @@
+"""What a row of the table of faults is. table.py has the rows; rows_*.py what they do: one function a row, one call an
+injection. It gets a rig whose robots fly, breaks something at a random instant, measures, mends.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tests.faults.rig import Rig
+from wire.messages import Mode
+
+Random = np.random.Generator
+Sample = Mapping[str, float]
+
+STEP_S = 0.1  # two control steps: what a limit "after 3 s" may be late
+HELD = {Mode.HOLDING, Mode.FAULT, Mode.DISARMED}
+OFF = {Mode.FAULT, Mode.DISARMED}
+POWERED = {Mode.TRACKING, Mode.HOLDING}
+RESUMED = "thrust again unasked"  # a measure of all rows whose robots must stay where they are
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A figure and its limit; `quantile` of the injections must keep it (1: the worst)."""
+
+    limit: float
+    unit: str = "s"
+    quantile: float = 1.0
+
+
+SECONDS = Measure  # reads well: {"neutral": SECONDS(0.35)}
+
+
+def TIMES(limit: float = 0) -> Measure:
+    """How often something may happen."""
+    return Measure(limit, "times")
+
+
+@dataclass(frozen=True)
+class Row:
+    """One fault. `rig` names how the lab is set up; `inject` is one injection."""
+
+    key: str
+    fault: str
+    how: str
+    measures: Mapping[str, Measure]
+    inject: Callable[[Any, Random], Sample]
+    times: int = 100
+    rig: str = "lab"
+
+
+def resumed(rig: Rig, robots: tuple[int, ...], for_s: float) -> float:
+    """How many of the robots that are neutral thrust again though nobody asked."""
+    time.sleep(for_s)
+    return float(sum(rig.boards[r].thrusting for r in robots))

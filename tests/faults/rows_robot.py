@@ -1,0 +1,161 @@
+"""Faults on a robot: its computer, the wire to its board, the board, its thrusters, its battery."""
+
+import signal
+import time
+
+import numpy as np
+
+from tests.faults.rig import Rig
+from tests.faults.row import POWERED, RESUMED, Random, Sample, resumed
+from tests.faults.wires import LineTrouble, forgeries
+from wire.messages import Mode, Order, Solve
+
+NEVER_S = 999.0
+SAME_US = 5  # a board whose outputs differ by no more than this from what they were told does as it is told
+FELT = ("dead", "reversed")  # what is found wherever the thruster pushes; the others may go on as they were told to
+THRUST_LEFT = {"dead": 0.0, "reversed": -1.0}
+LACKING_N = 0.1  # the least that counts: two thirds of what a thruster idles with
+WATCHED_S = 8.0
+
+
+def agent_killed(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGKILL)
+    neutral_s = rig.neutral_s(ns, [robot])
+    rig.restart(f"agent-{robot}")
+    begin_ns = time.monotonic_ns()
+    rig.wait(lambda: any(True for _ in rig.since(robot, begin_ns)), "restarted agent heard")
+    time.sleep(0.3)
+    armed = any(h.state.mode is not Mode.DISARMED or h.state.board_armed for h in rig.since(robot, begin_ns))
+    return {"neutral": neutral_s, "restarted and not disarmed": float(armed)}
+
+
+def agent_hung(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGSTOP)
+    neutral_s = rig.neutral_s(ns, [robot])
+    time.sleep(float(random.uniform(0.0, 1.0)))
+    rig.signal(f"agent-{robot}", signal.SIGCONT)
+    return {"neutral": neutral_s, RESUMED: resumed(rig, (robot,), 2.0)}
+
+
+def solver_stuck(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGUSR1)
+    neutral_s = rig.neutral_s(ns, [robot])
+    rig.signal(f"agent-{robot}", signal.SIGKILL)
+    rig.restart(f"agent-{robot}")
+    return {"neutral": neutral_s}
+
+
+def solver_slow(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGUSR2)
+    found = {"neutral": rig.neutral_s(ns, [robot]), "alert": rig.alert_s(ns)}
+    rig.signal(f"agent-{robot}", signal.SIGKILL)
+    rig.restart(f"agent-{robot}")
+    return found
+
+
+def solver_unsolved(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = rig.signal(f"agent-{robot}", signal.SIGALRM)
+    neutral_s = rig.neutral_s(ns, [robot])
+    shifted = sum(h.state.solve is Solve.SHIFTED for h in rig.since(robot, ns))
+    rig.signal(f"agent-{robot}", signal.SIGKILL)
+    rig.restart(f"agent-{robot}")
+    return {"neutral": neutral_s, "shifted plans": float(shifted)}
+
+
+def link_cut(rig: Rig, random: Random) -> Sample:
+    robot = int(random.choice(rig.robots))
+    ns = time.monotonic_ns()
+    rig.wires[robot].trouble = LineTrouble(cut=True)
+    neutral_s = rig.neutral_s(ns, [robot])
+    rig.wires[robot].trouble = LineTrouble()
+    return {"neutral": neutral_s, RESUMED: resumed(rig, (robot,), 2.0)}
+
+
+def link_garbage(rig: Rig, random: Random) -> Sample:
+    """Bit flips, false starts, doubled and old frames for two seconds, forged ones among them; then a clean wire again."""
+    robot = int(random.choice(rig.robots))
+    wire, board = rig.wires[robot], rig.boards[robot]
+    wire.trouble = LineTrouble(
+        flip=float(random.uniform(0.001, 0.01)), junk=0.3, doubled=0.3, forged=forgeries(robot, wire.number, random)
+    )
+    time.sleep(2.0)
+    wire.trouble = LineTrouble()
+    ns = time.monotonic_ns()
+    rig.wait(lambda: any(at > ns for at, _ in board.taken[-5:]), "board takes overrides again", 5.0)
+    rig.wait(lambda: any(h.state.board_age_ms < 40.0 for h in rig.since(robot, ns)), "telemetry again", 5.0)
+    heard_ns = next(h.ns for h in rig.since(robot, ns) if h.state.board_age_ms < 40.0)
+    return {
+        "board in step again": (next(at for at, _ in board.taken if at > ns) - ns) * 1e-9,
+        "agent in step again": (heard_ns - ns) * 1e-9,
+    }
+
+
+def board_disobeys(rig: Rig, random: Random) -> Sample:
+    """Its outputs 1 and 2 are confused. Only while both are told different pulses does the board put out anything else than it
+    was told, and only that time counts."""
+    robot = int(random.choice(rig.robots))
+    ns = rig.break_(f"board {robot} crossed")
+    neutral_s, alert_s = rig.neutral_s(ns, [robot]), rig.alert_s(ns)
+    rig.break_()
+    board = rig.boards[robot]
+    found = {
+        name: board.told_s(lambda pulses: abs(pulses[0] - pulses[1]) > SAME_US, ns, ns + round(seconds * 1e9))
+        for name, seconds in (("neutral", neutral_s), ("alert", alert_s))
+    }
+    return {**found, RESUMED: resumed(rig, (robot,), 1.0)}
+
+
+def thruster_broken(rig: Rig, random: Random) -> Sample:
+    """Until somebody says so, what is not flagged must do no harm, and what is must lead to neutral. A thruster that is told
+    next to nothing lacks nothing: until the flag only that time counts in which it does."""
+    rig.cruise(float(random.uniform(10.0, 20.0)))  # a flight's first seconds are rough, and excuse more
+    robot, number = int(random.choice(rig.robots)), int(random.integers(1, 5))
+    how = str(random.choice([*FELT, "stuck", "weak 0.3"]))
+    ns = rig.break_(f"thruster {robot}/{number} {how}")
+    off_m, astray_m, i = 0.0, 0.0, rig.robots.index(robot)
+    while time.monotonic_ns() - ns < WATCHED_S * 1e9 and rig.mode(robot) in POWERED:
+        time.sleep(0.05)
+        state = rig.states[robot][-1].state
+        if state.mode in POWERED:
+            off_m = max(off_m, float(np.hypot(*(state.eta - rig.truth.eta[i])[:2])))
+            astray_m = max(astray_m, float(np.hypot(*(state.eta_reference - rig.truth.eta[i])[:2])))
+    found = {"estimate off the truth": off_m, "off its path": astray_m}
+    if rig.mode(robot) not in POWERED:
+        flagged_s = rig.alert_s(ns, "fault (")  # what the station says of it; others may warn of other things
+        found["neutral after the flag"] = rig.neutral_s(ns, [robot]) - flagged_s
+        if how in FELT:
+            lost, force_n = 1.0 - THRUST_LEFT[how], rig.experiment.vehicle.thruster.force_n
+            found["flagged"] = rig.boards[robot].told_s(
+                lambda pulses: lost * abs(float(force_n(np.array(pulses[number - 1], dtype=float)))) > LACKING_N,
+                ns,
+                ns + round(flagged_s * 1e9),
+            )
+    elif how in FELT:
+        found["flagged"] = NEVER_S
+    rig.break_()
+    return found
+
+
+def battery_empty(rig: Rig, random: Random) -> Sample:
+    """The voltage falls below the neutral level within a second."""
+    robot = int(random.choice(rig.robots))
+    for volts in (0.8, 1.5):
+        rig.break_(f"battery {robot} sag {volts}")
+        time.sleep(0.3)
+    ns = rig.break_(f"battery {robot} sag 3.5")
+    neutral_s = rig.neutral_s(ns, [robot])
+    time.sleep(1.0)
+    rig.order(Order.DISARM)
+    time.sleep(0.5)
+    rig.order(Order.LOAD)
+    time.sleep(0.5)
+    armed = rig.order(Order.ARM).accepted
+    time.sleep(0.5)
+    armed |= rig.boards[robot].changes[-1][2]
+    rig.break_()
+    return {"neutral": neutral_s, "armed on an empty battery": float(armed)}

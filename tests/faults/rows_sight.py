@@ -1,0 +1,42 @@
+"""Faults of what tells robots where they are: the localizer, the camera, a marker."""
+
+import signal
+
+from tests.faults.rig import Rig
+from tests.faults.row import HELD, RESUMED, Random, Sample, resumed
+
+
+def _without_poses(rig: Rig, random: Random, ns: int) -> dict[str, float]:
+    """What all robots do when poses end at `ns`."""
+    hold_s = max(rig.mode_s(r, HELD, ns) for r in rig.robots)
+    last_ns = max((at for at in list(rig.poses_ns) if at < ns + hold_s * 1e9), default=ns)
+    return {"hold after the last pose": hold_s + (ns - last_ns) * 1e-9, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns)}
+
+
+def localizer_killed(rig: Rig, random: Random) -> Sample:
+    found = _without_poses(rig, random, rig.signal("localizer", signal.SIGKILL))
+    rig.restart("localizer")
+    return found
+
+
+def localizer_hung(rig: Rig, random: Random) -> Sample:
+    found = _without_poses(rig, random, rig.signal("localizer", signal.SIGSTOP))
+    rig.signal("localizer", signal.SIGCONT)
+    return {**found, RESUMED: resumed(rig, rig.robots, 1.0)}
+
+
+def camera_frozen(rig: Rig, random: Random) -> Sample:
+    ns = rig.break_("camera frozen")
+    hold_s = max(rig.mode_s(r, HELD, ns) for r in rig.robots)
+    found = {"hold": hold_s, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns, "camera frozen")}
+    rig.break_()
+    return {**found, RESUMED: resumed(rig, rig.robots, 1.0)}
+
+
+def marker_gone(rig: Rig, random: Random) -> Sample:
+    """The plate comes off altogether, and is put back."""
+    robot = int(random.choice(rig.robots))
+    ns = rig.break_(f"marker {robot} lost")
+    found = {"hold": rig.mode_s(robot, HELD, ns), "neutral": rig.neutral_s(ns, [robot])}
+    rig.break_()
+    return {**found, RESUMED: resumed(rig, (robot,), 1.0)}

@@ -1,0 +1,95 @@
+"""Logs that were cut, anywhere: what is good is kept, the rest does no harm, and a cut file is not lost in the mending."""
+
+import random
+import resource
+import struct
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.writer import MCAP0_MAGIC
+
+from groundstation.recorder import Recorder
+from groundstation.recovery import is_complete, recover, valid_records
+from tests.groundstation.small_log import record_poses, sequences
+from wire import topics
+from wire.codec import Header, encode
+from wire.messages import Preview
+
+
+def test_recover_leaves_a_whole_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record_poses(path, 5)
+    before = path.read_bytes()
+    assert is_complete(path)
+    assert recover(path) is False
+    assert path.read_bytes() == before
+
+
+def several_flushes(path: Path) -> None:
+    """A file of several chunks, as a run of some seconds has."""
+    recorder = Recorder(path, "name = 'pool'\n", {"mode": "lockstep"})
+    for k in range(8):
+        payload = encode(Preview(random.Random(k).randbytes(150_000)), 0)  # incompressible: two fill a chunk
+        recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k + 1, k), payload, k)
+    recorder.close()
+
+
+def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
+    """kill -9 and power loss cut anywhere: between records, within one, within the index that close writes."""
+    whole = tmp_path / "whole.mcap"
+    several_flushes(whole)
+    data = whole.read_bytes()
+    rng = random.Random(5)
+    cuts = [0, 1, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9, *(rng.randrange(len(data)) for _ in range(40))]
+    cuts += [len(data) - rng.randrange(3000) for _ in range(40)]  # the index
+    kept_before = 0
+    for cut in sorted(cuts):
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(data[:cut])
+        if is_complete(path):
+            continue
+        expected = [record.sequence for record in valid_records(path) if isinstance(record, Message)]
+        assert recover(path) is True
+        found = sequences(path)
+        assert found == expected == list(range(1, len(found) + 1))
+        assert len(found) >= kept_before  # a later cut never keeps less
+        kept_before = len(found)
+    assert kept_before == 8
+    assert not list(tmp_path.glob("*.mending"))
+
+
+def test_a_length_that_is_none_ends_what_can_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    lying = struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", 1 << 53)  # an attachment: times, name, type, length of data
+    path.write_bytes(MCAP0_MAGIC + b"\x09" + struct.pack("<Q", len(lying) + 4) + lying + bytes(4))
+    assert list(valid_records(path)) == []
+
+
+def test_recovered_file_keeps_experiment_metadata_and_sessions(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record_poses(path, 20, session=0xBEEF)
+    path.write_bytes(path.read_bytes()[:-100])
+    assert recover(path)
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        assert next(iter(reader.iter_attachments())).data == b"name = 'pool'\n"
+        assert {item.name: item.metadata for item in reader.iter_metadata()}["run"]["mode"] == "lockstep"
+        assert {channel.metadata["session"] for _, channel, _ in reader.iter_messages()} == {"beef"}
+
+
+def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    several_flushes(path)
+    cut = path.read_bytes()[:-50]
+    path.write_bytes(cut)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            recover(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_bytes() == cut
+    assert not list(tmp_path.glob("*.mending"))
