@@ -14,8 +14,8 @@ import psutil
 
 from benchmarks.harness import Row
 from groundstation import keys
+from sim_bridge.ports import free_base_port, free_port
 from sim_bridge.processes import Child, Children
-from sim_bridge.sil import free_base_port, free_port
 from wire.experiment import load_experiment
 
 STARTS = 5

@@ -17,6 +17,7 @@ from typing import Any
 
 from benchmarks.codec import examples
 from benchmarks.harness import Row, run_peer, time_us
+from sim_bridge.ports import free_port
 from wire import codec, topics
 from wire.bus import Bus, Inbox
 from wire.topics import Topic
@@ -33,14 +34,6 @@ CASES: dict[str, Topic] = {"RobotState": topics.STATE, "Plan": topics.PLAN, "Fra
 
 def _robot(topic: Topic) -> int | None:
     return 1 if "{robot}" in topic.name else None
-
-
-def free_port() -> int:
-    """A TCP port that is free now."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 @contextmanager

@@ -22,13 +22,13 @@ import numpy as np
 import psutil
 from playwright.sync_api import Page, sync_playwright
 
-from benchmarks.bus import free_port
 from benchmarks.harness import Row
 from groundstation import planner
 from groundstation.mission import Phase
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import STATIC, WebServer
+from sim_bridge.ports import free_port
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, encode

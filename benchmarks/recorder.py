@@ -39,7 +39,7 @@ from groundstation.station import record_everything
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, Seen
 from robot_agent.orders import StationView
-from sim_bridge.sil import free_port
+from sim_bridge.ports import free_port
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, encode, protobuf_class

@@ -10,7 +10,7 @@ from robot_agent.check import Finding, Verdict
 from robot_agent.config import Board
 from wire import topics
 from wire.bus import Bus
-from wire.keys import Keys, open_keys
+from wire.keys import Keys, common_name, open_keys
 from wire.messages import StationHeartbeat
 from wire.network import endpoint
 from wire.reach import trouble_reaching
@@ -28,7 +28,7 @@ def look_at_network(board: Board) -> Generator[Finding, None, bool]:
     if board.keys is not None:
         try:
             keys = open_keys(Path(board.keys), process)
-            yield _certificate(keys, process)
+            yield _certificate(keys)
         except ConfigError as error:
             yield Finding("certificate", Verdict.FAIL, str(error))
             return False
@@ -62,15 +62,12 @@ def look_at_network(board: Board) -> Generator[Finding, None, bool]:
     return flying
 
 
-def _certificate(keys: Keys, process: str) -> Finding:
-    from cryptography import x509  # only here: a flying agent has no use for it
-    from cryptography.x509.oid import NameOID
+def _certificate(keys: Keys) -> Finding:
+    from cryptography import x509  # a fleet without keys has no use for it
 
     try:
         found = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
         found.verify_directly_issued_by(x509.load_pem_x509_certificate(keys.ca.read_bytes()))
     except Exception as error:  # the library has a dozen ways to say that a file is no good; each is the answer here
         return Finding("certificate", Verdict.FAIL, f"{keys.certificate}: not of the authority beside it: {error}")
-    names = found.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    name = str(names[0].value) if names else "nobody"
-    return check.certificate(name, process, found.not_valid_before_utc, found.not_valid_after_utc, datetime.now(UTC))
+    return check.certificate(common_name(keys), found.not_valid_before_utc, found.not_valid_after_utc, datetime.now(UTC))

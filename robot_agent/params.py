@@ -57,7 +57,7 @@ def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Ite
     try:
         talk = Talk(wires, client)
         if not talk.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
-            raise ConfigError(f"--link {link}: {client.silence or wires.trouble or 'no board is heard (is it powered?)'}")
+            raise ConfigError(f"--link {link}: {client.silence(wires.trouble)}")
         yield talk
     finally:
         wires.close()

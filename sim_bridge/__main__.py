@@ -106,11 +106,12 @@ def sil(
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge import sil as software_in_the_loop
+    from sim_bridge.ports import page_address
     from sim_bridge.programs import Way, check
 
     loaded = _load(experiment, seed, duration, settings, faults)
     console = Console()
-    page = None if no_web else software_in_the_loop.page_address(web)
+    page = None if no_web else page_address(web)
     way = Way(lockstep, page, manual, poses, keys, signed)
     check(loaded, way)
     if dry_run:
@@ -258,9 +259,9 @@ def pool(
     loaded = load_experiment(experiment, settings or ())
     where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
     make = boards_in(boards) if boards is not None else Board
-    Sockets(ports, loaded.robot_ids, loaded.seed).close()  # ports that are taken are told before the wait for the station
+    sockets = Sockets(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
     with Bus(ZenohTransport(where, stop), fleet) as bus:
-        Pool(loaded, bus, ports, stop, lockstep, poses, make).run()
+        Pool(loaded, bus, sockets, stop, lockstep, poses, make).run()
 
 
 @cli.command()

@@ -65,7 +65,7 @@ def board_conformance(
         client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
         robot = _who_is_there(wire, client)
         if robot is None:
-            raise ConfigError(f"--port {port}: {client.silence or link.trouble or 'no board is heard (is it powered?)'}")
+            raise ConfigError(f"--port {port}: {client.silence(link.trouble)}")
         probe = Probe(wire, robot) if signing is None else Probe(wire, robot, signing.key, signing.stamps)
         outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:

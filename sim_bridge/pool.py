@@ -50,18 +50,19 @@ class Pool:
         self,
         experiment: Experiment,
         bus: Bus,
-        base_port: int,
+        sockets: Sockets,
         stop: Stop,
         lockstep: bool,
         poses: bool = False,
         make: MakeBoard = Board,
     ) -> None:
-        """With `poses` there is no camera: poses go out in the localizer's place. `make` makes the thruster boards."""
+        """`sockets` are closed when the run ends. With `poses` there is no camera: poses go out in the localizer's place.
+        `make` makes the thruster boards."""
         self._experiment, self._bus, self._stop = experiment, bus, stop
         self._make = make
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
-        self._sockets = Sockets(base_port, experiment.robot_ids, experiment.seed)
+        self._sockets = sockets
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids if experiment.sim.faults else ())
         cv2.setNumThreads(1)  # two cores, five processes: more threads only fight
         self._eye: Renderer | Located = (

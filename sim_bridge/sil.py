@@ -4,7 +4,6 @@ The processes are the ones that run in the pool, started as a person would start
 """
 
 import json
-import os
 import resource
 import shlex
 import socket
@@ -21,6 +20,7 @@ from rich.table import Table
 
 from sim_bridge import faults
 from sim_bridge.monitor import Monitor
+from sim_bridge.ports import free_base_port, free_port
 from sim_bridge.processes import Child, Children
 from sim_bridge.programs import Program, Way, programs
 from sim_bridge.saboteur import Saboteur
@@ -215,45 +215,3 @@ def _listens(address: str, station: Child, stop: Stop) -> bool:
         except OSError:
             time.sleep(0.05)
     return False
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
-def page_address(wanted: str) -> str:
-    """`wanted` (host:port), or the same host with another port if that one is taken: two runs may go on side by side."""
-    host, _, port = wanted.rpartition(":")
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, int(port)))
-        except OSError:
-            return f"{host}:{free_port()}"
-        except ValueError:  # no number: the station says what is allowed
-            return wanted
-    return wanted
-
-
-def free_base_port(robots: tuple[int, ...]) -> int:
-    """A UDP port p such that p + id is free for every robot. Where the search begins depends on the process: of two runs that
-    start together, neither has bound its ports yet when the other looks."""
-    bases = list(range(14550, 60000, 100))
-    first = os.getpid() % len(bases)
-    for base in bases[first:] + bases[:first]:
-        probes = []
-        try:
-            for robot in robots:
-                probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-                probes.append(probe)
-                probe.bind(("127.0.0.1", base + robot))
-            return base
-        except OSError:
-            continue
-        finally:
-            for probe in probes:
-                probe.close()
-    raise RuntimeError("no free UDP ports for the thruster boards")

@@ -79,7 +79,7 @@ class MemberList(Section):
 
 
 def open_keys(ring: Path, process: str) -> Keys:
-    """The keys of one process. Raises ConfigError saying what is missing or damaged, or who else can read them."""
+    """The keys of one process. Raises ConfigError saying what is missing, damaged or another's, or who else can read them."""
     keys = Keys(ring / process)
     with files_named(keys.folder):
         for path in (keys.ca, keys.certificate, keys.private_key):
@@ -99,7 +99,20 @@ def open_keys(ring: Path, process: str) -> Keys:
     except ssl.SSLError as error:
         why = (error.reason or "not PEM").lower().replace("_", " ")
         raise ConfigError(f"{keys.certificate} and {keys.private_key}: not a certificate and its key: {why}") from None
+    owner = common_name(keys)
+    if owner.partition(".")[0] != process:  # the router would let it in, and keep to itself whatever it says
+        raise ConfigError(f"{keys.certificate}: is {owner}'s, this is {process} (`groundstation keys add` makes one for it)")
     return keys
+
+
+def common_name(keys: Keys) -> str:
+    """By which name the router knows a process: its own, a dot, and what no other certificate has."""
+    from cryptography import x509  # a fleet without keys has no use for it
+    from cryptography.x509.oid import NameOID
+
+    certificate = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else "nobody"
 
 
 def read_members(ring: Path) -> MemberList:

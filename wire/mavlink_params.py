@@ -82,9 +82,8 @@ class ParameterClient:
         """Whether every parameter has come."""
         return self._count is not None and len(self._by_index) == self._count
 
-    @property
-    def silence(self) -> str:
-        """Why no board is heard, as far as what has come tells; empty if one is, or nothing has come."""
+    def silence(self, trouble: str = "") -> str:
+        """Why no board is heard, as far as what has come tells, or else the link's `trouble`; empty if one is heard."""
         if self.heard:
             return ""
         if self._others:
@@ -93,7 +92,7 @@ class ParameterClient:
             return "a board is heard that signs " + ("with another key" if self._key else "(--link-key FILE)")
         if self._receiver.refused[Verdict.UNSIGNED]:
             return "a board is heard that has no key (over a cable, `robot-agent params give-key FILE` gives it one)"
-        return ""
+        return trouble or "no board is heard (is it powered?)"
 
     @property
     def signed(self) -> bool:

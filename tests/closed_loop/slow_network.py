@@ -20,7 +20,8 @@ from groundstation import station
 from localizer import shell as localizer_shell
 from robot_agent import shell as agent_shell
 from sim_bridge.pool import Pool
-from sim_bridge.sil import free_base_port
+from sim_bridge.ports import free_base_port
+from sim_bridge.sockets import Sockets
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, decode
@@ -147,7 +148,8 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for topic in COMPARED:
             witness.subscribe(topic, None, told.note)
         ports = free_base_port(experiment.robot_ids)
-        shells = [Pool(experiment, bus("sim-bridge"), ports, stop, True, poses).run]
+        sockets = Sockets(ports, experiment.robot_ids, experiment.seed)
+        shells = [Pool(experiment, bus("sim-bridge"), sockets, stop, True, poses).run]
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
             closing.callback(link.close)

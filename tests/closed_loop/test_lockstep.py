@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sim_bridge.board import SENT_BETWEEN, Board
-from sim_bridge.sil import free_base_port
+from sim_bridge.ports import free_base_port
 from sim_bridge.sockets import Sockets
 from sim_bridge.world import World
 from tests.closed_loop.slow_network import fly

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from sim_bridge.ports import free_base_port, free_port
 from sim_bridge.processes import Children
-from sim_bridge.sil import free_base_port, free_port
 
 
 class Lab:

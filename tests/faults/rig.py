@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from sim_bridge.ports import free_base_port, free_port
 from sim_bridge.processes import Child, Children
-from sim_bridge.sil import free_base_port, free_port
 from tests.faults.onlooker import PATIENCE_S, Onlooker, Stuck
 from tests.faults.wires import NetWire, SerialWire
 from wire import topics

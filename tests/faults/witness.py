@@ -20,6 +20,7 @@ from sim_bridge.board import Board
 from sim_bridge.board_memory import MakeBoard
 from sim_bridge.faults import Faults
 from sim_bridge.pool import Pool
+from sim_bridge.sockets import Sockets
 from sim_bridge.world import World
 from wire.bus import Bus
 from wire.experiment import Experiment, load_experiment
@@ -117,11 +118,12 @@ def main() -> None:
     """See the module's docstring."""
     name, station, ports, harness, *options = sys.argv[1:]
     start_log("sim-bridge")
-    line, stop = Line(int(harness)), Stop()
+    line, stop, experiment = Line(int(harness)), Stop(), load_experiment(name)
+    sockets = Sockets(int(ports), experiment.robot_ids, experiment.seed)
     vars(sim_bridge.pool)["World"] = watched_world(line)
     with Bus(ZenohTransport(Endpoint(station))) as bus:
         poses, make = "--poses" in options, watched_board(line)
-        Pool(load_experiment(name), bus, int(ports), stop, lockstep=False, poses=poses, make=make).run()
+        Pool(experiment, bus, sockets, stop, lockstep=False, poses=poses, make=make).run()
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from typer.testing import CliRunner, Result
 from groundstation import deploy, keys, wheelhouse
 from groundstation.__main__ import cli
 from groundstation.deploy import Probe, Target
-from tests.wire.test_bus import free_port
+from sim_bridge.ports import free_port
 from wire.experiment import load_experiment
 from wire.toml_file import ConfigError
 

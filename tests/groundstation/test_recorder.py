@@ -15,7 +15,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from groundstation.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
 from groundstation.recovery import is_complete, recover
-from sim_bridge.sil import free_port
+from sim_bridge.ports import free_port
 from tests.groundstation.small_log import SECOND, pose, record_poses, sequences
 from wire import topics
 from wire.bus import Bus

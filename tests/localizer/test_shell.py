@@ -19,9 +19,9 @@ from localizer.patch import Pixels
 from localizer.previews import Rate
 from localizer.shell import Options, Shell, run
 from sim_bridge.camera import Renderer
+from sim_bridge.ports import free_port
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS, eventually
-from tests.wire.test_bus import free_port
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, decode

@@ -24,7 +24,7 @@ from groundstation.runlog import read_log
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import WebServer
-from sim_bridge.sil import free_port
+from sim_bridge.ports import free_port
 from tests.page.conftest import Asked, Flight, open_page
 from wire import topics
 from wire.bus import Bus

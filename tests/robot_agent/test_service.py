@@ -14,7 +14,7 @@ from robot_agent import realtime
 from robot_agent.config import Realtime
 from robot_agent.unit import NAME, unit
 from robot_agent.watchdog import TIMES_A_WATCH, Watchdog
-from tests.wire.test_bus import free_port
+from sim_bridge.ports import free_port
 from wire.toml_file import ConfigError
 from wire.transport import Endpoint, ZenohTransport
 

@@ -2,11 +2,12 @@
 
 import threading
 import time
+from socket import SOCK_DGRAM
 
 import pytest
 
 from robot_agent import shell
-from tests.sim_bridge.test_bench import free_port
+from sim_bridge.ports import free_port
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import load_experiment
@@ -24,7 +25,7 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     order: Order, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(shell, "LATE", NEVER)
-    hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port()}")
+    hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     heard = station.inbox(topics.STATE, RobotState, 1)
     robot = shell.Shell(load_experiment("pool"), 1, bus, link, False, stop)

@@ -3,11 +3,13 @@
 import threading
 import time
 from pathlib import Path
+from socket import SOCK_DGRAM
 
 import pytest
 
 from robot_agent.shell import Shell
-from tests.sim_bridge.test_bench import board, free_port
+from sim_bridge.ports import free_port
+from tests.sim_bridge.test_bench import board
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import load_experiment
@@ -20,7 +22,7 @@ from wire.transport import MemoryHub, MemoryTransport
 
 @pytest.mark.parametrize("same", [True, False], ids=["one key", "two keys"])
 def test_state_tells_of_the_board_and_of_its_clock_only_where_the_keys_match(same: bool, tmp_path: Path) -> None:
-    folder, port, hub = tmp_path / "boards", free_port(), MemoryHub()
+    folder, port, hub = tmp_path / "boards", free_port(SOCK_DGRAM), MemoryHub()
     folder.mkdir()
     new_key(folder / "robot-1.key")
     new_key(tmp_path / "other.key")

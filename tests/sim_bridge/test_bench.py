@@ -1,13 +1,13 @@
 """A board on a bench as a process of its own, on a real pseudo-terminal and on UDP: parameters, conformance, unplugging."""
 
 import json
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from socket import SOCK_DGRAM
 
 import pytest
 from typer.testing import CliRunner
@@ -15,19 +15,13 @@ from typer.testing import CliRunner
 from robot_agent.params import cli as params
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.bench import Terminal, open_socket
+from sim_bridge.ports import free_port
 from wire.link import SerialLink, open_link
 from wire.link_key import Signing, agent_end, new_key
 from wire.mavlink import AgentLink
 from wire.toml_file import ConfigError
 
 ROOT = Path(__file__).parents[2]
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
 
 
 @contextmanager
@@ -76,10 +70,11 @@ def test_a_board_that_is_not_there_says_why(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr("robot_agent.params.WITHIN_S", 0.5)
     monkeypatch.setattr("sim_bridge.conformance_shell.HEARD_WITHIN_S", 0.5)
     (tmp_path / "file").touch()
+    nobody = free_port(SOCK_DGRAM)
     for port, says in (
         (f"serial:{tmp_path}/plug", f"{tmp_path}/plug: not there; is the board plugged in"),
         (f"serial:{tmp_path}/file", f"{tmp_path}/file: is no serial port"),
-        (f"udp:127.0.0.1:{free_port()}", "connection refused: the machine is there, but nothing listens on that port"),
+        (f"udp:127.0.0.1:{nobody}", "connection refused: the machine is there, but nothing listens on that port"),
     ):
         assert f"--link {port}: {says}" in say("list", "--link", port)[1]
         examined = CliRunner().invoke(sim_bridge, ["board-conformance", "--port", port, "--dry"])
@@ -101,7 +96,7 @@ def test_parameters_over_signed_udp(tmp_path: Path) -> None:
     folder = tmp_path / "boards"
     folder.mkdir()
     new_key(folder / "robot-1.key")
-    port = free_port()
+    port = free_port(SOCK_DGRAM)
     with board(f"udp:127.0.0.1:{port}", folder):
         signed = ("--link", f"udp:127.0.0.1:{port}", "--link-key", str(folder / "robot-1.key"))
         assert say("set", *signed, "SLEW_US_S", "5000") == (0, "SLEW_US_S = 5000\n")
@@ -128,7 +123,7 @@ def test_parameters_over_signed_udp(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pty", "udp"])
 def test_the_reference_board_conforms_over_a_real_wire(kind: str, tmp_path: Path) -> None:
-    folder, port = tmp_path / "boards", free_port()
+    folder, port = tmp_path / "boards", free_port(SOCK_DGRAM)
     folder.mkdir()
     new_key(folder / "robot-1.key")
     ours, theirs = (f"pty:{tmp_path}/plug", f"{tmp_path}/plug") if kind == "pty" else (f"udp:127.0.0.1:{port}",) * 2

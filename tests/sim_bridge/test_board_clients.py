@@ -338,12 +338,13 @@ def test_a_folder_keeps_a_key_for_its_owners_eyes_only(tmp_path: Path) -> None:
 )
 def test_who_hears_no_board_is_told_why(robot: int | None, key: Key | None, boards: Key | None, says: str) -> None:
     client, bench = ParameterClient(robot, key, lambda: 1000), Bench(boards)
-    assert (client.heard, client.silence) == (False, "")  # nothing has come
+    assert (client.heard, client.silence()) == (False, "no board is heard (is it powered?)")
+    assert client.silence("the cable is out") == "the cable is out"
     for _ in range(4):
         bench.board.receive(client.heartbeat(), bench.now_ns)
         client.receive(bench.board.step(bench.now_ns, STILL, STILL, STILL), bench.now_ns)
         bench.now_ns += 1_000_000_000
-    assert (client.heard, client.silence) == (not says, says)
+    assert (client.heard, client.silence("the link's trouble")) == (not says, says)
 
 
 def test_a_board_whose_memory_is_gone_says_so(tmp_path: Path) -> None:

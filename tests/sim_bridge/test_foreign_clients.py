@@ -9,10 +9,12 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from socket import SOCK_DGRAM
 
 import pytest
 
-from tests.sim_bridge.test_bench import board, free_port
+from sim_bridge.ports import free_port
+from tests.sim_bridge.test_bench import board
 from wire.link import open_link
 from wire.mavlink import AgentLink
 
@@ -59,7 +61,7 @@ def wait_for(done: Callable[[], bool]) -> bool:
 @pytest.mark.skipif(importlib.util.find_spec("mavsdk") is None, reason="mavsdk is not installed")
 def test_mavsdk_discovers_reads_sets_and_arms_as_the_rules_allow(tmp_path: Path) -> None:
     """In a process of its own: it is a C++ library with threads."""
-    port = free_port()
+    port = free_port(SOCK_DGRAM)
     with board(f"udp:127.0.0.1:{port}", tmp_path):
         script = Path(__file__).with_name("mavsdk_client.py")
         client = subprocess.Popen(
@@ -105,7 +107,7 @@ def test_mavsdk_discovers_reads_sets_and_arms_as_the_rules_allow(tmp_path: Path)
 
 @pytest.mark.skipif(importlib.util.find_spec("MAVProxy") is None, reason="MAVProxy is not installed")
 def test_mavproxy_discovers_reads_sets_and_arms_as_the_rules_allow(tmp_path: Path) -> None:
-    port = free_port()
+    port = free_port(SOCK_DGRAM)
     with board(f"udp:127.0.0.1:{port}", tmp_path / "boards"):
         command = [
             str(Path(sys.executable).with_name("mavproxy.py")),

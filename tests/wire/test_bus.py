@@ -1,25 +1,18 @@
 """The same contract for real Zenoh sessions through a real router, and for the in-memory twin."""
 
-import socket
 import time
 from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
 
+from sim_bridge.ports import free_port
 from wire import messages, topics, transport
 from wire.bus import Bus
 from wire.codec import Header
 from wire.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
 
 MakeBus = Callable[[], Bus]
-
-
-def free_port() -> int:
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        port: int = s.getsockname()[1]
-        return port
 
 
 @pytest.fixture(params=["zenoh", "memory"])

@@ -15,7 +15,8 @@ import pytest
 import zenoh
 
 from groundstation import keys
-from tests.wire.test_bus import eventually, free_port
+from sim_bridge.ports import free_port
+from tests.wire.test_bus import eventually
 from wire import messages, topics
 from wire.bus import Bus
 from wire.endpoint import FLOOD

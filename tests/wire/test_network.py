@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from groundstation import keys
-from tests.wire.test_bus import free_port
+from sim_bridge.ports import free_port
 from wire import topics
 from wire.access import INSECURE
 from wire.endpoint import FLOOD
@@ -87,6 +87,17 @@ def test_what_cannot_be_is_refused(ring: Path) -> None:
     shutil.copytree(ring / "groundstation", ring.parent / "robot" / "groundstation")
     with pytest.raises(ConfigError, match=r"members\.toml is missing"):
         endpoint("tls/127.0.0.1:7447", "groundstation", ring.parent / "robot", router=True)
+
+
+@pytest.mark.parametrize(("mine", "given"), [("agent-1", "viewer"), ("agent-1", "agent-11"), ("agent-11", "agent-1")])
+def test_another_ones_certificate_is_refused(ring: Path, mine: str, given: str) -> None:
+    """The router would let it in and hear nothing of what it says in its own name."""
+    for robot in (1, 11):
+        keys.add(ring, "robot", robot, datetime.now(UTC))
+    endpoint("tls/127.0.0.1:7447", mine, ring)
+    shutil.copytree(ring / given, ring / mine, dirs_exist_ok=True)
+    with pytest.raises(ConfigError, match=rf"{mine}/cert\.pem: is {given}\.[0-9a-f]+'s, this is {mine} "):
+        endpoint("tls/127.0.0.1:7447", mine, ring)
 
 
 def test_a_reason_is_given_for_every_way_of_not_being_there(ring: Path) -> None:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.wire.test_bus import eventually, free_port
+from sim_bridge.ports import free_port
+from tests.wire.test_bus import eventually
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import load_experiment

@@ -1,0 +1,47 @@
+"""SHELL: ports of this machine that nobody has taken, for programs that are about to be started."""
+
+import os
+import socket
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
+    """One of TCP; of UDP with SOCK_DGRAM."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def page_address(wanted: str) -> str:
+    """`wanted` (host:port), or the same host with another port if that one is taken: two runs may go on side by side."""
+    host, _, port = wanted.rpartition(":")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, int(port)))
+        except OSError:
+            return f"{host}:{free_port()}"
+        except ValueError:  # no number: the station says what is allowed
+            return wanted
+    return wanted
+
+
+def free_base_port(robots: tuple[int, ...]) -> int:
+    """A UDP port p such that p + id is free for every robot. Where the search begins depends on the process: of two runs that
+    start together, neither has bound its ports yet when the other looks."""
+    bases = list(range(14550, 60000, 100))
+    first = os.getpid() % len(bases)
+    for base in bases[first:] + bases[:first]:
+        probes = []
+        try:
+            for robot in robots:
+                probe = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+                probes.append(probe)
+                probe.bind(("127.0.0.1", base + robot))
+            return base
+        except OSError:
+            continue
+        finally:
+            for probe in probes:
+                probe.close()
+    raise RuntimeError("no free UDP ports for the thruster boards")
