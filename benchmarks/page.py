@@ -24,6 +24,7 @@ from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.harness import Row
 from groundstation import planner
+from groundstation.inboxes import listen
 from groundstation.mission import Phase
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
@@ -140,7 +141,9 @@ def lab(robots: int) -> Iterator[str]:
     address, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
         post = Post(lambda: Status(Phase.RUNNING, ""), lambda order: "", deque())
-        desk = Desk(experiment, planner.plan(experiment), bus, WallClock(), post, "real-time")
+        desk = Desk(
+            experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
+        )
         with WebServer(desk, WebOptions(port=port)):
             command = [sys.executable, "-m", "benchmarks.page", address, str(robots)]
             talking = subprocess.Popen(command, stdin=subprocess.PIPE)

@@ -12,7 +12,7 @@ from wire.toml_file import ConfigError
 
 
 def deploy(
-    boards: Annotated[list[str], typer.Argument(metavar="[USER@]HOST=ROBOT...", help="Boards, and which robot each is.")],
+    boards: Annotated[list[str], typer.Argument(metavar="[USER@]HOST=ROBOT", help="Boards, and which robot each is.")],
     station: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where robots find the station: tls/192.168.1.10:7447.")],
     experiment: Annotated[str, typer.Option(help="What is flown: a shipped experiment, or a path.")] = "pool",
     settings: Settings = None,

@@ -14,9 +14,11 @@ from wire.options import (
     DEFAULT_STATION,
     DEFAULT_WEB,
     ExperimentName,
+    ExternalRouter,
     FleetName,
     Insecure,
     KeyRing,
+    ListenAddress,
     LockstepMode,
     Settings,
     Verbose,
@@ -33,8 +35,8 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
     run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder for the run.")] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
-    listen: Annotated[str, typer.Option(metavar="ENDPOINT", help="Where the fleet's Zenoh router listens.")] = DEFAULT_STATION,
-    external_router: Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")] = False,
+    listen: ListenAddress = DEFAULT_STATION,
+    external_router: ExternalRouter = False,
     settings: Settings = None,
     fleet: FleetName = DEFAULT_FLEET,
     lockstep: LockstepMode = False,
@@ -55,7 +57,7 @@ def run(
     (`groundstation order start`).
     Exit code 0 if the mission succeeded, 1 if not.
 
-    Examples:  groundstation run pool --listen tcp/0.0.0.0:7447 --keys keys
+    Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
                groundstation run pool --auto --dry-run
     """
     loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from wire.options import DEFAULT_FLEET, DEFAULT_STATION, FleetName
+from wire.options import DEFAULT_FLEET, DEFAULT_STATION, FleetName, ListenAddress
 
 keys_cli = typer.Typer(
     help="Certificates: who belongs to the fleet, and as what (docs/security.md).",
@@ -41,8 +41,8 @@ def init(
 
 @keys_cli.command()
 def add(
-    role: Annotated[str, typer.Argument(help="station, operator, robot, localizer, simulator or viewer.")],
-    robot: Annotated[int, typer.Argument(help="A robot's number.")] = 0,
+    role: Annotated[str, typer.Argument(metavar="ROLE", help="station, operator, robot, localizer, simulator or viewer.")],
+    robot: Annotated[int, typer.Argument(metavar="ROBOT", help="A robot's number.")] = 0,
     days: Annotated[float, typer.Option(min=0.01, max=3650, help="How long it is valid.")] = 397.0,
     ring: Ring = DEFAULT_RING,
 ) -> None:
@@ -58,7 +58,8 @@ def add(
 
 @keys_cli.command()
 def revoke(
-    process: Annotated[str, typer.Argument(help="As `keys list` names it, for example agent-3.")], ring: Ring = DEFAULT_RING
+    process: Annotated[str, typer.Argument(metavar="PROCESS", help="As `keys list` names it, for example agent-3.")],
+    ring: Ring = DEFAULT_RING,
 ) -> None:
     """Strike a process off the list of those that the router lets through.
 
@@ -94,7 +95,7 @@ def list_members(ring: Ring = DEFAULT_RING) -> None:
 
 
 @keys_cli.command()
-def router(listen: str = DEFAULT_STATION, ring: Ring = DEFAULT_RING, fleet: FleetName = DEFAULT_FLEET) -> None:
+def router(listen: ListenAddress = DEFAULT_STATION, ring: Ring = DEFAULT_RING, fleet: FleetName = DEFAULT_FLEET) -> None:
     """Print the configuration of an external `zenohd` (JSON5), with the same TLS and access control as the station's own.
 
     Example:  groundstation keys router --listen tls/0.0.0.0:7447 > zenohd.json5

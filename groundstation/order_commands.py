@@ -42,7 +42,7 @@ def order(
 
 def tune(
     changes: Annotated[
-        list[str] | None, typer.Argument(metavar="KEY=VALUE...", help="For example controller.mpc.q=[2,2,1,1].")
+        list[str] | None, typer.Argument(metavar="KEY=VALUE", help="For example controller.mpc.q=[2,2,1,1].")
     ] = None,
     undo: Annotated[bool, typer.Option("--undo", help="Go back to the gains before.")] = False,
     station: StationAddress = DEFAULT_STATION,
@@ -94,7 +94,10 @@ def come_back(
 
 
 def go(
-    places: Annotated[list[float], typer.Argument(metavar="X Y [X Y ...]", help="Places for the formation's centre, in m.")],
+    places: Annotated[
+        list[float],
+        typer.Argument(metavar="X Y", help="Places for the formation's centre, x and y in m; as many as you like."),
+    ],
     station: StationAddress = DEFAULT_STATION,
     fleet: FleetName = DEFAULT_FLEET,
     keys: KeyRing = None,

@@ -19,6 +19,7 @@ import numpy as np
 from groundstation import planner
 from groundstation.checks import PlanError
 from groundstation.fleet import Ear, Fleet, preflight, view
+from groundstation.inboxes import Inboxes, listen
 from groundstation.laps import Laps
 from groundstation.legs import Leg, first_leg
 from groundstation.lookout import Surroundings
@@ -31,12 +32,12 @@ from groundstation.web.guard import WebOptions
 from groundstation.web.server import WebServer
 from wire import topics
 from wire.access import INSECURE
-from wire.bus import Bus, Inbox
+from wire.bus import Bus
 from wire.codec import Header
 from wire.endpoint import PATIENT_MS
 from wire.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Command, LocalizerStatus, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat
+from wire.messages import Command, Obstacles, Order, Reply, StationHeartbeat
 from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus
 from wire.topics import WHOLE_FLEET
 
@@ -59,11 +60,7 @@ class Station:
     mission: Mission
     tuner: Tuner
     laps: Laps
-    states: dict[int, Inbox[RobotState]]
-    poses: dict[int, Inbox[Pose]]
-    plans: dict[int, Inbox[Plan]]
-    obstacles: Inbox[Obstacles]
-    localizer: Inbox[LocalizerStatus]
+    heard: Inboxes
     pool: ThreadPoolExecutor
     starts: dict[int, Array]
     ears: dict[int, Ear] = field(default_factory=dict)
@@ -112,15 +109,15 @@ class Station:
         """What is known of the robots now."""
         found = {}
         for robot in self.experiment.robot_ids:
-            state, ear = self.states[robot].newest(), self.ears.setdefault(robot, Ear())
+            state, ear = self.heard.states[robot].newest(), self.ears.setdefault(robot, Ear())
             if state is not None:
                 ear.hear(state.header, self.clock.instant_ns(state))
-            found[robot] = view(state, self.poses[robot].newest(), self.clock, self.plans[robot].newest(), ear)
+            found[robot] = view(state, self.heard.poses[robot].newest(), self.clock, self.heard.plans[robot].newest(), ear)
         return found
 
     def _around(self) -> Surroundings:
         """What the localizer sees lying in the pool; what drifts is left to the robots, who see it too."""
-        received = self.obstacles.newest(self.obstacles_up_to_ns)
+        received = self.heard.obstacles.newest(self.obstacles_up_to_ns)
         if received is None or age_s(self.clock, received) > topics.OBSTACLES.max_age_s:
             return Surroundings()
         return surroundings(received.message)
@@ -254,17 +251,9 @@ def run(
         record_everything(bus, recorder, clock)
         with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool, contextlib.ExitStack() as served:
             mission = Mission(experiment, leg, starts, automatic)
-            states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
-            poses = bus.inboxes(topics.POSE, Pose, experiment.robot_ids)
-            plans = bus.inboxes(topics.PLAN, Plan, experiment.robot_ids)
-            obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
-            tuner = Tuner(experiment)
+            heard, tuner = listen(bus, experiment.robot_ids), Tuner(experiment)
             laps = Laps(tuner.lap_s)
-            station = Station(
-                experiment, bus, clock, recorder, mission, tuner, laps, states, poses, plans, obstacles,
-                bus.inbox(topics.LOCALIZER, LocalizerStatus), pool, starts,
-                insecure=insecure,
-            )  # fmt: skip
+            station = Station(experiment, bus, clock, recorder, mission, tuner, laps, heard, pool, starts, insecure=insecure)
             station.seen = station.fleet()
             bus.serve(WHOLE_FLEET, station.wish)
             log_to_bus(bus, clock, "groundstation")
@@ -274,7 +263,7 @@ def run(
             bus.watch_presence()
             if web is not None:
                 post = Post(station.status, station.ask, station.answers, station.tune)
-                served.enter_context(WebServer(Desk(experiment, trajectories, bus, clock, post, mode), web))
+                served.enter_context(WebServer(Desk(experiment, trajectories, bus, heard, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
             if viewer is not None:
                 served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
@@ -311,10 +300,11 @@ def _wall_loop(station: Station, stop: Stop) -> None:
 
 
 def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
+    heard = station.heard
     while (tick := lockstep.next()) is not None:
         # What the robots found in the step before, and where the picture shows them.
-        up_to_ns = lockstep.await_sight(tick, station.localizer, station.poses, station.obstacles)
-        if up_to_ns is None or not lockstep.await_all([(station.states[r], tick.previous_ns) for r in tick.robots]):
+        up_to_ns = lockstep.await_sight(tick, heard.localizer, heard.poses, heard.obstacles)
+        if up_to_ns is None or not lockstep.await_all([(heard.states[r], tick.previous_ns) for r in tick.robots]):
             return
         station.obstacles_up_to_ns = up_to_ns
         station.cycle(tick.now_ns, lockstep=True)

@@ -13,9 +13,7 @@ from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetNa
 def calibrate(
     sources: Annotated[
         list[Path] | None,
-        typer.Argument(
-            metavar="[PICTURES...]", help="Files, folders or videos that show the board, in air.", show_default=False
-        ),
+        typer.Argument(metavar="PICTURES", help="Files, folders or videos that show the board, in air.", show_default=False),
     ] = None,
     board: Annotated[
         str | None,

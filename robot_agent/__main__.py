@@ -11,6 +11,7 @@ from robot_agent.config import DEFAULT_LINK, choose, open_board
 from robot_agent.params import cli as params
 from wire.experiment import load_experiment
 from wire.options import (
+    DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
     Insecure,
@@ -41,7 +42,9 @@ cli.add_typer(params, name="params")
 
 @cli.command()
 def run(
-    experiment: Annotated[str | None, typer.Argument(help="A shipped experiment, or a path ending in .toml.")] = None,
+    experiment: Annotated[
+        str | None, typer.Argument(metavar="EXPERIMENT", help="A shipped experiment, or a path ending in .toml.")
+    ] = None,
     config: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The board's configuration (`robot-agent init`); options go before it.")
     ] = None,
@@ -54,7 +57,9 @@ def run(
     station: Annotated[
         str | None, typer.Option(metavar="ENDPOINT", help="Where the station's router listens.", show_default=DEFAULT_STATION)
     ] = None,
-    fleet: Annotated[str | None, typer.Option(callback=live_fleet, help="Name of the fleet.")] = None,
+    fleet: Annotated[
+        str | None, typer.Option(callback=live_fleet, help="Name of the fleet.", show_default=DEFAULT_FLEET)
+    ] = None,
     settings: Settings = None,
     lockstep: LockstepMode = False,
     keys: KeyRing = None,

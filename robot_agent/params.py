@@ -23,7 +23,7 @@ LARGEST = 3.4028234e38  # of single precision, which parameters have on the wire
 
 LinkAddress = Annotated[str, typer.Option("--link", help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")]
 WhichRobot = Annotated[int | None, typer.Option("--robot", help="Whose board; default: the one that is heard first.")]
-Name = Annotated[str, typer.Argument(help="The parameter's name, for example SLEW_US_S.")]
+Name = Annotated[str, typer.Argument(metavar="NAME", help="The parameter's name, for example SLEW_US_S.")]
 
 cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They change only while it is disarmed.")
 
@@ -96,7 +96,7 @@ def get(
 @cli.command("set")
 def set_one(
     name: Name,
-    value: Annotated[float, typer.Argument(help="Its new value.")],
+    value: Annotated[float, typer.Argument(metavar="VALUE", help="Its new value.")],
     link: LinkAddress = DEFAULT_LINK,
     robot: WhichRobot = None,
     key: LinkKey = None,

@@ -155,7 +155,7 @@ def numeric(
 
 @cli.command()
 def campaign(
-    file: Annotated[Path, typer.Argument(help="The campaign, a TOML file (docs/simulator.md).")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The campaign, a TOML file (docs/simulator.md).")],
     out: Annotated[Path | None, typer.Option(help="Folder of the campaign; default: runs/campaign-NAME.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
@@ -243,7 +243,7 @@ def pool(
 ) -> None:
     """Be the pool: thruster boards on UDP, camera frames on the bus. The other programs run as they would beside water.
 
-    Example:  sim-bridge pool pool --station tcp/192.168.1.10:7447
+    Example:  sim-bridge pool pool --station tls/192.168.1.10:7447 --keys keys
     """
     from sim_bridge.board import Board
     from sim_bridge.board_memory import boards_in

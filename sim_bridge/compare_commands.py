@@ -59,8 +59,10 @@ def tune(
     jobs: Jobs = None,
     settings: Settings = None,
 ) -> None:
-    """Tune the laws that the ESO-MPC is compared with: the same search, budget and flights for each; prints sections for an
-    experiment file. With --set vehicle=FILE.toml for another vehicle.
+    """Tune the laws that the ESO-MPC is compared with: the same search, budget and flights for each; print sections for an
+    experiment file.
+
+    With --set vehicle=FILE.toml for another vehicle.
 
     Example:  sim-bridge tune --laws pid,lqr --budget 100 > gains.toml
     """

@@ -85,5 +85,7 @@ LinkInsecure = Annotated[
     bool, typer.Option("--link-insecure", help="Let an unsigned link to the board leave this machine over UDP.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON, for a script.")]
+ListenAddress = Annotated[str, typer.Option("--listen", metavar="ENDPOINT", help="Where the fleet's Zenoh router listens.")]
+ExternalRouter = Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")]
 WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Where the operator's page is served.")]
 Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Log details too.")]

@@ -1,4 +1,4 @@
-"""SHELL: the live fleet as the page sees it: reads the bus through inboxes of its own, gives orders as a terminal would.
+"""SHELL: the live fleet as the page sees it: reads the station's inboxes, gives orders as a terminal would.
 
 Nothing here waits for the station's cycle, and the cycle never waits for anything here.
 """
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from groundstation.fleet import preflight, view
+from groundstation.inboxes import Inboxes
 from groundstation.laps import Lap
 from groundstation.mission import Answer
 from groundstation.phases import Phase, allowed
@@ -23,7 +24,7 @@ from wire import topics
 from wire.bus import Bus, Inbox, Received
 from wire.codec import DecodeError, Header, decode
 from wire.experiment import Experiment
-from wire.messages import Event, LocalizerStatus, Obstacles, Order, Plan, Pose, Preview, RobotState, Trajectory
+from wire.messages import Event, Order, Preview, Trajectory
 from wire.runtime import Clock
 from wire.topics import Topic
 
@@ -70,25 +71,21 @@ class Post:
 
 
 class Desk:
-    """The live fleet. Its inboxes decode in the thread that asks, which is the page's."""
+    """The live fleet."""
 
     def __init__(
         self,
         experiment: Experiment,
         trajectories: Mapping[int, Trajectory],
         bus: Bus,
+        heard: Inboxes,
         clock: Clock,
         station: Post,
         mode: str,
     ) -> None:
         self._experiment, self._trajectories, self._bus, self._clock = experiment, trajectories, bus, clock
         self._station, self._mode = station, mode
-        robots = experiment.robot_ids
-        self._states = bus.inboxes(topics.STATE, RobotState, robots)
-        self._poses = bus.inboxes(topics.POSE, Pose, robots)
-        self._plans = bus.inboxes(topics.PLAN, Plan, robots)
-        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
-        self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
+        self._heard = heard
         self._previews = bus.inbox(topics.PREVIEW, Preview)
         self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
         self._seen: list[Header | None] = []
@@ -104,23 +101,23 @@ class Desk:
 
     def changed(self) -> bool:
         """Whether any robot has said something since the last call."""
-        seen = [inbox.newest_header() for inbox in self._states.values()]
+        seen = [inbox.newest_header() for inbox in self._heard.states.values()]
         changed, self._seen = seen != self._seen, seen
         return changed
 
     def snapshot(self) -> dict[str, Any]:
         """The fleet now."""
         status = self._station.status()
-        states = {r: inbox.newest() for r, inbox in self._states.items()}
-        poses = {r: inbox.newest() for r, inbox in self._poses.items()}
+        states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
+        poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
         fleet = {r: view(states[r], poses[r], self._clock) for r in states}
-        localizer = _aged(self._localizer)
+        localizer = _aged(self._heard.localizer)
         return snapshot(
             FleetNews(
                 time_s=self._clock.now_ns() * 1e-9,
-                robots={r: RobotNews(_age(states[r]), _age(poses[r]), _aged(self._plans[r])) for r in states},
+                robots={r: RobotNews(_age(states[r]), _age(poses[r]), _aged(self._heard.plans[r])) for r in states},
                 localizer=localizer,
-                obstacles=_aged(self._obstacles),
+                obstacles=_aged(self._heard.obstacles),
                 phase=status.phase.name,
                 phase_text=status.phase.value,
                 reason=status.reason,

@@ -17,6 +17,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from groundstation import planner
+from groundstation.inboxes import listen
 from groundstation.mission import Answer, Phase
 from groundstation.web import requests
 from groundstation.web.desk import Desk, Post, Status
@@ -99,7 +100,7 @@ def lab() -> Iterator[Lab]:
         opened = contextlib.ExitStack()
         found = Lab(port, bus, robots, opened)
         post = Post(lambda: Status(found.phase, ""), found.order, found.answers)
-        desk = Desk(POOL, planner.plan(POOL), bus, WallClock(), post, "real-time")
+        desk = Desk(POOL, planner.plan(POOL), bus, listen(bus, POOL.robot_ids), WallClock(), post, "real-time")
         with WebServer(desk, WebOptions(port=port, token=TOKEN)), opened:
             yield found
 

@@ -17,6 +17,7 @@ import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
 from groundstation import planner
+from groundstation.inboxes import listen
 from groundstation.logfile import open_log
 from groundstation.mission import Phase
 from groundstation.rerun import rerun
@@ -232,7 +233,7 @@ def editor(browser: Browser) -> Iterator[Page]:
     port = free_port()
     post = Post(lambda: Status(Phase.WAITING, ""), lambda order: "", deque())
     with Bus(MemoryTransport(MemoryHub())) as bus:
-        desk = Desk(curve, planner.plan(curve), bus, WallClock(), post, "real-time")
+        desk = Desk(curve, planner.plan(curve), bus, listen(bus, curve.robot_ids), WallClock(), post, "real-time")
         with WebServer(desk, WebOptions(port=port)):
             page = browser.new_page(viewport={"width": 1440, "height": 900})
             page.goto(f"http://127.0.0.1:{port}/")
