@@ -25,7 +25,7 @@ from playwright.sync_api import Page, sync_playwright
 from benchmarks.harness import Row
 from groundstation import planner
 from groundstation.inboxes import listen
-from groundstation.mission import Phase
+from groundstation.phases import Phase
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import STATIC, WebServer

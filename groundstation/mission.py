@@ -1,20 +1,19 @@
 """READ FIRST. The mission: from robots lying in the water to a run that is over, along the table in groundstation/phases.py.
 
-Pure: `step(fleet, answers, now_ns, things)` returns the orders to send; groundstation/station.py sends them. An order that is
-refused or unanswered is sent again, at most once in RETRY_S, until PATIENCE_S have gone by in a phase. Plans take time: the
-mission says which one it wants (`wanted`) and is told what came of it (`planned`).
+Pure: `step(fleet, answers, now_ns, around)` returns the orders to send; groundstation/station.py sends them. An order that is
+refused or unanswered is sent again (asking.py) until PATIENCE_S have gone by in a phase. What is flown, now and next, is in
+itinerary.py. Plans take time: the mission says which one it wants (`wanted`) and is told what came of it (`planned`).
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 
+from groundstation.asking import Answer, Asking
 from groundstation.checks import PlanError
 from groundstation.crew import Crew
-from groundstation.detour import detour
 from groundstation.fleet import Fleet, casualty, preflight
-from groundstation.from_rest import gathered, homeward
-from groundstation.legs import Leg, on_grid
-from groundstation.lookout import Lookout, Surroundings
+from groundstation.itinerary import Itinerary, Wanted
+from groundstation.legs import Leg
+from groundstation.lookout import Surroundings
 from groundstation.pacing import Pace
 from groundstation.phases import FLYING, OVER, Event, Phase, after, refusal
 from groundstation.stages import STAGES, Stage
@@ -23,38 +22,17 @@ from groundstation.wishes import UNFIT, can_move, objection
 from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Command, Mode, Order, Reply
-
-__all__ = ["OVER", "STAGES", "Answer", "Mission", "Phase", "Surroundings"]
+from wire.messages import Command, Mode, Order
 
 START_IN_S = 0.5  # from the order to the first step along the trajectory, so that all have heard it
-RETRY_S = 0.25
 PATIENCE_S = 10.0  # in a phase that waits for robots to obey
 TEST_PATIENCE_S = 12.0
 SETTLE_S = 1.0  # an automatic mission goes on this long after everybody holds and is well again
-AHEAD_S = 2.0  # from asking for another path to where it begins: planning, and telling everybody
-LAST_CALL_S = 0.3  # before that, everybody must have it
 AT_REST_MPS = 0.03
 REST_WITHIN_S = 8.0  # robots that hold against waves never quite rest
 
 GETTING_READY = frozenset({Phase.ARMING, Phase.STARTING})
 BEFORE_REST = frozenset({Phase.HALTING, Phase.RELOADING, Phase.REARMING, Phase.RELEASING, Phase.RESUMING})
-
-
-@dataclass(frozen=True)
-class Answer:
-    """What became of an order."""
-
-    command: Command
-    reply: Reply
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """A plan that the mission waits for. Whoever computes it calls `plan` and gives the mission what comes of it."""
-
-    what: str
-    plan: Callable[[], Leg]
 
 
 class Mission:
@@ -66,23 +44,24 @@ class Mission:
         self.reason = ""  # why it waits, or why it failed
         self.failed = False
         self.automatic = automatic
-        self.leg = leg
         self.pace = Pace(experiment.mission)
-        self.wanted: Wanted | None = None
         self.crew = Crew(experiment.robot_ids, leg)
-        self._experiment, self._first, self._starts = experiment, leg, dict(starts)
-        self._lookout = Lookout(experiment)
-        self._next: Leg | None = None  # flown from its beginning on, once all have it
+        self.itinerary = Itinerary(experiment, leg, starts, self.crew)
+        self._asking = Asking(experiment.hash, self.itinerary, self.crew)
+        self._experiment, self._starts = experiment, dict(starts)
         self._since_ns = 0
-        self._asked_ns: dict[int, int] = {}
-        self._accepted: set[int] = set()  # robots that hold the next leg's trajectory
-        self._reached_s = 0.0  # along the trajectories; common to all, so that a resumed formation is still in step
         self._stop_after: Phase | None = None  # a person asked for no more than this stage
         self._held_by_person = False
-        self._purpose: Callable[[Fleet, float], Leg] | None = None  # of coming to rest
-        self._deadline_s = 0.0  # of SWITCHING, on the trajectories' clock
-        self._asked_by_person = False  # for another path
-        self._tested: set[int] = set()
+
+    @property
+    def leg(self) -> Leg:
+        """What is flown."""
+        return self.itinerary.leg
+
+    @property
+    def wanted(self) -> Wanted | None:
+        """The plan that is waited for."""
+        return self.itinerary.wanted
 
     # --- what people ask for
 
@@ -101,17 +80,17 @@ class Mission:
             self._come_home(fleet)
         if order is Order.REJOIN:
             self.crew.take_back()
-            self._purpose = self._into_place
+            self.itinerary.take_places()
         self._go(order, now_ns)
         if order is Order.RESUME:
             self._clear_of_lost(fleet, now_ns)
         if order is Order.GO:
-            self._want_detour(fleet, now_ns, tuple(via))
+            self.itinerary.want_detour(fleet, now_ns, tuple(via))
         return ""
 
     def _begin_anew(self) -> None:
-        self.failed, self.leg, self._reached_s = False, self._first, 0.0
-        self.crew.begin(self._first)
+        self.failed = False
+        self.itinerary.begin_anew()
         self.pace.start()
 
     def _come_home(self, fleet: Fleet) -> None:
@@ -120,13 +99,7 @@ class Mission:
         for robot in self.crew.active:
             if not can_move(fleet[robot]):
                 self.crew.lose(robot, "not fit to move")
-        self._purpose = lambda seen, begin_s: homeward(
-            self._experiment, begin_s, self.crew.rests(seen), self._starts, self._in_the_way(seen)
-        )
-
-    def _into_place(self, fleet: Fleet, begin_s: float) -> Leg:
-        rests, slots, things = self.crew.rests(fleet), self.crew.active_slots(), self._in_the_way(fleet)
-        return gathered(self._experiment, self.leg, begin_s, self._reached_s, rests, slots, things)
+        self.itinerary.head_home()
 
     # --- the cycle
 
@@ -134,8 +107,8 @@ class Mission:
         self, fleet: Fleet, answers: Sequence[Answer], now_ns: int, around: Surroundings | None = None
     ) -> tuple[Command, ...]:
         """One cycle: the orders to send now."""
-        self._listen(answers)
-        self._lookout.see(around, now_ns)
+        self.reason = self._asking.listen(answers) or self.reason
+        self.itinerary.lookout.see(around, now_ns)
         if self.phase is Phase.WAITING:
             return self._wait(fleet, now_ns)
         if self.phase in FLYING or self.phase is Phase.PAUSED or self.phase in BEFORE_REST:
@@ -155,19 +128,6 @@ class Mission:
             return self._ask(Order.STOP, self._not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
 
-    def _listen(self, answers: Sequence[Answer]) -> None:
-        for answer in answers:
-            command = answer.command
-            if command.robot not in self.crew.everybody:
-                continue
-            held = self.crew.trajectory(self._next, command.robot)
-            if not answer.reply.accepted:
-                self.reason = f"robot {command.robot} refuses {command.order.name}: {answer.reply.reason}"
-            elif command.order is Order.LOAD and held is not None and command.trajectory_id == held.id:
-                self._accepted.add(command.robot)
-            elif command.order is Order.TEST:
-                self._tested.add(command.robot)
-
     def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         reasons = preflight(self._experiment, fleet, self._starts)
         self.reason = "; ".join(reasons)
@@ -181,19 +141,20 @@ class Mission:
         self._count_losses(fleet, now_ns)
         if not self.crew.active or self.phase not in FLYING | {Phase.PAUSED}:
             return
-        self._reached_s = min(fleet[r].trajectory_s for r in self.crew.active)
+        plans = self.itinerary
+        plans.reached_s = min(fleet[r].trajectory_s for r in self.crew.active)
         if self.phase is Phase.PAUSED:
             return
         fresh, slowed = now_ns - self._since_ns <= topics.STATE.max_age_s * 1e9, self.pace.slowed
         notice = noticed(
-            self.phase, fleet, self.crew, self.leg, self._reached_s, fresh, slowed, lambda: self._blocked(fleet, now_ns)
+            self.phase, fleet, self.crew, plans.leg, plans.reached_s, fresh, slowed, lambda: plans.blocked(fleet, now_ns)
         )
         if notice is None:
             return
         self._go(notice.cause, now_ns)
         self.reason = notice.reason
         if notice.cause is Event.OBSTACLE:
-            self._want_detour(fleet, now_ns, ())
+            plans.want_detour(fleet, now_ns)
 
     def _count_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Robots that are gone: what then is the experiment's policy."""
@@ -211,8 +172,8 @@ class Mission:
             self._go(Event.LOST_HOLD, now_ns)
             self._held_by_person = True  # who decides what then is a person
         if policy == "close-up" and under_way and not self.leg.home:
-            self.crew.close_up(self.leg, self._reached_s, fleet)
-            self._purpose = self._into_place
+            self.crew.close_up(self.leg, self.itinerary.reached_s, fleet)
+            self.itinerary.take_places()
             self._go(Event.LOST_CLOSE_UP, now_ns)
         self.reason = f"robot {robot}: {why}"
 
@@ -261,7 +222,7 @@ class Mission:
         """Everybody holds. Only an automatic mission goes on by itself, when all are well again."""
         moving = self._not_in(Mode.HOLDING, fleet, self.crew.active)
         unfit = preflight(self._experiment, {r: fleet[r] for r in self.crew.active})
-        if moving or unfit or (self._blocked(fleet) and not self.crew.out):
+        if moving or unfit or (self.itinerary.blocked(fleet) and not self.crew.out):
             self._since_ns = now_ns
         elif self.automatic and not self._held_by_person and now_ns - self._since_ns > SETTLE_S * 1e9:
             self._go(Event.WELL, now_ns)
@@ -271,8 +232,8 @@ class Mission:
     def _clear_of_lost(self, fleet: Fleet, now_ns: int) -> None:
         """Robots coast on when they are lost, and those who hold do not turn back: where that leaves somebody's place beside
         one, all go on from the next places on their way that are free."""
-        if self.crew.out and not self.leg.home and self._blocked(fleet):
-            self._purpose = self._into_place
+        if self.crew.out and not self.leg.home and self.itinerary.blocked(fleet):
+            self.itinerary.take_places()
             self._go(Event.BESIDE_LOST, now_ns)
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
@@ -285,16 +246,13 @@ class Mission:
                 return ()
             return self._ask(Order.HOLD, flying, now_ns)
         fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.crew.active if fleet[r].mode is Mode.HOLDING)
-        if self.wanted is None and self._purpose is not None and (not fast or waited_s > REST_WITHIN_S):
-            period_s = self._experiment.controller.period_s
-            begin_s = on_grid(self._reached_s + period_s, period_s)
-            purpose, seen = self._purpose, dict(fleet)
-            self.wanted = Wanted("a way for everybody from rest", lambda: purpose(seen, begin_s))
+        if not fast or waited_s > REST_WITHIN_S:
+            self.itinerary.want_way(fleet)
         return ()
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         states = {r: fleet[r].state for r in self.crew.active}
-        results = {r: s.thruster_test if s is not None and r in self._tested else "" for r, s in states.items()}
+        results = {r: s.thruster_test if s is not None and r in self._asking.tested else "" for r, s in states.items()}
         if all(result not in ("", "running") for result in results.values()):
             self._go(Event.OBEYED, now_ns)
             failed = [f"robot {r}: {result}" for r, result in results.items() if result != "passed"]
@@ -303,61 +261,44 @@ class Mission:
         if now_ns - self._since_ns > TEST_PATIENCE_S * 1e9:
             self._unheeded(f"the thruster test does not end: {results}", now_ns)
             return ()
-        return self._ask(Order.TEST, [r for r in self.crew.active if r not in self._tested], now_ns)
+        return self._ask(Order.TEST, [r for r in self.crew.active if r not in self._asking.tested], now_ns)
 
     # --- another path under way
 
-    def _in_the_way(self, fleet: Fleet, now_ns: int | None = None, room_m: float | None = None) -> Array:
-        return self._lookout.in_the_way([fleet[r] for r in self.crew.out], now_ns, room_m)
-
-    def _blocked(self, fleet: Fleet, now_ns: int | None = None) -> str:
-        """Where the formation would touch something; empty if nowhere."""
-        leg = replace(self.leg, trajectories=self.crew.flown(self.leg))
-        return self._lookout.contact(leg, self._reached_s, self._in_the_way(fleet, now_ns, 0.0))
-
-    def _want_detour(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...]) -> None:
-        begin_s = on_grid(self._reached_s + AHEAD_S, self._experiment.controller.period_s)
-        leg, things = self.leg, self._in_the_way(fleet, now_ns)
-        self._deadline_s, self._asked_by_person = begin_s - LAST_CALL_S, bool(via)
-        self.wanted = Wanted("another path", lambda: detour(self._experiment, leg, begin_s, things, via))
-
     def planned(self, outcome: Leg | PlanError, now_ns: int) -> None:
         """What came of the plan that was wanted."""
-        self.wanted = None
+        self.itinerary.wanted = None
         if self.phase is Phase.HALTING:
             if isinstance(outcome, Leg):
-                self._adopt(outcome)
+                self.itinerary.adopt(outcome)
                 self._go(Event.PLANNED, now_ns)
             else:
                 self._go(Event.NO_PLAN, now_ns)
                 self._held_by_person, self.reason = True, f"no way from here: {outcome}"
         elif self.phase is Phase.SWITCHING:
             if isinstance(outcome, Leg):
-                self._next, self._accepted = outcome, set()
+                self.itinerary.next, self._asking.accepted = outcome, set()
                 return
             before = self.reason
-            self._go(Event.NO_PLAN if self._asked_by_person else Event.BLOCKED, now_ns)
-            self.reason = f"no way there: {outcome}" if self._asked_by_person else f"{before}; no way round: {outcome}"
-
-    def _adopt(self, leg: Leg) -> None:
-        self.leg, self._next = leg, None
-        self.crew.adopt(leg)
+            self._go(Event.NO_PLAN if self.itinerary.by_person else Event.BLOCKED, now_ns)
+            self.reason = f"no way there: {outcome}" if self.itinerary.by_person else f"{before}; no way round: {outcome}"
 
     def _switch(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Give everybody the next leg; when all have it, let all go over where it begins."""
-        if self._next is None:
-            if self._reached_s > self._deadline_s:
+        plans = self.itinerary
+        if plans.next is None:
+            if plans.reached_s > plans.deadline_s:
                 self._unheeded("no plan in time", now_ns)
             return ()
-        going = [r for r in self.crew.active if not self.crew.is_on(self._next, fleet, r)]
+        going = [r for r in self.crew.active if not self.crew.is_on(plans.next, fleet, r)]
         if not going:
-            self._adopt(self._next)
+            plans.adopt(plans.next)
             self._go(Event.OBEYED, now_ns)
             return ()
-        if self._reached_s > self._deadline_s:
+        if plans.reached_s > plans.deadline_s:
             self._unheeded(f"robot {', '.join(map(str, going))} has not gone over in time: {self.reason}", now_ns)
             return ()
-        missing = [r for r in going if r not in self._accepted]
+        missing = [r for r in going if r not in self._asking.accepted]
         return self._ask(Order.LOAD, missing, now_ns) if missing else self._ask(Order.SWITCH, going, now_ns)
 
     # --- orders
@@ -366,27 +307,11 @@ class Mission:
         return [r for r in robots if fleet[r].mode is not mode]
 
     def _ask(self, order: Order, robots: Sequence[int], now_ns: int) -> tuple[Command, ...]:
-        """Orders for those robots that have not been asked within RETRY_S."""
-        due = [r for r in robots if now_ns - self._asked_ns.get(r, -(10**18)) >= RETRY_S * 1e9]
-        for robot in due:
-            self._asked_ns[robot] = now_ns
-        return tuple(self._command(order, robot, now_ns) for robot in due)
-
-    def _command(self, order: Order, robot: int, now_ns: int) -> Command:
-        leg = self._next if self._next is not None and order in (Order.LOAD, Order.SWITCH) else self.leg
-        trajectory = self.crew.trajectory(leg, robot)
-        starts = order in (Order.START, Order.RESUME)
+        if order not in (Order.START, Order.RESUME):
+            return self._asking.orders(order, robots, now_ns)
         left_s = START_IN_S - (now_ns - self._since_ns) * 1e-9  # a second try starts at the same instant as the first
-        from_s = self._reached_s if self.phase is Phase.RESUMING else self.leg.centre.begin_s
-        return Command(
-            order,
-            robot,
-            experiment_hash=self._experiment.hash,
-            trajectory_id=trajectory.id if trajectory is not None else "",
-            start_in_s=max(left_s, 0.0) if starts else 0.0,
-            trajectory_s=from_s + self.pace.lag_s if starts else 0.0,
-            trajectory=trajectory if order is Order.LOAD else None,
-        )
+        from_s = self.itinerary.reached_s if self.phase is Phase.RESUMING else self.leg.centre.begin_s
+        return self._asking.orders(order, robots, now_ns, max(left_s, 0.0), from_s + self.pace.lag_s)
 
     def _fail(self, reason: str, now_ns: int) -> None:
         self.failed = True
@@ -403,9 +328,10 @@ class Mission:
         if phase not in (Phase.FAILED, Phase.DONE, Phase.ABORTING):
             self.reason = ""
         if phase is not Phase.SWITCHING:
-            self._next = None
+            self.itinerary.next = None
         if phase is not Phase.HALTING and phase is not Phase.SWITCHING:
-            self.wanted = None
-        self._tested = set() if phase is Phase.TEST_ARMING else self._tested
+            self.itinerary.wanted = None
+        if phase is Phase.TEST_ARMING:
+            self._asking.tested = set()
         self.phase, self._since_ns = phase, now_ns
-        self._asked_ns.clear()
+        self._asking.anew()

@@ -17,13 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from groundstation import planner
+from groundstation.asking import Answer
 from groundstation.checks import PlanError
 from groundstation.fleet import Ear, Fleet, preflight, view
 from groundstation.inboxes import Inboxes, listen
 from groundstation.laps import Laps
 from groundstation.legs import Leg, first_leg
 from groundstation.lookout import Surroundings
-from groundstation.mission import OVER, Answer, Mission, Phase
+from groundstation.mission import Mission
+from groundstation.phases import OVER, Phase
 from groundstation.recorder import Recorder, check_room, run_metadata
 from groundstation.tuner import TUNING, Tuner
 from groundstation.viewer_live import ViewerServer

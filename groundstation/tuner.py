@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
+from groundstation.asking import Answer
 from groundstation.fleet import Fleet
-from groundstation.mission import Answer
 from wire.experiment import Experiment
 from wire.messages import Command, Mode, Order, Tuning
 from wire.scene import Circle

@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from groundstation.asking import Answer
 from groundstation.fleet import preflight, view
 from groundstation.inboxes import Inboxes
 from groundstation.laps import Lap
-from groundstation.mission import Answer
 from groundstation.phases import Phase, allowed
 from groundstation.tuner import TuningStatus
 from groundstation.web import editor

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from groundstation.fleet import RobotView
 from groundstation.logfile import open_log
-from groundstation.mission import Phase
+from groundstation.phases import Phase
 from groundstation.web import editor
 from groundstation.web.alarms import alarms
 from groundstation.web.requests import Edit

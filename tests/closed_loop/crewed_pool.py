@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from groundstation import planner
+from groundstation.asking import Answer
 from groundstation.checks import PlanError
 from groundstation.fleet import RobotView
 from groundstation.legs import first_leg
-from groundstation.mission import Answer, Mission, Surroundings
+from groundstation.lookout import Surroundings
+from groundstation.mission import Mission
 from groundstation.phases import Phase
 from robot_agent.agent import Agent
 from robot_agent.orders import StationView

@@ -217,7 +217,7 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
     assert pool.wish(Order.REJOIN) == ""
     pool.until(Phase.RELEASING, within_s=15.0)
     pool.until(Phase.RUNNING, within_s=3.0)
-    while pool.mission._reached_s < pool.mission.leg.own_ways_until_s + 5.0:
+    while pool.mission.itinerary.reached_s < pool.mission.leg.own_ways_until_s + 5.0:
         pool.run(1.0)
     assert pool.mission.crew.out == {} and {robot.states[-1].mode for robot in pool.robots} == {Mode.TRACKING}
     assert pool.separation_m(begin) > 0.5  # hulls touch at 0.3; who is out drifts

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from groundstation.asking import Answer
 from groundstation.fleet import Fleet, RobotView
 from groundstation.laps import Laps
-from groundstation.mission import Answer
 from groundstation.tuner import START_IN_S, Stage, Tuner
 from tests.closed_loop.dry_pool import DryPool
 from wire.codec import Header

@@ -14,10 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+from groundstation.asking import Answer
 from groundstation.checks import PlanError
 from groundstation.fleet import RobotView
 from groundstation.legs import Leg
-from groundstation.mission import Answer, Mission
+from groundstation.mission import Mission
 from groundstation.planner import plan
 from groundstation.recovery import valid_records
 from groundstation.web.requests import BadRequest, read_request

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import pytest
 
+from groundstation.asking import Answer
 from groundstation.crew import Crew
 from groundstation.fleet import RobotView, casualty, preflight
 from groundstation.legs import Leg
-from groundstation.mission import PATIENCE_S, Answer, Mission
+from groundstation.mission import PATIENCE_S, Mission
 from groundstation.phases import Phase
 from groundstation.wishes import objection
 from wire.experiment import Experiment, load_experiment

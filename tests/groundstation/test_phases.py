@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.mission import STAGES
 from groundstation.phases import FLYING, OVER, TABLE, Event, Phase, after, allowed, markdown, refusal
+from groundstation.stages import STAGES
 from wire.messages import Order
 
 PAGE = (Path(__file__).parents[2] / "docs" / "missions.md").read_text(encoding="utf-8")

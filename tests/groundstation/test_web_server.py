@@ -17,8 +17,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from groundstation import planner
+from groundstation.asking import Answer
 from groundstation.inboxes import listen
-from groundstation.mission import Answer, Phase
+from groundstation.phases import Phase
 from groundstation.web import requests
 from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions

@@ -19,7 +19,7 @@ from playwright.sync_api import Browser, Locator, Page, expect
 from groundstation import planner
 from groundstation.inboxes import listen
 from groundstation.logfile import open_log
-from groundstation.mission import Phase
+from groundstation.phases import Phase
 from groundstation.rerun import rerun
 from groundstation.runlog import read_log
 from groundstation.web.desk import Desk, Post, Status
