@@ -17,12 +17,12 @@ from wire.sight import Camera
 
 Float = NDArray[np.float32]
 
-BLOCK = 8  # pixels; the shortest ripple is some 60 pixels long. Even, so that rectangles keep the Bayer pattern
+BLOCK = 8  # pixels; the shortest ripple is some 60 pixels long
 
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of the picture, aligned to blocks except where the picture ends, and the blocks that interpolate over it."""
+    """A rectangle of the picture that begins on the Bayer pattern's first pixel, and the blocks that interpolate over it."""
 
     top: int
     bottom: int
@@ -120,11 +120,12 @@ class View:
         if not (high_x >= 0 and high_y >= 0 and low_x <= self.width - 1 and low_y <= self.height - 1):  # NaN is nowhere
             return None
         rows, columns = self.blocks.surface_x.shape
-        left, right = max(int(low_x) // BLOCK, 0), min(int(high_x) // BLOCK + 1, columns)
-        top, bottom = max(int(low_y) // BLOCK, 0), min(int(high_y) // BLOCK + 1, rows)
+        left, right = max(int(low_x) // 2 * 2, 0), min(int(high_x) // 2 * 2 + 2, self.width)
+        top, bottom = max(int(low_y) // 2 * 2, 0), min(int(high_y) // 2 * 2 + 2, self.height)
         return Window(
-            top * BLOCK, min(bottom * BLOCK, self.height), left * BLOCK, min(right * BLOCK, self.width),
-            max(top - 1, 0), min(bottom + 1, rows), max(left - 1, 0), min(right + 1, columns),
+            top, bottom, left, right,
+            max(top // BLOCK - 1, 0), min(-(-bottom // BLOCK) + 1, rows),
+            max(left // BLOCK - 1, 0), min(-(-right // BLOCK) + 1, columns),
         )  # fmt: skip
 
     def spread(self, blocks: Float, window: Window) -> Float:

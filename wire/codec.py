@@ -24,6 +24,7 @@ from google.protobuf.message import DecodeError as ProtobufError
 
 from wire import fleet_pb2
 from wire.messages import Event, Frame, Message, Picture, Preview, Video
+from wire.protobuf_tail import joined, parted
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
@@ -188,27 +189,20 @@ def _stamp(target: Any, stamp_ns: int) -> None:
 
 
 def _encode_frame(frame: Frame, stamp_ns: int) -> bytes:
-    """Protobuf's own serializer copies the pixels three times (0.6 ms); appended as the last field they are copied once."""
+    """Protobuf's own serializer copies the pixels three times (0.6 ms); put on as the last field they are copied once."""
     height, width = frame.pixels.shape
     image = RawImage(frame_id="camera", width=width, height=height, step=width, encoding="bayer_rggb8")
     _stamp(image, stamp_ns)
-    tag = _varint(RawImage.DATA_FIELD_NUMBER << 3 | 2)  # 2: length-delimited
-    pixels = np.ascontiguousarray(frame.pixels).data.cast("B")
-    return b"".join((image.SerializeToString(), tag, _varint(pixels.nbytes), pixels))
+    return joined(image.SerializeToString(), RawImage.DATA_FIELD_NUMBER, np.ascontiguousarray(frame.pixels).data.cast("B"))
 
 
-def _varint(value: int) -> bytes:
-    """Protobuf's base-128 form of a number that is not negative."""
-    low, rest = value & 0x7F, value >> 7
-    return bytes((low | 0x80,)) + _varint(rest) if rest else bytes((low,))
-
-
-def _frame_from_protobuf(image: Any) -> Frame:
+def _frame_from_protobuf(image: Any, pixels: memoryview | None = None) -> Frame:
+    """`pixels` are what was taken off the image's end, if they were there."""
     if image.encoding != "bayer_rggb8":
         raise _Invalid("encoding", f"{image.encoding[:20]!r} is not allowed (allowed: bayer_rggb8)")
     if not (0 < image.width <= 16384 and 0 < image.height <= 16384 and image.step == image.width):
         raise _Invalid("step", f"{image.width} x {image.height} with step {image.step} is no packed picture")
-    data = image.data  # protobuf copies it for whoever looks at it
+    data = image.data if pixels is None else pixels
     if len(data) != image.step * image.height:
         raise _Invalid("data", f"{len(data)} bytes, must be {image.step * image.height}")
     return Frame(np.frombuffer(data, np.uint8).reshape(image.height, image.width))
@@ -280,11 +274,14 @@ def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:
     if len(data) > limit:
         raise DecodeError(peer, topic, "(size)", f"{len(data)} bytes, more than the allowed {limit}")
     message = protobuf_class(cls)()
+    taken_off = parted(data, RawImage.DATA_FIELD_NUMBER) if cls is Frame else None
     try:
-        message.ParseFromString(data)
+        message.ParseFromString(data if taken_off is None else taken_off[0])
     except (ProtobufError, UnicodeDecodeError) as error:
         raise DecodeError(peer, topic, "(all)", f"no valid {message.DESCRIPTOR.full_name}: {error}") from None
     try:
+        if taken_off is not None:
+            return cast(M, _frame_from_protobuf(message, taken_off[1]))
         found: M = _FOXGLOVE[cls][2](message) if cls in _FOXGLOVE else _from_protobuf(cls, message)
         return found
     except _Invalid as error:

@@ -197,6 +197,32 @@ def test_a_picture_is_what_any_protobuf_reader_expects(height: int, width: int, 
     assert codec.protobuf_class(Frame).FromString(encode(Frame(pixels), 5 * 10**9)) == image
 
 
+def _seen(data: bytes) -> list[list[int]] | str:
+    try:
+        pixels: list[list[int]] = _decode(Frame, data).pixels.tolist()
+    except DecodeError as error:
+        return error.field
+    return pixels
+
+
+@given(st.integers(0, 5), st.booleans(), st.integers(0, 2**32 - 1))
+def test_a_picture_is_read_as_protobuf_reads_it(which: int, whole: bool, seed: int) -> None:
+    """Whole, cut, damaged, its pixels in front, twice, or behind more fields than anybody looks through."""
+    ours = encode(Frame(np.arange(24, dtype=np.uint8).reshape(4, 6)))
+    image = codec.protobuf_class(Frame).FromString(ours)
+    head = image.__class__()
+    head.CopyFrom(image)
+    head.ClearField("data")
+    pixels = ours.removeprefix(head.SerializeToString())
+    front, crowd = pixels + head.SerializeToString(), b"\x7d\0\0\0\0" * 40  # nobody's field 15, over and over
+    message = (ours, image.SerializeToString(), front, ours + ours, crowd + ours, b"\x80" * 90)[which]
+    message = message if whole else damaged(message, np.random.default_rng(seed))
+    fast = _seen(message)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(codec, "parted", lambda message, number: None)
+        assert fast == _seen(message)
+
+
 def test_a_picture_is_not_copied_and_not_writable() -> None:
     frame = _decode(Frame, encode(Frame(np.arange(24, dtype=np.uint8).reshape(4, 6))))
     assert not frame.pixels.flags.writeable
