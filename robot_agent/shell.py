@@ -57,7 +57,8 @@ class Shell:
         self._poses = bus.inbox(topics.POSE, Pose, robot)
         self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus) if lockstep else None
         self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
-        self._plans = bus.inboxes(topics.PLAN, Plan, (r for r in experiment.robot_ids if r != robot))
+        others = (r for r in experiment.robot_ids if r != robot)
+        self._plans = bus.inboxes(topics.PLAN, Plan, others, wakes=lockstep)
         self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
         self._obstacles_up_to_ns: int | None = None
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end

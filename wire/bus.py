@@ -11,7 +11,6 @@ Network threads only store bytes and wake the loop; decoding happens in the loop
 import secrets
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
@@ -60,14 +59,14 @@ class Inbox(Generic[M]):
     Repeated and reordered messages of a session are dropped; a restarted sender (a new session) is taken up at once.
     """
 
-    def __init__(self, bus: "Bus", topic: Topic, kind: type[M], robot: int | None) -> None:
+    def __init__(self, bus: "Bus", topic: Topic, kind: type[M], robot: int | None, wakes: bool) -> None:
         """Of `Bus.inbox`, which has it filled."""
         self.dropped = 0  # repeated, reordered
         self.bad = 0  # not decodable
         self.last_error = ""
         self.name = topic.key(robot)
-        self._bus, self._topic, self._kind = bus, topic, kind
-        self._kept: deque[_Kept[M]] = deque(maxlen=KEPT)
+        self._bus, self._topic, self._kind, self._wakes = bus, topic, kind, wakes
+        self._kept: tuple[_Kept[M], ...] = ()  # replaced, never changed: readers need no lock
         self._lateness = Lateness()
 
     def store(self, header: Header, payload: bytes) -> None:
@@ -79,18 +78,18 @@ class Inbox(Generic[M]):
                 return
             arrived_ns = time.monotonic_ns()
             late_ns = self._lateness.of(header.session, header.stamp_ns + header.age_ns, arrived_ns)
-            self._kept.append(_Kept(header, payload, arrived_ns, late_ns))
-            self._bus.arrival.notify_all()
+            self._kept = (*self._kept[1 - KEPT :], _Kept(header, payload, arrived_ns, late_ns))
+            if self._wakes:
+                self._bus.arrival.notify_all()
 
     def newest_header(self) -> Header | None:
         """Header of the newest message, decoded or not: cheap, for waiting."""
-        return self._kept[-1].header if self._kept else None
+        kept = self._kept
+        return kept[-1].header if kept else None
 
     def newest(self, up_to_ns: int | None = None) -> Received[M] | None:
         """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none."""
-        with self._bus.arrival:
-            kept = tuple(self._kept)
-        for one in reversed(kept):
+        for one in reversed(self._kept):
             if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
                 continue
             if not one.decoded:
@@ -149,14 +148,14 @@ class Bus:
 
     def inbox(self, topic: Topic, kind: type[M], robot: int | None = None) -> Inbox[M]:
         """The newest message of a topic, of one robot where the topic has robots. `kind` is the topic's type."""
-        inbox = self._inbox(topic, kind, robot)
+        inbox = self._inbox(topic, kind, robot, wakes=True)
         self.subscribe(topic, robot, lambda topic, key, header, payload: inbox.store(header, payload))
         return inbox
 
-    def inboxes(self, topic: Topic, kind: type[M], robots: Iterable[int]) -> dict[int, Inbox[M]]:
+    def inboxes(self, topic: Topic, kind: type[M], robots: Iterable[int], wakes: bool = True) -> dict[int, Inbox[M]]:
         """An inbox for each of these robots, filled by one subscription: Zenoh has a thread for each, and 19 that take turns
-        at Python's lock cost more than what they bring."""
-        inboxes = {robot: self._inbox(topic, kind, robot) for robot in robots}
+        at Python's lock cost more than what they bring. `wakes`: whether what comes ends somebody's `wait`."""
+        inboxes = {robot: self._inbox(topic, kind, robot, wakes) for robot in robots}
         by_key = {self._key(inbox.name): inbox for inbox in inboxes.values()}
 
         def store(topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -168,10 +167,10 @@ class Bus:
             self.subscribe(topic, None, store)
         return inboxes
 
-    def _inbox(self, topic: Topic, kind: type[M], robot: int | None) -> Inbox[M]:
+    def _inbox(self, topic: Topic, kind: type[M], robot: int | None, wakes: bool) -> Inbox[M]:
         if kind is not topic.type:
             raise TypeError(f"topic {topic.name} carries {topic.type.__name__}, not {kind.__name__}")
-        return Inbox(self, topic, kind, robot)
+        return Inbox(self, topic, kind, robot, wakes)
 
     def subscribe(self, topic: Topic, robot: int | None, raw: Raw) -> None:
         """Every message of a topic as bytes (of all robots if none is named). Called from a network thread: be quick."""

@@ -9,6 +9,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
@@ -20,6 +21,8 @@ BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
 
 CHANNELS = 8  # 4 thrusters, 4 ankles
+SERVOS = attrgetter(*(f"servo{i + 1}_raw" for i in range(CHANNELS)))
+OVERRIDES = attrgetter(*(f"chan{i + 1}_raw" for i in range(CHANNELS)))
 IGNORED = 65535  # RC_CHANNELS_OVERRIDE: leave this channel as it is
 PULSE_RANGE_US = (500, 2500)  # what a servo or a speed controller can take at all; the board knows the vehicle's own limits
 
@@ -94,9 +97,9 @@ def within(value: float, low: float, high: float) -> float:
     return value
 
 
-def pulses_of(message: Any, field: str, ignorable: bool) -> tuple[int, ...]:
-    """The 8 pulses of a message whose fields are named like `field`, e.g. servo{}_raw. Raises Refused."""
-    pulses = tuple(getattr(message, field.format(i + 1)) for i in range(CHANNELS))
+def pulses_of(message: Any, fields: Callable[[Any], tuple[int, ...]], ignorable: bool) -> tuple[int, ...]:
+    """The 8 pulses of a message, in these `fields`. Raises Refused."""
+    pulses = fields(message)
     low, high = PULSE_RANGE_US
     if not all(low <= pulse <= high or (ignorable and pulse == IGNORED) for pulse in pulses):
         raise Refused
@@ -203,7 +206,7 @@ class AgentLink:
         if kind == "SCALED_PRESSURE2":
             return {"depth_m": hpa_to_depth(within(message.press_abs, 500.0, 20_000.0))}
         if kind == "SERVO_OUTPUT_RAW":
-            return {"echo_us": pulses_of(message, "servo{}_raw", ignorable=False)}
+            return {"echo_us": pulses_of(message, SERVOS, ignorable=False)}
         if kind == "SYS_STATUS":
             return {"battery_v": within(message.voltage_battery, 0, IGNORED - 1) / 1000.0}
         if kind == "BATTERY_STATUS":

@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import common as dialect
 from wire.mavlink import (
     BOARD_COMPONENT,
     IGNORED,
+    OVERRIDES,
     PROTOCOL_VERSION,
     STANDARD_GRAVITY_MPS2,
     SURFACE_HPA,
@@ -269,7 +270,7 @@ def _key(message: Any) -> Event:
 
 
 _READERS: dict[str, Callable[[Any], Event]] = {
-    "RC_CHANNELS_OVERRIDE": lambda message: Override(pulses_of(message, "chan{}_raw", ignorable=True)),
+    "RC_CHANNELS_OVERRIDE": lambda message: Override(pulses_of(message, OVERRIDES, ignorable=True)),
     "COMMAND_LONG": _command,
     "PARAM_REQUEST_LIST": lambda _: ListParameters(),
     "PARAM_REQUEST_READ": lambda message: ReadParameter(_text(message.param_id), message.param_index),

@@ -152,10 +152,13 @@ class Receiver:
         if verdict is not Verdict.GOOD:
             self.refused[verdict] += 1
             return False
-        if peer not in self._sequences and not self._has_room(now_ns):
-            self.foreign_frames += 1
-            return False
-        if not self._sequences.setdefault(peer, Sequence8()).accept(message.get_seq(), now_ns):
+        sequence = self._sequences.get(peer)
+        if sequence is None:
+            if not self._has_room(now_ns):
+                self.foreign_frames += 1
+                return False
+            sequence = self._sequences[peer] = Sequence8()
+        if not sequence.accept(message.get_seq(), now_ns):
             self.stale_frames += 1
             return False
         return True
