@@ -1,4 +1,4 @@
-"""From aligned arrays to the figures of a run. Pure."""
+"""From aligned arrays to the figures of a run; judgement.py says whether they are good enough. Pure."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -7,15 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.results import Check, Errors, PairResult, Quantiles, Result, RobotResult, Spread, Three
+from groundstation.judgement import checks, went_all_the_way
+from groundstation.results import Errors, PairResult, Quantiles, Result, RobotResult, Spread, Three
 from groundstation.runlog import RunLog
-from groundstation.series import HOPS, THRUSTERS, Mask, RobotSeries, Series, active_limits
+from groundstation.series import HOPS, SETTLED_S, THRUSTERS, Mask, RobotSeries, Series, active_limits
 from wire.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
-
-SETTLED_S = 20.0  # ambiguity A14: errors are given for the whole run and from here on
-MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
-AXES = ("x", "y", "z")
 
 
 def evaluate(series: Series, log: RunLog) -> Result:
@@ -63,8 +60,8 @@ def evaluate(series: Series, log: RunLog) -> Result:
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
         faults=tuple(h for h in series.happenings if h.fault and (0.0 <= h.time_s <= series.end_s or not series.started)),
     )
-    checks = tuple(_checks(result, series))
-    return dataclasses.replace(result, checks=checks, passed=all(check.passed for check in checks))
+    judged = tuple(checks(result, series))
+    return dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
 
 
 # --- errors
@@ -221,7 +218,7 @@ def _real_time_factor(series: Series, log: RunLog) -> float | None:
     return (inside[-1][0] - inside[0][0]) / (inside[-1][1] - inside[0][1])
 
 
-# --- words and checks
+# --- words
 
 
 def _notes(series: Series, log: RunLog) -> Iterator[str]:
@@ -229,7 +226,7 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
     planned = series.experiment.duration_s
     if not series.started:
         yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
-    elif not _went_all_the_way(series):
+    elif not went_all_the_way(series):
         yield f"The run is not complete: {series.reached_s:.1f} s of {planned:g} s were flown by the slowest robot."
     if series.started and series.errors_against is None:
         yield "Neither truth nor poses were recorded: there are no errors."
@@ -244,80 +241,6 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
         yield f"The recorder could not take {log.dropped} messages."
     if log.undecodable:
         yield f"{log.undecodable} recorded messages could not be decoded."
-
-
-def _went_all_the_way(series: Series) -> bool:
-    """Whether the slowest robot got to the end, to within two control periods, and the evaluation with it."""
-    least = series.experiment.duration_s - 2.0 * series.experiment.controller.period_s
-    return series.started and min(series.reached_s, series.end_s) >= least
-
-
-def _checks(result: Result, series: Series) -> Iterator[Check]:
-    """Requirements of every run, and the experiment's limits."""
-    experiment, limits = series.experiment, series.experiment.limits
-    flown_s = min(series.reached_s, series.end_s)
-    yield Check("whole run flown, s", "slowest robot", flown_s, experiment.duration_s, _went_all_the_way(series))
-    yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
-    fraction = result.missed_deadlines_fraction
-    yield _at_most("missed deadlines, fraction", "all robots", fraction, MISSED_FRACTION)
-    closest, allowed = result.min_separation_m, 2.0 * experiment.safety.radius_m
-    if result.pairs:
-        closest_pair = next(pair for pair, found in result.pairs.items() if found.min_separation_m == closest)
-        passed = closest is not None and closest >= allowed
-        yield Check("separation, m, at least", closest_pair, closest, allowed, passed)
-    errors: dict[str, Errors] = {
-        **{f"robot {k}": r for k, r in result.robots.items()},
-        **result.pairs,
-    }
-    settles = experiment.duration_s > SETTLED_S  # what comes after 20 s is not asked of a shorter run
-    for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
-        limit = getattr(limits, name)
-        if limit is not None and (settles or name == "rms_m"):
-            yield _at_most(name, *_worst_cell(errors, name), limit)
-    if limits.rms_yaw_after_20s_rad is not None and settles:
-        turned = {subject: found.rms_yaw_after_20s_rad for subject, found in errors.items()}
-        known = {subject: value for subject, value in turned.items() if value is not None}
-        where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
-        yield _at_most("rms_yaw_after_20s_rad", where, known.get(where), limits.rms_yaw_after_20s_rad)
-    if limits.arrived_m is not None:
-        ends = {robot: r.error[-1, :2] for robot, r in series.robots.items() if _went_all_the_way(series)}
-        away = {robot: float(np.hypot(*end)) for robot, end in ends.items() if np.isfinite(end).all()}
-        last = max(away, key=lambda robot: away[robot]) if len(away) == len(series.robots) else None
-        where = f"robot {last}" if last is not None else "the end was not reached"
-        yield _at_most("from its place at the end, m", where, away.get(last) if last else None, limits.arrived_m)
-    if limits.pose_rms_m is not None:
-        rms = result.pose_error_m.rms if result.pose_error_m else None
-        yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)
-    if limits.wrench_step_rms is not None and settles:
-        share = _shares(result.dtau_rms_after_20s, experiment.vehicle.limits.wrench_step)
-        where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
-        yield _at_most(
-            "rms of input steps after 20 s, fraction of bound", where, max(share, default=None), limits.wrench_step_rms
-        )
-    if limits.exposure_to_pwm_p99_ms is not None and result.mode != "numeric":  # where nothing is exposed, nor sent
-        late = result.exposure_to_pwm_ms.p99 if result.exposure_to_pwm_ms else None
-        yield _at_most("exposure to PWM p99, ms", "all robots", late, limits.exposure_to_pwm_p99_ms)
-
-
-def _at_most(name: str, where: str, value: float | None, limit: float) -> Check:
-    """A figure that is missing has not been shown to be good."""
-    return Check(name, where, value, limit, value is not None and value <= limit)
-
-
-def _worst_cell(errors: dict[str, Errors], name: str) -> tuple[str, float | None]:
-    cells = {
-        f"{subject}, {axis}": value
-        for subject, found in errors.items()
-        for axis, value in zip(AXES, getattr(found, name) or (), strict=False)
-    }
-    if not cells or any(getattr(found, name) is None for found in errors.values()):
-        return "", None
-    worst = max(cells, key=lambda cell: cells[cell])
-    return worst, cells[worst]
-
-
-def _shares(values: Sequence[float] | None, bounds: Sequence[float]) -> list[float]:
-    return [value / bound for value, bound in zip(values or (), bounds, strict=False)]
 
 
 def _least(values: Iterable[float | None]) -> float | None:

@@ -7,10 +7,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from groundstation.colours import colour
-from groundstation.evaluation import SETTLED_S
 from groundstation.figures_control import flown
 from groundstation.plotting import GREY, Line, Panel, stack
-from groundstation.series import Series
+from groundstation.series import SETTLED_S, Series
 from wire.frames import Array, wrap_angle
 
 

@@ -16,7 +16,8 @@ from groundstation import planner
 from groundstation.checks import PlanError
 from groundstation.formation import NodeMotion
 from groundstation.legs import NOTHING, Leg, at
-from groundstation.marshal import RAMP_S, TURN_S, marshal, spinning, turning
+from groundstation.marshal import marshal
+from groundstation.trip import RAMP_S, TURN_S, ramp, spinning, turning
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Trajectory
@@ -78,10 +79,7 @@ def _free_from(leg: Leg, reached_s: float, slots: Sequence[int], away: Array) ->
 
 def _then_on(trajectory: Trajectory, move: NodeMotion | None, still: int, reached_s: float, samples: int) -> NodeMotion:
     """A move of `still` samples, or standing as long, then the trajectory from `reached_s` on, its clock starting slowly."""
-    t = trajectory.period_s * np.arange(samples, dtype=np.float64)
-    u = np.clip(t / RAMP_S, 0.0, 1.0)
-    way_s = RAMP_S * (u**3 - 0.5 * u**4) + np.maximum(t - RAMP_S, 0.0)
-    rate, bend = 3.0 * u**2 - 2.0 * u**3, 6.0 * u * (1.0 - u) / RAMP_S
+    way_s, rate, bend = ramp(trajectory.period_s * np.arange(samples, dtype=np.float64))
     on = at(trajectory, reached_s + way_s)
     velocity = on.velocity * rate[:, None]
     acceleration = on.acceleration * rate[:, None] ** 2 + on.velocity * bend[:, None]

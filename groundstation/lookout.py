@@ -10,8 +10,10 @@ from groundstation.fleet import RobotView
 from groundstation.legs import NOTHING, Leg, first_contact
 from wire.experiment import Experiment
 from wire.frames import Array
+from wire.messages import Obstacles
 
 AHEAD_S = 25.0  # along the path, for things that lie on it
+DRIFTS_MPS = 0.05  # what moves faster will lie elsewhere when the formation comes by
 SURE_S = 0.5  # that long something must have lain there
 
 
@@ -21,6 +23,16 @@ class Surroundings:
 
     ids: tuple[int, ...] = ()
     things: Array = field(default_factory=lambda: NOTHING)
+
+
+def surroundings(seen: Obstacles) -> Surroundings:
+    """Obstacles that lie still, as circles around their outlines."""
+    found = []
+    for number, outline, velocity in zip(seen.ids, seen.outline, seen.velocity, strict=False):
+        if float(np.hypot(*velocity)) <= DRIFTS_MPS:
+            middle = outline.mean(axis=0)
+            found.append((number, *middle.tolist(), float(np.hypot(*(outline - middle).T).max())))
+    return Surroundings(tuple(int(n) for n, *_ in found), np.array([thing for _, *thing in found]).reshape(-1, 3))
 
 
 class Lookout:

@@ -15,6 +15,7 @@ from wire.messages import Mode
 
 THRUSTERS, CHANNELS = 4, 8
 HOPS = ("localizer", "network, waiting", "control step", "to the board")  # of a pose, from the exposure to the PWM
+SETTLED_S = 20.0  # ambiguity A14: errors are given for the whole run and from here on
 SLACK_M = 0.001  # less is the solver's own tolerance
 AT_LIMIT = 0.999  # of a bound: the solver stops that close to it
 Mask = NDArray[np.bool_]

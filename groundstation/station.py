@@ -14,8 +14,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from groundstation import planner
 from groundstation.asking import Answer
 from groundstation.checks import PlanError
@@ -23,7 +21,7 @@ from groundstation.fleet import Ear, Fleet, preflight, view
 from groundstation.inboxes import Inboxes, listen
 from groundstation.laps import Laps
 from groundstation.legs import Leg, first_leg
-from groundstation.lookout import Surroundings
+from groundstation.lookout import Surroundings, surroundings
 from groundstation.mission import Mission
 from groundstation.phases import OVER, Phase
 from groundstation.recorder import Recorder, check_room, run_metadata
@@ -39,7 +37,7 @@ from wire.codec import Header
 from wire.endpoint import PATIENT_MS
 from wire.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Command, Obstacles, Order, Reply, StationHeartbeat
+from wire.messages import Command, Order, Reply, StationHeartbeat
 from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus
 from wire.topics import WHOLE_FLEET
 
@@ -48,7 +46,6 @@ LOCKSTEP_ORDER_TIMEOUT_S = PATIENT_MS * 1e-3  # as long as a link is kept: sent 
 TROUBLED = frozenset({Phase.FAILED, Phase.ABORTING, Phase.STOPPED, Phase.DEGRADED})
 PROMPT = frozenset({Order.STOP, Order.DISARM, Order.HOLD})
 FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only these change is not told anew
-DRIFTS_MPS = 0.05  # what moves faster will lie elsewhere when the formation comes by
 
 
 @dataclass
@@ -204,16 +201,6 @@ def _planned(make: Callable[[], Leg]) -> Leg | PlanError:
         return make()
     except PlanError as error:
         return error
-
-
-def surroundings(seen: Obstacles) -> Surroundings:
-    """Obstacles that lie still, as circles around their outlines."""
-    found = []
-    for number, outline, velocity in zip(seen.ids, seen.outline, seen.velocity, strict=False):
-        if float(np.hypot(*velocity)) <= DRIFTS_MPS:
-            middle = outline.mean(axis=0)
-            found.append((number, *middle.tolist(), float(np.hypot(*(outline - middle).T).max())))
-    return Surroundings(tuple(int(n) for n, *_ in found), np.array([thing for _, *thing in found]).reshape(-1, 3))
 
 
 def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:

@@ -7,7 +7,8 @@ import pytest
 
 from groundstation.checks import PlanError
 from groundstation.formation import NodeMotion
-from groundstation.marshal import glide, marshal
+from groundstation.marshal import marshal
+from groundstation.trip import glide
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.scene import Island
