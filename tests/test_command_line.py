@@ -32,20 +32,20 @@ PROGRAMS = {
 }
 
 
-def commands(node: Any, path: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Every command that a person can see."""
+def commands(node: Any, path: tuple[str, ...], hidden: bool) -> Iterator[tuple[tuple[str, ...], Any]]:
     for name, below in getattr(node, "commands", {}).items():
-        if not below.hidden:
-            yield from commands(below, (*path, name))
+        if hidden or not below.hidden:
+            yield from commands(below, (*path, name), hidden)
     if not hasattr(node, "commands"):
         yield path, node
 
 
-def all_commands() -> list[tuple[tuple[str, ...], Any]]:
+def all_commands(hidden: bool = False) -> list[tuple[tuple[str, ...], Any]]:
+    """Every command that a person can see, or also those that only programs call."""
     found: list[tuple[tuple[str, ...], Any]] = []
     for program, module in PROGRAMS.items():
         root = typer.main.get_command(importlib.import_module(f"{module}.__main__").cli)
-        found += commands(root, (program,))
+        found += commands(root, (program,), hidden)
     return found
 
 
@@ -65,10 +65,7 @@ def test_help_has_an_example_that_is_this_very_command(path: tuple[str, ...], co
 @each
 def test_every_option_says_what_it_is_for(path: tuple[str, ...], command: Any) -> None:
     unexplained = [p.name for p in command.params if getattr(p, "help", "unused") is None]
-    assert not unexplained or set(unexplained) <= UNEXPLAINED.get(path, set())
-
-
-UNEXPLAINED: dict[tuple[str, ...], set[str]] = {("groundstation", "keys", "router"): {"listen"}}
+    assert not unexplained
 
 
 @each
@@ -85,6 +82,26 @@ def completed(words: str, program: str = "groundstation") -> set[str]:
     script = f"from {PROGRAMS[program]}.__main__ import cli; cli(prog_name={program!r})"
     done = subprocess.run([sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=False)
     return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda page: page.name)
+def test_command_lines_on_pages_are_ones_that_there_are(page: Path) -> None:
+    options = {
+        path: {word for p in command.params for word in (*p.opts, *p.secondary_opts)}
+        for path, command in all_commands(hidden=True)
+    }
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"```\w*\n(.*?)```", text, re.DOTALL)
+    for line in [*re.findall(r"`([^`\n]+)`", text), *"\n".join(blocks).split("\n")]:
+        words = line.partition("  #")[0].removeprefix(".venv/bin/").split()
+        if len(words) < 2 or words[0] not in PROGRAMS or words[1].startswith("-"):
+            continue
+        if any(known[: len(words)] == tuple(words) for known in options):
+            continue
+        path = next((tuple(words[:k]) for k in (3, 2) if tuple(words[:k]) in options), None)
+        assert path is not None, f"no such command: {line}"
+        for word in words:
+            assert not word.startswith("--") or word.partition("=")[0] in {*options[path], "--"}, f"no {word}: {line}"
 
 
 def test_a_shell_completes_commands_options_experiments_and_orders() -> None:
