@@ -88,7 +88,7 @@ def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
         from mcap.records import Channel, Message
         from mcap.stream_reader import StreamReader
     except ImportError:
-        raise ConfigError(f"{path}: reading logs needs the package mcap (pip install shoal[station])") from None
+        raise ConfigError(f"{path}: reading logs needs the package mcap (pip install 'shoal[station]')") from None
     names: dict[int, str] = {}
     try:
         with path.open("rb") as file:
