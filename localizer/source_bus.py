@@ -66,12 +66,14 @@ class BusSource:
 
 class LockstepSource:
     """Frames of the simulator that owns the clock: each step waits for the frame and the robots' states that its tick
-    names, and the instants are the simulator's."""
+    names, and the instants are the simulator's. All that counts at a tick is settled when its picture is taken, so poses are
+    made while the simulator moves on to the tick."""
 
     trouble, silent_after_s = "", math.inf
 
     def __init__(self, bus: Bus, clock: LockstepClock, stop: Stop, states: Mapping[int, Inbox[RobotState]]) -> None:
-        self._lockstep, self._clock, self._states = Lockstep(bus, stop, clock), clock, states
+        self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED)
+        self._clock, self._states = clock, states
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence = _Sequence()
 

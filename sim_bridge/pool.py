@@ -235,13 +235,13 @@ class Pool:
         self._await_everyone(world)
         period_ns = round(self._experiment.controller.period_s * 1e9)
         tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9), -1
-        self._shoot(world)
+        self._shoot(world, tick_ns, previous_ns)
         while not self._stop.requested:
             while world.now_ns < tick_ns:
                 self._move(world)
                 clock.tick_ns = world.now_ns
                 if world.exposed:
-                    self._shoot(world)
+                    self._shoot(world, tick_ns, previous_ns)
             clock.tick_ns = tick_ns
             self._tick(world, tick_ns, previous_ns)
             tick_ns, previous_ns = tick_ns + period_ns, tick_ns
@@ -261,10 +261,18 @@ class Pool:
                 log.info("waiting for %s", ", ".join(sorted(missing)) or "the robots to greet their boards")
             self._sockets.wait(SLICE_S)
 
-    def _shoot(self, world: World) -> None:
+    def _shoot(self, world: World, tick_ns: int, previous_ns: int) -> None:
+        """Expose. Whether the picture is the one that counts at the coming tick, the localizer hears at once."""
         self._frame_ns = world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)
         self._see(self._shot(world, world.now_ns))
+        if world.exposure_ns > tick_ns:
+            self._bus.publish(topics.EXPOSED, Tick(tick_ns, previous_ns, self._frame_ns, self._there), tick_ns)
+
+    @property
+    def _there(self) -> tuple[int, ...]:
+        """Robots whose agents are present."""
+        return tuple(r for r in self._experiment.robot_ids if f"agent-{r}" in self._bus.present)
 
     def _await_states(self, world: World, robots: tuple[int, ...], stamp_ns: int) -> None:
         """Where faults wait for the start, see every robot's last state before time goes on: else chance would set it."""
@@ -281,7 +289,7 @@ class Pool:
 
     def _tick(self, world: World, tick_ns: int, previous_ns: int) -> None:
         """Stop time until every robot that is there has sent its pulses for this step."""
-        robots = tuple(r for r in self._experiment.robot_ids if f"agent-{r}" in self._bus.present)
+        robots = self._there
         indices = [self._experiment.robot_ids.index(r) for r in robots]
         self._await_states(world, robots, previous_ns)
         before = [self._sockets.commands[i] for i in indices]

@@ -19,6 +19,7 @@ from wire import topics
 from wire.bus import Bus, Inbox, Received
 from wire.messages import Event, LocalizerStatus, Obstacles, Pose, Tick
 from wire.toml_file import ConfigError
+from wire.topics import Topic
 from wire.transport import Unreached
 
 log = logging.getLogger("shoal")
@@ -122,9 +123,9 @@ class Reminder:
 class Lockstep:
     """One process's side of the simulator's clock. Make it before the process is announced: the first tick comes but once."""
 
-    def __init__(self, bus: Bus, stop: Stop, clock: LockstepClock) -> None:
+    def __init__(self, bus: Bus, stop: Stop, clock: LockstepClock, ticks: Topic = topics.TICK) -> None:
         self._bus, self._stop, self._clock = bus, stop, clock
-        self._ticks = bus.inbox(topics.TICK, Tick)
+        self._ticks = bus.inbox(ticks, Tick)
         self._last_ns = -1
 
     def next(self, meanwhile: Callable[[], None] = lambda: None) -> Tick | None:

@@ -69,6 +69,7 @@ class Topic:
 
 
 TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))
+EXPOSED = Topic("sim/exposed", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))  # to the localizer, early
 TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OUTSIDE)
 FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, SEEING)
 PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
@@ -87,8 +88,8 @@ ORDERS = Topic("robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos
 EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING)
 
 TOPICS = (
-    TICK, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY, TUNING,
-    INPUTS, ORDERS, EVENT,
+    TICK, EXPOSED, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY,
+    TUNING, INPUTS, ORDERS, EVENT,
 )  # fmt: skip
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered

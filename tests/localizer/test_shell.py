@@ -253,7 +253,7 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[.
             bus.publish(topics.STATE, RobotState(depth_m=depth_m), stamp_ns, robot)
     for frame_ns in (0, 100 * MS):
         bus.publish(topics.FRAME, Frame(scene.frame(ETA)), frame_ns)
-        bus.publish(topics.TICK, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, (1, 2)), frame_ns + 30 * MS)
+        bus.publish(topics.EXPOSED, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, (1, 2)), frame_ns + 30 * MS)
         assert eventually(lambda at=frame_ns: (h := pose.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
     received = pose.newest()
     assert received is not None
@@ -283,7 +283,7 @@ def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, 
         frame_ns = 50 * MS * k
         pixels = renderer.render(eta, np.zeros((2, 4)), frame_ns * 1e-9, k)
         bus.publish(topics.FRAME, Frame(pixels if k < 140 else pixels // 64), frame_ns)
-        bus.publish(topics.TICK, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, ()), frame_ns + 30 * MS)
+        bus.publish(topics.EXPOSED, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, ()), frame_ns + 30 * MS)
         assert eventually(lambda at=frame_ns: (h := statuses.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
     looks = [(stamp_ns * 1e-9, said) for topic, stamp_ns, said in heard if topic == topics.OBSTACLES.name]
     assert [round(t_s * 10) for t_s, _ in looks] == list(range(70)), "every other frame, none of a black camera"

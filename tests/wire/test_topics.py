@@ -82,7 +82,8 @@ def test_a_recorded_topic_has_a_schema(topic: Topic) -> None:
 
 def test_every_message_has_a_topic_or_is_part_of_another() -> None:
     assert set(CLASSES) == {topic.type for topic in TOPICS} | {Command, Reply, BoardReading}
-    assert len({topic.type for topic in TOPICS}) == len(TOPICS)
+    once = [topic for topic in TOPICS if topic is not topics.EXPOSED]  # a tick, which the localizer is told of earlier
+    assert len({topic.type for topic in once}) == len(once)
 
 
 # --- dataclasses and protobuf
