@@ -30,7 +30,7 @@ MOVED_HELD_S = 1.5  # what moves the robot counts for so long: as long as the ob
 IDLE_N = 0.1  # a share of less is not asked for
 FIRST_SHARE = 0.2  # before there was any
 START_HELD_S = 14.0
-LEAST_SHARE = 0.08
+LEAST_SHARE = 0.15
 LASTS_S = 0.5
 LONGEST_NS = NS // 5  # between two steps; after a longer gap it begins anew
 
