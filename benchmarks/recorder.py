@@ -31,6 +31,7 @@ import typer
 from mcap.records import Channel, Message
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from benchmarks.fleet_load import ROBOTS, VARIANTS, load
 from benchmarks.harness import Row
 from groundstation import planner
 from groundstation.recorder import Recorder
@@ -42,75 +43,22 @@ from robot_agent.orders import StationView
 from sim_bridge.ports import free_port
 from wire import topics
 from wire.bus import Bus
-from wire.codec import Header, encode, protobuf_class
+from wire.codec import Header, protobuf_class
 from wire.experiment import load_experiment
 from wire.mavlink import Telemetry
-from wire.messages import (
-    BoardReading,
-    LocalizerStatus,
-    Plan,
-    Pose,
-    RobotState,
-    StationHeartbeat,
-    StepInputs,
-    Track,
-    Truth,
-    Video,
-)
+from wire.messages import Pose, Track
 from wire.runtime import WallClock
 from wire.topics import Role, Topic
 from wire.transport import Endpoint, ZenohTransport
 
-ROBOTS, RATE_HZ, HORIZON = 20, 20, 50
-FILM_BYTES = 26_000  # of a picture: 1280 x 960 as H.264 at 4 Mbit/s
+RATE_HZ = 20
 CONTROLLED = 99  # the robot whose control is measured: what it says of itself
-VARIANTS = 40  # of each message, so that compression finds no repetition within a flush
 SETTLE_S, MEASURE_S = 2.0, 10.0
 DRAIN_S = 1.0  # after the last message, before the log is closed
 ROUNDS = 2  # of all ways of recording, in turn: what else the machine does then meets all of them
 LATE_MS = 25.0  # half a control period: a step's budget
 KILLS, AT_ONCE = 12, 4
 KILL_AFTER_S = (1.5, 3.0)  # of recording: several flushes, at any phase of the next
-SECOND = 1_000_000_000
-
-Load = list[list[tuple[Topic, int | None, bytes]]]  # per variant: what one control period brings
-
-
-def load(seed: int = 1) -> Load:
-    """All messages of a control period, `VARIANTS` times over."""
-    chance = np.random.default_rng(seed)
-    return [list(_period(chance)) for _ in range(VARIANTS)]
-
-
-def _period(chance: np.random.Generator) -> Iterator[tuple[Topic, int | None, bytes]]:
-    robots = range(1, ROBOTS + 1)
-    heartbeat = StationHeartbeat("0" * 64, False, "RUNNING")
-    for robot in robots:
-        others = tuple(r for r in robots if r != robot)
-        eta = np.cumsum(chance.normal(0.0, 0.01, (HORIZON + 1, 4)), axis=0)
-        x_m, y_m, yaw_rad = chance.normal(0.0, 1.0, 3).tolist()
-        pose = Pose(x_m, y_m, yaw_rad, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
-        four, three = chance.normal(0.0, 1.0, 4), chance.normal(0.0, 1.0, 3)
-        state = RobotState(
-            experiment_hash="0" * 64, trajectory_id="0" * 12, eta=four, nu=four, disturbance=four, eta_reference=four,
-            eta_command=four, wrench=three, wrench_step=three, wrench_wanted=three, wrench_delivered=three,
-            pulse_us=(1500,) * 8, echo_us=(1500,) * 8, heard=others,
-        )  # fmt: skip
-        inputs = StepInputs(
-            int(chance.integers(2**31)), pose, SECOND, 5_000_000, heartbeat, 2**62, SECOND, SECOND, BoardReading(depth_m=0.3),
-            others, tuple(2**62 + r for r in others), tuple(int(k) for k in chance.integers(2**31, size=len(others))),
-            tuple(int(k) for k in chance.integers(2**62, size=len(others))),
-        )  # fmt: skip
-        for topic, message in (
-            (topics.POSE, pose), (topics.PLAN, Plan(0.05, eta, eta + 0.01)), (topics.STATE, state), (topics.INPUTS, inputs)
-        ):  # fmt: skip
-            yield topic, robot, encode(message)
-    rows = chance.normal(0.0, 1.0, (ROBOTS, 4))
-    yield topics.TRUTH, None, encode(Truth(tuple(robots), rows, rows, rows[:, :3], rows))
-    yield topics.HEARTBEAT, None, encode(heartbeat)
-    yield topics.LOCALIZER, None, encode(LocalizerStatus(frame_ms=4.0))
-    yield topics.VIDEO, None, encode(Video(chance.bytes(FILM_BYTES)))
-
 
 # --- three processes: who sends, who records (or only routes), and one robot's control beside them
 
