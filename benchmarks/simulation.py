@@ -117,6 +117,7 @@ def process_rows() -> Iterator[Row]:
     runs = (
         ("lockstep, pool, camera in the loop", pool, ("--lockstep",)),
         ("lockstep, pool, poses instead of frames", pool, ("--lockstep", "--poses")),
+        ("lockstep, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--lockstep", "--poses")),
         ("lockstep, fleet-20, poses instead of frames", fleet, ("--lockstep", "--poses")),
         ("real time, 5 of fleet-20, poses instead of frames", first_of_fleet(5), ("--poses",)),
         ("real time, 10 of fleet-20, poses instead of frames", first_of_fleet(10), ("--poses",)),

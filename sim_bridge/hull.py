@@ -15,8 +15,6 @@ from wire.experiment import Experiment
 from wire.frames import Array
 from wire.toml_file import ConfigError
 
-_CROSSED = np.array([[[-1.0], [1.0]], [[1.0], [-1.0]]])  # signs of cos(roll) sin(yaw), ... in the matrix of an attitude
-
 
 class LevelHull:
     """Surge, sway, heave, yaw. State: x, y, z, yaw, u, v, w, r.
@@ -143,16 +141,19 @@ class TiltingHull:
 
     def rate(self, x: Array, legs: Array, time_s: float, contact: bool) -> Array:
         """d/dt of the state, with the legs' forces (6, n) on surge, sway, heave, roll, pitch, yaw given."""
-        trig = np.empty((2, *x[3:6].shape))
-        sines, cosines = np.sin(x[3:6], out=trig[0]), np.cos(x[3:6], out=trig[1])
-        turn = _attitudes(trig)
+        (cr, cp, cy), (sr, sp, sy) = np.cos(x[3:6]), np.sin(x[3:6])
+        turn = np.array([
+            [cp * cy, sr * sp * cy - cr * sy, cr * sp * cy + sr * sy],
+            [cp * sy, sr * sp * sy + cr * cy, cr * sp * sy - sr * cy],
+            [-sp, sr * cp, cr * cp],
+        ])  # body to pool, (3, 3, n)  # fmt: skip
         nu = x[6:]
+        p, q, r = nu[3:]
         rate = np.empty_like(x)
         np.add.reduce(turn * nu[:3], axis=1, out=rate[:3])
-        with_q, with_r = trig[:, 0] * nu[4], trig[::-1, 0] * nu[5]  # sin and cos of the roll: (sr q, cr q), (cr r, sr r)
-        yaw_rate = (with_q[0] + with_r[0]) / cosines[1]
-        rate[3] = nu[3] + sines[1] * yaw_rate
-        rate[4] = with_q[1] - with_r[1]
+        yaw_rate = (sr * q + cr * r) / cp
+        rate[3] = p + sp * yaw_rate
+        rate[4] = cr * q - sr * r
         rate[5] = yaw_rate
         relative = nu
         if not self._flow.still:
@@ -170,24 +171,11 @@ class TiltingHull:
             force[:3] += _turned(self._basin.push(x[:3].T, rate[:3].T).T, turn)
         np.add(self._inverse @ force, self._coupling @ (relative[:, None] * relative).reshape(36, -1), out=rate[6:])
         if not self._flow.still:  # the water's velocity turns in the turning body's frame
-            (p, q, r), (a, b, c) = nu[3:], stream
+            a, b, c = stream
             rate[6:9] += np.array([b * r - c * q, c * p - a * r, a * q - b * p])
         if not self._flow.steady:
             rate[6:9] += _turned(self._flow.acceleration(x[:3], time_s), turn)
         return rate
-
-
-def _attitudes(trig: Array) -> Array:
-    """Body to pool (3, 3, n), Rz Ry Rx, of the sines and cosines (2, 3, n) of roll, pitch and yaw."""
-    (_, sp, _), (_, cp, _) = trig
-    roll, yaw = trig[:, 0], trig[::-1, 2]  # sin and cos of the roll, cos and sin of the yaw
-    turn = np.empty((3, *trig.shape[1:]))
-    np.multiply(cp, yaw, out=turn[:2, 0])
-    np.negative(sp, out=turn[2, 0])
-    np.multiply(roll, cp, out=turn[2, 1:])
-    np.multiply(roll * sp, yaw[:, None], out=turn[:2, 1:])
-    turn[:2, 1:] += _CROSSED * (trig[::-1, 0] * trig[:, 2, None])
-    return turn
 
 
 def _turned(vectors: Array, turn: Array) -> Array:
