@@ -262,12 +262,12 @@ class Pool:
             self._sockets.wait(SLICE_S)
 
     def _shoot(self, world: World, tick_ns: int, previous_ns: int) -> None:
-        """Expose. Whether the picture is the one that counts at the coming tick, the localizer hears at once."""
+        """Expose. If the picture is the one that counts at the coming tick, the localizer hears at once."""
         self._frame_ns = world.now_ns
-        self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)
         self._see(self._shot(world, world.now_ns))
         if world.exposure_ns > tick_ns:
             self._bus.publish(topics.EXPOSED, Tick(tick_ns, previous_ns, self._frame_ns, self._there), tick_ns)
+        self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)  # nobody waits for it
 
     @property
     def _there(self) -> tuple[int, ...]:
