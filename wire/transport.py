@@ -40,9 +40,9 @@ SAY_AGAIN_S = 10.0  # how often a process says that it still waits
 # not on the list. What a member tries beyond its rights Zenoh drops without a word (1.10: decides once per key).
 GUARD = "warn,zenoh_link_tls::unicast=debug,zenoh::net::routing::interceptor::access_control=info"
 
-# Zenoh hands every message on from thread to thread, of which it has seven. Its clients receive, and see to their links, on
+# Zenoh hands every message on from thread to thread, of which it has six. Its clients receive, and see to their links, on
 # one: an agent that hears 19 plans takes 8 to 15 % less of the processor. Sending keeps its own, so that a full queue empties
-# while who receives waits for it; so does the router, for whom all others wait.
+# while who receives waits for it. The router, for whom all others wait, is left as it is.
 CLIENT_THREADS = "(rx: (handover: app), net: (handover: app), acc: (handover: app))"
 
 
