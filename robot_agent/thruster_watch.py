@@ -38,7 +38,9 @@ FIRST_HELD_S = 4.5  # for so long
 START_HELD_S = 7.0
 LEAST_NM = 0.002  # noise
 LASTS_S = 0.4  # a bump is shorter
-LONGEST_NS = NS // 5  # between two steps; after a longer gap it begins anew
+LONGEST_NS = NS // 5  # between two steps; after a longer gap the observer begins anew,
+APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long it was: what is heard late says nothing of now
+NO_CAUSE = (0.0, 0.0, 0.0)  # N, d(r), and what is always there, smoothed as the residual is since the observer began
 
 
 class ThrusterWatch:
@@ -55,9 +57,9 @@ class ThrusterWatch:
         """Nothing is known of how the robot moves."""
         self.broken = False  # stays so until the next reset
         self._rate: float | None = None
-        self._at_ns = 0
+        self._at_ns = self._board_ns = 0
         self._acting = self._strongest = 0.0
-        self._causes = np.array([0.0, 0.0, 1.0])  # N and d(r), smoothed, and what is always there
+        self._causes = np.array(NO_CAUSE)
         self._share = FIRST_SHARE
         self._habit = Habit(SPREAD, *NOISE_NM, SAME_S)
         self._left_over = Unusual(FIRST_NM, FIRST_HELD_S, START_HELD_S, LEAST_NM, LASTS_S)
@@ -69,15 +71,14 @@ class ThrusterWatch:
             self._told.pop()
         self._told.append((acts_ns, moment_nm))
 
-    def step(self, yaw_rate_radps: float, at_ns: int) -> None:
-        """The gyroscope's yaw rate at an instant; one that was given before is not looked at again."""
-        elapsed_ns = at_ns - self._at_ns
-        if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS:
-            broken = self.broken
-            self.reset()
-            self.broken, self._rate, self._at_ns = broken, yaw_rate_radps, at_ns
+    def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
+        """The gyroscope's yaw rate at an instant, and when that was by the board's clock; one that was given before is not
+        looked at again."""
+        elapsed_ns, board_elapsed_ns = at_ns - self._at_ns, board_ns - self._board_ns
+        if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS or abs(elapsed_ns - board_elapsed_ns) > APART_NS:
+            self._begin(yaw_rate_radps, at_ns, board_ns)
         elif elapsed_ns:
-            elapsed_s, self._at_ns = elapsed_ns / NS, at_ns
+            elapsed_s, self._at_ns, self._board_ns = elapsed_ns / NS, at_ns, board_ns
             drag = (self._linear + self._quadratic * abs(self._rate)) * self._rate
             push = self._push(at_ns - elapsed_ns, at_ns) / elapsed_s
             residual = self._observe(self._rate, yaw_rate_radps, push - drag, elapsed_s)
@@ -88,6 +89,13 @@ class ThrusterWatch:
             self._habit.note(self._causes, residual, elapsed_s, at_ns)
             left_over = abs(residual - usual) - SURE * doubt - self._share * self._strongest
             self.broken |= self._left_over.step(max(left_over, 0.0), elapsed_s, at_ns)
+
+    def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
+        """Observe from here. What has been learned of the robot holds, if there was a gap."""
+        if self._rate is not None and at_ns > self._at_ns:
+            self._push(self._at_ns, at_ns)
+        self._rate, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
+        self._causes = np.array(NO_CAUSE)
 
     def _push(self, from_ns: int, to_ns: int) -> float:
         """Let the thrusters follow what they were told; the integral of their moment."""

@@ -50,7 +50,7 @@ class Vitals:
             self._thrusters.reset()
             self._legs.reset()
         elif telemetry.board_ms >= 0:
-            self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns)
+            self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
     def told(self, pulse_us: tuple[int, ...], delivered: Array, now_ns: int) -> None:
         """These pulses went out, which give this wrench (3,): what board and gyroscope will be held against."""

@@ -80,20 +80,32 @@ def test_no_false_alarm_in_long_flights(name: str, seed: int) -> None:
     assert flagged((*settings, f"sim.plant.waves.height_m={random.uniform(0, 0.05):.3f}", f"seed={seed}"), 120.0) == {}
 
 
-def watched(torque_nm: Sequence[float], told_nm: Sequence[float], gyro_error: float = 0.0) -> ThrusterWatch:
-    """A watch on a body that these moments turn, by an integration of its own in steps of 1 ms; it is told of others."""
+def watched(
+    torque_nm: Sequence[float],
+    told_nm: Sequence[float],
+    gyro_error: float = 0.0,
+    deaf: range = range(0),
+    late: range = range(0),
+) -> ThrusterWatch:
+    """A watch on a body that these moments turn, by an integration of its own in steps of 1 ms; it is told of others. In some
+    steps it hears nothing of the gyroscope, in some it hears 0.1 s late, and what was 0.1 s ago."""
     vehicle = load_experiment("pool").vehicle
     watch, rate, acting = ThrusterWatch(vehicle), 0.0, 0.0
     drag, mass, thruster = vehicle.drag, vehicle.mass.yaw_kg_m2, vehicle.thruster
     dead = round(thruster.dead_time_s / 0.001)
-    line = [0.0] * dead
+    line, rates = [0.0] * dead, [0.0, 0.0]
     for k, (torque, told) in enumerate(zip(torque_nm, told_nm, strict=True)):
         watch.told(told, k * STEP_NS)
         for _ in range(50):
             line.append(torque)
             acting += 0.001 / thruster.lag_s * (line.pop(0) - acting)
             rate += 0.001 / mass * (acting - drag.linear[3] * rate - drag.quadratic[3] * abs(rate) * rate)
-        watch.step(rate + gyro_error, (k + 1) * STEP_NS)
+        rates.append(rate + gyro_error)
+        at_ns = (k + 1) * STEP_NS
+        if k in late and k % 4 < 2:
+            watch.step(rates[-3], at_ns, at_ns - 2 * STEP_NS)
+        elif k not in deaf:
+            watch.step(rates[-1], at_ns, at_ns)
     return watch
 
 
@@ -112,6 +124,20 @@ def test_how_a_robot_turns_is_learned() -> None:
     assert watched([*told[:600], *(0.7 * n for n in told[600:])], told).broken
 
 
+def test_what_was_learned_outlasts_a_gap() -> None:
+    """The gap itself is no alarm either, though the robot turned meanwhile."""
+    told = [0.05 * math.sin(0.06 * k) for k in range(700)]
+    obeyed = [0.8 * n for n in told]
+    gap = range(560, 580)
+    assert not watched(obeyed, told, deaf=gap).broken
+    assert watched([*obeyed[:620], *(0.55 * n for n in told[620:660])], told[:660], deaf=gap).broken
+
+
+def test_what_is_heard_late_is_no_alarm() -> None:
+    told = [0.25 * math.sin(0.15 * k) for k in range(700)]
+    assert not watched(told, told, late=range(500, 600)).broken
+
+
 def test_a_gyroscope_with_a_bias_is_no_alarm() -> None:
     told = [0.01 * math.sin(0.1 * k) for k in range(400)]
     assert not watched(told, told, gyro_error=0.02).broken
@@ -126,9 +152,8 @@ def test_a_bump_is_no_alarm_and_a_push_that_lasts_is() -> None:
 
 def test_numbers_that_cannot_be_and_gaps_begin_anew() -> None:
     watch = watched([0.0] * 100, [0.0] * 100)
-    watch.step(3.0, 10**12)  # after a gap nothing is known
-    watch.step(3.0, 10**12)
-    watch.step(3.0, 10**12 - STEP_NS)
+    for at_ns in (10**12, 10**12, 10**12 - STEP_NS):  # after a gap the rate may be any
+        watch.step(3.0, at_ns, at_ns)
     assert not watch.broken
     watch.reset()
     assert not watch.broken
