@@ -77,7 +77,7 @@ def run(
     from wire.bus import Bus
     from wire.network import endpoint
     from wire.topics import Role, process_name
-    from wire.transport import ZenohTransport
+    from wire.transport import ZenohTransport, receive_on_one_thread
 
     given = {
         "experiment": experiment,
@@ -101,6 +101,7 @@ def run(
     where = endpoint(board.station, me, ring, insecure=board.insecure, lossless=lockstep)
     (wires, signing), watchdog = open_board(board), Watchdog()
     try:
+        receive_on_one_thread()
         with Bus(ZenohTransport(where, stop), board.fleet) as bus:
             for refused in realtime.apply(board.realtime):
                 log.warning("real time: %s", refused)

@@ -40,10 +40,16 @@ SAY_AGAIN_S = 10.0  # how often a process says that it still waits
 # not on the list. What a member tries beyond its rights Zenoh drops without a word (1.10: decides once per key).
 GUARD = "warn,zenoh_link_tls::unicast=debug,zenoh::net::routing::interceptor::access_control=info"
 
-# Zenoh hands every message on from thread to thread, of which it has six. Its clients receive, and see to their links, on
-# one: an agent that hears 19 plans takes 8 to 15 % less of the processor. Sending keeps its own, so that a full queue empties
-# while who receives waits for it. The router, for whom all others wait, is left as it is.
-CLIENT_THREADS = "(rx: (handover: app), net: (handover: app), acc: (handover: app))"
+# Zenoh hands every message on from thread to thread, of which it has six. What is received, and links, can do with one: an
+# agent that hears 19 plans then takes 8 to 15 % less of the processor. Sending keeps its own, so that a full queue empties
+# while who receives waits for it.
+ONE_RECEIVER = "(rx: (handover: app), net: (handover: app), acc: (handover: app))"
+
+
+def receive_on_one_thread() -> None:
+    """For a process that has opened no session yet, and that neither routes (a router of this kind accepts nobody for minutes)
+    nor starts others, which would inherit it. What the user asks for of Zenoh's threads goes before."""
+    os.environ.setdefault("ZENOH_RUNTIME", ONE_RECEIVER)
 
 
 class Transport(Protocol):
@@ -89,8 +95,6 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
         os.environ.setdefault("NO_COLOR", "1")  # it ends in files and journals
         zenoh.init_log_from_env_or(GUARD)
     config = _config(endpoint)
-    if not endpoint.router:
-        os.environ.setdefault("ZENOH_RUNTIME", CLIENT_THREADS)  # read when a process opens its first session
     if endpoint.router:
         try:
             return zenoh.open(config)
