@@ -192,8 +192,7 @@ class Rig(Onlooker):
         its end. Raises Stuck where robots keep dropping out: a machine too busy for the flight itself measures no fault."""
         for _ in range(CRUISES):
             if time.monotonic() - self._taken_off_s > 0.5 * self.experiment.duration_s:
-                self.order(Order.DISARM)
-                self.wait(lambda: not self.flying, "landed")
+                self.land()
             self.fly()
             end_s = time.monotonic() + seconds
             while self.flying and time.monotonic() < end_s:
@@ -201,6 +200,11 @@ class Rig(Onlooker):
             if self.flying:
                 return
         raise Stuck(f"no {seconds:.1f} s of flight in one piece: this machine is too busy ({self.folder})")
+
+    def land(self) -> None:
+        """End the flight: whatever the robots have got used to in it is forgotten."""
+        self.order(Order.DISARM)
+        self.wait(lambda: not self.flying, "landed")
 
     # --- breaking
 

@@ -138,6 +138,7 @@ def thruster_broken(rig: Rig, random: Random) -> Sample:
     elif how in FELT:
         found["flagged"] = NEVER_S
     rig.break_()
+    rig.land()  # what was not flagged is a habit by now
     return found
 
 
