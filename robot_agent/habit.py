@@ -2,7 +2,7 @@
 
 Recursive least squares for y = theta . x + noise, with a prior: theta is about zero, each part within its spread. What is
 known of theta fades back to that in FADES_S. The noise is learned, too: in rough water little is known of theta for longer.
-Samples count when they are a second old: what breaks must not excuse itself.
+Samples count when they are a second old, as in unusual.py.
 """
 
 import math
@@ -11,10 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from robot_agent.unusual import YOUNG_NS
 from wire.frames import Array
 
-NS = 1_000_000_000
-LEARNED_AFTER_NS = NS
 FADES_S = 300.0
 NOISE_S = 10.0  # how fast the noise is learned
 
@@ -37,14 +36,12 @@ class Habit:
     def note(self, x: Array, y: float, elapsed_s: float, at_ns: int) -> None:
         """y came with x (k,) at an instant, `elapsed_s` after the last."""
         self._young.append((at_ns, elapsed_s, x, y))
-        while self._young[0][0] <= at_ns - LEARNED_AFTER_NS:
+        while self._young[0][0] <= at_ns - YOUNG_NS:
             _, seconds, x, y = self._young.popleft()
             self._learn(x, y, seconds)
 
     def _learn(self, x: Array, y: float, seconds: float) -> None:
-        missed = y - float(
-            self._theta @ x
-        )  # at first for want of knowledge, which is taken for noise: rather too slow than sure
+        missed = y - float(self._theta @ x)  # at first for want of knowledge, but taken for noise: rather too slow than sure
         self._variance += -math.expm1(-seconds / NOISE_S) * (max(missed**2, self._least_variance) - self._variance)
         known = self._covariance + -math.expm1(-seconds / FADES_S) * (self._prior - self._covariance)
         toward = known @ x

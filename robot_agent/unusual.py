@@ -10,7 +10,7 @@ from collections import deque
 
 NS = 1_000_000_000
 FACTOR = 2.0
-PEAK_AGE_NS = NS
+YOUNG_NS = NS  # what is younger does not count yet: what breaks must not excuse itself
 HELD_S = 200.0
 START_S = 10.0
 
@@ -34,7 +34,7 @@ class Unusual:
         self._start *= math.exp(-elapsed_s / self._start_held_s)
         self._peak *= math.exp(-elapsed_s / HELD_S)
         self._young.append((at_ns, value))
-        while self._young[0][0] <= at_ns - PEAK_AGE_NS:
+        while self._young[0][0] <= at_ns - YOUNG_NS:
             _, old = self._young.popleft()
             if self._flown_s < START_S:
                 self._start = max(self._start, old)

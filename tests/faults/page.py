@@ -117,8 +117,8 @@ What a robot does by itself is in `docs/modes.md`, what a board does in `docs/bo
   decides, `safety.off_path_m`. In still water 0.1 m will do, as measured below; the default of 0.3 m leaves room for waves and
   gusts. In these, and in a flight's first ten seconds or so, only what moves the robot more than they do is noticed, or it
   takes up to a second longer; and a thruster that was broken for a while without being found has taught the watch that this is
-  how the robot moves: for some minutes then the next has to be twice as bad. Which thruster it is, nobody can feel: try them one
-  by one.
+  how the robot moves: for some minutes then the next has to be twice as bad. Which thruster it is, nobody can feel: try them
+  one by one.
 * When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
   goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
 * A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number

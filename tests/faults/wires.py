@@ -93,7 +93,8 @@ class SerialWire:
         if to_board:
             events = self._reader.receive(data, now_ns)
             self.said += [(now_ns, event.pulses_us) for _, event in events if isinstance(event, Override)]
-            self.number = data[NUMBER_AT] if len(data) > NUMBER_AT and data[0] == MARKER else self.number
+            if len(data) > NUMBER_AT and data[0] == MARKER:
+                self.number = data[NUMBER_AT]
         if trouble.cut:
             return
         if trouble.junk and random.random() < trouble.junk:

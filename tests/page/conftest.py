@@ -14,6 +14,8 @@ import psutil
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from sim_bridge.ports import free_port
+
 CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
 FLAGS = [
     "--headless",
@@ -88,10 +90,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="package")
 def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Flight]:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    found = Flight(tmp_path_factory.mktemp("flight"), port)
+    found = Flight(tmp_path_factory.mktemp("flight"), free_port())
     found.start()
     yield found
     found.stop()

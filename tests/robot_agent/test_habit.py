@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from robot_agent.habit import FADES_S, LEARNED_AFTER_NS, Habit
+from robot_agent.habit import FADES_S, Habit
+from robot_agent.unusual import YOUNG_NS
 from wire.frames import Array
 
 NS = 1_000_000_000
@@ -56,7 +57,7 @@ def test_the_newest_second_does_not_count() -> None:
     habit = taught(theta, 30.0)
     before = habit.expect(cause)
     x, _ = samples(theta, 30.0, 1)
-    young = round(LEARNED_AFTER_NS / NS / STEP_S) - 1
+    young = round(YOUNG_NS / NS / STEP_S) - 1
     last_ns = round((len(x) - 1) * STEP_S * NS)
     for k in range(1, young):
         habit.note(x[k], 1.0, STEP_S, last_ns + round(k * STEP_S * NS))
