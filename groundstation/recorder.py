@@ -17,6 +17,7 @@ its session is in the channel's metadata.
 import importlib.metadata
 import itertools
 import json
+import math
 import os
 import shutil
 import threading
@@ -32,7 +33,7 @@ from wire.bus import Collected
 from wire.codec import Header, protobuf_class
 from wire.experiment import Experiment
 from wire.toml_file import ConfigError
-from wire.topics import STATE, Qos, Topic
+from wire.topics import STATE, Qos, Role, Topic
 
 FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
 GATHER_S = 0.01  # how far `log_time` may be behind the arrival; a control step's messages come in bursts
@@ -112,6 +113,7 @@ class Recorder:
         OSError when the file cannot be made: without a log no run should begin."""
         self._free_bytes, self._folder = free_bytes, path.parent
         self._stop_pictures_below, self._no_pictures, self._warning = stop_pictures_below, False, ""
+        self.whole_until_ns: int | None = None  # robots' messages with later stamps wait; those left at the end are left out
         self._dropped = 0
         self._error = ""
         self._lock = threading.Lock()
@@ -218,8 +220,11 @@ class Recorder:
 
     def _write_pending(self) -> None:
         with self._lock:
-            batch, self._pending = self._pending, []
-            self._pending_bytes = 0
+            until_ns = math.inf if self.whole_until_ns is None else self.whole_until_ns
+            waits = [topic.writers == (Role.ROBOT,) and header.stamp_ns > until_ns for topic, _, header, *_ in self._pending]
+            batch = [entry for entry, later in zip(self._pending, waits, strict=True) if not later]
+            self._pending = [entry for entry, later in zip(self._pending, waits, strict=True) if later]
+            self._pending_bytes = sum(len(payload) for _, _, _, payload, *_ in self._pending)
         states = [(header.stamp_ns, arrived_ns) for topic, _, header, _, _, arrived_ns in batch if topic is STATE]
         self._pace += states[-1:]
         for topic, key, header, payload, log_time_ns, _ in batch:

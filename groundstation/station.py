@@ -236,6 +236,7 @@ def run(
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
     check_room(run_dir, experiment.recording.min_free_gb)
     recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
+    recorder.whole_until_ns = -1 if lockstep else None
     try:
         record_everything(bus, recorder, clock)
         with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool, contextlib.ExitStack() as served:
@@ -295,6 +296,7 @@ def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
         up_to_ns = lockstep.await_sight(tick, heard.localizer, heard.poses, heard.obstacles)
         if up_to_ns is None or not lockstep.await_all([(heard.states[r], tick.previous_ns) for r in tick.robots]):
             return
+        station.recorder.whole_until_ns = tick.previous_ns  # whenever it ends: no step of which some robots are missing
         station.obstacles_up_to_ns = up_to_ns
         station.cycle(tick.now_ns, lockstep=True)
         if _over(station) and station.mission.automatic:

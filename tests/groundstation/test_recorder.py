@@ -20,7 +20,7 @@ from tests.groundstation.small_log import SECOND, pose, record_poses, sequences
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, decode, encode
-from wire.messages import Event, Pose, Preview, Video
+from wire.messages import Event, Plan, Pose, Preview, Video
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -117,6 +117,29 @@ def test_what_came_before_the_end_is_in_the_log(tmp_path: Path) -> None:
     assert sorted(found) == sorted(
         (key, k, k + 5) for k in range(200) for key in (f"shoal/robot/{1 + k % 3}/pose", "shoal/event")
     )
+
+
+def test_a_run_in_step_ends_with_a_whole_step(tmp_path: Path) -> None:
+    """Of the last step some robots have told and some have not: of that none is in the log, of all others everything."""
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    recorder.whole_until_ns = -1
+    for k in range(4):
+        for robot in (1, 2) if k < 3 else (1,):
+            recorder.put(
+                topics.PLAN, f"shoal/robot/{robot}/plan", Header(robot, k, k * SECOND), encode(Plan(0.05)), k * SECOND
+            )
+        recorder.put(topics.POSE, "shoal/robot/2/pose", Header(3, k, k * SECOND), encode(pose(k)), k * SECOND)
+        recorder.whole_until_ns = (k - 1) * SECOND
+        time.sleep(0.4 * FLUSH_PERIOD_S)  # some of it is written meanwhile
+    recorder.whole_until_ns = 2 * SECOND
+    recorder.close()
+    with (tmp_path / "run.mcap").open("rb") as file:
+        found = sorted((channel.topic, message.sequence) for _, channel, message in make_reader(file).iter_messages())
+    assert found == sorted(
+        [(f"shoal/robot/{robot}/plan", k) for robot in (1, 2) for k in range(3)]
+        + [("shoal/robot/2/pose", k) for k in range(4)]
+    )
+    assert recorder.dropped == 0
 
 
 def test_what_does_not_fit_in_memory_is_dropped_and_counted(tmp_path: Path) -> None:
