@@ -130,7 +130,7 @@ class Agent:
         output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
-        self._vitals.told(pulses, output.wrench_delivered, now_ns)
+        self._vitals.told(pulses, now_ns)
         self._vitals.flew(output, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
@@ -153,7 +153,7 @@ class Agent:
     def acted(self, state: RobotState, now_ns: int) -> None:
         """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
         self._controller.acted(state.wrench, state.wrench_delivered, now_ns)
-        self._vitals.told(state.pulse_us, state.wrench_delivered, now_ns)
+        self._vitals.told(state.pulse_us, now_ns)
 
     @property
     def trajectory(self) -> Trajectory | None:

@@ -67,8 +67,17 @@ class Allocator:
 
     def delivered(self, pulse_us: tuple[int, ...]) -> Wrench:
         """The wrench of eight pulse widths by the nominal thrust curve: what the estimator is told."""
+        return self.wrench(*self._put_out(pulse_us))
+
+    def turning(self, pulse_us: tuple[int, ...]) -> Array:
+        """Each leg's part (4,) of the yaw moment of eight pulse widths, N m."""
+        force, angle = self._put_out(pulse_us)
+        return np.array([-leg.y_m * f * math.cos(a) for leg, f, a in zip(self._legs, force, angle, strict=True)])
+
+    def _put_out(self, pulse_us: tuple[int, ...]) -> tuple[list[float], list[float]]:
+        """Forces and ankle angles of eight pulse widths."""
         force = [self._thrust_n[pulse - self._slowest_us] for pulse in pulse_us[:4]]
-        return self.wrench(force, [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]])
+        return force, [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]]
 
     def wrench(self, force_n: Sequence[float], ankle_rad: Sequence[float]) -> Wrench:
         """Forward equations: four thruster forces and ankle angles -> wrench."""

@@ -1,50 +1,88 @@
-"""How a number has gone with others so far, and how far it may go from that. Pure.
+"""How a number has gone with others so far, and whether it now misses a part of one of them. Pure.
 
-Recursive least squares for y = theta . x + noise, with a prior: theta is about zero, each part within its spread. What is
-known of theta fades back to that in FADES_S. The noise is learned, too: in rough water little is known of theta for longer.
-Samples count when they are a second old, as in unusual.py.
+Recursive least squares for y = theta . x + noise, with a prior: theta is about zero, with a covariance. What is known of theta
+fades back to that in FADES_S. The noise is learned, too: in rough water little is known of theta for longer.
+
+A part that is missing, a share q of what goes with x_k, leaves -q x_k in y. How much likelier that makes the newest samples
+is a log-likelihood ratio, in which theta is as uncertain as it is known to be: what may be a habit not learned yet is no
+evidence. With r = y - theta . x, and S the covariance of noise and theta's uncertainty together,
+
+    evidence = -q x_k' S^-1 r - q^2 / 2 x_k' S^-1 x_k        at its largest over k, q, and the last SPANS_S
+
+So that what breaks does not excuse itself, samples teach only when they have been looked at for so long, and not while there
+is something to suspect.
 """
 
 import math
 from collections import deque
-from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from robot_agent.unusual import YOUNG_NS
 from wire.frames import Array
 
-FADES_S = 300.0
+NS = 1_000_000_000
+SPANS_S = (0.5, 1.0, 2.0)
+FADES_S = 1000.0
 NOISE_S = 10.0  # how fast the noise is learned
+SUSPECTED = 3.0  # evidence: what is felt meanwhile is no habit
+LEAST = 1e-12  # of what could have been missing: nothing
 
 
 class Habit:
-    """One number y that goes with others, x."""
+    """One number y that goes with others, x (k,)."""
 
-    def __init__(self, spread: Sequence[float], noise: float, least_noise: float, smooth_s: float) -> None:
-        """`spread` (k,): standard deviations of theta before anything is known; `noise`: of y, at first and at least. Samples
-        within `smooth_s` of each other say the same."""
-        self._prior = np.diag(np.square(spread))
-        self._theta, self._covariance = np.zeros(len(spread)), self._prior
-        self._variance, self._least_variance, self._smooth_s = noise**2, least_noise**2, smooth_s
-        self._young: deque[tuple[int, float, Array, float]] = deque()  # instant, seconds, x, y
+    def __init__(
+        self, prior: Array, noise: float, least_noise: float, same_s: float, parts: int, shares: tuple[float, float]
+    ) -> None:
+        """`prior` (k, k): covariance of theta before anything is known; `noise`: standard deviation of y, at first and at
+        least. Samples within `same_s` of each other say the same. Missing may be a share, from least to most, of what goes
+        with one of the first `parts` of x."""
+        self._prior, self._least_variance, self._same_s = prior, least_noise**2, same_s
+        self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior, noise**2
+        self._parts, self._shares = parts, shares
+        self._young: deque[tuple[int, float, float, Array]] = deque()  # instant, seconds, roughness, (x, y)
+        self.evidence = 0.0  # that a part is missing now
 
-    def expect(self, x: Array) -> tuple[float, float]:
-        """What y goes with x (k,), and the standard deviation of that for want of knowledge, without the noise."""
-        return float(self._theta @ x), math.sqrt(x @ self._covariance @ x)
+    def note(self, x: Array, y: float, rough: float, elapsed_s: float, at_ns: int) -> None:
+        """y came with x at an instant, `elapsed_s` after the last; it may be off by `rough` more than by the noise."""
+        self._young.append((at_ns, elapsed_s, rough, np.append(x, y)))
+        while self._young[0][0] <= at_ns - SPANS_S[-1] * NS:
+            _, seconds, roughness, sample = self._young.popleft()
+            if self.evidence < SUSPECTED:
+                self._learn(sample[:-1], float(sample[-1]), roughness, seconds)
+        self.evidence = self._look(at_ns)
 
-    def note(self, x: Array, y: float, elapsed_s: float, at_ns: int) -> None:
-        """y came with x (k,) at an instant, `elapsed_s` after the last."""
-        self._young.append((at_ns, elapsed_s, x, y))
-        while self._young[0][0] <= at_ns - YOUNG_NS:
-            _, seconds, x, y = self._young.popleft()
-            self._learn(x, y, seconds)
-
-    def _learn(self, x: Array, y: float, seconds: float) -> None:
-        missed = y - float(self._theta @ x)  # at first for want of knowledge, but taken for noise: rather too slow than sure
-        self._variance += -math.expm1(-seconds / NOISE_S) * (max(missed**2, self._least_variance) - self._variance)
+    def _learn(self, x: Array, y: float, rough: float, seconds: float) -> None:
+        missed = y - float(self._theta @ x)
         known = self._covariance + -math.expm1(-seconds / FADES_S) * (self._prior - self._covariance)
         toward = known @ x
-        gain = toward / (float(x @ toward) + self._variance * self._smooth_s / seconds)
+        doubt = float(x @ toward)
+        noise = max(missed**2 - doubt - rough**2, self._least_variance)
+        self._variance += -math.expm1(-seconds / NOISE_S) * (noise - self._variance)
+        gain = toward / (doubt + (self._variance + rough**2) * self._same_s / seconds)
         self._theta = self._theta + gain * missed
         self._covariance = known - np.outer(gain, toward)
+
+    def _look(self, at_ns: int) -> float:
+        """The evidence in the young samples. Sums over the spans are made of those over what lies between their beginnings."""
+        instants, seconds, rough, samples = zip(*self._young, strict=True)
+        z = np.array(samples)
+        z[:, -1] -= z[:, :-1] @ self._theta
+        weighted = z.T * (np.array(seconds) / (self._same_s * (self._variance + np.square(rough))))
+        ages_s = (at_ns - np.array(instants)) / NS
+        begins = [len(z), *(int(np.searchsorted(-ages_s, -span_s)) for span_s in SPANS_S)]
+        precision = np.asarray(np.linalg.inv(self._covariance), dtype=np.float64)
+        summed, most = np.zeros((z.shape[1],) * 2), -math.inf
+        for end, begin in pairwise(begins):
+            summed = summed + weighted[:, begin:end] @ z[begin:end]
+            most = max(most, self._missing(summed, precision))
+        return most
+
+    def _missing(self, summed: Array, precision: Array) -> float:
+        """The evidence in weighted sums of (x, r) (x, r)' over samples."""
+        of_x = summed[:-1, :-1]
+        certain = summed - summed[:, :-1] @ np.linalg.solve(of_x + precision, summed[:-1])  # (x, r)' S^-1 (x, r)
+        along, size = -certain[-1, : self._parts], np.diag(certain)[: self._parts]
+        share = np.clip(along / np.maximum(size, LEAST), *self._shares)
+        return float(np.max(share * along - 0.5 * share**2 * size))

@@ -1,14 +1,15 @@
-"""Do the thrusters turn the robot as they are told, as far as the gyroscope can tell? Pure.
+"""Does each thruster turn the robot as it is told, as far as the gyroscope can tell? Pure.
 
-Each leg turns the robot as it pushes, and the gyroscope feels that at once: a thruster that is dead, weak, reversed or stuck
-leaves a yaw moment that nothing else explains. A first-order observer of the yaw rate r,
+Each leg turns the robot as it pushes, and the gyroscope feels that at once. A first-order observer of the yaw rate r,
 
-    r^' = (N - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
+    r^' = (sum N_k - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
 
-gives that moment smoothed over T, without differences of a noisy rate. Mass, voltage, drag and curve are never known exactly,
-thrusters are not alike, and a gyroscope has a bias: how far the residual goes with N, with d(r) and with nothing is learned in
-flight (habit.py), so a leg that is missing from a turn shows as soon as it is known how this robot turns. What is left over is
-held against what was left over before (unusual.py), so a robot in rough water bears more.
+gives the moment that nothing explains, smoothed over T, without differences of a noisy rate; N_k is what leg k is told, after
+the thruster's dead time and lag. Mass, voltage, drag and curve are never known exactly, thrusters are not alike, a gyroscope
+has a bias, and pulses and rates take their time on the way: how far the residual goes with each N_k, with d(r), with nothing
+and with how fast the moment changes is learned in flight. A leg that gives less than it is told, nothing, or the opposite
+leaves a share of its own N_k in the residual. Whether that makes what was felt lately so much likelier that it cannot be
+chance is asked step by step (habit.py); water that pushes as it likes does not follow one leg's pulses.
 
 What it cannot see is a thruster that is told next to nothing, or goes on doing what it did when it stuck, for as long as that
 is what it is told: neither moves the robot. Limits are measured, on flights of the article's robot with masses and thrusters
@@ -21,26 +22,26 @@ from collections import deque
 import numpy as np
 
 from robot_agent.habit import Habit
-from robot_agent.unusual import Unusual
+from wire.frames import Array
 from wire.vehicle import Vehicle
 
 NS = 1_000_000_000
 SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
-SPREAD = (0.3, 0.3, 0.004)  # how far the residual may go with N, with d(r), and with nothing (N m), before any of it is known
+LEGS = 4
+OF_ALL, OF_ONE = 0.3, 0.1  # how far the residual may go with every N_k alike (mass, voltage), and with each (curve, spread),
+OF_DRAG, OF_NOTHING_NM = 0.3, 0.004  # with d(r), and with nothing,
+LATE_S = 0.02  # and for how late the moment comes, before any of it is known
 NOISE_NM = (0.002, 0.0007)  # of the residual: at first, and at least
 SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same
-SURE = 2.0  # standard deviations of what is not yet known
-SHARE = 0.07  # of the largest N in the last HELD_S, smoothed alike: lags and curves may be off
-HELD_S = 0.5
-FIRST_SHARE = 0.4  # starts are rough, in any water: at first a larger share is asked for,
-FIRST_NM = 0.018  # and this stands for what was left over before there was anything;
-FIRST_HELD_S = 4.5  # for so long
-START_HELD_S = 7.0
-LEAST_NM = 0.002  # noise
-LASTS_S = 0.4  # a bump is shorter
+SHARE = 0.02  # of the moment: curves are no straight lines
+UNEVEN_S = 0.005  # steps begin, and pulses leave, a little earlier or later
+MISSING = (0.6, 2.0)  # of what a leg is told: most of it, up to twice, which is reversed
+SURE = 8.0  # evidence: e^8 to one
 LONGEST_NS = NS // 5  # between two steps; after a longer gap the observer begins anew,
 APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long it was: what is heard late says nothing of now
-NO_CAUSE = (0.0, 0.0, 0.0)  # N, d(r), and what is always there, smoothed as the residual is since the observer began
+# Covariance of how far the residual goes with the legs' moments, drag, the moment's change, and nothing.
+PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
+PRIOR[:LEGS, :LEGS] += OF_ALL**2
 
 
 class ThrusterWatch:
@@ -50,26 +51,28 @@ class ThrusterWatch:
         self._mass, self._lag_s = vehicle.mass.yaw_kg_m2, vehicle.thruster.lag_s
         self._linear, self._quadratic = vehicle.drag.linear[3], vehicle.drag.quadratic[3]
         self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
-        self._told: deque[tuple[int, float]] = deque(maxlen=64)  # from when on it acts, yaw moment
         self.reset()
 
     def reset(self) -> None:
-        """Nothing is known of how the robot moves."""
+        """Thrusters are at rest, and nothing is known of how the robot moves."""
         self.broken = False  # stays so until the next reset
+        self._told: deque[tuple[int, Array]] = deque(maxlen=64)  # from when on it acts, each leg's moment
+        self._acting = np.zeros(LEGS)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
-        self._acting = self._strongest = 0.0
-        self._causes = np.array(NO_CAUSE)
-        self._share = FIRST_SHARE
-        self._habit = Habit(SPREAD, *NOISE_NM, SAME_S)
-        self._left_over = Unusual(FIRST_NM, FIRST_HELD_S, START_HELD_S, LEAST_NM, LASTS_S)
+        self._forget_causes()
+        self._habit = Habit(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
 
-    def told(self, moment_nm: float, now_ns: int) -> None:
-        """Pulses went out that turn the robot with this moment. Of two at one instant the last counts."""
+    def _forget_causes(self) -> None:
+        """What turned the robot, smoothed as the residual is since the observer began: legs, drag, what is always there."""
+        self._legs, self._drag, self._always = np.zeros(LEGS), 0.0, 0.0
+
+    def told(self, moments_nm: Array, now_ns: int) -> None:
+        """Pulses went out with which the legs (4,) turn the robot so. Of two at one instant the last counts."""
         acts_ns = now_ns + self._dead_ns
         if self._told and self._told[-1][0] == acts_ns:
             self._told.pop()
-        self._told.append((acts_ns, moment_nm))
+        self._told.append((acts_ns, moments_nm))
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """The gyroscope's yaw rate at an instant, and when that was by the board's clock; one that was given before is not
@@ -81,33 +84,35 @@ class ThrusterWatch:
             elapsed_s, self._at_ns, self._board_ns = elapsed_ns / NS, at_ns, board_ns
             drag = (self._linear + self._quadratic * abs(self._rate)) * self._rate
             push = self._push(at_ns - elapsed_ns, at_ns) / elapsed_s
-            residual = self._observe(self._rate, yaw_rate_radps, push - drag, elapsed_s)
-            self._causes = self._causes - math.expm1(-elapsed_s / SMOOTH_S) * (np.array([push, drag, 1.0]) - self._causes)
-            self._strongest = max(self._strongest * math.exp(-elapsed_s / HELD_S), abs(float(self._causes[0])))
-            self._share -= math.expm1(-elapsed_s / FIRST_HELD_S) * (SHARE - self._share)
-            usual, doubt = self._habit.expect(self._causes)
-            self._habit.note(self._causes, residual, elapsed_s, at_ns)
-            left_over = abs(residual - usual) - SURE * doubt - self._share * self._strongest
-            self.broken |= self._left_over.step(max(left_over, 0.0), elapsed_s, at_ns)
+            residual = self._observe(self._rate, yaw_rate_radps, float(push.sum()) - drag, elapsed_s)
+            smooth = -math.expm1(-elapsed_s / SMOOTH_S)
+            change = smooth * (push - self._legs)
+            self._legs = self._legs + change
+            self._drag += smooth * (drag - self._drag)
+            self._always += smooth * (1.0 - self._always)
+            moment, rising = float(self._legs.sum()), float(change.sum()) / elapsed_s
+            causes = np.array([*self._legs, self._drag, rising, self._always])
+            self._habit.note(causes, residual, math.hypot(SHARE * moment, UNEVEN_S * rising), elapsed_s, at_ns)
+            self.broken |= self._habit.evidence > SURE
 
     def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Observe from here. What has been learned of the robot holds, if there was a gap."""
         if self._rate is not None and at_ns > self._at_ns:
             self._push(self._at_ns, at_ns)
         self._rate, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
-        self._causes = np.array(NO_CAUSE)
+        self._forget_causes()
 
-    def _push(self, from_ns: int, to_ns: int) -> float:
-        """Let the thrusters follow what they were told; the integral of their moment."""
-        impulse = 0.0
+    def _push(self, from_ns: int, to_ns: int) -> Array:
+        """Let the thrusters follow what they were told; the integral of their moments (4,)."""
+        impulse = np.zeros(LEGS)
         while from_ns < to_ns:
             while len(self._told) > 1 and self._told[1][0] <= from_ns:
                 self._told.popleft()
-            wanted = self._told[0][1] if self._told and self._told[0][0] <= from_ns else 0.0
+            wanted = self._told[0][1] if self._told and self._told[0][0] <= from_ns else np.zeros(LEGS)
             until_ns = min([to_ns, *(acts_ns for acts_ns, _ in self._told if acts_ns > from_ns)])
             span_s, behind = (until_ns - from_ns) / NS, self._acting - wanted
             left = math.exp(-span_s / self._lag_s) if self._lag_s > 0.0 else 0.0
-            impulse += wanted * span_s + behind * self._lag_s * (1.0 - left)
+            impulse = impulse + wanted * span_s + behind * self._lag_s * (1.0 - left)
             self._acting, from_ns = wanted + behind * left, until_ns
         return impulse
 

@@ -2,16 +2,15 @@
 
 import math
 
+from robot_agent.allocation import Allocator
 from robot_agent.controller import ControlOutput
 from robot_agent.echo import EchoCheck
 from robot_agent.inputs import Inputs
-from robot_agent.leg_watch import LegWatch
 from robot_agent.mode import LIVE, POWERED, Health
 from robot_agent.orders import StationView
 from robot_agent.path_watch import PathWatch
 from robot_agent.thruster_watch import ThrusterWatch
 from wire.experiment import Experiment
-from wire.frames import Array
 from wire.messages import Mode, Track
 
 ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
@@ -28,7 +27,7 @@ class Vitals:
             experiment.localizer.markers,
         )
         self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
-        self._legs, self._path = LegWatch(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
+        self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
         self._mode = Mode.DISARMED
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
@@ -48,18 +47,16 @@ class Vitals:
         self._mode = mode
         if mode not in POWERED:
             self._thrusters.reset()
-            self._legs.reset()
         elif telemetry.board_ms >= 0:
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
-    def told(self, pulse_us: tuple[int, ...], delivered: Array, now_ns: int) -> None:
-        """These pulses went out, which give this wrench (3,): what board and gyroscope will be held against."""
+    def told(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
+        """These pulses went out: what board and gyroscope will be held against."""
         self._echo.told(pulse_us, now_ns)
-        self._thrusters.told(float(delivered[2]), now_ns)
+        self._thrusters.told(self._allocator.turning(pulse_us), now_ns)
 
     def flew(self, output: ControlOutput, now_ns: int) -> None:
         """What a control step found out about how the robot moves."""
-        self._legs.step(output.wrench_delivered, float(output.nu[3]), output.disturbance, float(output.eta[3]), now_ns)
         off_m = math.dist(output.eta[:2].tolist(), output.eta_reference[:2].tolist())
         self._path.step(off_m, output.is_free, now_ns)
 
@@ -80,7 +77,7 @@ class Vitals:
             solver_failed=solver_failed,
             late_steps=inputs.late_steps,
             echo_wrong_s=self._echo.wrong_s(telemetry, now_ns),
-            thrusters_broken=self._thrusters.broken or self._legs.broken,
+            thrusters_broken=self._thrusters.broken,
             off_path=self._path.left,
         )
 

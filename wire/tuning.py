@@ -36,7 +36,7 @@ class Safety(Section):
     station_neutral_s: Positive = 3.0
     station_disarm_s: Positive = 10.0
     plan_max_age_s: Positive = 0.5
-    watch_thrusters: bool = True  # neutral when gyroscope or observer do not find what the thrusters were told
+    watch_thrusters: bool = True  # neutral when the gyroscope does not feel what the thrusters were told
     off_path_m: Positive = (
         0.3  # neutral when farther off its path than this for 0.5 s, nothing being in the way; still water: 0.1
     )

@@ -111,14 +111,13 @@ percentage holds for that share of them. One row again: `make faults ARGS="--row
 
 What a robot does by itself is in `docs/modes.md`, what a board does in `docs/board.md`. Known gaps:
 
-* A thruster that is told next to nothing, one that has lost half or less, and one that goes on as it was told just then, may
-  break unnoticed until it matters: neither gyroscope nor observer find that a force is missing. A thruster that is stuck
-  makes the robot turn to and fro, more and more, and that may be all there is to see: then the distance from its path
-  decides, `safety.off_path_m`. In still water 0.1 m will do, as measured below; the default of 0.3 m leaves room for waves and
-  gusts. In these, and in a flight's first ten seconds or so, only what moves the robot more than they do is noticed, or it
-  takes up to a second longer; and a thruster that was broken for a while without being found has taught the watch that this is
-  how the robot moves: for some minutes then the next has to be twice as bad. Which thruster it is, nobody can feel: try them
-  one by one.
+* A thruster that is told next to nothing, one that has lost a third or less, and one that goes on as it was told just then,
+  may break unnoticed until it matters: the gyroscope does not feel that anything is missing. A thruster that is stuck makes
+  the robot turn to and fro, more and more, and that may be all there is to see: then the distance from its path decides,
+  `safety.off_path_m`. In still water 0.1 m will do, as measured below; the default of 0.3 m leaves room for waves and gusts.
+  In these, what a leg lacks must be more than what they turn the robot with; and what turns it as strongly as a leg that
+  idles, for two seconds, in water that was still before, is taken for a broken one. Which thruster it is, nobody can feel:
+  try them one by one.
 * When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
   goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
 * A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number
