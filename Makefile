@@ -34,7 +34,7 @@ fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]' || echo "atheris cannot be installed here: without it, then"
 	$(BIN)/python -m tests.faults.fuzz $(ARGS)
 
-soak: $(INSTALLED) ## fly for hours while things break, look for what grows. ARGS="--hours 8" or ARGS="--simulated 10"
+soak: $(INSTALLED) ## fly for hours while things break, look for what grows. ARGS="--hours 8", "--simulated 10" or "--real-time 4"
 	$(BIN)/python -m tests.faults.soak $(ARGS)
 
 mutants: $(INSTALLED) ## change the thruster board's rules in every small way, and list the changes that no test notices

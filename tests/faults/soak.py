@@ -3,10 +3,11 @@ or threads that grow, control that slows down, numbers that are not finite.
 
     python -m tests.faults.soak --hours 2
     python -m tests.faults.soak --simulated 10 --way numeric --way poses
+    python -m tests.faults.soak --real-time 4
 
 Half of the time passes by the simulator's clock, every scene in every way with random timelines of faults, half by the wall
 clock with the injections of `make faults`. What matters of the first half is how much is flown: `--simulated 10` flies ten
-hours of it, however long that takes, and nothing by the wall clock.
+hours of it, however long that takes, and nothing by the wall clock; `--real-time 4` is four hours of the second half alone.
 """
 
 import argparse
@@ -249,6 +250,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="make soak", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--simulated", type=float, help="hours to fly by the simulator's clock, instead")
+    parser.add_argument("--real-time", type=float, help="hours to fly by the wall clock, instead")
     parser.add_argument("--way", action="append", choices=WAYS, help="to fly by the simulator's clock; repeatable; else all")
     parser.add_argument("--seed", type=int, default=1)
     options = parser.parse_args()
@@ -257,10 +259,13 @@ def main() -> int:
     def say(text: str) -> None:
         console.print(text, highlight=False, soft_wrap=True)
 
+    trouble = []
     if options.simulated is not None:
-        trouble = simulated(math.inf, options.seed, watch, say, options.simulated, ways)
-    else:
-        trouble = simulated(options.hours / 2.0, options.seed, watch, say, ways=ways)
+        trouble += simulated(math.inf, options.seed, watch, say, options.simulated, ways)
+    if options.real_time is not None:
+        trouble += real_time(options.real_time, options.seed, watch, say)
+    if options.simulated is None and options.real_time is None:
+        trouble += simulated(options.hours / 2.0, options.seed, watch, say, ways=ways)
         trouble += real_time(options.hours / 2.0, options.seed, watch, say)
     table = Table("who", "what", "second quarter", "last quarter", "per hour", "")
     trends = watch.trends()
