@@ -14,6 +14,7 @@ is something to suspect.
 """
 
 import math
+from bisect import bisect_left
 from collections import deque
 from itertools import pairwise
 
@@ -65,24 +66,20 @@ class Habit:
         self._covariance = known - np.outer(gain, toward)
 
     def _look(self, at_ns: int) -> float:
-        """The evidence in the young samples. Sums over the spans are made of those over what lies between their beginnings."""
+        """The evidence in the young samples."""
         instants, seconds, rough, samples = zip(*self._young, strict=True)
         z = np.array(samples)
         z[:, -1] -= z[:, :-1] @ self._theta
         weighted = z.T * (np.array(seconds) / (self._same_s * (self._variance + np.square(rough))))
-        ages_s = (at_ns - np.array(instants)) / NS
-        begins = [len(z), *(int(np.searchsorted(-ages_s, -span_s)) for span_s in SPANS_S)]
-        precision = np.asarray(np.linalg.inv(self._covariance), dtype=np.float64)
-        summed, most = np.zeros((z.shape[1],) * 2), -math.inf
-        for end, begin in pairwise(begins):
-            summed = summed + weighted[:, begin:end] @ z[begin:end]
-            most = max(most, self._missing(summed, precision))
-        return most
+        begins = [len(z), *(bisect_left(instants, at_ns - span_s * NS) for span_s in SPANS_S)]
+        summed = np.cumsum([weighted[:, begin:end] @ z[begin:end] for end, begin in pairwise(begins)], axis=0)
+        return self._missing(summed)
 
-    def _missing(self, summed: Array, precision: Array) -> float:
-        """The evidence in weighted sums of (x, r) (x, r)' over samples."""
-        of_x = summed[:-1, :-1]
-        certain = summed - summed[:, :-1] @ np.linalg.solve(of_x + precision, summed[:-1])  # (x, r)' S^-1 (x, r)
-        along, size = -certain[-1, : self._parts], np.diag(certain)[: self._parts]
-        share = np.clip(along / np.maximum(size, LEAST), *self._shares)
-        return float(np.max(share * along - 0.5 * share**2 * size))
+    def _missing(self, summed: Array) -> float:
+        """The evidence in weighted sums of (x, r) (x, r)' over each span."""
+        of_x = summed[:, :-1, :-1] + np.linalg.inv(self._covariance)
+        certain = summed - summed[:, :, :-1] @ np.linalg.solve(of_x, summed[:, :-1])  # (x, r)' S^-1 (x, r)
+        along, size = -certain[:, -1, : self._parts], certain.diagonal(axis1=1, axis2=2)[:, : self._parts]
+        least, most = self._shares
+        share = np.minimum(np.maximum(along / np.maximum(size, LEAST), least), most)
+        return float((share * (along - 0.5 * share * size)).max())
