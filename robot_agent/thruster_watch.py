@@ -32,7 +32,8 @@ OF_ALL, OF_ONE = 0.3, 0.1  # how far the residual may go with every N_k alike (m
 OF_DRAG, OF_NOTHING_NM = 0.3, 0.004  # with d(r), and with nothing,
 LATE_S = 0.02  # and for how late the moment comes, before any of it is known
 NOISE_NM = (0.002, 0.0007)  # of the residual: at first, and at least
-SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same
+SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same,
+NOTED_S = 0.09  # and not every one is looked at
 SHARE = 0.02  # of the moment: curves are no straight lines
 UNEVEN_S = 0.005  # steps begin, and pulses leave, a little earlier or later
 MISSING = (0.6, 2.0)  # of what a leg is told: most of it, up to twice, which is reversed
@@ -66,6 +67,7 @@ class ThrusterWatch:
     def _forget_causes(self) -> None:
         """What turned the robot, smoothed as the residual is since the observer began: legs, drag, what is always there."""
         self._legs, self._drag, self._always = np.zeros(LEGS), 0.0, 0.0
+        self._unnoted_s = 0.0
 
     def told(self, moments_nm: Array, now_ns: int) -> None:
         """Pulses went out with which the legs (4,) turn the robot so. Of two at one instant the last counts."""
@@ -91,9 +93,13 @@ class ThrusterWatch:
             self._drag += smooth * (drag - self._drag)
             self._always += smooth * (1.0 - self._always)
             moment, rising = float(self._legs.sum()), float(change.sum()) / elapsed_s
-            causes = np.array([*self._legs, self._drag, rising, self._always])
-            self._habit.note(causes, residual, math.hypot(SHARE * moment, UNEVEN_S * rising), elapsed_s, at_ns)
-            self.broken |= self._habit.evidence > SURE
+            self._unnoted_s += elapsed_s
+            if self._unnoted_s > NOTED_S:
+                causes = np.array([*self._legs, self._drag, rising, self._always])
+                rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
+                self._habit.note(causes, residual, rough, self._unnoted_s, at_ns)
+                self._unnoted_s = 0.0
+                self.broken |= self._habit.evidence > SURE
 
     def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Observe from here. What has been learned of the robot holds, if there was a gap."""
