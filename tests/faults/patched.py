@@ -2,8 +2,8 @@
 
     python -m tests.faults.patched FILE MODULE ARGUMENTS...
 
-The wall clock is off by as many seconds as FILE says. From a signal on, the control step never ends (SIGUSR1), takes 30 ms
-longer (SIGUSR2), or its quadratic program has no solution (SIGALRM). All else is the program as it is.
+The wall clock is off by as many seconds as FILE says. From a signal on, the solver of the quadratic program never returns
+(SIGUSR1), takes 30 ms longer (SIGUSR2), or finds no solution (SIGALRM). All else is the program as it is.
 """
 
 import runpy
@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.controller import Controller
 from robot_agent.qp import OsqpSolver, Solution
 from sim_bridge import stepped_clock
 
@@ -37,19 +36,15 @@ class Flaws:
 
     def install(self) -> None:
         """Build the flaws in."""
-        real_step, real_solve = Controller.step, OsqpSolver.solve
+        real_solve = OsqpSolver.solve
 
-        def step(*arguments: Any) -> Any:
+        def solve(solver: OsqpSolver, p: Any, q: Any, *rest: Any) -> Solution:
             until_ns = time.thread_time_ns() + round(self.delay_s * 1e9)
             while time.thread_time_ns() < until_ns:
                 pass
-            return real_step(*arguments)
-
-        def solve(solver: OsqpSolver, p: Any, q: Any, *rest: Any) -> Solution:
             return Solution(np.zeros(len(q)), False, 0) if self.unsolved else real_solve(solver, p, q, *rest)
 
-        for holder, name, change in ((Controller, "step", step), (OsqpSolver, "solve", solve)):
-            setattr(holder, name, change)
+        OsqpSolver.solve = solve  # type: ignore[assignment, method-assign]
         for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM):
             signal.signal(number, self.on_signal)
 
