@@ -62,7 +62,7 @@ def run(
     """
     loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
 
-    from groundstation import station
+    from groundstation import station_process
     from groundstation.report import write_report
     from groundstation.web.guard import web_options
     from wire.bus import Bus
@@ -86,7 +86,7 @@ def run(
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "experiment.toml").write_text(text, encoding="utf-8")
     with Bus(ZenohTransport(where, stop), fleet) as bus:
-        succeeded = station.run(
+        succeeded = station_process.run(
             loaded,
             text,
             bus,

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from groundstation import station
+from groundstation import station_process
 from localizer import shell as localizer_shell
 from robot_agent import shell as agent_shell
 from sim_bridge.pool import Pool
@@ -161,7 +161,7 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         try:
             for thread in threads:
                 thread.start()
-            station.run(experiment, toml, bus("groundstation"), folder, automatic=True, lockstep=True, stop=stop)
+            station_process.run(experiment, toml, bus("groundstation"), folder, automatic=True, lockstep=True, stop=stop)
         finally:
             stop.request()
             for thread in threads:

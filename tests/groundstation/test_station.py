@@ -4,7 +4,7 @@ import threading
 import time
 from pathlib import Path
 
-from groundstation import station
+from groundstation import station_process
 from wire import topics
 from wire.bus import Bus, Inbox
 from wire.experiment import dump_experiment, load_experiment
@@ -34,7 +34,7 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
     beats = person.inbox(topics.HEARTBEAT, StationHeartbeat)
     options = {"automatic": False, "lockstep": False, "stop": stop}
     thread = threading.Thread(
-        target=station.run, args=(experiment, dump_experiment(experiment), bus, tmp_path), kwargs=options
+        target=station_process.run, args=(experiment, dump_experiment(experiment), bus, tmp_path), kwargs=options
     )
     thread.start()
     gaps_s = []
