@@ -36,7 +36,7 @@ from benchmarks.harness import Row
 from groundstation import planner
 from groundstation.recorder import Recorder
 from groundstation.recovery import recover, valid_records
-from groundstation.station import record_everything
+from groundstation.station_process import record_everything
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, Seen
 from robot_agent.orders import StationView
