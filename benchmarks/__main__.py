@@ -24,6 +24,7 @@ BENCHMARKS = {
     "agent": "a robot's program: start to ready, memory, CPU at 20 Hz (1 minute)",
     "neighbours": "a robot's program that hears 0, 1 and 19 plans: processor time of a step (1 minute)",
     "robustness": "flights in currents, and with mass, drag, timing and localisation wrong at once (8 minutes)",
+    "thrusters": "how soon a broken thruster is noticed, and how often one that is not (10 minutes)",
     "optimum": "the numeric scenes' whole run beside the best that is possible (1 minute)",
     "localizer": "the localizer per frame for 1 to 20 robots; its filter alone (2 minutes)",
     "encounters": "robots in one another's way: 200 random starts of each scene (30 minutes)",

@@ -1,0 +1,80 @@
+"""How soon a robot notices that a thruster is broken, and how often it thinks so when none is.
+
+A sample is a numeric flight of `pool` in still water, in which a thruster breaks 8 to 20 s after the start; only the time
+counts in which 0.1 N or more are lacking. Beside ours stands the distance from the path alone, with the limit that still water
+allows. False alarms are of robots in rough water, with mass, drag and thrusters off by up to 30 %.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from benchmarks.flights import prepared
+from benchmarks.harness import Row
+from sim_bridge.numeric import AgentFleet, fly
+from wire.experiment import load_experiment
+from wire.frames import Array
+from wire.messages import Mode
+
+BENCHMARK = "thrusters"
+BROKEN = ("dead", "reversed", "weak 0.3", "stuck")
+FLIGHTS = 24
+STILL = ("safety.off_path_m=0.1", "sim.numeric.pose_noise_m=0.0005", "sim.numeric.yaw_noise_rad=0.003")
+SUBJECTS = {"ours": (), "the path alone": ("safety.watch_thrusters=false",)}
+WATCHED_S = 8.0
+LACKING_N = 0.1
+LONG_FLIGHTS, LONG_S = 16, 120.0
+
+
+def flown(name: str, settings: Sequence[str], duration_s: float, faults: Sequence[str] = ()) -> AgentFleet:
+    """A flight of so many seconds."""
+    fleet, water = prepared(load_experiment(name, [*settings, f"duration_s={duration_s}"], faults))
+    fleet.start()
+    for _ in fly(fleet, water):
+        pass
+    return fleet
+
+
+def lacking_s(how: str, seed: int, settings: Sequence[str]) -> float:
+    """For how long a robot flew on though a thruster lacked force; WATCHED_S where it did not notice at all."""
+    random = np.random.default_rng(seed)
+    robot, number, at_s = int(random.integers(1, 3)), int(random.integers(1, 5)), float(random.uniform(8.0, 20.0))
+    fault = f"t={at_s:.2f} thruster {robot}/{number} {how}"
+    fleet = flown("pool", [*STILL, *settings, f"seed={seed}"], at_s + WATCHED_S, [fault])
+    states = [state for state in fleet.robots[robot - 1].states if state.trajectory_s > at_s]
+    if states[-1].mode is not Mode.FAULT:
+        return WATCHED_S
+    pulses = np.array([state.pulse_us[number - 1] for state in states if state.mode is Mode.TRACKING], dtype=float)
+    told_n = fleet.experiment.vehicle.thruster.force_n(pulses)
+    return fleet.experiment.controller.period_s * float((np.abs(told_n - given_n(how, told_n)) > LACKING_N).sum())
+
+
+def given_n(how: str, told_n: Array) -> Array:
+    """What a broken thruster gives of what it is told, (k,) each."""
+    if how == "stuck":
+        return np.full_like(told_n, told_n[0])
+    return {"dead": 0.0, "reversed": -1.0}.get(how, float(how.split()[-1]) if " " in how else 1.0) * told_n
+
+
+def false_alarms(seed: int) -> list[float]:
+    """Of each robot of a long flight: 1 if it thought that a thruster was broken."""
+    random = np.random.default_rng(seed)
+    settings = [
+        f"seed={seed}",
+        *(f"sim.plant.{key}_error={random.uniform(-0.3, 0.3):.2f}" for key in ("mass", "drag")),
+        f"sim.plant.thruster_spread={random.uniform(0.0, 0.3):.2f}",
+        f"sim.plant.gust_mps={random.uniform(0.0, 0.03):.3f}",
+        f"sim.plant.waves.height_m={random.uniform(0.0, 0.05):.3f}",
+    ]
+    fleet = flown(("pool", "figure-eight")[seed % 2], settings, LONG_S)
+    return [float(any(s.fault == "thrusters do not do as told" for s in robot.states)) for robot in fleet.robots]
+
+
+def run() -> Iterator[Row]:
+    """Each way to break, then none."""
+    for how in BROKEN:
+        for subject, settings in SUBJECTS.items():
+            samples = [lacking_s(how, seed, settings) for seed in range(FLIGHTS)]
+            yield Row.of(BENCHMARK, how, subject, f"s that 0.1 N lacked; {WATCHED_S:g}: not noticed", samples)
+    alarms = [alarm for seed in range(LONG_FLIGHTS) for alarm in false_alarms(seed)]
+    yield Row.of(BENCHMARK, f"rough water, {LONG_S:g} s", "ours", "robots with a false alarm: 1", alarms)
