@@ -9,7 +9,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from groundstation.asking import Answer
 from groundstation.checks import PlanError
@@ -60,7 +60,7 @@ class Station:
     published: Leg | None = None
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
-    answers: deque[Answer] = field(default_factory=lambda: deque(maxlen=256))  # for people; taken from the left
+    answers: deque[Answer] = field(default_factory=lambda: deque(maxlen=256))  # for people; taken from the left, if at all
     told: str = ""
     insecure: bool = False
     recorder_told: bool = False
@@ -135,7 +135,7 @@ class Station:
         done = [(command, future) for command, future in self.pending if future.done()]
         self.pending = [entry for entry in self.pending if not entry[1].done()]
         answers = [Answer(command, future.result()) for command, future in done]
-        self.answers.extend(answers)
+        self.answers.extend(replace(a, command=replace(a.command, trajectory=None)) for a in answers)  # paths are large
         return answers
 
     def wish(self, header: Header, command: Command) -> Reply:

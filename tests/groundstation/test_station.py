@@ -2,14 +2,23 @@
 
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from groundstation import station_process
+from groundstation.asking import Answer
+from groundstation.inboxes import listen
+from groundstation.laps import Laps
+from groundstation.legs import first_leg
+from groundstation.mission import Mission
+from groundstation.recorder import Recorder
+from groundstation.station import Station
+from groundstation.tuner import Tuner
 from wire import topics
 from wire.bus import Bus, Inbox
 from wire.experiment import dump_experiment, load_experiment
-from wire.messages import Command, Order, StationHeartbeat
-from wire.runtime import Stop, wait
+from wire.messages import Command, Order, Reply, StationHeartbeat
+from wire.runtime import Stop, WallClock, wait
 from wire.topics import WHOLE_FLEET
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -25,6 +34,25 @@ def next_beat_ns(bus: Bus, stop: Stop, beats: Inbox[StationHeartbeat]) -> int:
     header = beats.newest_header()
     assert header is not None
     return header.stamp_ns
+
+
+def test_answers_for_people_do_not_keep_the_paths_that_were_sent(tmp_path: Path) -> None:
+    """Where no page takes them, the last 256 stay for as long as the station runs."""
+    experiment = load_experiment("pool")
+    leg, bus = first_leg(experiment), Bus(MemoryTransport(MemoryHub()))
+    recorder, tuner = Recorder(tmp_path / "run.mcap", "", {}), Tuner(experiment)
+    with ThreadPoolExecutor(1) as pool:
+        station = Station(
+            experiment, bus, WallClock(), recorder, Mission(experiment, leg, {}, False), tuner, Laps(tuner.lap_s),
+            listen(bus, experiment.robot_ids), pool, {},
+        )  # fmt: skip
+        load, reply = Command(Order.LOAD, 1, trajectory=leg.trajectories[1]), Reply(1, True)
+        station.pending.append((load, pool.submit(lambda: reply)))
+        pool.shutdown()
+        (heard,), (kept,) = station._answers(), station.answers
+    recorder.close()
+    assert heard == Answer(load, reply)
+    assert (kept.command.order, kept.command.trajectory, kept.reply) == (Order.LOAD, None, reply)
 
 
 def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
