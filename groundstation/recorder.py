@@ -10,7 +10,8 @@ When the disk fills, pictures are given up first: the rest of a log is small, an
 
 The wire's bytes go in unchanged, with protobuf schemas, so the usual viewers open the file. `log_time` is the arrival by the
 caller's clock (in lockstep the simulated one), `publish_time` the header's stamp. How fast the run went by the wall clock is
-told by pairs (stamp, monotonic time) in the closing metadata. A sender's restart opens a second channel on the same topic:
+told by pairs (stamp, monotonic time) in the closing metadata. The file's index stays in memory until the end: with 25 topics
+some 16 MB an hour. A sender's restart opens a second channel on the same topic:
 its session is in the channel's metadata.
 """
 
