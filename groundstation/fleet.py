@@ -2,6 +2,7 @@
 messages with their ages are arguments.
 """
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -106,13 +107,15 @@ class Ear:
 
     heard: deque[tuple[int, int, float]] = field(default_factory=lambda: deque(maxlen=LINK_WINDOW))
 
-    def hear(self, header: Header, instant_ns: int) -> None:
-        """A message that was true at `instant_ns` on our clock, as far as we can tell."""
-        if self.heard and self.heard[-1][:2] == (header.session, header.sequence):
-            return
-        if self.heard and self.heard[-1][0] != header.session:
-            self.heard.clear()
-        self.heard.append((header.session, header.sequence, (header.stamp_ns - instant_ns) * 1e-9))
+    def hear(self, headers: Sequence[Header], newest: Header, instant_ns: int) -> None:
+        """The last messages, oldest first, heard before or not: several may come between two looks. What `newest` says was
+        true at `instant_ns` on our clock, as far as we can tell."""
+        for header in headers:
+            if self.heard and self.heard[-1][0] != header.session:
+                self.heard.clear()
+            if not self.heard or header.sequence > self.heard[-1][1]:
+                ahead_s = (header.stamp_ns - instant_ns) * 1e-9 if header == newest else -math.inf
+                self.heard.append((header.session, header.sequence, ahead_s))
 
     @property
     def loss(self) -> float:
@@ -124,7 +127,7 @@ class Ear:
     @property
     def clock_offset_s(self) -> float:
         """A message is late, never early: of all, the one that took least time says most."""
-        return max((ahead_s for _, _, ahead_s in self.heard), default=0.0)
+        return max((ahead_s for _, _, ahead_s in self.heard if ahead_s > -math.inf), default=0.0)
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,7 @@ class Station:
         for robot in self.experiment.robot_ids:
             state, ear = self.heard.states[robot].newest(), self.ears.setdefault(robot, Ear())
             if state is not None:
-                ear.hear(state.header, self.clock.instant_ns(state))
+                ear.hear(self.heard.states[robot].headers(), state.header, self.clock.instant_ns(state))
             found[robot] = view(state, self.heard.poses[robot].newest(), self.clock, self.heard.plans[robot].newest(), ear)
         return found
 

@@ -87,6 +87,10 @@ class Inbox(Generic[M]):
         kept = self._kept
         return kept[-1].header if kept else None
 
+    def headers(self) -> tuple[Header, ...]:
+        """Headers of the last few messages, oldest first."""
+        return tuple(kept.header for kept in self._kept)
+
     def newest(self, up_to_ns: int | None = None) -> Received[M] | None:
         """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none."""
         for one in reversed(self._kept):

@@ -1,0 +1,26 @@
+"""What headers tell of a robot's link and clock."""
+
+import pytest
+
+from groundstation.fleet import Ear
+from wire import topics
+from wire.bus import Bus
+from wire.codec import Header, encode
+from wire.messages import Plan
+from wire.transport import MemoryHub, MemoryTransport
+
+MS = 1_000_000
+
+
+@pytest.mark.parametrize(("lost", "share"), [((), 0.0), ((3, 7), 0.2), ((2, 4, 6, 8), 0.4)])
+def test_only_what_did_not_come_is_lost_however_late_somebody_looks(lost: tuple[int, ...], share: float) -> None:
+    """Two messages between two looks, then none, again and again: a robot and a station that keep time alike."""
+    inbox, ear = Bus(MemoryTransport(MemoryHub())).inbox(topics.PLAN, Plan, 1), Ear()
+    for k in range(200):
+        if k % 10 not in lost:
+            inbox.store(Header(7, k + 1, k * 50 * MS), encode(Plan(0.05)))
+        newest = inbox.newest()
+        if k % 2 and newest is not None:
+            ear.hear(inbox.headers(), newest.header, (k * 50 - 3) * MS)
+    assert ear.loss == pytest.approx(share, abs=0.02)
+    assert 0.002 < ear.clock_offset_s < 0.004
