@@ -49,8 +49,26 @@ def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
     return AgentFleet(experiment, trajectories, water, experiment.seed), water
 
 
+def flew(experiment: Experiment) -> AgentFleet:
+    """The fleet when the whole experiment is over."""
+    fleet, water = prepared(experiment)
+    fleet.start()
+    for _ in fly(fleet, water):
+        pass
+    return fleet
+
+
+def rough_water(random: np.random.Generator) -> tuple[str, ...]:
+    """Settings: gusts and waves, and a mass that is off by up to 30 %."""
+    return (
+        f"sim.plant.mass_error={random.uniform(-0.3, 0.3):.2f}",
+        f"sim.plant.gust_mps={random.uniform(0, 0.03):.3f}",
+        f"sim.plant.waves.height_m={random.uniform(0, 0.05):.3f}",
+    )
+
+
 def flown(experiment: Experiment) -> Flight:
-    """The whole experiment."""
+    """The whole experiment, held against its references."""
     fleet, water = prepared(experiment)
     fleet.start()
     held = len(fleet.truth) - 1

@@ -9,30 +9,20 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.flights import prepared
+from benchmarks.flights import flew, rough_water
 from benchmarks.harness import Row
-from sim_bridge.numeric import AgentFleet, fly
 from wire.experiment import load_experiment
-from wire.frames import Array
 from wire.messages import Mode
 
 BENCHMARK = "thrusters"
-BROKEN = ("dead", "reversed", "weak 0.3", "stuck")
+THRUST_LEFT = {"dead": 0.0, "reversed": -1.0, "weak 0.3": 0.3}  # of what a thruster is told
+BROKEN = (*THRUST_LEFT, "stuck")
 FLIGHTS = 24
 STILL = ("safety.off_path_m=0.1", "sim.numeric.pose_noise_m=0.0005", "sim.numeric.yaw_noise_rad=0.003")
 SUBJECTS = {"ours": (), "the path alone": ("safety.watch_thrusters=false",)}
 WATCHED_S = 8.0
-LACKING_N = 0.1
+LACKING_N = 0.1  # the least that counts: two thirds of what a thruster idles with
 LONG_FLIGHTS, LONG_S = 16, 120.0
-
-
-def flown(name: str, settings: Sequence[str], duration_s: float, faults: Sequence[str] = ()) -> AgentFleet:
-    """A flight of so many seconds."""
-    fleet, water = prepared(load_experiment(name, [*settings, f"duration_s={duration_s}"], faults))
-    fleet.start()
-    for _ in fly(fleet, water):
-        pass
-    return fleet
 
 
 def lacking_s(how: str, seed: int, settings: Sequence[str]) -> float:
@@ -40,33 +30,25 @@ def lacking_s(how: str, seed: int, settings: Sequence[str]) -> float:
     random = np.random.default_rng(seed)
     robot, number, at_s = int(random.integers(1, 3)), int(random.integers(1, 5)), float(random.uniform(8.0, 20.0))
     fault = f"t={at_s:.2f} thruster {robot}/{number} {how}"
-    fleet = flown("pool", [*STILL, *settings, f"seed={seed}"], at_s + WATCHED_S, [fault])
+    fleet = flew(load_experiment("pool", [*STILL, *settings, f"seed={seed}", f"duration_s={at_s + WATCHED_S}"], [fault]))
     states = [state for state in fleet.robots[robot - 1].states if state.trajectory_s > at_s]
     if states[-1].mode is not Mode.FAULT:
         return WATCHED_S
     pulses = np.array([state.pulse_us[number - 1] for state in states if state.mode is Mode.TRACKING], dtype=float)
     told_n = fleet.experiment.vehicle.thruster.force_n(pulses)
-    return fleet.experiment.controller.period_s * float((np.abs(told_n - given_n(how, told_n)) > LACKING_N).sum())
-
-
-def given_n(how: str, told_n: Array) -> Array:
-    """What a broken thruster gives of what it is told, (k,) each."""
-    if how == "stuck":
-        return np.full_like(told_n, told_n[0])
-    return {"dead": 0.0, "reversed": -1.0}.get(how, float(how.split()[-1]) if " " in how else 1.0) * told_n
+    given_n = told_n[0] if how == "stuck" else THRUST_LEFT[how] * told_n
+    return fleet.experiment.controller.period_s * float((np.abs(told_n - given_n) > LACKING_N).sum())
 
 
 def false_alarms(seed: int) -> list[float]:
     """Of each robot of a long flight: 1 if it thought that a thruster was broken."""
     random = np.random.default_rng(seed)
-    settings = [
-        f"seed={seed}",
-        *(f"sim.plant.{key}_error={random.uniform(-0.3, 0.3):.2f}" for key in ("mass", "drag")),
+    model = (
+        f"sim.plant.drag_error={random.uniform(-0.3, 0.3):.2f}",
         f"sim.plant.thruster_spread={random.uniform(0.0, 0.3):.2f}",
-        f"sim.plant.gust_mps={random.uniform(0.0, 0.03):.3f}",
-        f"sim.plant.waves.height_m={random.uniform(0.0, 0.05):.3f}",
-    ]
-    fleet = flown(("pool", "figure-eight")[seed % 2], settings, LONG_S)
+    )
+    settings = [*rough_water(random), *model, f"seed={seed}", f"duration_s={LONG_S}"]
+    fleet = flew(load_experiment(("pool", "figure-eight")[seed % 2], settings))
     return [float(any(s.fault == "thrusters do not do as told" for s in robot.states)) for robot in fleet.robots]
 
 

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 
+from benchmarks.thrusters import LACKING_N, THRUST_LEFT
 from tests.faults.rig import Rig
 from tests.faults.row import POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
@@ -13,8 +14,6 @@ from wire.messages import Mode, Order, Solve
 NEVER_S = 999.0
 SAME_US = 5  # a board whose outputs differ by no more than this from what they were told does as it is told
 FELT = ("dead", "reversed")  # what is found wherever the thruster pushes; the others may go on as they were told to
-THRUST_LEFT = {"dead": 0.0, "reversed": -1.0}
-LACKING_N = 0.1  # the least that counts: two thirds of what a thruster idles with
 WATCHED_S = 8.0
 
 

@@ -1,5 +1,6 @@
 """The table of faults: what is measured of each, and what it must not exceed."""
 
+from benchmarks.thrusters import LACKING_N
 from tests.faults import rows_alone, rows_network, rows_robot, rows_sight, rows_station
 from tests.faults.row import RESUMED, SECONDS, STEP_S, TIMES, Measure, Row
 
@@ -85,7 +86,7 @@ ROWS: tuple[Row, ...] = (
     Row(
         "thruster-broken", "Thruster dead, stuck, reversed, weak",
         "in the plant, 10 to 20 s into a flight in still water (safety.off_path_m = 0.1); for the flag only time counts in "
-        f"which {rows_robot.LACKING_N} N are lacking",
+        f"which {LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows_robot.thruster_broken, times=40, rig="still",
     ),

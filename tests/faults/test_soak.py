@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from benchmarks.flights import prepared
+from benchmarks.flights import prepared, rough_water
 from sim_bridge.measures import measures
 from sim_bridge.numeric import fly
 from tests.faults.soak import Watch, random_faults
@@ -20,9 +20,7 @@ def soak(name: str, seed: int, duration_s: float) -> None:
     settings = [
         f"seed={seed}",
         f"duration_s={duration_s}",
-        f"sim.plant.mass_error={random.uniform(-0.3, 0.3):.2f}",
-        f"sim.plant.gust_mps={random.uniform(0, 0.03):.3f}",
-        f"sim.plant.waves.height_m={random.uniform(0, 0.05):.3f}",
+        *rough_water(random),
         f"sim.sensors.battery_v={random.uniform(11.0, 12.6):.1f}",
     ]
     robots = load_experiment(name).robot_ids

@@ -5,14 +5,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from benchmarks.flights import prepared
+from benchmarks.flights import flew
+from benchmarks.thrusters import STILL
 from robot_agent.path_watch import PathWatch
-from sim_bridge.numeric import fly
 from wire.experiment import load_experiment
 from wire.messages import Mode
 
 STEP_NS = 50_000_000
-STILL = ("safety.off_path_m=0.1", "sim.numeric.pose_noise_m=0.0005", "sim.numeric.yaw_noise_rad=0.003")
 
 
 def left(off_m: Sequence[float], is_free: Sequence[bool] | None = None) -> int | None:
@@ -59,10 +58,7 @@ def test_once_said_it_stays_so_until_the_goal_is_another() -> None:
 def harm(broken: str, at_s: float, seed: int, settings: Sequence[str] = ()) -> tuple[float, str]:
     """How far a robot with a broken thruster gets off its path before it stops, m; and why it stops, if it does in 10 s."""
     faults = [f"t={at_s} thruster {broken}"]
-    fleet, water = prepared(load_experiment("pool", [*STILL, *settings, f"seed={seed}", f"duration_s={at_s + 10.0}"], faults))
-    fleet.start()
-    for _ in fly(fleet, water):
-        pass
+    fleet = flew(load_experiment("pool", [*STILL, *settings, f"seed={seed}", f"duration_s={at_s + 10.0}"], faults))
     i = int(broken[0]) - 1
     flown = [(s, truth[i]) for s, truth in zip(fleet.robots[i].states, fleet.truth, strict=True) if s.trajectory_s > at_s]
     off_m = [float(np.hypot(*(s.eta_reference - truth)[:2])) for s, truth in flown if s.mode is Mode.TRACKING]
