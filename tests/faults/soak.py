@@ -6,8 +6,9 @@ or threads that grow, control that slows down, numbers that are not finite.
     python -m tests.faults.soak --real-time 4
 
 Half of the time passes by the simulator's clock, every scene in every way with random timelines of faults, half by the wall
-clock with the injections of `make faults`. What matters of the first half is how much is flown: `--simulated 10` flies ten
-hours of it, however long that takes, and nothing by the wall clock; `--real-time 4` is four hours of the second half alone.
+clock with the injections of `make faults`: at first all of them, then only those that leave the processes alive, for what
+grows shows only in a long life. What matters of the first half is how much is flown: `--simulated 10` flies ten hours of it,
+however long that takes, and nothing by the wall clock; `--real-time 4` is four hours of the second half alone.
 """
 
 import argparse
@@ -50,6 +51,8 @@ WAYS = {
 }
 # Growth from the second quarter of the samples to the last that is no leak: allocators and caches move by as much.
 MAY_GROW = {"memory MB": 8.0, "handles": 3.0, "threads": 3.0, "latency ms": 5.0}
+GROWS_PER_H = {("groundstation", "memory MB"): 16.0}  # by design: the log's index (groundstation/recorder.py)
+KILLING = 0.25  # share of the time by the wall clock in which processes are killed too
 
 
 def random_faults(
@@ -74,6 +77,7 @@ class Trend:
 
     who: str
     what: str
+    hours: float  # from the one to the other
     first: float
     last: float
     per_hour: float
@@ -81,7 +85,8 @@ class Trend:
     @property
     def steady(self) -> bool:
         """Whether it stayed what it was."""
-        return self.last - self.first <= MAY_GROW[self.what]
+        by_design = GROWS_PER_H.get((self.who, self.what), 0.0) * self.hours
+        return self.last - self.first <= MAY_GROW[self.what] + by_design
 
 
 @dataclass
@@ -123,7 +128,8 @@ def _trend(who: str, what: str, series: Array) -> Trend:
     quarter = len(series) // 4
     settled = series[quarter:]
     slope = float(np.polyfit(settled[:, 0] - settled[0, 0], settled[:, 1], 1)[0]) * 3600.0
-    return Trend(who, what, float(np.median(series[quarter : 2 * quarter, 1])), float(np.median(series[-quarter:, 1])), slope)
+    (first_s, first), (last_s, last) = np.median(series[quarter : 2 * quarter], axis=0), np.median(series[-quarter:], axis=0)
+    return Trend(who, what, float(last_s - first_s) / 3600.0, float(first), float(last), slope)
 
 
 # --- by the wall clock
@@ -131,11 +137,15 @@ def _trend(who: str, what: str, series: Array) -> Trend:
 
 def real_time(hours: float, seed: int, watch: Watch, say: Callable[[str], None]) -> list[str]:
     """Injections of the fault matrix, in a random order, into one lab. Returns what went wrong."""
-    random, end_s, trouble = np.random.default_rng(seed), time.monotonic() + hours * 3600.0, []
+    random, begin_s, trouble = np.random.default_rng(seed), time.monotonic(), []
+    mild_s, end_s = begin_s + KILLING * hours * 3600.0, begin_s + hours * 3600.0
     rows = [row for row in ROWS if row.rig == "lab" and row.key != "flood"]
+    mild = [row for row in rows if "SIGKILL" not in row.how]
     with Rig(seed=seed) as rig:
         seen_s = 0.0
         while time.monotonic() < end_s:
+            if time.monotonic() > mild_s:
+                rows = mild
             try:
                 rig.cruise(moment(random))
                 if time.monotonic() - seen_s > SAMPLE_S:
