@@ -59,7 +59,7 @@ def _topic_row(topic: Topic) -> str:
         topic.audience,
         rate,
         age,
-        topic.qos.name,
+        f"{topic.qos.name}, the last {topic.kept} kept" if topic.kept else topic.qos.name,
         recorded,
     )
     return f"| {' | '.join(cells)} |"

@@ -140,7 +140,7 @@ class Bus:
         """`publish` of what is encoded already."""
         key = self._key(topic.key(robot))
         if key not in self._publishers:
-            self._publishers[key] = self._transport.publisher(key, topic.qos)
+            self._publishers[key] = self._transport.publisher(key, topic.qos, topic.kept)
         header = self._next_header(key, stamp_ns, age_ns)
         self._publishers[key](payload, header.encode())
         return key, header, payload

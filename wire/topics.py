@@ -52,6 +52,7 @@ class Topic:
     recorded: bool
     writers: tuple[Role, ...]  # a robot only under its own number
     readers: tuple[Role, ...] = EVERYONE
+    kept: int = 0  # so many by their publisher, for who comes late or was cut off: for 20 s at most in a run that goes on
 
     def key(self, robot: int | None = None) -> str:
         """The key for one robot, or for all (`*`) when the topic has a robot and none is given."""
@@ -81,11 +82,13 @@ OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, SEE
 PLAN = Topic("robot/{robot}/plan", messages.Plan, 20, 0.5, Qos.CONTROL, True, (Role.ROBOT,))
 STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, (Role.ROBOT,))
 HEARTBEAT = Topic("station/heartbeat", messages.StationHeartbeat, 20, 1.0, Qos.CONTROL, True, (Role.STATION,))
-TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,))
-TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, True, (Role.STATION,))
-INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE)
-ORDERS = Topic("robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE)
-EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING)
+TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=4)
+TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=100)
+INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE, kept=400)
+ORDERS = Topic(
+    "robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE, kept=32
+)
+EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING, kept=1000)
 
 TOPICS = (
     TICK, EXPOSED, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY,

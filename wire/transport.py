@@ -12,6 +12,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from typing import Any, Protocol
 
 import zenoh
@@ -20,7 +21,7 @@ import zenoh.ext
 from wire.endpoint import Endpoint as Endpoint  # whoever opens a transport needs one
 from wire.endpoint import settings
 from wire.reach import trouble_listening, trouble_reaching
-from wire.topics import Qos
+from wire.topics import RECOVERED, Qos
 
 log = logging.getLogger("shoal")
 
@@ -29,8 +30,6 @@ Collect = Callable[[], Iterable[tuple[str, bytes, bytes]]]  # what has come sinc
 Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the reply
 Presence = Callable[[str, bool], None]  # key, is it there
 
-EVENT_CACHE = 1000  # messages a publisher of events keeps for late or returning subscribers
-JOURNAL_CACHE = 400  # 20 s of control steps: longer than a link is down in a run that goes on
 UNCOLLECTED = 8192  # messages of a subscription that wait to be collected: 20 s of the busiest topic of 20 robots
 UNCOLLECTED_IMAGES = 256  # 12 s, in some 30 MB
 TRY_AGAIN_S = 0.2
@@ -55,7 +54,7 @@ def receive_on_one_thread() -> None:
 class Transport(Protocol):
     """What the bus needs of a network. Callbacks come from other threads and must return at once."""
 
-    def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]: ...
+    def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]: ...
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None: ...
     def collect(self, key: str, qos: Qos) -> Collect: ...
     def serve(self, key: str, answer: Answer) -> None: ...
@@ -76,7 +75,6 @@ _QOS: dict[Qos, dict[str, Any]] = {
     Qos.JOURNAL: {"priority": zenoh.Priority.DATA, "express": False},
     Qos.EVENT: {"priority": zenoh.Priority.DATA, "express": False},
 }
-_CACHED = {Qos.EVENT: EVENT_CACHE, Qos.JOURNAL: JOURNAL_CACHE}
 
 
 def _config(endpoint: Endpoint) -> zenoh.Config:
@@ -147,15 +145,15 @@ class ZenohTransport:
     def _congestion(self) -> zenoh.CongestionControl:
         return zenoh.CongestionControl.BLOCK if self._endpoint.lossless else zenoh.CongestionControl.DROP
 
-    def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]:
+    def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]:
         options = {"congestion_control": self._congestion, **_QOS[qos]}
         session = self._session(qos)
         publisher: Any
-        if qos in _CACHED:
+        if kept:
             publisher = zenoh.ext.declare_advanced_publisher(
                 session,
                 key,
-                cache=zenoh.ext.CacheConfig(max_samples=_CACHED[qos]),
+                cache=zenoh.ext.CacheConfig(max_samples=kept),
                 sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
                 publisher_detection=True,
                 **options,
@@ -184,7 +182,7 @@ class ZenohTransport:
         """A subscriber with a callback, or a channel of Zenoh's, for its samples."""
         session = self._session(qos)
         subscriber: Any
-        if qos in _CACHED:
+        if qos in RECOVERED:
             subscriber = zenoh.ext.declare_advanced_subscriber(
                 session,
                 key,
@@ -247,7 +245,7 @@ class MemoryHub:
     queryables: dict[str, tuple[Answer, "MemoryTransport"]] = field(default_factory=dict)
     tokens: dict[str, "MemoryTransport"] = field(default_factory=dict)
     watchers: list[tuple[str, Presence, "MemoryTransport"]] = field(default_factory=list)
-    cache: list[tuple[str, bytes, bytes]] = field(default_factory=list)
+    cache: dict[str, deque[tuple[str, bytes, bytes]]] = field(default_factory=dict)  # by key
     lock: threading.RLock = field(default_factory=threading.RLock)
 
 
@@ -265,11 +263,10 @@ class MemoryTransport:
     def __init__(self, hub: MemoryHub) -> None:
         self._hub = hub
 
-    def publisher(self, key: str, qos: Qos) -> Callable[[bytes, bytes], None]:
+    def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]:
         def put(payload: bytes, header: bytes) -> None:
             with self._hub.lock:
-                if qos is Qos.EVENT:
-                    self._hub.cache = [*self._hub.cache, (key, payload, header)][-EVENT_CACHE:]
+                self._hub.cache.setdefault(key, deque(maxlen=kept)).append((key, payload, header))
                 listeners = [deliver for pattern, deliver, _ in self._hub.subscribers if _matches(pattern, key)]
             for deliver in listeners:
                 deliver(key, payload, header)
@@ -279,7 +276,8 @@ class MemoryTransport:
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
         with self._hub.lock:
             self._hub.subscribers.append((key, deliver, self))
-            missed = [entry for entry in self._hub.cache if _matches(key, entry[0])] if qos is Qos.EVENT else []
+            kept = [entries for cached, entries in self._hub.cache.items() if _matches(key, cached)]
+            missed = list(chain.from_iterable(kept)) if qos is Qos.EVENT else []
         for entry in missed:
             deliver(*entry)
 

@@ -21,8 +21,8 @@ def main() -> None:
     station, seed, robot = sys.argv[1:]
     random = np.random.default_rng(int(seed))
     transport = ZenohTransport(Endpoint(station))
-    keys = ((topics.PLAN.key(int(robot)), topics.PLAN.qos), (topics.EVENT.key(), topics.EVENT.qos), ("junk", topics.STATE.qos))
-    publish = [transport.publisher(f"shoal/{key}", qos) for key, qos in keys]
+    keys = ((topics.PLAN.key(int(robot)), topics.PLAN), (topics.EVENT.key(), topics.EVENT), ("junk", topics.STATE))
+    publish = [transport.publisher(f"shoal/{key}", topic.qos, topic.kept) for key, topic in keys]
     payloads = [codec.encode(example(cls)) for cls in CLASSES]
     due_s = time.monotonic()
     while True:

@@ -147,6 +147,19 @@ def test_events_reach_a_late_subscriber_and_states_do_not(make_bus: MakeBus) -> 
     assert states == []
 
 
+def test_of_paths_a_late_subscriber_hears_the_last_few(make_bus: MakeBus) -> None:
+    sender, late = make_bus(), make_bus()
+    heard: list[tuple[str, int]] = []
+    last = range(10 - topics.TRAJECTORY.kept, 10)
+    for stamp_ns in range(10):
+        for robot in (1, 2):
+            sender.publish(topics.TRAJECTORY, messages.Trajectory(str(stamp_ns), 0.05), stamp_ns, robot)
+    late.subscribe(topics.TRAJECTORY, None, lambda t, key, header, payload: heard.append((key, header.stamp_ns)))
+    wanted = {(f"shoal/robot/{robot}/trajectory", stamp_ns) for robot in (1, 2) for stamp_ns in last}
+    assert eventually(lambda: len(heard) >= len(wanted))
+    assert set(heard) == wanted and len(heard) == len(wanted)
+
+
 def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: MakeBus) -> None:
     sender, receiver = make_bus(), make_bus()
     states, events = receiver.collect(topics.STATE), receiver.collect(topics.EVENT)

@@ -13,9 +13,11 @@ import pytest
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 
-from tests.wire.strategies import CLASSES, OWN, nested
+from groundstation.legs import first_leg
+from tests.wire.strategies import CLASSES, OWN, example, nested
 from wire import codec, fleet_pb2, messages, topics
-from wire.messages import BoardReading, Command, Event, Frame, Picture, Preview, Reply, Video
+from wire.experiment import load_experiment
+from wire.messages import BoardReading, Command, Event, Frame, Message, Order, OrderTaken, Picture, Preview, Reply, Video
 from wire.topics import TOPICS, Qos, Topic
 
 ROOT = Path(__file__).parents[2]
@@ -63,6 +65,19 @@ def test_a_periodic_topic_may_lose_one_message_and_stay_fresh(topic: Topic) -> N
         assert 2.0 / topic.rate_hz <= topic.max_age_s < math.inf
     else:
         assert topic.qos in (Qos.EVENT, Qos.JOURNAL) and topic.max_age_s == math.inf
+
+
+@each_topic
+def test_what_is_recovered_is_kept_and_a_board_has_room_for_it(topic: Topic) -> None:
+    assert (topic.kept > 0) == (topic.qos in topics.RECOVERED)
+    path = first_leg(load_experiment("pool")).trajectories[1]
+    largest: dict[Topic, Message] = {
+        topics.TRAJECTORY: path,
+        topics.ORDERS: OrderTaken(0, 0, 1, 1, 0, command=Command(Order.LOAD, 1, trajectory=path)),
+        topics.EVENT: Event(2, "agent-1", 500 * "x"),
+    }
+    each = len(codec.encode(largest.get(topic, example(topic.type))))
+    assert topic.kept * each < 8_000_000
 
 
 @each_topic
