@@ -102,7 +102,7 @@ class Mpc:
         """Take over the plan of a controller that has other weights, and nothing else of it."""
         self._prediction, self._fresh, self._shifted = other._prediction, other._fresh, other._shifted
         self._solution, self._base = other._solution, other._base
-        self._alone.start_from(self._solution)
+        self._alone.start_from(self._solution[: 3 * self._n])  # without the slack of a plan beside others
 
     def expected(self, state: State) -> Array:
         """What the coming plan is linearised along, the last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all

@@ -222,6 +222,23 @@ def test_arrays_handed_out_are_never_written_again() -> None:
             assert np.array_equal(np.array(getattr(output, name)), value)
 
 
+def test_gains_are_adopted_beside_another_robot_too() -> None:
+    """The plan has a slack then. With the gains that it had, it flies as one that adopts none."""
+    near = np.tile([1.1, 0.0, 0.3, 0.0], (51, 1))
+    flown = []
+    for adopts in (False, True):
+        one = controller()
+        for k in range(1, 12):
+            if adopts and k == 11:
+                one.adopt(one.make_ready(POOL.controller))
+            output = one.step(at(k), GOAL, [Neighbour(2, k * STEP_NS, Plan(0.05, near, near), True)], k * STEP_NS)
+            check(output)
+        assert output.solve is Solve.SOLVED and output.slack_m > 0.05
+        flown.append(output)
+    assert flown[1].wrench == pytest.approx(flown[0].wrench, abs=0.01)
+    assert flown[1].plan_eta == pytest.approx(flown[0].plan_eta, abs=5e-3)
+
+
 numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-3, 3)
 sightings = st.builds(Sighting, st.integers(-(10**9), 3 * 10**9), numbers, numbers, numbers)
 measurements = st.builds(
