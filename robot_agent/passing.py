@@ -121,7 +121,7 @@ class Passing:
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
         self._room_x, self._room_y = (half - vehicle.radius_m - WALL_M).tolist()
         self._islands = [(island.middle, island.keep_m + WALL_M) for island in islands]
-        self._second = int(np.searchsorted(times_s, MEANT_S - 1e-9))
+        self._second = min(int(np.searchsorted(times_s, MEANT_S - 1e-9)), len(times_s) - 1)  # a horizon may be shorter
         self.reset()
 
     def reset(self) -> None:

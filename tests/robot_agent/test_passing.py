@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.formation import Formation, Neighbour
-from robot_agent.passing import NOBODY, ROOM_M, Passing, Traffic, robots
+from robot_agent.passing import NOBODY, ROOM_M, SURE_STEPS, Passing, Traffic, robots
 from robot_agent.reference import Path
 from wire.experiment import load_experiment
 from wire.messages import Plan
@@ -70,6 +70,20 @@ def fly(points: list[Point], seconds: float) -> tuple[float, np.ndarray]:
         nearest = min(nearest, float((np.abs(places[:, None] - places) + 1e9 * np.eye(len(places))).min()))
         track.append(places)
     return nearest, np.array(track)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.5, 2.5])
+def test_whoever_is_in_the_way_is_seen_whatever_the_horizon(seconds: float) -> None:
+    times_s = TIMES_S[: np.searchsorted(TIMES_S, seconds)]
+    for ahead_m, leaves in ((1.0, True), (-1.0, False)):
+        point = Point(0j, 5.0 + 0j, 0.1)
+        point.passing = Passing(VEHICLE, times_s, PERIOD_S)
+        left = []
+        for k in range(6):
+            whole = point.path(k * PERIOD_S)
+            path = Path(whole.eta[: len(times_s)], whole.velocity[: len(times_s)], whole.acceleration[: len(times_s)])
+            left.append(point.passing.lead(path, 0j, one(ahead_m + 0j, -0.1 + 0j, KEEP_M, True)) is not path)
+        assert left == [leaves and k >= SURE_STEPS - 1 for k in range(6)]
 
 
 def arrived(points: list[Point]) -> bool:
