@@ -179,7 +179,7 @@ class Agent:
         if self.mode is Mode.TRACKING:
             return self._course.goal(self._inputs.station, now_ns)
         if self.mode is Mode.HOLDING:
-            if self._hold is None and self._last is not None:
+            if self._hold is None and self._last is not None and self._last.estimated:
                 self._hold = Hold(self._last.eta)
             return self._hold
         return None

@@ -88,6 +88,23 @@ def test_a_board_that_disarmed_itself_is_not_armed_again_unasked() -> None:
     assert not any(state.board_armed for state in pool.robots[0].states[-15:])
 
 
+def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
+    pool = DryPool(load_experiment("pool"))
+    pool.run(0.5)
+    assert pool.order(Order.ARM, 0).accepted
+    pool.run(0.5)
+    pool.camera_works = False
+    pool.run(1.5)
+    pool.camera_works = True
+    assert pool.order(Order.HOLD, 0).accepted
+    pool.expose(pool.now_ns)
+    there = pool.truth[-1][0]
+    pool.run(3.0)
+    assert pool.robots[0].agent.mode is Mode.HOLDING
+    assert pool.robots[0].states[-1].eta_reference[:3] == pytest.approx(there[:3], abs=0.02)
+    assert pool.truth[-1][0, :3] == pytest.approx(there[:3], abs=0.03)
+
+
 def test_control_steps_that_are_late_three_times_in_a_row_end_in_neutral() -> None:
     pool = flying()
     agent = pool.robots[0].agent
