@@ -80,7 +80,7 @@ class Estimator:
         self._disturbance = [0.0, 0.0, 0.0, 0.0]
         self._current = 0j
         self._at_ns = 0
-        self._contradictions = 0
+        self._contradictions = self._contradicted_ns = 0  # so many poses in a row, and the stamp of the last
 
     def tune(self, config: EstimatorConfig) -> None:
         """Other gains from the next pose on; what is known stays known."""
@@ -136,12 +136,12 @@ class Estimator:
             if now_ns - pose.stamp_ns <= COAST_NS:
                 self._begin(pose)
             return
-        if pose.stamp_ns <= self._at_ns:
+        if pose.stamp_ns <= max(self._at_ns, self._contradicted_ns):
             return  # seen before, or overtaken by a newer one
         predicted = self._propagate(self._state, self._at_ns, pose.stamp_ns)
         error = (pose.x_m - predicted[0], pose.y_m - predicted[1], wrap(pose.yaw_rad - predicted[3]))
         if math.hypot(error[0], error[1]) > GATE_M or abs(error[2]) > GATE_RAD:
-            self._contradictions += 1
+            self._contradictions, self._contradicted_ns = self._contradictions + 1, pose.stamp_ns
             if self._contradictions >= GATE_PATIENCE:
                 self._begin(pose)
             return

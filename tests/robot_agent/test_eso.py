@@ -261,6 +261,15 @@ def test_a_single_leap_is_ignored_and_a_lasting_one_believed() -> None:
     assert x == pytest.approx(1.0)
 
 
+def test_a_single_leap_is_ignored_however_often_it_is_handed_in() -> None:
+    """Poses that stop with a leap: the newest there is comes with every step."""
+    observer = estimator()
+    for k in range(1, 40):
+        pose = Sighting(k * STEP_NS, 0.0, 0.0, 0.0) if k < 30 else Sighting(30 * STEP_NS, 1.0, 0.0, 0.0)
+        estimate = observer.update(Measurement(pose), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[0]) < 1e-9
+
+
 @pytest.mark.parametrize("step_s", [0.01, 0.05, 0.1, 0.4])
 @pytest.mark.parametrize("bandwidth", [0.5, 2.0, 8.0])
 def test_gains_put_all_poles_where_they_say(step_s: float, bandwidth: float) -> None:
