@@ -153,7 +153,8 @@ class Estimator:
         depth = self._at(1, pose.stamp_ns)
         thrust = self._state[8:11] if self._state is not None else (0.0, 0.0, 0.0)
         z = depth if depth is not None else self._state[2] if self._state is not None else 0.0
-        self._state = (pose.x_m, pose.y_m, z, pose.yaw_rad, 0.0, 0.0, 0.0, 0.0, *thrust)
+        yaw = pose.yaw_rad if self._state is None else self._state[3] + wrap(pose.yaw_rad - self._state[3])
+        self._state = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, 0.0, 0.0, *thrust)
         self._disturbance, self._current = [0.0, 0.0, 0.0, 0.0], 0j
         self._at_ns, self._contradictions = pose.stamp_ns, 0
 

@@ -250,6 +250,18 @@ def test_yaw_is_continuous_across_half_a_turn() -> None:
     assert np.abs(np.diff(yaws)).max() < 0.3 and yaws[-1] > 9.0
 
 
+def test_yaw_stays_continuous_through_a_leap_that_is_believed() -> None:
+    """Whoever keeps station by a heading of three turns ago would unwind them."""
+    observer, x = estimator(), 0.0
+    for k in range(1, 420):
+        leap, turned = (0.0 if k < 400 else 0.5), 0.05 * min(k, 400)
+        pose = Sighting(k * STEP_NS, leap, 0.0, wrap(turned))
+        estimate = observer.update(Measurement(pose, yaw_rate_radps=1.0), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[3] - turned) < 0.5
+        x = estimate.eta[0]
+    assert x == pytest.approx(0.5, abs=0.01)
+
+
 def test_a_single_leap_is_ignored_and_a_lasting_one_believed() -> None:
     observer, x = estimator(), 0.0
     for k in range(1, 60):
