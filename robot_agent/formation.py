@@ -25,6 +25,7 @@ NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
 LEANS_M = 0.02  # a plan so near a half-space's border would be another one without it
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
+MOST_TURNED_RAD = 1e8  # a heading counts its turns: days of laps
 MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
 SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal,
 ERROR_RATE_MPS = 0.5  # and so do those that may have been since one was told: no robot moves faster
@@ -258,4 +259,4 @@ def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
 
 def _plausible(eta: Array, deviation: Array) -> bool:
     """Numbers that can be poses; false for NaN too."""
-    return float(np.vdot(eta, eta) + np.vdot(deviation, deviation)) < ABSURD**2
+    return float(np.vdot(eta, eta)) < MOST_TURNED_RAD**2 and float(np.vdot(deviation, deviation)) < ABSURD**2

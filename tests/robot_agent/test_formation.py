@@ -184,6 +184,15 @@ def test_a_plan_with_nonsense_is_no_plan(poison: float) -> None:
     assert company.pull[:, 0] == pytest.approx(np.full(STEPS, 0.015))
 
 
+@pytest.mark.parametrize("laps", [300, 30_000])
+def test_a_robot_that_has_flown_many_laps_is_still_there(laps: int) -> None:
+    p = plan((0, 0), off=(0.1, 0.2, 0.3, 0.4))
+    turned = np.array([0.0, 0.0, 0.0, 2.0 * np.pi * laps])
+    later = dataclasses.replace(p, eta=p.eta + turned, eta_reference=p.eta_reference + turned)
+    assert formation().company([neighbour(later)], 0).pull == pytest.approx(formation().company([neighbour(p)], 0).pull)
+    assert len(half_spaces([neighbour(later)], expecting(0.64)).node) == 5
+
+
 def test_where_each_is_now_and_means_to_go_read_from_each_plan_alone() -> None:
     """Plans of several lengths and ages, at once and by hand."""
     random = np.random.default_rng(5)
