@@ -20,7 +20,7 @@ from wire.vehicle import Vehicle
 
 Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 
-STEEPEST_TAN = math.tan(math.radians(60.0))  # beyond, most of a thruster's force is spent on cancelling its neighbour
+STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
 SAME_M = 1e-6
 
@@ -48,6 +48,7 @@ class Allocator:
         low, high = legs.ankle_us
         self._ankle_level_us, self._ankle_us_per_rad = 0.5 * (low + high), 0.5 * (high - low) / legs.ankle_range_rad
         level = round(self._ankle_level_us)
+        self._steepest_tan = math.tan(min(STEEPEST_RAD, legs.ankle_range_rad))
         self.neutral_us = (vehicle.thruster.neutral_us,) * 4 + (level,) * 4
         # Pulses are whole microseconds: the thrust of each there is, and between them where one is nearer than the other.
         self._slowest_us = int(curve[0][0])
@@ -109,12 +110,12 @@ class Allocator:
         return mean + turn, mean - turn
 
     def _biases(self, port: float, starboard: float, heave: float) -> tuple[float, float]:
-        """The bias per side: idle thrust, faded out where the side pushes anyway, or what heave needs at 60 degrees.
+        """The bias per side: idle thrust, faded out where the side pushes anyway, or what heave needs at the steepest.
 
         A side with force h and bias b gives 2 max(|h|, b) of lever in all, less CROSSING_N / 2 at most for passing level.
         """
         idle = self._idle_n
-        need = 0.5 * (heave / STEEPEST_TAN + CROSSING_N) if heave > 0.0 else 0.0
+        need = 0.5 * (heave / self._steepest_tan + CROSSING_N) if heave > 0.0 else 0.0
         low, high = sorted((abs(port), abs(starboard)))
         lift = max(0.0, need - high) if need < 2.0 * high else 0.5 * need
         lift = lift if need > low + high else 0.0
@@ -126,7 +127,7 @@ class Allocator:
     def _within_thrust(self, level: list[float], tangent: float) -> float:
         """Heave gives way: the steepest common tangent at which no thruster is asked for more than it has."""
         spare = min((self._ahead_n if h >= 0.0 else self._astern_n) / max(abs(h), 1e-9) for h in level)
-        steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), STEEPEST_TAN)
+        steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), self._steepest_tan)
         return min(max(tangent, -steepest), steepest)
 
 

@@ -114,6 +114,17 @@ def test_pulses_are_whole_and_in_range(wrench: tuple[float, float, float]) -> No
     assert all(1100 <= p <= 1900 for p in pulses[:4]) and all(1000 <= p <= 2000 for p in pulses[4:])
 
 
+@pytest.mark.parametrize("range_rad", [0.2, 0.7, math.pi / 2, math.pi])
+def test_ankles_turn_no_farther_than_they_can(range_rad: float) -> None:
+    """A board refuses a whole override for one pulse out of range. What fits within that range is delivered."""
+    legs = VEHICLE.legs.model_copy(update={"ankle_range_rad": range_rad})
+    allocator = Allocator(VEHICLE.model_copy(update={"legs": legs}))
+    for heave in np.linspace(-3.0, 3.0, 61):
+        assert all(1000 <= pulse <= 2000 for pulse in allocator.pulses(np.array([0.4, heave, 0.02]))[4:])
+    most = 4.0 * 1.1 * math.sin(min(range_rad, math.radians(60.0)))
+    assert delivered(*allocator.forces((0.0, 0.9 * most, 0.0))) == pytest.approx([0.0, 0.9 * most, 0.0], abs=1e-9)
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.tuples(st.floats(-3, 3), st.floats(-1, 1), st.floats(-0.1, 0.1)))
 def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) -> None:
