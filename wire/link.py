@@ -82,6 +82,9 @@ class UdpLink:
             except ConnectionRefusedError:
                 self.trouble = "connection refused: the machine is there, but nothing listens on that port"
                 continue  # the answer to an earlier send; behind it may be data
+            except OSError as error:  # another such answer: a firewall's "prohibited", a router's "network unknown"
+                self.trouble = error.strerror or str(error)
+                return b"".join(datagrams)
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until something can be read, at most this long."""

@@ -1,5 +1,6 @@
 """The wire to the board: real sockets and a real pseudo-terminal."""
 
+import errno
 import os
 import pty
 import socket
@@ -45,6 +46,36 @@ def test_udp_carries_bytes_both_ways_and_survives_a_board_that_comes_late() -> N
             assert link.trouble == ""
     finally:
         link.close()
+
+
+class Answered(socket.socket):
+    """A socket that the network has answered, once, why something sent did not arrive (ICMP)."""
+
+    answer: int | None = None
+
+    def recv(self, size: int, flags: int = 0, /) -> bytes:
+        if self.answer is not None:
+            number, self.answer = self.answer, None
+            raise OSError(number, os.strerror(number))
+        return super().recv(size, flags)
+
+
+@pytest.mark.parametrize("number", [errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENOPROTOOPT])
+def test_what_the_network_says_of_a_datagram_ends_no_program(number: int) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+        board.bind(("127.0.0.1", 0))
+        link = UdpLink(*board.getsockname())
+        answered = Answered(fileno=link._socket.detach())
+        link._socket = answered
+        try:
+            board.sendto(b"burst", answered.getsockname())
+            answered.answer = number
+            assert link.read() == b""
+            assert link.trouble == os.strerror(number)
+            assert read_for(link, b"burst") == b"burst"
+            assert link.trouble == ""
+        finally:
+            link.close()
 
 
 def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path: Path) -> None:
