@@ -5,6 +5,7 @@ import ipaddress
 import os
 import select
 import socket
+import termios
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -110,9 +111,9 @@ class SerialLink:
     def _reopen(self) -> None:
         try:
             self._port = serial.Serial(self._device, self._baud, timeout=0, write_timeout=0, exclusive=True)
-        except (OSError, serial.SerialException) as error:
+        except (OSError, ValueError, termios.error) as error:  # the last two: pulled out just then, or no such baud rate
             self._port = None
-            taken = error.errno in (errno.EAGAIN, errno.EBUSY)
+            taken = isinstance(error, OSError) and error.errno in (errno.EAGAIN, errno.EBUSY)
             self._refusal = f"{self._device}: {IN_USE if taken else error}"
 
     def send(self, data: bytes) -> None:

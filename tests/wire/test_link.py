@@ -4,8 +4,10 @@ import errno
 import os
 import pty
 import socket
+import termios
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -105,6 +107,31 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
         second = open_link(f"serial:{plug}")
         assert "in use by another program" in second.trouble
         second.close()
+    finally:
+        link.close()
+
+
+@pytest.mark.parametrize("baud", [57600, 250_001])
+def test_a_board_that_is_pulled_out_while_its_port_is_being_opened_is_just_not_there(
+    baud: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plug, ask = tmp_path / "board", termios.tcgetattr
+    controller, device = pty.openpty()
+    plug.symlink_to(os.ttyname(device))
+    os.close(device)
+
+    def asked_and_pulled(port: int) -> list[Any]:
+        found = ask(port)
+        os.close(controller)
+        return found
+
+    monkeypatch.setattr(termios, "tcgetattr", asked_and_pulled)
+    link = open_link(f"serial:{plug}:{baud}")
+    monkeypatch.undo()
+    try:
+        assert link.trouble
+        link.send(b"x")
+        assert link.read() == b""
     finally:
         link.close()
 
