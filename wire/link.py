@@ -119,7 +119,9 @@ class SerialLink:
     def send(self, data: bytes) -> None:
         try:
             if self._port is not None:
-                self._port.write(data)
+                os.write(self._port.fileno(), data)  # pyserial's own, told not to wait, tries for ever
+        except BlockingIOError:  # the board takes nothing, and the port holds no more
+            return
         except (OSError, serial.SerialException):
             self._drop()
 

@@ -3,6 +3,7 @@
 import errno
 import os
 import pty
+import signal
 import socket
 import termios
 import time
@@ -109,6 +110,27 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
         second.close()
     finally:
         link.close()
+
+
+def test_a_board_that_takes_nothing_holds_nobody_up() -> None:
+    controller, device = pty.openpty()
+    link = open_link(f"serial:{os.ttyname(device)}")
+    signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits for the board"))
+    signal.alarm(10)
+    try:
+        for _ in range(4000):
+            link.send(bytes(50))
+        assert link.trouble == ""
+        got = b""
+        while b"again" not in got:
+            got = got[-4:] + os.read(controller, 4096)
+            link.send(b"again")
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        link.close()
+        os.close(controller)
+        os.close(device)
 
 
 @pytest.mark.parametrize("baud", [57600, 250_001])
