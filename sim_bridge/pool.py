@@ -7,6 +7,7 @@ lockstep the simulator owns time: it stops at every control step until each robo
 import queue
 import threading
 import time
+from collections import deque
 from dataclasses import dataclass
 
 import cv2
@@ -72,6 +73,7 @@ class Pool:
         self._prepared: tuple[Shot, NDArray[np.uint8]] | None = None
         self._bare: frozenset[int] = frozenset()
         self._frame_index = 0
+        self._undeveloped: deque[Shot] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
         self._frame_ns = self._obstacles_ns = -1
         self._neutral = dict.fromkeys(experiment.robot_ids, True)
 
@@ -213,7 +215,7 @@ class Pool:
 
     def _prepare_picture(self, world: World) -> None:
         """Render the next frame while the others compute: until it is exposed, the pulses that are awaited move nothing."""
-        expected = world.next_exposure()
+        expected = world.next_exposure() if not self._undeveloped else None
         if expected is None or not isinstance(self._eye, Renderer):
             return
         shot = Shot(*expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, bare=self._bare)
@@ -234,7 +236,7 @@ class Pool:
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
         self._await_everyone(world)
         period_ns = round(self._experiment.controller.period_s * 1e9)
-        tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9), -1
+        tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9) or period_ns, -1  # at 0 no board has said a word
         self._shoot(world, tick_ns, previous_ns)
         while not self._stop.requested:
             while world.now_ns < tick_ns:
@@ -245,6 +247,7 @@ class Pool:
             clock.tick_ns = tick_ns
             self._tick(world, tick_ns, previous_ns)
             tick_ns, previous_ns = tick_ns + period_ns, tick_ns
+            self._develop(world, tick_ns, previous_ns)
 
     def _await_everyone(self, world: World) -> None:
         """Until all are there and every board has heard whom to answer, in words that it can follow on."""
@@ -262,12 +265,23 @@ class Pool:
             self._sockets.wait(SLICE_S)
 
     def _shoot(self, world: World, tick_ns: int, previous_ns: int) -> None:
-        """Expose. If the picture is the one that counts at the coming tick, the localizer hears at once."""
-        self._frame_ns = world.now_ns
-        self._see(self._shot(world, world.now_ns))
-        if world.exposure_ns > tick_ns:
-            self._bus.publish(topics.EXPOSED, Tick(tick_ns, previous_ns, self._frame_ns, self._there), tick_ns)
+        """Expose."""
+        self._undeveloped.append(self._shot(world, world.now_ns))
+        self._develop(world, tick_ns, previous_ns)
         self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)  # nobody waits for it
+
+    def _develop(self, world: World, tick_ns: int, previous_ns: int) -> None:
+        """Publish the pictures that will be old enough at the coming tick. When the one that counts there is among them, the
+        localizer hears at once."""
+        newest_ns = tick_ns - round(self._experiment.sim.latency_s * 1e9)
+        before_ns = self._frame_ns
+        while self._undeveloped and self._undeveloped[0].stamp_ns <= newest_ns:
+            shot = self._undeveloped.popleft()
+            self._frame_ns = shot.stamp_ns
+            self._see(shot)
+        next_ns = self._undeveloped[0].stamp_ns if self._undeveloped else world.exposure_ns
+        if self._frame_ns > before_ns and next_ns > newest_ns:
+            self._bus.publish(topics.EXPOSED, Tick(tick_ns, previous_ns, self._frame_ns, self._there), tick_ns)
 
     @property
     def _there(self) -> tuple[int, ...]:

@@ -46,6 +46,14 @@ def test_whoever_is_late_everybody_says_the_same(
         assert not fly(experiment, tmp_path / str(seed), seed, poses).differs(undisturbed), f"seed {seed}"
 
 
+@pytest.mark.parametrize("latency_s", [0.0, 0.05, 0.12])  # less than, as much as and more than from picture to picture
+def test_poses_are_as_old_as_the_experiment_says(latency_s: float, tmp_path: Path) -> None:
+    told = fly(load_experiment("pool", ["duration_s=0.3", f"sim.latency_s={latency_s}"]), tmp_path / "run", None).messages
+    for robot in POOL.robot_ids:
+        ages_ms = {round(said["pose_age_ms"], 6) for _, said in told[f"shoal/robot/{robot}/state"]}
+        assert ages_ms == {1000.0 * latency_s}
+
+
 def test_a_robot_that_has_lost_itself_tells_no_plan_and_nobody_waits_for_one(tmp_path: Path) -> None:
     experiment = load_experiment("pool", ["duration_s=1.5", "mission.lost=go-on"], ["t=0.1 marker 1 lost"])
     told = fly(experiment, tmp_path / "run", None, poses=False).messages
