@@ -125,7 +125,8 @@ class World:
         acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
         supply_v = self._plant.rest_v(state, harm).tolist() if measures else self._no_voltage
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
-        self._frames += self.exposed
+        if self.exposed:  # of a camera faster than the plant's steps, what falls between two of them is left out
+            self._frames = int((self.now_ns * 1e-9 + 1e-9) / self._frame_period_s) + 1
         return [
             (i, board.step(self.now_ns, state.eta[i], state.nu[i], acceleration[i], supply_v[i], state.tilt[i]))
             for i, board in enumerate(self._boards)

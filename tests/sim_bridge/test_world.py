@@ -61,3 +61,21 @@ def test_what_is_expected_of_an_exposure_comes_unless_something_breaks() -> None
 @pytest.mark.parametrize("settings", [(), (QUICK_ANKLES,), ("sim.plant.tilt.enabled=false",)])
 def test_having_looked_ahead_changes_nothing(settings: tuple[str, ...]) -> None:
     assert fly(True, *settings)[0] == fly(False, *settings)[0]
+
+
+@pytest.mark.parametrize(("rate_hz", "step_s"), [(20.0, 0.005), (30.0, 0.005), (200.0, 0.005), (240.0, 0.005), (60.0, 0.05)])
+def test_exposures_are_the_first_steps_at_or_after_they_are_due(rate_hz: float, step_s: float) -> None:
+    """Counted in whole numbers of microseconds. A camera faster than the steps has one in each, and none lies in the past."""
+    experiment = load_experiment("pool", [f"camera.rate_hz={rate_hz}", f"sim.plant.step_s={step_s}"])
+    world = World(experiment, 1, np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 1.0]]))
+    step_us, rate = round(step_s * 1e6), round(rate_hz)
+    wanted = {-(-frame * 1_000_000 // (rate * step_us)) * step_us for frame in range(1, rate)}
+    exposed = []
+    while world.now_ns < 900_000_000:
+        announced_ns = world.exposure_ns
+        world.step()
+        assert announced_ns >= world.now_ns
+        if world.exposed:
+            assert announced_ns == world.now_ns
+            exposed.append(world.now_ns // 1000)
+    assert exposed == sorted(us for us in wanted if us <= 900_000)
