@@ -75,7 +75,7 @@ class Mission:
         if order in (Order.LOAD, Order.ARM, Order.START):
             self._begin_anew()
         self._stop_after = {Order.LOAD: Phase.LOADING, Order.ARM: Phase.ARMING}.get(order)
-        self._held_by_person = order is Order.HOLD
+        self._held_by_person = order in (Order.HOLD, Order.CLEAR_STOP)
         if order is Order.RETURN:
             self._come_home(fleet)
         if order is Order.REJOIN:
@@ -131,7 +131,7 @@ class Mission:
     def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         reasons = preflight(self._experiment, fleet, self._starts)
         self.reason = "; ".join(reasons)
-        if self.automatic and not reasons:
+        if self.automatic and not self._held_by_person and not reasons:
             self._begin_anew()
             self._go(Event.FIT, now_ns)
         return ()

@@ -1,5 +1,6 @@
 """The mission against a fleet of simple obedient (or not) robots, with time as an argument."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -61,8 +62,8 @@ class Robot:
 class Run:
     """A mission and its robots, stepped together."""
 
-    def __init__(self, automatic: bool = True) -> None:
-        self.experiment = load_experiment("pool", ["duration_s=2"])
+    def __init__(self, automatic: bool = True, settings: Sequence[str] = ()) -> None:
+        self.experiment = load_experiment("pool", ["duration_s=2", *settings])
         two = np.zeros((2, 4))
         trajectories = {r: Trajectory(f"t{r}", 0.05, two, two, two) for r in self.experiment.robot_ids}
         starts = dict.fromkeys(self.experiment.robot_ids, np.zeros(4))
@@ -210,6 +211,22 @@ def test_stop_is_latched_on_every_robot_until_cleared() -> None:
     run.step(1.0)
     assert run.at(Phase.WAITING)
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_after_a_cleared_stop_nobody_flies_again_unasked_in_an_automatic_mission_either() -> None:
+    """All are still near their starts, fit and disarmed: just what an automatic mission waits for to begin."""
+    run = Run()
+    while run.mission.phase is not Phase.RUNNING:
+        run.step()
+    assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(5.0)
+    assert run.at(Phase.WAITING)
+    assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+    assert run.mission.wish(Order.START, run.fleet(), run.now_ns) == ""
+    run.step(6.0)
+    assert run.at(Phase.DONE)
 
 
 def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
