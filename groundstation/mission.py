@@ -15,7 +15,7 @@ from groundstation.itinerary import Itinerary, Wanted
 from groundstation.legs import Leg
 from groundstation.lookout import Surroundings
 from groundstation.pacing import Pace
-from groundstation.phases import FLYING, OVER, Event, Phase, after, refusal
+from groundstation.phases import FLYING, OVER, UNDER_WAY, Event, Phase, after, refusal
 from groundstation.stages import STAGES, Stage
 from groundstation.watch import noticed
 from groundstation.wishes import UNFIT, can_move, objection
@@ -52,6 +52,7 @@ class Mission:
         self._since_ns = 0
         self._stop_after: Phase | None = None  # a person asked for no more than this stage
         self._held_by_person = False
+        self._gap = False  # somebody was lost while the others had to hold: they close up when they may go on
 
     @property
     def leg(self) -> Leg:
@@ -89,7 +90,7 @@ class Mission:
         return ""
 
     def _begin_anew(self) -> None:
-        self.failed = False
+        self.failed = self._gap = False
         self.itinerary.begin_anew()
         self.pace.start()
 
@@ -158,7 +159,7 @@ class Mission:
 
     def _count_losses(self, fleet: Fleet, now_ns: int) -> None:
         """Robots that are gone: what then is the experiment's policy."""
-        under_way = self.phase in FLYING or self.phase is Phase.PAUSED
+        under_way = self.phase in UNDER_WAY
         trouble = casualty(self.crew.active, fleet, disarmed_counts=under_way)
         if trouble is None:
             return
@@ -168,14 +169,21 @@ class Mission:
             self._fail(f"robot {robot}: {why}", now_ns)
             return
         self.crew.lose(robot, why)
-        if policy == "hold" and self.phase in FLYING:
-            self._go(Event.LOST_HOLD, now_ns)
+        if policy == "hold" and under_way:
+            if self.phase is not Phase.PAUSED:
+                self._go(Event.LOST_HOLD, now_ns)
             self._held_by_person = True  # who decides what then is a person
         if policy == "close-up" and under_way and not self.leg.home:
-            self.crew.close_up(self.leg, self.itinerary.reached_s, fleet)
-            self.itinerary.take_places()
-            self._go(Event.LOST_CLOSE_UP, now_ns)
+            self._gap = True
+            if not self._held_by_person:
+                self._close_up(fleet, now_ns)
         self.reason = f"robot {robot}: {why}"
+
+    def _close_up(self, fleet: Fleet, now_ns: int) -> None:
+        self._gap = False
+        self.crew.close_up(self.leg, self.itinerary.reached_s, fleet)
+        self.itinerary.take_places()
+        self._go(Event.LOST_CLOSE_UP, now_ns)
 
     def _keep_pace(self, fleet: Fleet) -> None:
         if self.phase in FLYING:
@@ -231,8 +239,12 @@ class Mission:
 
     def _clear_of_lost(self, fleet: Fleet, now_ns: int) -> None:
         """Robots coast on when they are lost, and those who hold do not turn back: where that leaves somebody's place beside
-        one, all go on from the next places on their way that are free."""
-        if self.crew.out and not self.leg.home and self.itinerary.blocked(fleet):
+        one, all go on from the next places on their way that are free. A gap that came while a person had them hold closes."""
+        if not self.crew.out or self.leg.home:
+            return
+        if self._gap:
+            self._close_up(fleet, now_ns)
+        elif self.itinerary.blocked(fleet):
             self.itinerary.take_places()
             self._go(Event.BESIDE_LOST, now_ns)
 

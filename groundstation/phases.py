@@ -65,6 +65,7 @@ class Event(Enum):
 ON_COURSE = frozenset({Phase.RUNNING, Phase.SLOWED, Phase.DEGRADED})
 FLYING = ON_COURSE | {Phase.SWITCHING, Phase.RETURNING}
 OVER = frozenset({Phase.DONE, Phase.FAILED})
+UNDER_WAY = FLYING | {Phase.PAUSED, Phase.RESUMING, Phase.RELEASING}  # whoever falls out is lost to the others
 ANY = frozenset(Phase)
 
 
@@ -122,8 +123,8 @@ TABLE: tuple[Row, ...] = (
     _row(Phase.RESUMING, Event.OBEYED, Phase.RUNNING),
     _row(Phase.RESUMING, Event.BESIDE_LOST, Phase.HALTING),
     # a new plan from rest: home, into place again, or closing up
-    _row(FLYING | {Phase.PAUSED}, Event.LOST_CLOSE_UP, Phase.HALTING),
-    _row(FLYING, Event.LOST_HOLD, Phase.PAUSED),
+    _row(UNDER_WAY, Event.LOST_CLOSE_UP, Phase.HALTING),
+    _row(UNDER_WAY - {Phase.PAUSED}, Event.LOST_HOLD, Phase.PAUSED),
     _row(FLYING | {Phase.PAUSED}, Event.LOST, Phase.ABORTING),
     _row(Phase.HALTING, Event.PLANNED, Phase.RELOADING),
     _row(Phase.HALTING, Event.NO_PLAN, Phase.PAUSED),

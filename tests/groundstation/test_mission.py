@@ -229,6 +229,61 @@ def test_after_a_cleared_stop_nobody_flies_again_unasked_in_an_automatic_mission
     assert run.at(Phase.DONE)
 
 
+THREE = "robots=[{id=1,node_m=[0,0.4,0]},{id=2,node_m=[0,-0.4,0]},{id=3,node_m=[0.8,0,0]}]"
+
+
+def three_running(policy: str) -> Run:
+    run = Run(settings=[THREE, f'mission.lost="{policy}"'])
+    while run.mission.phase is not Phase.RUNNING:
+        run.step()
+    run.step(0.5)
+    return run
+
+
+def test_with_policy_hold_a_robot_that_first_holds_and_then_fails_keeps_the_others_holding() -> None:
+    """No pose for 0.2 s, then for half a second: the usual way to be lost."""
+    run = three_running("hold")
+    run.robots[2].mode, run.robots[2].fault = Mode.HOLDING, "pose late"
+    run.step(0.3)
+    assert run.at(Phase.PAUSED)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(5.0)
+    assert run.at(Phase.PAUSED)
+    assert run.mission.reason == "robot 2: fault (no pose)"
+    assert {run.robots[r].mode for r in (1, 3)} == {Mode.HOLDING}
+    assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(Phase.DEGRADED)
+
+
+def test_with_policy_hold_a_robot_lost_while_all_resume_makes_the_others_hold_again() -> None:
+    run = three_running("hold")
+    run.mission.wish(Order.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    run.robots[2].refuses = frozenset({Order.RESUME})
+    run.mission.wish(Order.RESUME, run.fleet(), run.now_ns)
+    run.step(0.5)
+    assert run.at(Phase.RESUMING)
+    run.robots[2].silent = True
+    run.step(3.0)
+    assert run.at(Phase.PAUSED)
+    assert {run.robots[r].mode for r in (1, 3)} == {Mode.HOLDING}
+
+
+def test_a_gap_closes_only_when_those_whom_a_person_holds_may_go_on() -> None:
+    run = three_running("close-up")
+    run.mission.wish(Order.HOLD, run.fleet(), run.now_ns)
+    run.step(0.5)
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(3.0)
+    assert run.at(Phase.PAUSED)
+    assert run.mission.reason == "robot 2: fault (no pose)"
+    assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert run.at(Phase.HALTING)
+    assert set(run.mission.crew.active_slots().values()) == {1, 2}
+
+
 def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     run = Run(automatic=False)
     run.step(3.0)
