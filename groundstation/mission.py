@@ -73,7 +73,7 @@ class Mission:
         )
         if reason:
             return reason
-        if order in (Order.LOAD, Order.ARM, Order.START):
+        if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
             self._begin_anew()
         self._stop_after = {Order.LOAD: Phase.LOADING, Order.ARM: Phase.ARMING}.get(order)
         self._held_by_person = order in (Order.HOLD, Order.CLEAR_STOP)

@@ -284,6 +284,20 @@ def test_a_gap_closes_only_when_those_whom_a_person_holds_may_go_on() -> None:
     assert set(run.mission.crew.active_slots().values()) == {1, 2}
 
 
+def test_a_thruster_test_after_a_run_is_for_the_robot_that_fell_out_of_it_too() -> None:
+    run = three_running("go-on")
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "thrusters do not do as told"
+    run.step(0.5)
+    assert run.mission.crew.out
+    run.mission.wish(Order.DISARM, run.fleet(), run.now_ns)
+    run.step(1.0)
+    run.robots[2].fault = ""
+    assert run.mission.wish(Order.TEST, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(Phase.TESTING)
+    assert [robot.got[-1].order for robot in run.robots.values()] == [Order.TEST] * 3
+
+
 def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     run = Run(automatic=False)
     run.step(3.0)
