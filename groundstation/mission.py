@@ -341,8 +341,7 @@ class Mission:
             self.reason = ""
         if phase is not Phase.SWITCHING:
             self.itinerary.next = None
-        if phase is not Phase.HALTING and phase is not Phase.SWITCHING:
-            self.itinerary.wanted = None
+        self.itinerary.wanted = None  # a plan for what went before would be taken for the one that comes next
         if phase is Phase.TEST_ARMING:
             self._asking.tested = set()
         self.phase, self._since_ns = phase, now_ns

@@ -15,6 +15,7 @@ from groundstation.asking import Answer
 from groundstation.checks import PlanError
 from groundstation.fleet import Ear, Fleet, preflight, view
 from groundstation.inboxes import Inboxes
+from groundstation.itinerary import Wanted
 from groundstation.laps import Laps
 from groundstation.legs import Leg
 from groundstation.lookout import Surroundings, surroundings
@@ -56,7 +57,7 @@ class Station:
     starts: dict[int, Array]
     ears: dict[int, Ear] = field(default_factory=dict)
     seen: Fleet = field(default_factory=dict)  # as of the last cycle
-    planning: "Future[Leg | PlanError] | None" = None
+    planning: "tuple[Wanted, Future[Leg | PlanError]] | None" = None
     published: Leg | None = None
     obstacles_up_to_ns: int | None = None  # in lockstep: pictures up to then have been told of
     pending: list[tuple[Command, Future[Reply]]] = field(default_factory=list)
@@ -114,13 +115,15 @@ class Station:
         return surroundings(received.message)
 
     def _plan(self, lockstep: bool, now_ns: int) -> None:
-        """Have made what the mission waits for: beside the cycle, which must beat on; in lockstep at once."""
-        if self.planning is None and self.mission.wanted is not None:
-            self.planning = self.pool.submit(_planned, self.mission.wanted.plan)
-        if self.planning is not None and (lockstep or self.planning.done()):
-            outcome, self.planning = self.planning.result(), None
-            if self.mission.wanted is not None:
-                self.mission.planned(outcome, now_ns)
+        """Have made what the mission waits for: beside the cycle, which must beat on; in lockstep at once. What it no longer
+        waits for when it is done counts for nothing."""
+        wanted = self.mission.wanted
+        if self.planning is None and wanted is not None:
+            self.planning = wanted, self.pool.submit(_planned, wanted.plan)
+        if self.planning is not None and (lockstep or self.planning[1].done()):
+            (asked, outcome), self.planning = self.planning, None
+            if asked is wanted:
+                self.mission.planned(outcome.result(), now_ns)
 
     def publish_paths(self, now_ns: int) -> None:
         """Tell who shows or records it what is flown from now on: each robot's whole run, with what was flown before."""

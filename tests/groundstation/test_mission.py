@@ -298,6 +298,22 @@ def test_a_thruster_test_after_a_run_is_for_the_robot_that_fell_out_of_it_too() 
     assert [robot.got[-1].order for robot in run.robots.values()] == [Order.TEST] * 3
 
 
+def test_a_way_home_asked_for_while_a_detour_is_planned_is_not_that_detour() -> None:
+    run = Run(settings=['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}'])
+    while run.mission.phase is not Phase.RUNNING:
+        run.step()
+    assert run.mission.wish(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)]) == ""
+    run.step()
+    detour = run.mission.wanted
+    assert detour is not None
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.wanted is None
+    run.step(0.5)
+    assert run.at(Phase.HALTING)
+    assert run.mission.wanted is not None and run.mission.wanted is not detour
+    assert run.mission.wanted.plan().home
+
+
 def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     run = Run(automatic=False)
     run.step(3.0)

@@ -2,15 +2,20 @@
 
 import threading
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 from groundstation import station_process
 from groundstation.asking import Answer
 from groundstation.inboxes import listen
+from groundstation.itinerary import Wanted
 from groundstation.laps import Laps
-from groundstation.legs import first_leg
+from groundstation.legs import Leg, first_leg
 from groundstation.mission import Mission
+from groundstation.phases import Phase
 from groundstation.recorder import Recorder
 from groundstation.station import Station
 from groundstation.tuner import Tuner
@@ -36,21 +41,50 @@ def next_beat_ns(bus: Bus, stop: Stop, beats: Inbox[StationHeartbeat]) -> int:
     return header.stamp_ns
 
 
-def test_answers_for_people_do_not_keep_the_paths_that_were_sent(tmp_path: Path) -> None:
-    """Where no page takes them, the last 256 stay for as long as the station runs."""
+@contextmanager
+def a_station(folder: Path) -> Iterator[Station]:
+    """Alone on its bus."""
     experiment = load_experiment("pool")
     leg, bus = first_leg(experiment), Bus(MemoryTransport(MemoryHub()))
-    recorder, tuner = Recorder(tmp_path / "run.mcap", "", {}), Tuner(experiment)
+    recorder, tuner = Recorder(folder / "run.mcap", "", {}), Tuner(experiment)
     with ThreadPoolExecutor(1) as pool:
-        station = Station(
+        yield Station(
             experiment, bus, WallClock(), recorder, Mission(experiment, leg, {}, False), tuner, Laps(tuner.lap_s),
             listen(bus, experiment.robot_ids), pool, {},
         )  # fmt: skip
-        load, reply = Command(Order.LOAD, 1, trajectory=leg.trajectories[1]), Reply(1, True)
-        station.pending.append((load, pool.submit(lambda: reply)))
-        pool.shutdown()
-        (heard,), (kept,) = station._answers(), station.answers
     recorder.close()
+
+
+def test_a_plan_that_comes_when_another_is_wanted_counts_for_nothing(tmp_path: Path) -> None:
+    """A detour was being planned when a person sent everybody home."""
+    late = threading.Event()
+    with a_station(tmp_path) as station:
+        mission, detour = station.mission, station.mission.leg
+        home = replace(detour, home=True)
+
+        def slow() -> Leg:
+            late.wait(PATIENCE_S)
+            return detour
+
+        mission.phase, mission.itinerary.wanted = Phase.HALTING, Wanted("another path", slow)
+        station._plan(False, 0)
+        mission.itinerary.wanted = Wanted("a way for everybody from rest", lambda: home)
+        late.set()
+        deadline = time.monotonic() + PATIENCE_S
+        while mission.phase is Phase.HALTING and time.monotonic() < deadline:
+            station._plan(False, 0)
+            time.sleep(0.001)
+        assert mission.phase is Phase.RELOADING
+        assert mission.leg is home
+
+
+def test_answers_for_people_do_not_keep_the_paths_that_were_sent(tmp_path: Path) -> None:
+    """Where no page takes them, the last 256 stay for as long as the station runs."""
+    with a_station(tmp_path) as station:
+        load, reply = Command(Order.LOAD, 1, trajectory=station.mission.leg.trajectories[1]), Reply(1, True)
+        station.pending.append((load, station.pool.submit(lambda: reply)))
+        station.pool.shutdown()
+        (heard,), (kept,) = station._answers(), station.answers
     assert heard == Answer(load, reply)
     assert (kept.command.order, kept.command.trajectory, kept.reply) == (Order.LOAD, None, reply)
 
