@@ -9,7 +9,7 @@ import numpy as np
 
 from groundstation.checks import too_fast
 from groundstation.formation import NodeMotion
-from groundstation.route import route
+from groundstation.route import NoRoute, route
 from groundstation.spline import SplinePath
 from wire.experiment import Experiment
 from wire.frames import Array
@@ -72,7 +72,10 @@ def planned_trip(experiment: Experiment, around: Basin, start: Array, goal: Arra
         discs = _no_wider_than_free(np.vstack([around.discs, others]), start[:2], goal[:2])
         half_m = tuple(max(h, abs(float(start[k])), abs(float(goal[k]))) for k, h in enumerate(around.half_m))
         points = route([(start[0], start[1]), (goal[0], goal[1])], discs, (half_m[0], half_m[1]))
-        path = SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
+        try:
+            path = SplinePath(Waypoints(kind="waypoints", points_m=tuple((x, y) for x, y in points.tolist()), speed_mps=1.0))
+        except ValueError:
+            raise NoRoute("the way there turns on the spot") from None
     flat_m = path.length_m if path is not None else 0.0
     limits = experiment.vehicle.limits
     speed = min(experiment.mission.return_mps, 0.8 * limits.speed_mps)

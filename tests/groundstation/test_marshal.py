@@ -7,6 +7,8 @@ import pytest
 
 from groundstation.checks import PlanError
 from groundstation.formation import NodeMotion
+from groundstation.from_rest import gathered
+from groundstation.legs import first_leg
 from groundstation.marshal import marshal
 from groundstation.trip import glide
 from wire.experiment import Experiment, load_experiment
@@ -122,3 +124,22 @@ def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, floa
     x, yaw = absurd
     with pytest.raises(PlanError, match="robot 1 says that it"):
         marshal(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NOTHING)
+
+
+def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
+    """From places of the pool run, among three things that the camera sees: a corner in front of the goal, which no spline takes.
+    Anything but a reason would end the station, with its robots in the water."""
+    experiment = load_experiment("pool")
+    rests = {
+        1: np.array([0.53692761, 0.06801661, 0.25018865, 2.48896894]),
+        2: np.array([-0.29450748, 0.15240046, 0.26044311, 2.37850454]),
+    }
+    things = np.array(
+        [
+            [2.0196855927151156, -0.9989661938522431, 0.1788811895480024],
+            [1.4630468041366795, 0.4795651934960071, 0.571192825510389],
+            [-0.5635884974798929, 1.2058292559251262, 0.24152648781989094],
+        ]
+    )
+    with pytest.raises(PlanError, match="robot 1"):
+        gathered(experiment, first_leg(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, things)
