@@ -15,6 +15,7 @@ some 16 MB an hour. A sender's restart opens a second channel on the same topic:
 its session is in the channel's metadata.
 """
 
+import fcntl
 import importlib.metadata
 import itertools
 import json
@@ -64,11 +65,28 @@ def disk_free(folder: Path) -> int:
     return shutil.disk_usage(folder).free
 
 
+def claim(fd: int, path: Path, how: int, taken: str) -> None:
+    """Lock a log, for as long as it is open. Raises OSError saying `taken` where another process has it; a file system that
+    knows no locks lets everybody in."""
+    try:
+        fcntl.flock(fd, how | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise OSError(error.errno, taken, str(path)) from None
+    except OSError:
+        return
+
+
 class _Output:
     """What mcap's Writer writes to: collects bytes, hands them to the file in one go, and knows how far the file is good."""
 
     def __init__(self, path: Path) -> None:
-        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        try:
+            claim(self._fd, path, fcntl.LOCK_EX, "another run still writes it")
+            os.ftruncate(self._fd, 0)
+        except OSError:
+            os.close(self._fd)
+            raise
         self._pending = bytearray()
         self.good_bytes = 0
 

@@ -4,6 +4,7 @@ if recover(path): ...           # mended; the file opens in all readers
 for record in valid_records(path): ...
 """
 
+import fcntl
 import os
 import struct
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Sch
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
-from groundstation.recorder import CHUNK_BYTES
+from groundstation.recorder import CHUNK_BYTES, claim
 
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not make the reader ask for all memory
 
@@ -44,19 +45,22 @@ def valid_records(path: Path) -> Iterator[McapRecord]:
 def recover(path: Path) -> bool:
     """Make a cut file whole again: keep everything up to the cut, add the index. True if there was something to mend.
 
-    Raises OSError if the mended file cannot be written; the cut one then stays as it is.
+    Raises OSError if the mended file cannot be written, or the recorder still writes this one, which would go on in a file
+    without a name; the cut one then stays as it is.
     """
     if is_complete(path):
         return False
     mended = path.with_name(path.name + ".mending")
-    try:
-        with mended.open("wb") as file:
-            _copy(path, Writer(file, chunk_size=CHUNK_BYTES))
-            file.flush()
-            os.fsync(file.fileno())
-        mended.replace(path)
-    finally:
-        mended.unlink(missing_ok=True)
+    with path.open("rb") as cut:
+        claim(cut.fileno(), path, fcntl.LOCK_SH, "its run still goes on")
+        try:
+            with mended.open("wb") as file:
+                _copy(path, Writer(file, chunk_size=CHUNK_BYTES))
+                file.flush()
+                os.fsync(file.fileno())
+            mended.replace(path)
+        finally:
+            mended.unlink(missing_ok=True)
     return True
 
 

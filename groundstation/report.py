@@ -113,7 +113,7 @@ def _read(path: Path) -> RunLog:
     try:
         mended = recover(path)
     except OSError as error:
-        log.warning("%s was cut off and cannot be mended (%s); reading what is there", path, error.strerror)
+        log.warning("%s is not whole and cannot be mended (%s); reading what is there", path, error.strerror)
         mended = False
     if mended:
         log.warning("%s was cut off: mended up to the cut", path)

@@ -9,7 +9,7 @@ import typer
 
 from wire.experiment import load_experiment
 from wire.options import AsJson
-from wire.toml_file import ConfigError
+from wire.toml_file import ConfigError, files_named
 
 
 def record(
@@ -135,7 +135,8 @@ def recover(
 
     if not log_file.is_file():
         raise ConfigError(f"{log_file}: no such file")
-    mended = recovery.recover(log_file)
+    with files_named(log_file):
+        mended = recovery.recover(log_file)
     if as_json:
         typer.echo(json.dumps({"file": str(log_file), "mended": mended}))
         return

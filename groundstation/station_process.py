@@ -28,6 +28,7 @@ from wire.bus import Bus
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus
+from wire.toml_file import files_named
 from wire.topics import WHOLE_FLEET
 
 
@@ -63,7 +64,8 @@ def run(
     metadata = run_metadata(experiment, mode)
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
     check_room(run_dir, experiment.recording.min_free_gb)
-    recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
+    with files_named(run_dir):
+        recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
     recorder.whole_until_ns = -1 if lockstep else None
     try:
         record_everything(bus, recorder, clock)

@@ -12,9 +12,11 @@ from mcap.writer import MCAP0_MAGIC
 
 from groundstation.recorder import Recorder
 from groundstation.recovery import is_complete, recover, valid_records
+from groundstation.report import write_report
 from tests.groundstation.small_log import record_poses, sequences
 from wire import topics
 from wire.codec import Header, encode
+from wire.experiment import dump_experiment, load_experiment
 from wire.messages import Preview
 
 
@@ -77,6 +79,28 @@ def test_recovered_file_keeps_experiment_metadata_and_sessions(tmp_path: Path) -
         assert next(iter(reader.iter_attachments())).data == b"name = 'pool'\n"
         assert {item.name: item.metadata for item in reader.iter_metadata()}["run"]["mode"] == "lockstep"
         assert {channel.metadata["session"] for _, channel, _ in reader.iter_messages()} == {"beef"}
+
+
+def test_a_log_that_is_still_written_is_left_alone(tmp_path: Path) -> None:
+    """A report of a run that goes on would put a mended copy in its place, and the rest of the run into a file without a name."""
+    path = tmp_path / "run.mcap"
+    recorder = Recorder(path, dump_experiment(load_experiment("pool")), {})
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+
+    def put(first: int, last: int) -> None:
+        for k in range(first, last + 1):
+            recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k, k), encode(Preview(b"x"), 0), k)
+
+    put(1, 5)
+    with pytest.raises(OSError, match="still goes on"):
+        recover(path)
+    write_report(tmp_path)
+    with pytest.raises(OSError, match="another run still writes it"):
+        Recorder(path, "", {})
+    put(6, 10)
+    recorder.close()
+    assert recorder.error == ""
+    assert sequences(path) == list(range(1, 11))
 
 
 def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
