@@ -7,6 +7,7 @@ from groundstation.fleet import Fleet
 from wire.messages import Mode
 
 KEPT = 12
+BACK_S = 5.0  # who held goes on from where the slowest was, a little further back; who goes back further begins again
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Laps:
             if state is None or state.mode is not Mode.TRACKING or state.trajectory_s <= 0.0:
                 continue
             last_s = self._last_s.get(robot, state.trajectory_s)
-            if state.trajectory_s < last_s:
+            if state.trajectory_s < last_s - BACK_S:
                 self._rows.clear()
                 self._last_s.clear()
                 last_s = state.trajectory_s
