@@ -145,7 +145,7 @@ class Tuner:
     def _enter(self, stage: Stage, now_ns: int) -> None:
         self._stage, self._since_ns = stage, now_ns
         self._asked_ns.clear()
-        if self._change is not None:
+        if self._change is not None and stage is not Stage.WAITING:  # who waits for a lap has accepted, and may be asked back
             self._change.accepted.clear()
 
     # --- the station's cycle

@@ -247,6 +247,21 @@ def test_whoever_leaves_the_run_forgets_what_waits_for_a_lap() -> None:
     assert {state.tuning_id for state in lab.states()} == {tuning(pool().controller).id}
 
 
+def test_who_flies_on_without_the_one_that_left_forgets_what_waits_for_a_lap_too() -> None:
+    """All robots together, or none: it had accepted the set, and would have changed alone."""
+    lab = Lab(pool())
+    lab.run(1.0)
+    lab.take_off()
+    lab.run(5.0)
+    assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
+    until(lab, lambda: lab.tuner.status().stage is Stage.WAITING, 1.0)
+    assert lab.send(Command(Order.DISARM, 2)).accepted
+    lab.run(24.0)
+    assert lab.states()[-1].mode is Mode.TRACKING and lab.states()[-1].trajectory_s > 26.0
+    assert {state.tuning_id for state in lab.states()} == {tuning(pool().controller).id}
+    assert lab.tuner.status().reason == "robot 2 left the run before the lap began; the others go back"
+
+
 def test_a_robot_that_was_restarted_gets_the_fleets_gains() -> None:
     lab = Lab(pool())
     lab.run(1.0)
