@@ -136,6 +136,8 @@ def _smoothed(line: Array, smooth_m: float) -> Array:
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     keep = np.concatenate([[True], np.diff(arc) > 1e-9])
     arc, line = arc[keep], line[keep]
+    if len(arc) < 2:
+        raise NoRoute(f"it leads nowhere: all its places are ({line[0, 0]:.2f}, {line[0, 1]:.2f}) m")
     places = np.linspace(0.0, arc[-1], max(2, math.ceil(arc[-1] / SPACING_M) + 1))
     points = np.column_stack([np.interp(places, arc, line[:, 0]), np.interp(places, arc, line[:, 1])])
     n = len(points) - 1
@@ -145,7 +147,9 @@ def _smoothed(line: Array, smooth_m: float) -> Array:
 
 
 def _clear(points: Array, discs: Array, half_m: tuple[float, float]) -> bool:
-    """Whether the spline through these points stays clear."""
+    """Whether there is a spline through these points, and it stays clear."""
+    if np.any(np.hypot(*np.diff(points, axis=0).T) < 1e-9):  # there and back again: smoothed, the turn is two points in one
+        return False
     knots, curve = curve_through(points)
     fine = curve(np.linspace(0.0, knots[-1], math.ceil(knots[-1] / CHECK_M) + 1))
     inside = bool(np.all(np.abs(fine) <= np.array(half_m) + 1e-9))

@@ -122,6 +122,10 @@ def test_it_says_what_is_wrong() -> None:
         route([START, (9.0, 0.0)], ring, WIDE)
     with pytest.raises(NoRoute, match=r"\(3\.00, 0\.00\) m: there the formation is 1\.00 m too near an island"):
         route([START, (3.0, 0.0)], ring, WIDE)
+    with pytest.raises(NoRoute, match=r"leads nowhere: all its places are \(1\.00, 2\.00\) m"):  # not what a spline says of it
+        route([(1.0, 2.0), (1.0, 2.0)], np.zeros((0, 3)), WIDE)
+    with pytest.raises(NoRoute, match="bends too sharply"):
+        route([START, (1.0, 2.0), START], np.zeros((0, 3)), WIDE)
 
 
 def test_walls_close_a_gap() -> None:
