@@ -127,7 +127,7 @@ def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, floa
 
 
 def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
-    """From places of the pool run, among three things that the camera sees: a corner in front of the goal, which no spline takes.
+    """From places of the pool run, among three things that the camera sees: no spline takes the corner in front of the goal.
     Anything but a reason would end the station, with its robots in the water."""
     experiment = load_experiment("pool")
     rests = {

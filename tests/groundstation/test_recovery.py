@@ -82,7 +82,7 @@ def test_recovered_file_keeps_experiment_metadata_and_sessions(tmp_path: Path) -
 
 
 def test_a_log_that_is_still_written_is_left_alone(tmp_path: Path) -> None:
-    """A report of a run that goes on would put a mended copy in its place, and the rest of the run into a file without a name."""
+    """A report of a run that goes on would put a mended copy in its place: the rest would go into a file without a name."""
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, dump_experiment(load_experiment("pool")), {})
     (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
