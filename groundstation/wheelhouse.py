@@ -9,12 +9,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 from groundstation.deploy import Probe, digest
 from wire.toml_file import ConfigError
 
 ROOT = Path(__file__).parents[1]
+_TURN = threading.Lock()  # several boards are brought up to date at once: what one has made serves the others
 SOURCES = ("wire", "robot_agent", "groundstation", "localizer", "sim_bridge")
 
 
@@ -24,12 +26,13 @@ def wheels(probe: Probe, source: Path = ROOT) -> Path:
         raise ConfigError(f"{source}: no constraints.txt there; run this from a checkout, or give --wheelhouse FOLDER")
     key = f"{probe.machine}-{probe.python}-{_source_digest(source)}"
     folder = _cache() / key
-    if not folder.is_dir():
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent) as building:
-            fresh = Path(building) / "wheels"
-            _build(probe, source, fresh)
-            fresh.rename(folder)
+    with _TURN:
+        if not folder.is_dir():
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=folder.parent) as building:
+                fresh = Path(building) / "wheels"
+                _build(probe, source, fresh)
+                fresh.rename(folder)
     return folder
 
 

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata
@@ -241,6 +242,26 @@ def test_a_board_that_does_not_answer_is_named_and_the_others_get_theirs(ring: P
     assert re.search(r"localhost.*refused", result.output)
     unknown = SshBoard(board.home, re.sub(r"-i \S+", "-i /nowhere", board.ssh), 0)
     assert "Permission denied" in deployed(unknown, ring, own_wheel).output
+
+
+def test_boards_of_one_kind_share_the_wheels_that_are_made_for_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four boards are brought up to date at once, and none of them finds the wheels there already."""
+    made = []
+
+    def build(probe: Probe, source: Path, folder: Path) -> None:
+        made.append(folder)
+        time.sleep(0.2)
+        folder.mkdir()
+        (folder / "shoal-1-py3-none-any.whl").write_bytes(b"")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(wheelhouse, "_build", build)
+    with ThreadPoolExecutor(4) as boards:
+        folders = set(boards.map(wheelhouse.wheels, [Probe("aarch64", "3.11", {})] * 4))
+    assert len(folders) == len(made) == 1
+    assert [path.name for path in folders.pop().iterdir()] == ["shoal-1-py3-none-any.whl"]
 
 
 def test_an_open_network_must_be_asked_for(own_wheel: Path) -> None:
