@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 from mcap.records import Attachment, Channel, Message, Metadata
 
 from groundstation.recorder import END_METADATA, EXPERIMENT_NAME, RUN_METADATA
-from groundstation.recovery import is_complete, valid_records
+from groundstation.recovery import valid_records
 from wire import topics
 from wire.codec import DecodeError, decode
 from wire.topics import Topic
@@ -47,7 +47,7 @@ class RunLog:
     entries: dict[tuple[str, int], list[Entry[Any]]] = field(default_factory=dict)  # by topic name and robot (0: no robot)
     metadata: dict[str, str] = field(default_factory=dict)
     experiment_toml: str = ""
-    complete: bool = False  # the recorder closed the file
+    complete: bool = False  # the recorder came to the run's end
     dropped: int = 0  # messages the recorder could not take
     pace: tuple[tuple[int, int], ...] = ()  # (stamp, wall time) pairs in ns, from the recorder; empty if it was cut off
     undecodable: int = 0
@@ -89,7 +89,7 @@ def read_log(path: Path) -> RunLog:
         entries=entries,
         metadata=metadata.get(RUN_METADATA, {}),
         experiment_toml=experiment_toml,
-        complete=is_complete(path),
+        complete=END_METADATA in metadata,  # a mended file ends as it should, and lacks what was cut off all the same
         dropped=int(end.get("dropped", "0")),
         pace=tuple((int(stamp_ns), int(wall_ns)) for stamp_ns, wall_ns in json.loads(end.get("pace", "[]"))),
         undecodable=undecodable,
