@@ -92,7 +92,7 @@ class WebServer:
     """The page's thread. A page that fails says so in the log and is gone; the station flies on."""
 
     def __init__(self, source: Source, options: WebOptions) -> None:
-        """Bind at once. Raises ConfigError if the address cannot be had."""
+        """Bind at once. Raises ConfigError if the address cannot be had, or the certificate not be used."""
         family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -123,6 +123,12 @@ class WebServer:
             ssl_certfile=options.certificate,
             ssl_keyfile=options.key,
         )
+        try:
+            config.load()  # certificate and key
+        except OSError as error:
+            self._socket.close()
+            files = f"--web-certificate {options.certificate}, --web-key {options.key}"
+            raise ConfigError(f"{files}: {error.strerror or error} (two files in PEM are needed)") from None
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 

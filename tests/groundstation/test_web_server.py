@@ -9,6 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -29,6 +30,7 @@ from wire.bus import Bus
 from wire.experiment import load_experiment
 from wire.messages import Command, Event, Mode, Order, Preview, Reply, RobotState
 from wire.runtime import WallClock
+from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
 
 POOL = load_experiment("pool")
@@ -91,18 +93,24 @@ class Page:
         return self.until(lambda frame: frame["k"] == "hello")
 
 
-@pytest.fixture
-def lab() -> Iterator[Lab]:
+def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    hub = MemoryHub()
+        return int(probe.getsockname()[1])
+
+
+def make_desk(lab: Lab) -> Desk:
+    post = Post(lambda: Status(lab.phase, ""), lab.order, lab.answers)
+    return Desk(POOL, planner.plan(POOL), lab.bus, listen(lab.bus, POOL.robot_ids), WallClock(), post, "real-time")
+
+
+@pytest.fixture
+def lab() -> Iterator[Lab]:
+    hub, port = MemoryHub(), free_port()
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         opened = contextlib.ExitStack()
         found = Lab(port, bus, robots, opened)
-        post = Post(lambda: Status(found.phase, ""), found.order, found.answers)
-        desk = Desk(POOL, planner.plan(POOL), bus, listen(bus, POOL.robot_ids), WallClock(), post, "real-time")
-        with WebServer(desk, WebOptions(port=port, token=TOKEN)), opened:
+        with WebServer(make_desk(found), WebOptions(port=port, token=TOKEN)), opened:
             yield found
 
 
@@ -231,6 +239,14 @@ def test_while_dragging_the_newest_edit_is_answered(lab: Lab) -> None:
         page.say(kind="try", n=n, edit={"diameter_m": 0.4 + 0.001 * n})
     last = page.until(lambda f: f["k"] == "tried" and f["n"] == 39)
     assert last["ok"] and last["fastest_mps"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
+
+
+def test_a_certificate_that_cannot_be_used_is_told_before_anything_flies(lab: Lab, tmp_path: Path) -> None:
+    """Not a line in the log, and then a station without a page that says where its page is."""
+    (none := tmp_path / "none.pem").write_text("no certificate\n")
+    for certificate in (tmp_path / "absent.pem", none):
+        with pytest.raises(ConfigError, match=f"--web-certificate {certificate}"):
+            WebServer(make_desk(lab), WebOptions(port=free_port(), certificate=certificate, key=none))
 
 
 def test_assets_are_ours_alone_and_say_so(lab: Lab) -> None:
