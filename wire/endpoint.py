@@ -4,7 +4,7 @@ All settings are explicit, so a network without multicast and a Zenoh with other
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from wire.keys import Keys
@@ -15,6 +15,7 @@ PATIENT_MS = 120_000  # lease and congestion limit in lockstep: a starved machin
 LEASE_MS = 1000  # a cut link is noticed after this long (default 10 s); at 400 ms a busy laptop loses healthy links
 FLOOD = 10  # times a topic's rate: more often nobody needs to speak; what a busy machine held back comes in bunches
 FORMS = "tcp/HOST:PORT or tls/HOST:PORT, for example tls/192.168.1.10:7447"
+WILDCARDS = {"0.0.0.0": "127.0.0.1", "::": "[::1]"}  # where to call who listens there, from the same machine
 TRY_MS = 1000  # one attempt to reach the station: Zenoh does not hear Ctrl-C meanwhile
 
 
@@ -38,6 +39,14 @@ class Endpoint:
     keys: Keys | None = None  # mutual TLS
     access: Mapping[str, Any] | None = None  # router: Zenoh's access_control section (wire/access.py)
     insecure: bool = False  # open to other machines, as was asked for
+
+
+def beside(endpoint: Endpoint) -> Endpoint:
+    """The same router for another session of this process. One that listens at every address of its machine is called by
+    loopback: no certificate names a wildcard."""
+    protocol, host, port = parse_address(endpoint.address)
+    address = f"{protocol}/{WILDCARDS[host]}:{port}" if host in WILDCARDS else endpoint.address
+    return replace(endpoint, address=address, router=False, access=None)
 
 
 def settings(endpoint: Endpoint) -> dict[str, Any]:

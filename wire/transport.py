@@ -11,7 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, Protocol
 
@@ -19,7 +19,7 @@ import zenoh
 import zenoh.ext
 
 from wire.endpoint import Endpoint as Endpoint  # whoever opens a transport needs one
-from wire.endpoint import settings
+from wire.endpoint import beside, settings
 from wire.reach import trouble_listening, trouble_reaching
 from wire.topics import RECOVERED, Qos
 
@@ -138,7 +138,7 @@ class ZenohTransport:
         if qos is not Qos.IMAGE:
             return self._control
         if self._images is None:
-            self._images = _open(replace(self._endpoint, router=False, access=None), self._stopped, float("inf"))
+            self._images = _open(beside(self._endpoint), self._stopped, float("inf"))
         return self._images
 
     @property

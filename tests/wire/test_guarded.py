@@ -69,7 +69,9 @@ class Guarded:
     obeyed: list[tuple[int, Order]] = field(default_factory=list)
 
     def join(self, process: str) -> Bus:
-        where = endpoint(self.address, process, self.ring, router=process == "groundstation")
+        station = process == "groundstation"
+        address = self.address.replace("127.0.0.1", "0.0.0.0") if station else self.address  # it listens for other machines
+        where = endpoint(address, process, self.ring, router=station)
         return Bus(ZenohTransport(where, patience_s=5.0))
 
     def open(self) -> None:
