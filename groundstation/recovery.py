@@ -18,13 +18,17 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from groundstation.recorder import CHUNK_BYTES, claim
+from wire.toml_file import ConfigError
 
 MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not make the reader ask for all memory
 
 
 def is_complete(path: Path) -> bool:
-    """Whether the file was closed: a file that was cut does not end in MCAP's magic."""
+    """Whether the file was closed: a file that was cut does not end in MCAP's magic. Raises ConfigError for what never was a
+    log, which must not be mended: nothing would be left of it."""
     with path.open("rb") as file:
+        if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
+            raise ConfigError(f"{path}: is no log: it does not begin as MCAP files do")
         file.seek(0, os.SEEK_END)
         if file.tell() < 2 * len(MCAP0_MAGIC):
             return False
@@ -46,7 +50,7 @@ def recover(path: Path) -> bool:
     """Make a cut file whole again: keep everything up to the cut, add the index. True if there was something to mend.
 
     Raises OSError if the mended file cannot be written, or the recorder still writes this one, which would go on in a file
-    without a name; the cut one then stays as it is.
+    without a name; ConfigError for what never was a log. The file then stays as it is.
     """
     if is_complete(path):
         return False

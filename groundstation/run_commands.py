@@ -9,7 +9,7 @@ import typer
 
 from wire.experiment import load_experiment
 from wire.options import AsJson
-from wire.toml_file import ConfigError, files_named
+from wire.toml_file import ConfigError
 
 
 def record(
@@ -133,10 +133,7 @@ def recover(
     """
     from groundstation import recovery
 
-    if not log_file.is_file():
-        raise ConfigError(f"{log_file}: no such file")
-    with files_named(log_file):
-        mended = recovery.recover(log_file)
+    mended = recovery.recover(log_file)
     if as_json:
         typer.echo(json.dumps({"file": str(log_file), "mended": mended}))
         return

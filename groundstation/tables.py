@@ -18,12 +18,14 @@ MOST_COLUMNS = 200  # a message with more numbers (a whole trajectory) is a tabl
 
 
 def export(log: Path, folder: Path, parquet: bool) -> Iterator[tuple[Path, int]]:
-    """Write all tables of a log; yields each file with its number of rows. Raises ConfigError if Parquet cannot be written."""
-    if not log.is_file():
-        raise ConfigError(f"{log}: no such file")
+    """Write all tables of a log; yields each file with its number of rows. Raises ConfigError if Parquet cannot be
+    written, and for what is no log or an empty one."""
     write = _parquet() if parquet else _write_csv
+    found = read_log(log).entries
+    if not found:
+        raise ConfigError(f"{log}: holds no messages")
     folder.mkdir(parents=True, exist_ok=True)
-    for (topic, robot), entries in sorted(read_log(log).entries.items()):
+    for (topic, robot), entries in sorted(found.items()):
         name = topic.replace("/{robot}", f"-{robot}" if robot else "").replace("/", "-")
         path = folder / f"{name}{'.parquet' if parquet else '.csv'}"
         rows = [row for entry in entries for row in _rows(entry)]
