@@ -145,12 +145,52 @@ def test_a_dry_run_of_what_cannot_be_flown_says_why(tmp_path: Path) -> None:
     assert "robot 1" in said and "Traceback" not in said
 
 
+def test_a_dry_run_looks_at_the_way_to_the_robots_too(tmp_path: Path) -> None:
+    empty = tmp_path / "token"
+    empty.touch()
+    for wrong, why in (
+        (["--listen", "nowhere"], "'nowhere': not a place where a station can be"),
+        (["--listen", "tcp/0.0.0.0:7447"], "other machines could command the robots"),
+        (["--keys", str(tmp_path)], f"--keys {tmp_path}: "),
+        (["--web-token-file", str(empty)], f"--web-token-file {empty}: is empty"),
+    ):
+        refused = CliRunner().invoke(groundstation, ["run", "pool", "--dry-run", *wrong]).exception
+        assert isinstance(refused, ConfigError) and why in str(refused)
+    absent = CliRunner().invoke(groundstation, ["run", "pool", "--dry-run", "--web-certificate", str(tmp_path / "none")])
+    assert absent.exit_code == 2 and "does not exist" in absent.output
+
+
 def test_a_run_that_is_none_is_named(tmp_path: Path) -> None:
     for command in ("rerun", "replay", "export"):
         more = ["--out", str(tmp_path / "out"), "--foxglove"] if command == "export" else []
         code, _, said = ended("groundstation", command, str(tmp_path), *more)
         assert (code, "Traceback" in said) == (2, False)
         assert str(tmp_path) in said
+
+
+def test_what_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for place in (file / "layout.json", tmp_path):
+        code, said, why = ended("groundstation", "foxglove-layout", "pool", "--out", str(place))
+        assert (code, said, why.splitlines()) == (2, "", [why.strip()])
+        assert why.startswith(f"{place}: ")
+
+
+def test_what_is_no_log_is_said_and_stays_as_it_is(tmp_path: Path) -> None:
+    file, out = tmp_path / "run.mcap", tmp_path / "tables"
+    for content, command, reason in (
+        (b"name = 'pool'", ["recover", str(file)], "is no log"),
+        (b"name = 'pool'", ["export", str(tmp_path), "--out", str(out)], "is no log"),
+        (b"", ["export", str(tmp_path), "--out", str(out)], "holds no messages"),
+    ):
+        file.write_bytes(content)
+        code, _, why = ended("groundstation", *command)
+        assert (code, why.splitlines()) == (2, [why.strip()])
+        assert why.startswith(f"{file}: {reason}")
+        assert file.read_bytes() == content and list(tmp_path.iterdir()) == [file]
+    code, _, why = ended("groundstation", "recover", str(tmp_path))
+    assert (code, why) == (2, f"{tmp_path}: Is a directory\n")
 
 
 def test_json_is_json_and_nothing_else(tmp_path: Path) -> None:
@@ -212,6 +252,8 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
         ([], "Fly without the camera"),
         (["--poses", "--lockstep"], "processes break by the wall clock"),
         (["--poses", "--set", "path.speed_mps=9", "--set", "path.slow=false"], "robot 1: speed"),
+        (["--poses", "--web", "nowhere"], "--web 'nowhere': must be HOST:PORT"),
+        (["--poses", "--keys", str(tmp_path)], f"--keys {tmp_path}: "),
     ):
         refused = dry(*wrong).exception
         assert isinstance(refused, ConfigError) and why in str(refused)
@@ -250,7 +292,7 @@ def test_a_station_that_does_not_come_up_says_why(tmp_path: Path) -> None:
         text=True,
         check=False,
     )
-    assert done.returncode == 1
+    assert done.returncode == 2
     assert "groundstation ended with exit code 2: the package matplotlib is not installed" in done.stdout
     assert "pip install 'shoal[station]'" in done.stdout
 

@@ -205,12 +205,17 @@ def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
 
 
 def run_app(app: Callable[[], None]) -> None:
-    """Run a command line. A configuration that cannot be used is one message and exit code 2, a station that cannot
-    be reached one message and exit code 1; never a traceback."""
+    """Run a command line. A configuration that cannot be used, or a file that cannot be read or written, is one message and
+    exit code 2, a station that cannot be reached one message and exit code 1; never a traceback."""
     try:
         app()
     except ConfigError as error:
         print(error, file=sys.stderr)
+        sys.exit(2)
+    except OSError as error:
+        if error.filename is None:  # no file of a person's: a bug
+            raise
+        print(f"{error.filename2 or error.filename}: {error.strerror}", file=sys.stderr)
         sys.exit(2)
     except Unreached as error:
         print(error, file=sys.stderr)
