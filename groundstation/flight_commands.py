@@ -45,8 +45,10 @@ def run(
     verbose: Verbose = False,
     web: WebAddress = DEFAULT_WEB,
     no_web: NoWeb = False,
-    web_certificate: Annotated[Path | None, typer.Option(help="TLS certificate (PEM) of the page.")] = None,
-    web_key: Annotated[Path | None, typer.Option(help="Its private key (PEM).")] = None,
+    web_certificate: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="TLS certificate (PEM) of the page.")
+    ] = None,
+    web_key: Annotated[Path | None, typer.Option(exists=True, dir_okay=False, help="Its private key (PEM).")] = None,
     web_token_file: Annotated[Path | None, typer.Option(help="File with the token that a page must know.")] = None,
     foxglove: Foxglove = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be flown, or why it cannot be.")] = False,
@@ -73,13 +75,13 @@ def run(
     token = _token(web_token_file) if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)
     viewer = address(foxglove) if foxglove is not None else None
+    start_log("groundstation", verbose)
+    me = process_name(Role.STATION)
+    where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
     if dry_run:
         typer.echo(_intent(loaded, run_dir or out))
         return
-    start_log("groundstation", verbose)
     stop = Stop()
-    me = process_name(Role.STATION)
-    where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
     folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     text = dump_experiment(loaded)
     with files_named(folder):
@@ -107,9 +109,12 @@ def run(
 def _token(file: Path) -> str:
     with files_named(file):
         try:
-            return file.read_text(encoding="utf-8").strip()
+            token = file.read_text(encoding="utf-8").strip()
         except UnicodeDecodeError:
             raise ConfigError(f"--web-token-file {file}: not a text") from None
+    if not token:
+        raise ConfigError(f"--web-token-file {file}: is empty, anybody would know that token")
+    return token
 
 
 def _intent(experiment: Experiment, folder: Path) -> str:

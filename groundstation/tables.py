@@ -19,7 +19,7 @@ MOST_COLUMNS = 200  # a message with more numbers (a whole trajectory) is a tabl
 
 def export(log: Path, folder: Path, parquet: bool) -> Iterator[tuple[Path, int]]:
     """Write all tables of a log; yields each file with its number of rows. Raises ConfigError if Parquet cannot be
-    written, and for what is no log or an empty one."""
+    written, and for a log that is empty."""
     write = _parquet() if parquet else _write_csv
     found = read_log(log).entries
     if not found:

@@ -43,8 +43,8 @@ SAY_EVERY_S = 5.0  # where there is no terminal to draw in
 
 
 def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Console) -> int:
-    """Run an experiment with all its processes, after `programs.check`. Returns the exit code: 0 passed, 1 failed, 130
-    interrupted."""
+    """Run an experiment with all its processes, after `programs.check`. Returns the exit code: 0 passed, 1 failed, 2 refused
+    by the station, 130 interrupted."""
     run_dir.mkdir(parents=True, exist_ok=True)
     (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     if not hasattr(resource, "prlimit"):
@@ -77,25 +77,26 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
     if came_up:
         console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
-    return 0 if passed else 1
+    return 0 if passed else 2 if station.exit_code == 2 else 1
 
 
 def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) -> int:
     """Say what a run would be and what would be started, and leave nothing behind. Returns 0; raises ConfigError if it cannot
     be flown: whether its plan can, the station's own dry run says."""
+    address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
+    started = programs(experiment.robot_ids, way, run_dir, address, ports, Path("LINK-KEYS") if way.signed else None)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         file.write_text(dump_experiment(experiment), encoding="utf-8")
-        asked = ["groundstation", "run", str(file), "--dry-run", "--run-dir", str(run_dir)]
+        arguments = [str(file) if part == str(run_dir / file.name) else part for part in started[0].arguments]
+        asked = [started[0].module, *arguments, "--dry-run"]
         told = subprocess.run([sys.executable, "-m", *asked], capture_output=True, text=True, check=False)
     if told.returncode != 0:
         raise ConfigError(told.stderr.strip().replace(f"{file}: ", ""))
     console.print(told.stdout.strip(), soft_wrap=True, highlight=False)
     pace = "lockstep, as fast as it goes" if way.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
     console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
-    address = f"tcp/127.0.0.1:{free_port()}"
-    ports, boards = free_base_port(experiment.robot_ids), Path("LINK-KEYS") if way.signed else None
-    for program in programs(experiment.robot_ids, way, run_dir, address, ports, boards):
+    for program in started:
         command = shlex.join(["python", "-m", program.module, *program.arguments])
         console.print(f"  {program.name:13} {command}", soft_wrap=True, highlight=False)
     for fault in experiment.sim.faults:

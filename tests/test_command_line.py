@@ -181,7 +181,6 @@ def test_what_is_no_log_is_said_and_stays_as_it_is(tmp_path: Path) -> None:
     file, out = tmp_path / "run.mcap", tmp_path / "tables"
     for content, command, reason in (
         (b"name = 'pool'", ["recover", str(file)], "is no log"),
-        (b"name = 'pool'", ["export", str(tmp_path), "--out", str(out)], "is no log"),
         (b"", ["export", str(tmp_path), "--out", str(out)], "holds no messages"),
     ):
         file.write_bytes(content)

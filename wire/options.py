@@ -56,7 +56,7 @@ Settings = Annotated[
 FaultLines = Annotated[
     list[str] | None,
     typer.Option(
-        "--fault", metavar="LINE", help='Break something: "t=20 [for=5] thruster 2/3 dead". Repeatable (docs/simulator.md).'
+        "--fault", metavar="LINE", help='Break something: "t=20 for=5 thruster 2/3 dead". Repeatable (docs/simulator.md).'
     ),
 ]
 StationAddress = Annotated[

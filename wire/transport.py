@@ -21,6 +21,7 @@ import zenoh.ext
 from wire.endpoint import Endpoint as Endpoint  # whoever opens a transport needs one
 from wire.endpoint import beside, settings
 from wire.reach import trouble_listening, trouble_reaching
+from wire.toml_file import ConfigError
 from wire.topics import RECOVERED, Qos
 
 log = logging.getLogger("shoal")
@@ -65,7 +66,7 @@ class Transport(Protocol):
 
 
 class Unreached(Exception):
-    """The station's router cannot be reached, or not be opened, or the process is to stop before it could be."""
+    """The station's router cannot be reached, or the process is to stop before it could be."""
 
 
 _QOS: dict[Qos, dict[str, Any]] = {
@@ -86,7 +87,7 @@ def _config(endpoint: Endpoint) -> zenoh.Config:
 
 def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) -> zenoh.Session:
     """A session. A client tries until the station is there: a robot may be switched on before it. Raises Unreached when
-    `stopped()`, or with the reason when the patience is over.
+    `stopped()`, or with the reason when the patience is over; ConfigError where a router cannot listen.
 
     In attempts, because Zenoh's own endless wait hears neither Ctrl-C nor SIGTERM."""
     if endpoint.access is not None:
@@ -97,7 +98,7 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            raise Unreached(f"cannot listen at {endpoint.address}: {trouble_listening(endpoint.address) or error}") from None
+            raise ConfigError(f"cannot listen at {endpoint.address}: {trouble_listening(endpoint.address) or error}") from None
     began_s, say_s = time.monotonic(), 0.0
     while True:
         try:
