@@ -4,6 +4,7 @@ A sample is a flight: p50 is the middle one of the seeds, max the worst. Accurac
 robot after 20 s; smoothness the RMS of the worst input's change per step, in percent of the largest change allowed.
 """
 
+import sys
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -17,7 +18,7 @@ SEEDS = (1, 2, 3)
 OPEN = "sim.plant.walls=false"
 SHORT = "duration_s=70"
 STILL = "controller.estimator.current_rate_radps=0"
-ARTICLE = ("controller.estimator.sway=false",)
+ARTICLE = ("controller.estimator.sway=false", "safety.off_path_m=9")  # else it is soon stopped
 HARD = ("sim.latency_s=0.1", "sim.plant.thruster_lag_s=0.1", "sim.numeric.pose_noise_m=0.005")
 
 # Currents across a line, and on bends, up to half of the speed that is flown.
@@ -50,6 +51,9 @@ def flight(name: str, settings: Sequence[str], seed: int) -> tuple[float, float]
     """Accuracy in mm and smoothness in percent of one flight."""
     experiment = load_experiment(name, [*settings, f"seed={seed}"])
     flight = flown(experiment)
+    stopped = {state.fault for states in flight.states for state in states if state.fault}
+    if stopped:
+        print(f"{name} {' '.join(settings)} seed={seed}: not flown to the end: {', '.join(stopped)}", file=sys.stderr)
     change = np.array([[state.wrench_step for state in states[flight.settled :]] for states in flight.states])
     rms = np.sqrt(np.mean(flight.error[flight.settled :, :, :3] ** 2, axis=0)).max()
     smooth = (np.sqrt(np.mean(change**2, axis=1)) / experiment.vehicle.limits.wrench_step).max()

@@ -3,10 +3,12 @@ does not go where it means to go says so.
 
 Reasons are a way round somebody or something, or room made for somebody, from when the robot was still on its path (whoever
 drifts off comes near to others as well), and not having arrived yet: a robot that starts off its path, or comes back to it, is
-watched from where it has been close to it.
+watched from where it has been close to it and as fast. Where a path sets off all at once, nobody is, and all arrive anew.
 """
 
 ARRIVED = 0.5  # of the limit
+FORESEEN_S = 1.0  # who will still be that close after this, as things move now, is as fast as its path
+AT_ONCE_MPS = 0.05  # from one step to the next: with a second's patience no robot notices less
 LASTS_S = 0.5
 
 
@@ -22,10 +24,13 @@ class PathWatch:
         self.left = False  # stays so until the next reset
         self._has_arrived = False
         self._since_ns: int | None = None
+        self._before: tuple[complex, complex, int] | None = None
+        self._path_mps: complex | None = None
 
-    def step(self, off_m: float, is_free: bool, now_ns: int) -> None:
-        """How far off its path the robot is; `is_free`: nothing leads it round, or aside."""
-        if off_m < ARRIVED * self._limit_m:
+    def step(self, place_m: complex, path_m: complex, is_free: bool, now_ns: int) -> None:
+        """Where the robot is and where it is to be, both x + iy; `is_free`: nothing leads it round, or aside."""
+        off_m = abs(place_m - path_m)
+        if self._foreseen_m(place_m, path_m, now_ns) < ARRIVED * self._limit_m:
             self._has_arrived = is_free
         if not (self._has_arrived and off_m > self._limit_m):
             self._since_ns = None
@@ -33,3 +38,16 @@ class PathWatch:
             self._since_ns = now_ns
         else:
             self.left |= now_ns - self._since_ns >= LASTS_S * 1e9
+
+    def _foreseen_m(self, place_m: complex, path_m: complex, now_ns: int) -> float:
+        """How far off the robot may be soon, as it moves and its path; infinity while nobody knows."""
+        before, self._before = self._before, (place_m, path_m, now_ns)
+        if before is None:
+            return float("inf")
+        per_s = 1e9 / max(now_ns - before[2], 1)
+        path_mps = (path_m - before[1]) * per_s
+        if self._path_mps is not None and abs(path_mps - self._path_mps) > AT_ONCE_MPS:
+            self._has_arrived = False
+        self._path_mps = path_mps
+        drift_mps = abs((place_m - before[0]) * per_s - path_mps)
+        return abs(place_m - path_m) + drift_mps * FORESEEN_S

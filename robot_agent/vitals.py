@@ -1,7 +1,5 @@
 """How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
 
-import math
-
 from robot_agent.allocation import Allocator
 from robot_agent.controller import ControlOutput
 from robot_agent.echo import EchoCheck
@@ -57,8 +55,8 @@ class Vitals:
 
     def flew(self, output: ControlOutput, now_ns: int) -> None:
         """What a control step found out about how the robot moves."""
-        off_m = math.dist(output.eta[:2].tolist(), output.eta_reference[:2].tolist())
-        self._path.step(off_m, output.is_free, now_ns)
+        place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
+        self._path.step(place_m, path_m, output.is_free, now_ns)
 
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
         """What reactions look at."""

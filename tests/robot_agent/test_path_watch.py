@@ -18,7 +18,7 @@ def left(off_m: Sequence[float], is_free: Sequence[bool] | None = None) -> int |
     """The step at which a robot that was so far off its path says so."""
     watch = PathWatch(0.3)
     for k, off in enumerate(off_m):
-        watch.step(off, is_free is None or is_free[k], k * STEP_NS)
+        watch.step(complex(off), 0j, is_free is None or is_free[k], k * STEP_NS)
         if watch.left:
             return k
     return None
@@ -45,13 +45,35 @@ def test_who_drifts_off_and_comes_near_to_others_has_none() -> None:
     assert left([0.05] * 20 + [0.2] * 20 + [0.31] * 100, [True] * 25 + [False] * 115) == 50
 
 
+def test_where_a_path_sets_off_at_once_all_arrive_anew() -> None:
+    watch, place_m, worst_m = PathWatch(0.3), 0.0, 0.0
+    for k in range(600):
+        flown_s = max(k - 20, 0) * 0.05  # the path waits for a second
+        path_m, speed_mps = 0.4 * flown_s, min(0.1 * flown_s, 0.5)
+        place_m = min(place_m + 0.05 * speed_mps, path_m)
+        worst_m = max(worst_m, path_m - place_m)
+        watch.step(complex(place_m), complex(path_m), True, k * STEP_NS)
+    assert worst_m > 0.6 and place_m == path_m and not watch.left
+    for k in range(600, 640):  # and then something drives it off
+        path_m += 0.05 * 0.4
+        watch.step(complex(path_m, 0.02 * (k - 599)), complex(path_m), True, k * STEP_NS)
+    assert watch.left
+
+
+@pytest.mark.parametrize("speed_mps", [0.1, 0.2, 0.3, 0.4])
+def test_who_starts_from_rest_on_a_fast_path_flies_it(speed_mps: float) -> None:
+    fleet = flew(load_experiment("straight", [f"path.speed_mps={speed_mps}", "duration_s=15"]))
+    assert {state.mode for state in fleet.robots[0].states if state.trajectory_s > 0.0} == {Mode.TRACKING}
+    assert np.linalg.norm(fleet.truth[-1][0][:2] - fleet.robots[0].states[-1].eta_reference[:2]) < 0.1
+
+
 def test_once_said_it_stays_so_until_the_goal_is_another() -> None:
     watch = PathWatch(0.3)
-    for k, off in enumerate([0.0] + [1.0] * 40 + [0.0] * 10):
-        watch.step(off, True, k * STEP_NS)
+    for k, off in enumerate([0.0] * 2 + [1.0] * 40 + [0.0] * 10):
+        watch.step(complex(off), 0j, True, k * STEP_NS)
     assert watch.left
     watch.reset()
-    watch.step(1.0, True, 0)
+    watch.step(1.0 + 0j, 0j, True, 0)
     assert not watch.left
 
 
