@@ -8,7 +8,7 @@ watched from where it has been close to it and as fast. Where a path sets off al
 
 ARRIVED = 0.5  # of the limit
 FORESEEN_S = 1.0  # who will still be that close after this, as things move now, is as fast as its path
-AT_ONCE_MPS = 0.05  # from one step to the next: with a second's patience no robot notices less
+AT_ONCE_MPS = 0.05  # a leap of the path's velocity from one step to the next; a smaller one leaves nobody far behind
 LASTS_S = 0.5
 
 
