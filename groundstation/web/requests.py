@@ -8,7 +8,7 @@ LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints 
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
-Gain = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # its own bounds are the station's business
+Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: what is allowed the station tells in words
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 OrderName = Literal["load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop", "return", "rejoin", "test"]
@@ -47,7 +47,7 @@ class Tune(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=T
     """Other gains for the whole fleet: those that are named; none: those before. `n` comes back with the answer."""
 
     n: Count
-    values: Annotated[dict[Annotated[str, msgspec.Meta(max_length=64)], Gain], msgspec.Meta(max_length=64)] | None = None
+    values: Annotated[dict[Annotated[str, msgspec.Meta(max_length=64)], Typed], msgspec.Meta(max_length=64)] | None = None
     next_lap: bool = False
 
 
@@ -55,13 +55,13 @@ class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """Changes of path and formation. What is None stays as it is."""
 
     points_m: Annotated[list[Vec2], msgspec.Meta(min_length=2, max_length=200)] | None = None
-    speed_mps: Metres | None = None
-    diameter_m: Metres | None = None
-    lap_s: Annotated[float, msgspec.Meta(gt=0, le=1e5)] | None = None
-    depth_m: Metres | None = None
-    duration_s: Annotated[float, msgspec.Meta(gt=0, le=36000)] | None = None
+    speed_mps: Typed | None = None
+    diameter_m: Typed | None = None
+    lap_s: Typed | None = None
+    depth_m: Typed | None = None
+    duration_s: Typed | None = None
     mode: Literal["translate", "rotate"] | None = None
-    scale: Metres | None = None
+    scale: Typed | None = None
     nodes_m: Annotated[dict[Annotated[int, msgspec.Meta(ge=1, le=49)], Vec3], msgspec.Meta(max_length=49)] | None = None
 
 

@@ -157,6 +157,17 @@ def test_requests_are_read() -> None:
     assert requests.read_request(text) == requests.Try(1, edit)
 
 
+@pytest.mark.parametrize("key", ["speed_mps", "depth_m", "diameter_m", "lap_s", "duration_s", "scale"])
+@pytest.mark.parametrize("value", [0.0, -1.0, 1e9])
+def test_an_edit_with_a_number_that_cannot_be_is_a_request_and_is_answered(key: str, value: float) -> None:
+    """Whoever types 0.5 has typed 0 first."""
+    request = requests.read_request(json.dumps({"kind": "try", "n": 1, "edit": {key: value}}))
+    assert isinstance(request, requests.Try)
+    answer = editor.attempt(POOL, request.edit)
+    assert not answer["ok"] or (key, value) in {("depth_m", 0.0), ("lap_s", 1e9)}
+    assert answer["ok"] or answer["problems"]
+
+
 @pytest.mark.parametrize(
     "text",
     [

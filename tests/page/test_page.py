@@ -7,6 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from itertools import groupby
 from pathlib import Path
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
-from playwright.sync_api import Browser, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
 from groundstation import planner
 from groundstation.inboxes import listen
@@ -30,8 +31,8 @@ from tests.page.conftest import Asked, Flight, open_page
 from wire import topics
 from wire.bus import Bus
 from wire.codec import decode
-from wire.experiment import load_experiment
-from wire.messages import Mode, RobotState, Tuning
+from wire.experiment import Experiment, load_experiment
+from wire.messages import Mode, Order, RobotState, Tuning
 from wire.runtime import WallClock
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -224,23 +225,63 @@ def test_a_formation_is_dragged_and_judged(page: Page) -> None:
     expect(button(page, "Save")).to_be_disabled()
 
 
+@dataclass
+class Alone:
+    """A station's desk without robots, and a page on it."""
+
+    page: Page
+    url: str
+    status: Status
+    orders: list[Order] = field(default_factory=list)
+
+    def order(self, order: Order) -> str:
+        self.orders.append(order)
+        return ""
+
+
+@contextmanager
+def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
+    port, status = free_port(), Status(Phase.WAITING, "")
+    found = Alone(browser.new_page(viewport={"width": 1440, "height": 900}), f"http://127.0.0.1:{port}/", status)
+    post = Post(lambda: found.status, found.order, deque())
+    with Bus(MemoryTransport(MemoryHub())) as bus:
+        desk = Desk(
+            experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
+        )
+        with WebServer(desk, WebOptions(port=port)):
+            yield found
+            found.page.context.close()
+
+
 @contextmanager
 def editor(browser: Browser) -> Iterator[Page]:
-    """A station's desk without robots, and the editor open on a path of waypoints: the planner needs no robots for that."""
+    """The editor open on a path of waypoints: the planner needs no robots for that."""
     curve = load_experiment(
         "figure-eight", ["path.points_m=[[-0.8,0.0],[0.0,0.3],[0.8,0.0]]", "path.start_index=0", "duration_s=15"]
     )
-    port = free_port()
-    post = Post(lambda: Status(Phase.WAITING, ""), lambda order: "", deque())
-    with Bus(MemoryTransport(MemoryHub())) as bus:
-        desk = Desk(curve, planner.plan(curve), bus, listen(bus, curve.robot_ids), WallClock(), post, "real-time")
-        with WebServer(desk, WebOptions(port=port)):
-            page = browser.new_page(viewport={"width": 1440, "height": 900})
-            page.goto(f"http://127.0.0.1:{port}/")
-            button(page, "Edit").click()
-            expect(page.locator(".verdict")).to_contain_text("can be flown")
-            yield page
-            page.context.close()
+    with alone(browser, curve) as desk:
+        desk.page.goto(desk.url)
+        button(desk.page, "Edit").click()
+        expect(desk.page.locator(".verdict")).to_contain_text("can be flown")
+        yield desk.page
+
+
+def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Browser) -> None:
+    """A request that is none of ours ends the connection, and with it the control over robots that fly: no edit may be one."""
+    with alone(browser, load_experiment("islands")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        button(page, "Edit").click()
+        expect(page.locator(".verdict")).to_contain_text("can be flown")
+        expect(page.get_by_label("speed")).to_have_value("0.15")
+        expect(button(page, "Add waypoint")).to_have_count(0)
+        page.get_by_label("duration").fill("0")
+        expect(page.locator(".verdict")).to_contain_text("duration_s")
+        page.get_by_label("speed").fill("1000000")
+        page.get_by_label("duration").fill("100")
+        expect(page.locator(".verdict")).to_contain_text("cannot be flown")
+        expect(button(page, "You have control")).to_be_visible()
 
 
 def test_a_waypoint_is_dragged_and_judged(browser: Browser) -> None:

@@ -27,6 +27,13 @@ export interface WaypointPath {
   start_index: number;
 }
 
+export interface RoutePath {
+  kind: "route";
+  via_m: [number, number][];
+  speed_mps: number;
+  depth_m: number;
+}
+
 export interface Scene {
   name: string;
   title: string;
@@ -51,7 +58,7 @@ export interface Scene {
   legs_m: [number, number][];
   islands: [number, number, number][]; // x, y, radius
   robots: { id: number; node_m: [number, number, number]; neighbours: number[] }[];
-  path: CirclePath | WaypointPath;
+  path: CirclePath | WaypointPath | RoutePath;
   formation: { mode: "translate" | "rotate"; scale: number };
   knobs: Knob[]; // of the controller, that may be turned in flight
   paths: PathSamples[];

@@ -107,14 +107,16 @@ export function Editor() {
       ) : (
         <>
           <Number_ text="speed" unit="m/s" step={0.01} min={0} value={d.speed} onChange={(speed) => change({ ...d, speed })} />
-          <div class="row">
-            <button type="button" onClick={() => change({ ...d, points: [...d.points, beyond(d.points)] })}>
-              Add waypoint
-            </button>
-            <button type="button" disabled={d.points.length < d.start + 3} onClick={() => change({ ...d, points: d.points.slice(0, -1) })}>
-              Remove last
-            </button>
-          </div>
+          {d.kind === "waypoints" && (
+            <div class="row">
+              <button type="button" onClick={() => change({ ...d, points: [...d.points, beyond(d.points)] })}>
+                Add waypoint
+              </button>
+              <button type="button" disabled={d.points.length < d.start + 3} onClick={() => change({ ...d, points: d.points.slice(0, -1) })}>
+                Remove last
+              </button>
+            </div>
+          )}
         </>
       )}
       <Number_ text="depth" unit="m" step={0.05} min={0} value={d.depth} onChange={(depth) => change({ ...d, depth })} />

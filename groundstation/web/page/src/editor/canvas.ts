@@ -36,7 +36,7 @@ function nodeAt(d: Draft, robot: number): [number, number] {
 }
 
 function handles(d: Draft): [Handle, [number, number]][] {
-  const points = d.points.map((p, index): [Handle, [number, number]] => [{ kind: "point", index }, p]);
+  const points = d.kind === "waypoints" ? d.points.map((p, index): [Handle, [number, number]] => [{ kind: "point", index }, p]) : [];
   const nodes = [...d.nodes.keys()].map((robot): [Handle, [number, number]] => [{ kind: "node", robot }, nodeAt(d, robot)]);
   return [...nodes, ...points];
 }

@@ -6,8 +6,8 @@ import { drawSoon, editing, saved, scene, tried } from "../store";
 import type { Edit, Scene } from "../wire";
 
 export interface Draft {
-  kind: "circle" | "waypoints";
-  points: [number, number][];
+  kind: "circle" | "waypoints" | "route";
+  points: [number, number][]; // of a route: the places that it leads through, which stay as they are
   start: number; // index of the waypoint at which the run begins
   diameter: number;
   lap: number;
@@ -26,11 +26,11 @@ function fromScene(s: Scene): Draft {
   const { path } = s;
   return {
     kind: path.kind,
-    points: path.kind === "waypoints" ? path.points_m.map(([x, y]) => [x, y]) : [],
+    points: path.kind === "waypoints" ? path.points_m.map(([x, y]) => [x, y]) : path.kind === "route" ? path.via_m : [],
     start: path.kind === "waypoints" ? path.start_index : 0,
     diameter: path.kind === "circle" ? path.diameter_m : 0,
     lap: path.kind === "circle" ? path.lap_s : 0,
-    speed: path.kind === "waypoints" ? path.speed_mps : 0,
+    speed: path.kind === "circle" ? 0 : path.speed_mps,
     depth: path.depth_m,
     duration: s.duration_s,
     mode: s.formation.mode,
@@ -53,7 +53,8 @@ editing.subscribe((on) => {
 });
 
 export function toEdit(d: Draft): Edit {
-  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { points_m: d.points, speed_mps: d.speed };
+  const path: Edit = d.kind === "circle" ? { diameter_m: d.diameter, lap_s: d.lap } : { speed_mps: d.speed };
+  if (d.kind === "waypoints") path.points_m = d.points;
   return { ...path, depth_m: d.depth, duration_s: d.duration, mode: d.mode, scale: d.scale, nodes_m: Object.fromEntries(d.nodes) };
 }
 
