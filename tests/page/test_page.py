@@ -284,6 +284,17 @@ def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Bro
         expect(button(page, "You have control")).to_be_visible()
 
 
+def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        desk.status = replace(desk.status, preflight=("robot 1: thruster test: not done (groundstation order test)",))
+        desk.page.goto(desk.url)
+        expect(desk.page.locator(".preflight")).to_contain_text("thruster test: not done")
+        expect(button(desk.page, "Start")).to_be_disabled()
+        button(desk.page, "Test thrusters").click()
+        expect(desk.page.locator(".given")).to_contain_text("test under way")
+        assert desk.orders == [Order.TEST]
+
+
 def test_a_waypoint_is_dragged_and_judged(browser: Browser) -> None:
     with editor(browser) as page:
         verdict = page.locator(".verdict")

@@ -24,7 +24,7 @@ const SOMETIMES: Button[] = [
   { order: "load", text: "Load again", keys: "" },
   { order: "return", text: "Return to start", keys: "Shift+B" },
   { order: "rejoin", text: "Rejoin", keys: "" },
-  { order: "test", text: "Test thrusters", keys: "", checked: true },
+  { order: "test", text: "Test thrusters", keys: "" }, // preflight may be waiting for just this one: the station judges
 ];
 
 function whyNot(state: Snapshot, button: Button): string {
