@@ -284,6 +284,21 @@ def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Bro
         expect(button(page, "You have control")).to_be_visible()
 
 
+def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page, quiet = desk.page, desk.status
+        loud = replace(quiet, recorder_error="no space left")
+        desk.status = loud
+        page.goto(desk.url)
+        button(page, "Silence").click()
+        expect(button(page, "Silence")).to_have_count(0)
+        expect(page.get_by_label("Alarms")).to_contain_text("no space left")
+        desk.status = quiet
+        expect(page.get_by_label("Alarms")).not_to_contain_text("no space left")
+        desk.status = loud
+        expect(button(page, "Silence")).to_be_visible()
+
+
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
     with alone(browser, load_experiment("pool")) as desk:
         desk.status = replace(desk.status, preflight=("robot 1: thruster test: not done (groundstation order test)",))

@@ -40,6 +40,8 @@ effect(() => {
   const current = alarms.value;
   const causes = new Set(current.map((alarm) => alarm.key));
   for (const key of known) if (!causes.has(key)) known.delete(key);
+  const gone = [...silenced.peek()].some((key) => !causes.has(key)); // what comes again was not silenced
+  if (gone) silenced.value = new Set([...silenced.peek()].filter((key) => causes.has(key)));
   const fresh = current.filter((alarm) => !known.has(alarm.key));
   for (const alarm of fresh) known.add(alarm.key);
   const worst = fresh.find((alarm) => alarm.level === "critical") ?? fresh[0];
