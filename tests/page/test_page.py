@@ -299,6 +299,32 @@ def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
         expect(button(page, "Silence")).to_be_visible()
 
 
+def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser: Browser) -> None:
+    """The page cannot know yet: what it says goes into a buffer, and is lost with it."""
+    with alone(browser, load_experiment("pool")) as desk:
+        page, lines, dead = desk.page, list[WebSocketRoute](), set[int]()
+
+        def between(line: WebSocketRoute) -> None:
+            lines.append(line)
+            station, number = line.connect_to_server(), len(lines)
+            line.on_message(lambda said: None if number in dead else station.send(said))
+
+        page.route_web_socket("**/live", between)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        dead.add(1)
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+        assert desk.orders == []
+        lines[0].close()
+        expect(page.locator(".given")).to_contain_text("stop under way")
+        assert desk.orders == [Order.STOP]
+        lines[1].close()
+        expect(button(page, "You have control")).to_be_visible()
+        page.wait_for_timeout(500)
+        assert desk.orders == [Order.STOP]  # answered: not again
+
+
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
     with alone(browser, load_experiment("pool")) as desk:
         desk.status = replace(desk.status, preflight=("robot 1: thruster test: not done (groundstation order test)",))

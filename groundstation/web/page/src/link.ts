@@ -12,7 +12,7 @@ const ROUND_TRIP_EVERY_MS = 1000; // the slowest of this time is shown: to write
 let socket: WebSocket | null = null;
 let retryMs = FIRST_RETRY_MS;
 let serial = 0;
-let stopWanted = false;
+let stopAsked = 0; // number of an emergency stop that has not been answered; 0: none
 let wantsControl = true;
 let slowestMs = 0;
 let roundTripAtMs = 0;
@@ -39,7 +39,7 @@ export function connect(): void {
     refusal.value = "";
     say({ kind: "hello", token: token() });
     if (wantsControl) say({ kind: "take" });
-    if (stopWanted) order("stop");
+    if (stopAsked) order("stop");
   };
   opened.onmessage = (message: MessageEvent<ArrayBuffer>) => {
     const received = read(message.data);
@@ -49,6 +49,7 @@ export function connect(): void {
       roundTripAtMs = performance.now();
       [roundTripMs.value, slowestMs] = [slowestMs, 0];
     }
+    if (received.frame.k === "reply" && received.frame.n === stopAsked) stopAsked = 0;
     take(received.frame);
     say({ kind: "ack", n: received.n });
   };
@@ -67,10 +68,12 @@ export function say(request: Request): boolean {
   return true;
 }
 
-/** Give an order to the whole fleet; what becomes of it appears in `given`. A stop that cannot be sent now is sent on return. */
+/** Give an order to the whole fleet; what becomes of it appears in `given`. A stop that is not answered, because it cannot be
+ * sent now or goes into a connection that is dead and does not know it yet, is sent on return. */
 export function order(name: OrderName): void {
-  const sent = give(name, { kind: "order", n: nextSerial(), order: name });
-  stopWanted = name === "stop" && !sent;
+  const n = nextSerial();
+  if (name === "stop") stopAsked = n;
+  give(name, { kind: "order", n, order: name });
 }
 
 /** Other gains for the whole fleet; null: those before. */
@@ -78,11 +81,10 @@ export function tune(values: Record<string, number> | null, nextLap: boolean): v
   give(values === null ? "undo" : "gains", { kind: "tune", n: nextSerial(), values, next_lap: nextLap });
 }
 
-function give(text: string, request: Request & { n: number }): boolean {
+function give(text: string, request: Request & { n: number }): void {
   const sent = say(request);
   const reason = sent ? "" : "no connection to the station";
   given.value = [{ n: request.n, order: text, outcome: sent ? ("sent" as const) : ("not sent" as const), reason, answers: [] }, ...given.value].slice(0, 8);
-  return sent;
 }
 
 export function takeControl(over: boolean): void {
