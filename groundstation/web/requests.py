@@ -8,7 +8,7 @@ LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints 
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
 Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
-Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: what is allowed the station tells in words
+Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: the station says what is allowed
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
 OrderName = Literal["load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop", "return", "rejoin", "test"]
