@@ -47,6 +47,10 @@ class Draw(Section):
         pair = self.uniform or self.normal
         if pair is not None and np.shape(pair[0]) != np.shape(pair[1]):
             raise ValueError(f"{given[0]}: the two must have as many components as each other")
+        if self.uniform is not None and np.any(np.less(self.uniform[1], self.uniform[0])):
+            raise ValueError(f"uniform: {list(self.uniform)}: must be from, to (allowed: the second not below the first)")
+        if self.normal is not None and np.any(np.less(self.normal[1], 0.0)):
+            raise ValueError(f"normal: {list(self.normal)}: must be mean, standard deviation (allowed: the second from 0 on)")
         return self
 
     def sample(self, random: np.random.Generator) -> Any:
@@ -118,4 +122,6 @@ def _short(value: Any) -> Any:
 def _toml(value: Any) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_toml, value))}]"
+    if isinstance(value, dict):  # in one line
+        return f"{{{', '.join(f'{_toml(key)} = {_toml(item)}' for key, item in value.items())}}}"
     return tomli_w.dumps({"v": value}).removeprefix("v = ").strip()

@@ -40,13 +40,15 @@ def run(
     if journal.exists() and not resume:
         raise ConfigError(f"{folder}: holds a campaign already (--resume goes on with it, --out DIR begins another)")
     folder.mkdir(parents=True, exist_ok=True)
-    rows = {row["index"]: row for row in _read(journal)}
-    hashes = {flight.index: experiment.hash for flight, experiment in wanted}
-    rows = {index: row for index, row in rows.items() if hashes.get(index) == row["hash"]}  # flown as it is wanted now
+    said = journal.read_text(encoding="utf-8") if journal.exists() else ""
+    kept = {row["hash"]: row for row in _rows(said)}
+    found = ((flight, kept.get(experiment.hash)) for flight, experiment in wanted)  # flown as it is wanted now
+    rows = {f.index: {**row, "index": f.index, "seed": f.seed, **f.values} for f, row in found if row is not None}
     todo = [(flight, experiment) for flight, experiment in wanted if flight.index not in rows]
     console.print(f"{campaign.title or campaign.name}: {len(wanted)} flights, {len(rows)} flown already, into {folder}")
     try:
         with journal.open("a", encoding="utf-8") as file, _executor(workers, scheduler) as executor:
+            file.write("\n" if said and not said.endswith("\n") else "")  # behind a line that was torn
             for row in _fly(executor, todo, len(wanted), stop, console):
                 rows[row["index"]] = row
                 file.write(json.dumps(row) + "\n")
@@ -70,11 +72,9 @@ def _experiment(campaign: Campaign, flight: Flight) -> Experiment:
     return experiment
 
 
-def _read(journal: Path) -> Iterator[dict[str, Any]]:
+def _rows(journal: str) -> Iterator[dict[str, Any]]:
     """Its lines; the last may be torn."""
-    if not journal.exists():
-        return
-    for line in journal.read_text(encoding="utf-8").splitlines():
+    for line in journal.splitlines():
         try:
             yield json.loads(line)
         except ValueError:
@@ -130,5 +130,13 @@ def _table(campaign: Campaign, rows: list[dict[str, Any]]) -> pa.Table:
     """All rows with all columns; how to fly a row again is a column too."""
     commands = {flight.index: flight.command(campaign) for flight in flights(campaign)}
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    data = {column: [row.get(column) for row in rows] for column in columns}
+    data = {column: _column([row.get(column) for row in rows]) for column in columns}
     return pa.table({**data, "command": [commands[row["index"]] for row in rows]})
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """As they are; as JSON where a key was given values of several kinds, such as a number and a list."""
+    try:
+        return pa.array(values)
+    except (pa.ArrowException, OverflowError):
+        return pa.array([None if value is None else json.dumps(value) for value in values])

@@ -77,6 +77,9 @@ def test_draws_are_from_their_distributions_and_repeat() -> None:
     [
         ({"draw": {"a": {"uniform": [0.0, 1.0], "choice": [1]}}}, "draw.a: has uniform and choice (allowed: one of"),
         ({"draw": {"a": {"normal": [[0.0, 1.0], 1.0]}}}, "draw.a: normal: the two must have as many components"),
+        ({"draw": {"a": {"uniform": [0.3, -0.3]}}}, "draw.a: uniform: [0.3, -0.3]: must be from, to"),
+        ({"draw": {"a": {"uniform": [[0.0, 1.0], [1.0, 0.0]]}}}, "must be from, to"),
+        ({"draw": {"a": {"normal": [0.0, -1.0]}}}, "draw.a: normal: [0.0, -1.0]: must be mean, standard deviation"),
         ({"draw": {"sim.plant.mass_error": {"choice": [1]}}}, "sim.plant.mass_error: cannot be set twice"),
         ({"sweep": {"seed": [1]}}, "seed: cannot be set twice"),
         ({"sweep": {"a": []}}, "must be a list of at least 1"),
@@ -143,6 +146,24 @@ def test_it_goes_on_where_it_was(flown: Path, tmp_path: Path) -> None:
         row.pop("wall_s")
     assert fresh == kept
     assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 5
+
+
+def test_any_key_can_be_swept_and_a_grown_campaign_goes_on(tmp_path: Path) -> None:
+    """Lists, tables, numbers beside lists. What is torn at the journal's end takes nothing else with it, what was flown is
+    kept wherever it stands now, and the report has each value once."""
+    journal, fault = tmp_path / "journal.jsonl", {"at_s": 0.1, "what": "thruster 2/3 dead"}
+    small: dict[str, Any] = {"sim.faults": [[], [fault]], "sim.plant.current_mps": [[0.01, 0.0, 0.0]]}
+    large = {"sim.faults": [[], [fault]], "sim.plant.current_mps": [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]]}
+    for sweep, flights_flown in ((small, 2), ({**large, "sim.plant.disturbance_hz": [0.0, [0.1, 0.2]]}, 8)):
+        assert fly(campaign(seeds=1, draw={}, sweep=sweep, settings=["duration_s=0.3"]), tmp_path, resume=True) == 0
+        whole = [line for line in journal.read_text().splitlines() if line.endswith("}")]
+        assert len({json.loads(line)["hash"] for line in whole}) == len(whole) == flights_flown
+        journal.write_text(journal.read_text() + whole[-1][:40])
+    found = rows(tmp_path)
+    assert [len(row["sim.faults"]) for row in found] == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert [json.loads(row["sim.plant.disturbance_hz"]) for row in found] == [0.0, [0.1, 0.2]] * 4
+    page = (tmp_path / "report.html").read_text()
+    assert [page.count(f"<td>{cell}</td>") for cell in ("(0.01, 0.0, 0.0)", "[0.01, 0.0, 0.0]")] == [1, 0]
 
 
 def test_a_refused_plan_is_a_row(tmp_path: Path) -> None:
