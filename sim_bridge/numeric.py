@@ -162,7 +162,7 @@ class AgentFleet:
         self.held = False  # robots are kept in place: the water's time stands
         self.truth: list[Array] = []  # poses (n, 4) at each control step
         self.ahead_ns = [0] * len(self.robots)  # by how much each robot's own clock is ahead of `now_ns`
-        self._start_ns = 0
+        self._start_ns = self._begin = 0
         self._water, self._clock_ns = water, clock_ns
         self._latency_ns = round(experiment.sim.latency_s * NS)
         self._located = Located(experiment, seed)
@@ -204,7 +204,7 @@ class AgentFleet:
                     raise RuntimeError(f"robot {reply.robot}: {order.name}: {reply.reason}")
         self._start_ns = self.now_ns + self.period_ns
         self.step()
-        self.held = False
+        self.held, self._begin = False, len(self.truth)
 
     def step(self) -> None:
         """One control period of water, then one control step of every robot."""
@@ -216,10 +216,12 @@ class AgentFleet:
             self.think(i, plans)
 
     def errors(self) -> Array:
-        """Truth minus reference (steps, n, 4) since the trajectories began, yaw to the path's tangent."""
-        begin = next(k for k, state in enumerate(self.robots[0].states) if state.trajectory_s > 0.0)
-        reference = np.array([[state.eta_reference for state in robot.states[begin:]] for robot in self.robots])
-        return pose_error(np.array(self.truth[begin:]), reference.transpose(1, 0, 2))
+        """Truth minus reference (steps, n, 4) since the trajectories began, yaw to the path's tangent. The reference is the
+        trajectory's: a robot that has given up says that it is where it should be."""
+        truth = np.array(self.truth[self._begin :])
+        time_s = np.arange(1.0, len(truth) + 1.0) * (self.period_ns / NS)
+        reference = [_poses(self.trajectories[robot], time_s) for robot in self.experiment.robot_ids]
+        return pose_error(truth, np.stack(reference, axis=1))
 
     def _move(self) -> None:
         """The water up to the next control step, and the exposure that will be seen at it or later."""
@@ -271,6 +273,12 @@ class AgentFleet:
     def station(self) -> StationView:
         """The station as the robots hear it."""
         return StationView(STATION_SESSION, self.now_ns, 0.0)
+
+
+def _poses(trajectory: Trajectory, time_s: Array) -> Array:
+    """The reference (n, 4) at n instants."""
+    grid = trajectory.period_s * np.arange(len(trajectory.eta))
+    return np.array([np.interp(time_s, grid, column) for column in trajectory.eta.T]).T
 
 
 def fly(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:

@@ -71,18 +71,9 @@ def fly(task: Task) -> Flight:
     while fleet.time_s < task.experiment.duration_s - 1e-9:
         fleet.step()
     states, truth = [robot.states[begin:] for robot in fleet.robots], np.array(fleet.truth[begin:])
-    # Not what the robots say of their reference: one that has given up says that it is where it should be.
-    time_s = np.array([task.experiment.controller.period_s * k for k in range(1, len(truth) + 1)])
-    reference = np.array([_poses(trajectory, time_s) for trajectory in fleet.trajectories.values()])
-    error = pose_error(truth, reference.transpose(1, 0, 2))
+    error = fleet.errors()
     traces = _traces(task, states, error) if task.look else None
     return Flight(task.seed, _figures(task.experiment, states, truth, error), traces)
-
-
-def _poses(trajectory: Trajectory, time_s: Array) -> Array:
-    """The reference (n, 4) at n instants."""
-    grid = trajectory.period_s * np.arange(len(trajectory.eta))
-    return np.array([np.interp(time_s, grid, column) for column in trajectory.eta.T]).T
 
 
 def _figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> Figures:

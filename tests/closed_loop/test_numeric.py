@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from benchmarks import flights
 from benchmarks.flights import Flight, prepared
+from sim_bridge.measures import measures
 from sim_bridge.numeric import fly
 from wire import topics
 from wire.experiment import load_experiment
@@ -53,6 +55,21 @@ def test_the_whole_run_is_near_the_best_that_the_start_allows(name: str) -> None
     cost = np.sum(flight.error**2, axis=(0, 2)) * flight.experiment.controller.period_s
     assert np.all(np.sqrt(cost / np.array(OPTIMUM[name])) < 1.12)  # RMS; asked for: 1.15
     assert np.all(np.sqrt(cost / np.array(OPTIMUM[name])) > 0.99)  # nobody is better than the optimum
+
+
+def test_a_robot_that_has_given_up_is_as_wrong_as_it_is() -> None:
+    """Held against the trajectory's own spline: the robot says of itself that it is where it should be."""
+    fleet, water = prepared(load_experiment("numeric", ["duration_s=8"], ["t=2 thruster 2/3 dead"]))
+    fleet.start()
+    for _ in fly(fleet, water):
+        pass
+    assert fleet.robots[1].states[-1].mode is Mode.FAULT
+    planned = fleet.trajectories[2]
+    path = CubicHermiteSpline(planned.period_s * np.arange(len(planned.eta)), planned.eta, planned.velocity)
+    missed_m = water.eta[1, :3] - path(8.0)[:3]
+    assert np.linalg.norm(missed_m) > 1.0
+    np.testing.assert_allclose(fleet.errors()[-1, 1, :3], missed_m, atol=1e-3)
+    assert (measures(fleet)["rms_m"] or 0.0) > 0.3
 
 
 def test_a_formation_that_turns_with_its_path_is_tracked_too() -> None:
