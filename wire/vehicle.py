@@ -54,6 +54,12 @@ class Legs(Section):
     ankle_us: tuple[Microseconds, Microseconds]
     idle_thrust_n: NotNegative
 
+    @model_validator(mode="after")
+    def _ankles_can_turn(self) -> Self:
+        if self.ankle_us[0] >= self.ankle_us[1]:
+            raise ValueError(f"ankle_us = {list(self.ankle_us)}: must rise: at -ankle_range_rad, at +ankle_range_rad")
+        return self
+
 
 class Thruster(Section):
     """One thruster with its speed controller: static curve (microseconds to newtons) and dynamics."""
