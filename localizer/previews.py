@@ -26,7 +26,8 @@ _RED = (60, 60, 220)
 
 
 class Rate:
-    """Lets one through each period, by stamps; a clock that was set back does not silence it."""
+    """Lets one through each period, by stamps: the nearest, as a camera is early by a little as often as late, and its own
+    rate need be no multiple. A clock that was set back does not silence it."""
 
     def __init__(self, rate_hz: float) -> None:
         self._period_ns = round(1e9 / rate_hz) if rate_hz > 0 else None
@@ -34,11 +35,11 @@ class Rate:
 
     def due(self, stamp_ns: int) -> bool:
         """Whether it is time again."""
-        back = stamp_ns < self._last_ns
-        self._last_ns = stamp_ns
-        if self._period_ns is None or (stamp_ns < self._next_ns and not back):
+        since_ns, self._last_ns = stamp_ns - self._last_ns, stamp_ns
+        if self._period_ns is None or 0 <= since_ns < 2 * (self._next_ns - stamp_ns):  # the next one will be nearer
             return False
-        self._next_ns = stamp_ns + self._period_ns
+        follows = since_ns >= 0 and stamp_ns < self._next_ns + self._period_ns
+        self._next_ns = (self._next_ns if follows else stamp_ns) + self._period_ns
         return True
 
 

@@ -306,6 +306,16 @@ def test_nobody_looks_for_obstacles_who_was_not_asked_or_moves(scene: str, setti
 
 def test_previews_keep_their_rate_and_survive_a_clock_set_back() -> None:
     rate = Rate(5.0)
-    stamps = [1000, 1100, 1190, 1200, 1390, 1400, 20, 100, 220]
-    assert [stamp for stamp in stamps if rate.due(stamp * MS)] == [1000, 1200, 1400, 20, 220]
+    stamps = [1000, 1100, 1201, 1300, 1399, 1500, 20, 100, 220]
+    assert [stamp for stamp in stamps if rate.due(stamp * MS)] == [1000, 1201, 1399, 20, 220]
     assert not any(Rate(0.0).due(stamp) for stamp in stamps)
+
+
+@pytest.mark.parametrize(("camera_hz", "wanted_hz"), [(20, 20.0), (20, 15.0), (20, 5.0), (30, 20.0), (60, 25.0), (10, 20.0)])
+def test_as_many_go_through_as_asked_for_however_unevenly_a_camera_ticks(camera_hz: int, wanted_hz: float) -> None:
+    jitter_ns = np.random.default_rng(1).normal(0.0, 0.5e6, 60 * camera_hz)
+    stamps = 10**18 + np.arange(60 * camera_hz) * 1_000_000_000 // camera_hz + jitter_ns.astype(np.int64)
+    rate = Rate(wanted_hz)
+    passed = np.array([stamp for stamp in stamps.tolist() if rate.due(stamp)])
+    assert len(passed) == pytest.approx(60 * min(wanted_hz, camera_hz), abs=2)
+    assert np.diff(passed).max() < 1e9 / min(wanted_hz, camera_hz) + 1e9 / camera_hz
