@@ -94,7 +94,7 @@ def evaluate(
     if recording.suffix == ".mcap":
         rows: evaluate_shell.Rows = evaluate_shell.evaluate_log(recording)
     elif truth is None:
-        raise ConfigError(f"{recording}: a video needs --truth FILE")
+        raise ConfigError(f"{recording}: no log (a run's is RUN/run.mcap), and a video needs --truth FILE")
     elif experiment is None:
         rows = evaluate_shell.evaluate_plain(recording, truth, box, frames)
     else:

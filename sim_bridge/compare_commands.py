@@ -18,7 +18,7 @@ def compare(
     experiment: ExperimentName,
     laws: Annotated[str, typer.Option(metavar="NAMES", help="Whom to compare, with commas; default: all of --list.")] = "",
     seeds: Annotated[str, typer.Option(metavar="FIRST-LAST", help="Seeds; each is flown by everyone.")] = "1-10",
-    scatter: Annotated[float, typer.Option(help="Starts are moved by up to this much per seed, m and rad.")] = 0.1,
+    scatter: Annotated[float, typer.Option(min=0.0, help="Starts are moved by up to this much per seed, m and rad.")] = 0.1,
     duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
     jobs: Jobs = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results; default: runs/compare-EXPERIMENT-TIME.")] = None,
@@ -43,12 +43,12 @@ def compare(
         for name, changes in VARIANTS.items():
             typer.echo(f"{name:26} {' '.join(changes)}")
         return
-    console, chosen = Console(), _names(laws, VARIANTS, "--laws")
+    console, chosen, flown = Console(), _names(laws, VARIANTS, "--laws"), _range(seeds)
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, asked).name
     folder = out or Path("runs") / f"compare-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     folder.mkdir(parents=True, exist_ok=True)
-    raise typer.Exit(comparing.run(experiment, asked, chosen, _range(seeds), scatter, _cores(jobs), folder, console))
+    raise typer.Exit(comparing.run(experiment, asked, chosen, flown, scatter, _cores(jobs), folder, console))
 
 
 def tune(
