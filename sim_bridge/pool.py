@@ -141,7 +141,7 @@ class Pool:
     # --- by the wall clock
 
     def _run_wall(self, world: World) -> None:
-        shots: queue.Queue[Shot | None] = queue.Queue(1)
+        shots: queue.Queue[Shot | None] = queue.Queue(1 if isinstance(self._eye, Renderer) else 0)  # poses only wait there
         camera = threading.Thread(target=self._camera, args=(shots,), name="camera")
         camera.start()
         begin_ns = self._clock.now_ns()
