@@ -88,7 +88,8 @@ class Hover:
                 for plane, (down, right) in zip((column, row), shifts, strict=True)
             )
             seen = cv2.remap(self._planes[channel], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            raw[i::2, j::2] = cv2.add(cv2.multiply(seen, light, dtype=cv2.CV_8U), glare)
+            spot = raw[i::2, j::2]  # of an odd picture's last square a part
+            spot[:] = cv2.add(cv2.multiply(seen, light, dtype=cv2.CV_8U), glare)[: spot.shape[0], : spot.shape[1]]
         return scene, raw
 
     def _metres(self, count: int, axis: int) -> Float:
@@ -125,4 +126,4 @@ def _halved(blocks: Float, view: View) -> Float:
     """Values at the middles of all blocks, interpolated to the middle of every 2 x 2 pixels."""
     rows, columns = blocks.shape
     fine = cv2.resize(blocks, (columns * BLOCK // 2, rows * BLOCK // 2), interpolation=cv2.INTER_LINEAR)
-    return np.ascontiguousarray(fine[: view.height // 2, : view.width // 2], dtype=np.float32)
+    return np.ascontiguousarray(fine[: (view.height + 1) // 2, : (view.width + 1) // 2], dtype=np.float32)

@@ -113,3 +113,13 @@ def test_lines_of_sight_of_a_moved_camera_are_exact() -> None:
     points = np.stack([lines.surface_x + lines.water_x, lines.surface_y + lines.water_y, np.ones_like(lines.water_x)], axis=-1)
     seen = project(tilted, points.reshape(-1, 3).astype(float)).reshape(*column.shape, 2)
     assert np.abs(seen - np.stack([column, row], axis=-1)).max() < 0.002
+
+
+def test_a_picture_of_odd_size_is_the_even_one_less_its_edge() -> None:
+    small = (*STILL, "sim.picture.vignetting=0", "camera.focal_px=[250.0, 250.0]", "camera.centre_px=[160.0, 120.0]")
+    odd, even = (
+        Renderer(load_experiment("drone", [*small, f"camera.size_px={size}"]), 1).render(AWAY, REST, 1.7, 0)
+        for size in ("[321, 241]", "[322, 242]")
+    )
+    assert odd.shape == (241, 321)
+    np.testing.assert_array_equal(odd, even[:241, :321])
