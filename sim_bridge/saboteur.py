@@ -21,7 +21,7 @@ class Saboteur:
 
     def __init__(self, experiment: Experiment, children: Children, bus: Bus) -> None:
         self._waiting = [fault for fault in experiment.sim.faults if fault.broken.kind in OF_PROCESSES]
-        self._broken: list[Fault] = []  # what will be whole again
+        self._broken: list[Fault] = []  # what is not whole again
         self._children, self._bus, self._clock = children, bus, WallClock()
         self._start_s: float | None = None
         self.killed: set[str] = set()  # whose end is no trouble
@@ -36,16 +36,23 @@ class Saboteur:
         time_s = now_s - self._start_s
         for fault in [f for f in self._waiting if f.at_s <= time_s]:
             self._waiting.remove(fault)
-            self._broken += [fault] if fault.for_s is not None else []
+            self._broken.append(fault)
             self._do(fault, undo=False)
         for fault in [f for f in self._broken if not f.holds(time_s)]:
             self._broken.remove(fault)
             self._do(fault, undo=True)
 
     def _do(self, fault: Fault, undo: bool) -> None:
+        if fault.broken.effect == "killed":
+            self.killed.add(fault.broken.process)
+        what = fault.broken.kind, fault.broken.process
+        alike = [other for other in self._broken if undo and (other.broken.kind, other.broken.process) == what]
+        self._inflict(alike[-1] if alike else fault, undo and not alike)
+        text = f"fault over: {fault.what}" if undo else f"fault: {fault.what}"
+        self._bus.publish(topics.EVENT, Event(INFO, "sim-bridge", text), self._clock.now_ns())
+
+    def _inflict(self, fault: Fault, undo: bool) -> None:
         broken = fault.broken
-        if broken.effect == "killed":
-            self.killed.add(broken.process)
         for child in self._children.all:
             if child.exit_code is None and child.name == (broken.process or "groundstation"):
                 match broken.kind:
@@ -56,8 +63,6 @@ class Saboteur:
                     case "clock":
                         offset_s = 0.0 if undo else broken.value
                         self._children.clock_file(child.name).write_text(f"{offset_s}\n", encoding="utf-8")
-        text = f"fault over: {fault.what}" if undo else f"fault: {fault.what}"
-        self._bus.publish(topics.EVENT, Event(INFO, "sim-bridge", text), self._clock.now_ns())
 
     def _signal(self, child: Child, effect: str, undo: bool) -> None:
         child.process.send_signal(signal.SIGCONT if undo else signal.SIGKILL if effect == "killed" else signal.SIGSTOP)

@@ -87,7 +87,7 @@ class Drifter(Section):
 class Sim(Section):
     """Everything that only the simulator reads."""
 
-    # lockstep and numeric flights: from the middle of an exposure to the control step
+    # in lockstep, numeric flights and with --poses: from the middle of an exposure to the control step
     latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03
     numeric: Numeric = Numeric()
     plant: Plant = Plant()

@@ -26,14 +26,34 @@ def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:
             saboteur = Saboteur(load_experiment("pool", faults=lines), children, bus)
             saboteur.act(0.0)
             assert saboteur._start_s is None  # the robots have not started: nothing breaks
-            begin_s, was_stopped = time.monotonic(), False
-            while time.monotonic() - begin_s < 20.0 and (not was_stopped or saboteur._broken or two.exit_code is None):
+            until_s, was_stopped = time.monotonic() + 20.0, False
+            while time.monotonic() < until_s and (not was_stopped or len(saboteur._broken) != 1 or two.exit_code is None):
                 saboteur.act(0.01)
                 was_stopped |= psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
                 time.sleep(0.01)
             assert was_stopped and two.exit_code == -9
             assert psutil.Process(one.process.pid).status() != psutil.STATUS_STOPPED
             assert saboteur.killed == {"agent-2"}
+    finally:
+        children.stop()
+
+
+def test_what_holds_on_outlives_a_shorter_fault_of_the_same_program(tmp_path: Path) -> None:
+    """Stopped for good, and once more for a moment; a clock an hour off, and a minute for a moment."""
+    lasting = ["t=0.1 process agent-1 stopped", "t=0.1 clock agent-2 step 3600"]
+    passing = ["t=0.2 for=0.2 process agent-1 stopped", "t=0.2 for=0.2 clock agent-2 step 60"]
+    children = Children(tmp_path)
+    try:
+        one, _ = (children.start(f"agent-{i}", "http.server", ["0"]) for i in (1, 2))
+        with Bus(MemoryTransport(MemoryHub())) as bus:
+            saboteur = Saboteur(load_experiment("pool", faults=lasting + passing), children, bus)
+            begin_s, most = time.monotonic(), 0
+            while time.monotonic() - begin_s < 20.0 and not (most == 4 and len(saboteur._broken) == 2):
+                saboteur.act(0.01)
+                most = max(most, len(saboteur._broken))
+                time.sleep(0.01)
+        assert psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
+        assert float(children.clock_file("agent-2").read_text()) == 3600.0
     finally:
         children.stop()
 
