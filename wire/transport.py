@@ -35,6 +35,7 @@ UNCOLLECTED = 8192  # messages of a subscription that wait to be collected: 20 s
 UNCOLLECTED_IMAGES = 256  # 12 s, in some 30 MB
 TRY_AGAIN_S = 0.2
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
+NO_ANSWER = "something listens there, but does not answer as a station without keys (one that has them wants --keys FOLDER)"
 
 # Zenoh's own log, on stdout, of a router with keys: who came in under which name, whose certificate was refused, and who is
 # not on the list. What a member tries beyond its rights Zenoh drops without a word (1.10: decides once per key).
@@ -104,7 +105,7 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            reason = trouble_reaching(endpoint.address, endpoint.keys) or str(error)
+            reason = trouble_reaching(endpoint.address, endpoint.keys) or (str(error) if endpoint.keys else NO_ANSWER)
         now_s = time.monotonic()
         if stopped():
             raise Unreached(f"stopped while waiting for the station at {endpoint.address}: {reason}")

@@ -114,6 +114,12 @@ def test_a_reason_is_given_for_every_way_of_not_being_there(ring: Path) -> None:
             ZenohTransport(Endpoint(address, router=True))
     finally:
         plain.close()
+    guarded = ZenohTransport(endpoint(address, "groundstation", ring, router=True))
+    try:
+        with pytest.raises(Unreached, match=r"wants --keys FOLDER"):  # what is easily forgotten
+            ZenohTransport(Endpoint(address), patience_s=0.1)
+    finally:
+        guarded.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
