@@ -15,7 +15,8 @@ LayoutFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="
 Foxglove = Annotated[
     str | None,
     typer.Option(
-        metavar="HOST:PORT", help="Serve Foxglove-family viewers there, e.g. 127.0.0.1:8765. They see, and send nothing."
+        metavar="HOST:PORT",
+        help="Serve Foxglove-family viewers there, e.g. 127.0.0.1:8765. Whoever reaches it sees all, and can send nothing.",
     ),
 ]
 
