@@ -65,6 +65,7 @@ class Shell:
         self._hurry = threading.Event()  # an order took the power away: the thrusters are not to wait for the next pose
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._dropped = 0  # frames of the board, for their signature
+        self._trouble = ""  # that the link was last said to have
         self._budget_ns = round(BUDGET * experiment.controller.period_s * 1e9)
         self._missed = self._late_steps = 0
         self._steps = self._orders = 0  # of this agent, as the log counts them
@@ -97,6 +98,13 @@ class Shell:
                 self._signing.stamps.renew(self._mavlink.stamp)
             except OSError as error:  # a full disk is no reason to stop; only a restart would come too early for the board
                 log.warning("the times of signatures cannot be kept: %s", error)
+
+    def _tell_of_link(self) -> None:
+        """Say why nothing gets through to the board, when that changes: a device that is not there, or that another has."""
+        trouble = self._link.trouble
+        if trouble and trouble != self._trouble:
+            log.warning("thruster board: %s", trouble)
+        self._trouble = trouble
 
     def _tell_of_strangers(self) -> None:
         """Say that frames were dropped for their signature, once a second at most."""
@@ -239,6 +247,7 @@ class Shell:
             self._link.send(self._mavlink.arm(outputs.arm))
         if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
             self._link_heartbeat_s = now_ns * 1e-9
+            self._tell_of_link()
             self._greet()
             self._tell_of_strangers()
         self._link.send(self._mavlink.pulses(outputs.pulse_us))

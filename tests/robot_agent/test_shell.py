@@ -44,3 +44,22 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     assert told is not None
     assert told.message.mode is {Order.STOP: Mode.STOPPED, Order.DISARM: Mode.DISARMED}[order]
     assert set(told.message.pulse_us) == {1500}
+
+
+def test_a_board_that_is_not_there_is_named_and_once_is_enough(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(shell, "LINK_HEARTBEAT_S", 0.0)
+    hub, stop, link = MemoryHub(), Stop(install=False), open_link("serial:/dev/none")
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    heard = station.inbox(topics.STATE, RobotState, 1)
+    thread = threading.Thread(target=shell.Shell(load_experiment("pool"), 1, bus, link, False, stop).run)
+    thread.start()
+    try:
+        assert wait(station, stop, lambda: (header := heard.newest_header()) is not None and header.sequence > 3, PATIENCE_S)
+    finally:
+        stop.request()
+        thread.join()
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+        "thruster board: /dev/none: not there; is the board plugged in, and powered?"
+    ]
