@@ -17,6 +17,7 @@ from wire.frames import Array
 from wire.messages import Mode, Plan, Pose, RobotState, Solve, Track
 from wire.runtime import Clock, age_s
 
+NEVER_S = 1000.0  # old is what an agent says that it never heard
 LOSSY = 0.2  # share of messages: above it echoes, batteries and poses are old
 LATE_SHARE = 0.5  # of the control period: the budget of a step
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the basin is wrong
@@ -179,7 +180,8 @@ def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
 def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
     age_s = state.board_age_ms * 1e-3
     if age_s > topics.STATE.max_age_s:
-        yield "board", "critical", True, f"thruster board silent for {min(age_s, 999.0):.1f} s", "check its cable and power"
+        text = f"thruster board silent for {age_s:.1f} s" if age_s < NEVER_S else "thruster board not heard"
+        yield "board", "critical", True, text, "check its cable and power"
         return
     if state.board_loss > LOSSY:
         text = f"{state.board_loss:.0%} of the board's messages are lost"

@@ -110,6 +110,8 @@ def go(
     """
     if len(places) % 2:
         raise typer.BadParameter(f"{len(places)} numbers: each place has two, x and y")
+    if not np.all(np.isfinite(places)):
+        raise typer.BadParameter(f"{' '.join(map(str, places))}: no places (allowed: finite numbers, in m)")
     command = Command(Order.GO, robot=0, via=np.array(places).reshape(-1, 2))
     _tell_station("go", command, station, fleet, keys, insecure, as_json)
 

@@ -122,7 +122,7 @@ def test_an_experiments_name_completes_to_files_too(tmp_path: Path, monkeypatch:
 
 
 def test_codes_for_what_cannot_be_done() -> None:
-    for arguments in (["rerun"], ["order", "fly"], ["run", "pool", "--warp"], ["nonsense"]):
+    for arguments in (["rerun"], ["order", "fly"], ["go", "nan", "1"], ["run", "pool", "--warp"], ["nonsense"]):
         assert CliRunner().invoke(groundstation, arguments).exit_code == 2
     assert CliRunner().invoke(sim_bridge, ["compare", "pool", "--scatter", "-1"]).exit_code == 2
 

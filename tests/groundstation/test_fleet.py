@@ -1,12 +1,13 @@
-"""What headers tell of a robot's link and clock."""
+"""What headers tell of a robot's link and clock, and what is found amiss."""
 
 import pytest
 
-from groundstation.fleet import Ear
+from groundstation.fleet import Ear, RobotView, findings
 from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, encode
-from wire.messages import Plan
+from wire.experiment import load_experiment
+from wire.messages import Plan, RobotState
 from wire.transport import MemoryHub, MemoryTransport
 
 MS = 1_000_000
@@ -24,3 +25,9 @@ def test_only_what_did_not_come_is_lost_however_late_somebody_looks(lost: tuple[
             ear.hear(inbox.headers(), newest.header, (k * 50 - 3) * MS)
     assert ear.loss == pytest.approx(share, abs=0.02)
     assert 0.002 < ear.clock_offset_s < 0.004
+
+
+@pytest.mark.parametrize(("age_ms", "text"), [(2500.0, "thruster board silent for 2.5 s"), (1e6, "thruster board not heard")])
+def test_a_board_that_was_never_heard_has_not_been_silent_for_so_long(age_ms: float, text: str) -> None:
+    seen = RobotView(RobotState(board_age_ms=age_ms), 0.02, None, 0.02)
+    assert text in [finding.text for finding in findings(load_experiment("pool"), 1, seen)]
