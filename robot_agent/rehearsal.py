@@ -30,7 +30,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
     experiment = experiment.model_copy(update={"safety": unmoved})
     agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
     period_ns, me = round(period_s * 1e9), experiment.robot_ids.index(robot)
-    trajectory = _circle(period_s)
+    trajectory, full_v = _circle(period_s), experiment.vehicle.battery.full_v
     k = 0
     while True:
         now_ns = (k + 1) * period_ns
@@ -40,14 +40,15 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
         pose = Pose(x, y, yaw, np.diag(np.square(NOISE)), Track.MARKER, True, 0.9, DEPTH_M)
         station = StationView(STATION, now_ns, 0.0)
         telemetry = Telemetry(
-            board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=DEPTH_M, armed=k >= ARM_AFTER, battery_v=12.4
+            board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=DEPTH_M, armed=k >= ARM_AFTER, battery_v=full_v
         )
         others = ((i, other) for i, other in enumerate(experiment.robot_ids) if other != robot)
         plans = {other: Heard(_plan(experiment, i - me, flown), now_ns) for i, other in others}
         if k == ARM_AFTER:
+            given_ns = now_ns - period_ns  # as the last step ends: what that went by is still fresh
             for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
-                command = Command(order, robot, experiment_hash=experiment.hash, trajectory=trajectory)
-                agent.order(Header(STATION, n, now_ns), command, station, now_ns)
+                command = Command(order, robot, 1.0, experiment.hash, start_in_s=period_s, trajectory=trajectory)
+                agent.order(Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns)
         yield agent, Inputs(Seen(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
         k += 1
 

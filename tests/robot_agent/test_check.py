@@ -149,6 +149,20 @@ def test_the_rehearsal_flies_with_every_neighbour() -> None:
     assert (outputs.state.mode, outputs.state.solve, len(outputs.state.heard)) == (Mode.TRACKING, Solve.SOLVED, 19)
 
 
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "vehicle.battery={cells=6, full_v=25.2, warn_v=21.6, no_arm_v=21.0, neutral_v=19.8, hysteresis_v=0.3}",
+        "controller.period_s=0.2",
+    ],
+)
+def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> None:
+    """The time of a step of a robot that lies disarmed says nothing."""
+    for agent, inputs, now_ns in itertools.islice(rehearse(load_experiment("pool", [setting]), 1), 40):
+        outputs = agent.step(inputs, now_ns)
+    assert outputs.state.mode is Mode.TRACKING
+
+
 # --- the whole, on a board that is there
 
 
