@@ -109,6 +109,8 @@ def _others(seen: Telemetry) -> str:
         return "what comes is signed with another key, or there is no link_key"
     if seen.unsigned_frames:
         return "what comes is not signed (over a cable, `robot-agent params give-key FILE` gives the board a key)"
+    if seen.echo_us:
+        return "it speaks, but tells no depth that can be true"
     return "what comes is not of this robot's board" if seen.foreign_frames else ""
 
 

@@ -120,6 +120,7 @@ class AgentLink:
         self._sender = Sender(self._me, key, lambda: max(now(), gate.newest + 1))
         self._receiver = Receiver(lambda peer: peer == self._board, gate)
         self._refused = 0
+        self._has_depth = False  # this burst, so far
         self._asked_ns: int | None = None
         self._clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)  # round trip, the board's clock minus ours
         self.telemetry = Telemetry()
@@ -194,6 +195,9 @@ class AgentLink:
         """What a message changes in the telemetry, on top of `changes` from the same bytes."""
         kind = message.get_type()
         if kind == "ATTITUDE":  # the last of a burst: its time is the burst's
+            complete, self._has_depth = self._has_depth, False
+            if not complete:  # the pressure sensor is dead, or that frame lost: the last depth must not look live
+                return {}
             return {
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
                 "yaw_rate_radps": within(message.yawspeed, -50.0, 50.0),
@@ -204,7 +208,9 @@ class AgentLink:
             unit = STANDARD_GRAVITY_MPS2 / 1000.0
             return {"acceleration_mps2": (message.xacc * unit, message.yacc * unit, message.zacc * unit)}
         if kind == "SCALED_PRESSURE2":
-            return {"depth_m": hpa_to_depth(within(message.press_abs, 500.0, 20_000.0))}
+            depth_m = hpa_to_depth(within(message.press_abs, 500.0, 20_000.0))
+            self._has_depth = True
+            return {"depth_m": depth_m}
         if kind == "SERVO_OUTPUT_RAW":
             return {"echo_us": pulses_of(message, SERVOS, ignorable=False)}
         if kind == "SYS_STATUS":

@@ -1,5 +1,6 @@
 """Agents, boards and water together, against the plant's truth."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -103,6 +104,18 @@ def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
     assert pool.robots[0].agent.mode is Mode.HOLDING
     assert pool.robots[0].states[-1].eta_reference[:3] == pytest.approx(there[:3], abs=0.02)
     assert pool.truth[-1][0, :3] == pytest.approx(there[:3], abs=0.03)
+
+
+def test_a_robot_whose_pressure_sensor_dies_does_not_fly_on_by_its_last_depth() -> None:
+    pool = flying()
+    link = pool.world._boards[0]._link
+    told = link.pressure
+    link.pressure = lambda board_ms, depth_m: told(board_ms, math.nan)  # type: ignore[method-assign]
+    dead = len(pool.truth)
+    pool.run(1.0)
+    assert pool.robots[0].agent.mode is Mode.FAULT
+    assert neutral_after_s(pool, 0, dead) <= 0.4
+    assert pool.robots[1].agent.mode is Mode.TRACKING
 
 
 def test_control_steps_that_are_late_three_times_in_a_row_end_in_neutral() -> None:

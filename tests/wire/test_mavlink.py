@@ -133,7 +133,8 @@ def test_attitude_that_cannot_be_true_is_not_taken(field: str, value: float) -> 
     agent, sender = AgentLink(1), Sender((1, mavlink.BOARD_COMPONENT))
     message = dialect.MAVLink_attitude_message(1, 0, 0, 0, 0, 0, 0)
     setattr(message, field, value)
-    agent.receive(sender.pack(message), 0)
+    depth = dialect.MAVLink_scaled_pressure2_message(1, 1030.0, 0, 0)
+    agent.receive(sender.pack(depth) + sender.pack(message), 0)
     assert agent.telemetry.board_ms == -1
     assert agent.telemetry.refused_frames == 1
 
@@ -144,6 +145,22 @@ def test_pressure_that_cannot_be_true_is_not_taken(value: float) -> None:
     agent.receive(sender.pack(dialect.MAVLink_scaled_pressure2_message(1, value, 0, 0)), 0)
     assert agent.telemetry.depth_m == 0.0
     assert agent.telemetry.refused_frames == 1
+
+
+@pytest.mark.parametrize("pressure_hpa", [None, math.nan, 0.0])
+def test_a_burst_without_a_depth_that_can_be_true_is_none(pressure_hpa: float | None) -> None:
+    """A dead sensor's last depth would look live for ever."""
+    agent, sender = AgentLink(1), Sender((1, mavlink.BOARD_COMPONENT))
+    told = [1030.0, pressure_hpa, pressure_hpa, 1040.0]
+    for k, hpa in enumerate(told):
+        if hpa is not None:
+            agent.receive(sender.pack(dialect.MAVLink_scaled_pressure2_message(20 * k, hpa, 0, 0)), 20 * k * MS)
+        agent.receive(sender.pack(dialect.MAVLink_attitude_message(20 * k, 0, 0, 0.1 * k, 0, 0, 0)), 20 * k * MS)
+        last = max(j for j in range(k + 1) if told[j] in (1030.0, 1040.0))
+        seen = agent.telemetry
+        assert (seen.board_ms, seen.arrival_ns) == (20 * last, 20 * last * MS)
+        assert seen.heading_rad == pytest.approx(0.1 * last)
+        assert seen.depth_m == pytest.approx(mavlink.hpa_to_depth(told[last] or 0.0))
 
 
 @pytest.mark.parametrize("peer", [(2, 191), (1, 190), (0, 0), (255, 190)])

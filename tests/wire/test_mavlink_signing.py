@@ -36,7 +36,7 @@ def events(link: BoardLink, data: bytes, now_ns: int = 0) -> list[Event]:
 def test_both_ends_understand_each_other() -> None:
     computer, device = agent(), board()
     assert events(device, computer.pulses(PULSES) + computer.arm(True)) == [Override(PULSES), Arm(True)]
-    computer.receive(device.heartbeat(True, True) + device.attitude(7, 1.0, 0.5), 5)
+    computer.receive(device.heartbeat(True, True) + device.pressure(7, 0.3) + device.attitude(7, 1.0, 0.5), 5)
     assert (computer.telemetry.armed, computer.telemetry.board_ms) == (True, 7)
     assert (device.unauthentic_frames, computer.telemetry.replayed_frames) == (0, 0)
 
