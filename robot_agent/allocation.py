@@ -22,7 +22,6 @@ Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 
 STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
-SAME_M = 1e-6
 
 
 class Leg(NamedTuple):
@@ -38,11 +37,8 @@ class Allocator:
 
     def __init__(self, vehicle: Vehicle) -> None:
         legs, curve = vehicle.legs, vehicle.thruster.curve
-        x, y = ([abs(position[axis]) for position in legs.position_m] for axis in (0, 1))
-        if max(x) - min(x) > SAME_M or max(y) - min(y) > SAME_M or len(set(legs.position_m)) != 4:
-            raise ValueError(f"legs.position_m = {legs.position_m}: must be the corners of a rectangle around the centre")
         self._legs = tuple(Leg(1.0 if along > 0.0 else -1.0, across < 0.0, across) for along, across in legs.position_m)
-        self._arm_m, self._idle_n = y[0], legs.idle_thrust_n
+        self._arm_m, self._idle_n = abs(legs.position_m[0][1]), legs.idle_thrust_n
         self._ahead_n = min(vehicle.thruster.max_thrust_n, curve[-1][1])
         self._astern_n = min(vehicle.thruster.max_thrust_n, -curve[0][1])
         low, high = legs.ankle_us

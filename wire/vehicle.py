@@ -12,6 +12,8 @@ from wire.toml_file import ConfigError, Section, check, read_toml
 
 VEHICLES = Path(__file__).parent / "vehicles"
 
+SAME_M = 1e-5  # of legs: nearer than anybody builds
+
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
@@ -58,6 +60,14 @@ class Legs(Section):
     def _ankles_can_turn(self) -> Self:
         if self.ankle_us[0] >= self.ankle_us[1]:
             raise ValueError(f"ankle_us = {list(self.ankle_us)}: must rise: at -ankle_range_rad, at +ankle_range_rad")
+        return self
+
+    @model_validator(mode="after")
+    def _stand_in_a_rectangle(self) -> Self:
+        x, y = np.abs(self.position_m).T
+        if np.ptp(x) > SAME_M or np.ptp(y) > SAME_M or len(set(self.position_m)) != 4:
+            given = [list(position) for position in self.position_m]
+            raise ValueError(f"position_m = {given}: must be the corners of a rectangle around the centre")
         return self
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from robot_agent.allocation import Allocator
 from wire.frames import Array
-from wire.vehicle import Vehicle, load_vehicle
+from wire.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")
 ALLOCATOR = Allocator(VEHICLE)
@@ -139,10 +139,3 @@ def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) ->
 def test_neutral_delivers_nothing() -> None:
     assert ALLOCATOR.neutral_us == (1500,) * 8
     assert ALLOCATOR.delivered(ALLOCATOR.neutral_us) == (0.0, 0.0, 0.0)
-
-
-def test_legs_that_are_no_rectangle_are_refused() -> None:
-    table = VEHICLE.model_dump()
-    table["legs"]["position_m"] = ((0.1, -0.08), (0.08, 0.08), (-0.08, -0.08), (-0.08, 0.08))
-    with pytest.raises(ValueError, match="rectangle"):
-        Allocator(Vehicle.model_validate(table))

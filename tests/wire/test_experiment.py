@@ -195,6 +195,8 @@ def test_what_nobody_can_guess_has_no_default(tmp_path: Path, key: str) -> None:
         ('path={kind="waypoints", points_m=[[0, 0]], speed_mps=1}', "path.points_m = .*at least 2"),
         ('path={kind="waypoints", points_m=[[0, 0], [1, 0]], speed_mps=1, start_index=2}', "start_index = 2: .*0 to 1"),
         ("vehicle.battery.warn_v=13", "vehicle.battery: must fall in this order"),
+        ("vehicle.legs.position_m=[[0.1,-0.1],[0.1,0.1],[-0.1,-0.1],[-0.2,0.1]]", r"legs: position_m = .*of a rectangle"),
+        ("vehicle.legs.position_m=[[0.1,0],[0.1,0],[-0.1,0],[-0.1,0]]", r"legs: position_m = .*of a rectangle"),
         ("vehicle.legs.ankle_us=[2000,1000]", r"vehicle.legs: ankle_us = \[2000, 1000\]: must rise"),
         ("vehicle.thruster.neutral_us=1600", "vehicle.thruster: neutral_us = 1600 must lie in the curve's dead zone"),
         ("vehicle=submarine", "vehicle = 'submarine': no such vehicle .allowed: .*spherical"),
