@@ -19,7 +19,7 @@ from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
 from robot_agent.orders import StationView, unacceptable
 from robot_agent.pulse_test import ThrusterTest
-from robot_agent.vitals import Vitals
+from robot_agent.vitals import ARM_AGAIN_S, Vitals
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
@@ -125,7 +125,8 @@ class Agent:
         if mode is not self.mode:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
-        things, goal = self._things(inputs, now_ns), self._goal(now_ns)
+        arming = health.board_disarmed_s >= ARM_AGAIN_S  # asked again: it arms on neutral pulses only
+        things, goal = self._things(inputs, now_ns), None if arming else self._goal(now_ns)
         self._gains.step(now_ns, self._course.reached_s)
         output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
         self._last = output

@@ -89,6 +89,25 @@ def test_a_board_that_disarmed_itself_is_not_armed_again_unasked() -> None:
     assert not any(state.board_armed for state in pool.robots[0].states[-15:])
 
 
+def test_a_board_that_missed_the_first_request_to_arm_arms_at_a_later_one() -> None:
+    """A board arms on neutral pulses only, and the station's START comes long before the second request."""
+    pool = DryPool(load_experiment("pool"))
+    link = pool._water._links[0]  # type: ignore[attr-defined]
+    ask, asked = link.arm, []
+
+    def missed_once(arm: bool) -> bytes:
+        asked.append(arm)
+        return ask(arm) if len(asked) > 1 else b""
+
+    link.arm = missed_once
+    pool.take_off(start_in_s=1.0)
+    pool.run(3.0)
+    assert len(asked) > 1
+    for robot in pool.robots:
+        assert (robot.states[-1].mode, robot.states[-1].board_armed) == (Mode.TRACKING, True)
+        assert robot.states[-1].trajectory_s > 1.0 and robot.states[-1].wrench.any()
+
+
 def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
     pool = DryPool(load_experiment("pool"))
     pool.run(0.5)
