@@ -21,7 +21,8 @@ class Lateness:
         """By how much a message is late that was sent at `sent_ns` by the sender's clock, and came at `arrived_ns` by ours."""
         took_ns = arrived_ns - sent_ns
         least_ns = min(self._least_ns, self._least_before_ns)
-        if session != self._session or took_ns - least_ns > ANOTHER_CLOCK_NS:
+        forgotten = arrived_ns - self._since_ns > 2 * WINDOW_NS  # nothing came for so long: clocks may have drifted apart
+        if session != self._session or forgotten or took_ns - least_ns > ANOTHER_CLOCK_NS:
             self._session, self._since_ns = session, arrived_ns
             self._least_ns = self._least_before_ns = took_ns
             return 0

@@ -42,6 +42,15 @@ def test_clocks_that_drift_apart_make_nothing_late(drift: float) -> None:
     assert max(late) <= 2 * WINDOW_NS * abs(drift) + MS
 
 
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_clocks_that_drift_apart_while_nothing_comes_make_nothing_late(drift: float) -> None:
+    """A robot that was out of the water for hours, say, and is seen again by the same localizer."""
+    lateness = Lateness()
+    arrivals = [*range(0, 15_000 * MS, PERIOD_NS), *range(3 * 3600 * 1000 * MS, 3 * 3600 * 1000 * MS + 15_000 * MS, PERIOD_NS)]
+    late = [lateness.of(7, round(at_ns * (1.0 + drift)), at_ns) for at_ns in arrivals]
+    assert max(late) <= 2 * WINDOW_NS * abs(drift) + MS
+
+
 def test_a_clock_that_is_set_and_a_process_that_is_restarted_make_nothing_late() -> None:
     lateness = Lateness()
     lateness.of(7, 0, MS)
