@@ -16,7 +16,8 @@ class Watchdog:
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:
         found = dict(os.environ) if environment is None else environment
-        self._address = found.get("NOTIFY_SOCKET", "").replace("@", "\0", 1)  # abstract sockets are written with an @
+        address = found.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address  # an abstract socket's begins with an @
         mine = found.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         watch_us = found.get("WATCHDOG_USEC", "")
         self._every_ns = int(watch_us) * 1000 // TIMES_A_WATCH if mine and watch_us.isdecimal() else 0

@@ -67,9 +67,10 @@ def ear(path: Path) -> socket.socket:
     return heard
 
 
-def test_the_watchdog_is_fed_as_often_as_asked_and_never_by_itself(tmp_path: Path) -> None:
-    with ear(tmp_path / "notify") as heard:
-        watchdog = Watchdog({"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "2000000"})
+@pytest.mark.parametrize("name", ["notify", "robot@pool"])
+def test_the_watchdog_is_fed_as_often_as_asked_and_never_by_itself(tmp_path: Path, name: str) -> None:
+    with ear(tmp_path / name) as heard:
+        watchdog = Watchdog({"NOTIFY_SOCKET": str(tmp_path / name), "WATCHDOG_USEC": "2000000"})
         watchdog.ready("flying")
         for now_ns in range(0, 2_000_000_000, 50_000_000):  # a watchdog period of control steps
             watchdog.alive(now_ns)
