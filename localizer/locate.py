@@ -158,7 +158,7 @@ class Locator:
         matches = self._looks.find(seen, [self._believed(sight.robot) for sight in seen])
         for sight, match in zip(seen, matches, strict=True):
             track = self._tracks[sight.robot]
-            clear = self._clearance_m(sight.robot, match.pose) > self.radius_m
+            clear = self._clearance_m(sight.robot, match.pose) > self.radius_m and sight.shows(match.pose)
             measurement = sight.measurement(match.pose, KCF_NOISE, match.peak)
             self._tracks[sight.robot] = track.found(measurement, self._settings.min_peak) if clear else track
 

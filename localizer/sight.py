@@ -29,6 +29,7 @@ MARKER_NOISE = Noise(centre_px=0.03, rim_px=0.15)
 KCF_NOISE = Noise(centre_px=0.2, rim_px=0.22, centre_share=0.008, rim_share=0.008)
 _DEPTH_ASSUMED_SIGMA_M = 0.05  # nobody reported one: the experiment's depth is taken
 _SHALLOWEST_M = -0.2  # a robot lying on the surface
+_LEAST_SHOWN = 0.2  # of the hull's radius, beyond its middle: filters turn a robot of which less is in view by 30 degrees
 _WAVE_SLOPE_RAD = 0.0043  # of ripples on the surface; each bends the line of sight by (1 - 1/n) of itself
 
 
@@ -77,6 +78,13 @@ class Sight:
     def distance_m(self, pose: Array) -> float:
         """How far [x, y, ...] lies from where the robot was expected."""
         return float(np.linalg.norm(pose[:2] - self.tangent.position_m))
+
+    def shows(self, pose: Array) -> bool:
+        """Whether enough of a robot at `pose` [x, y, ...] is in the picture."""
+        corner, size = (self.region.left_px, self.region.top_px), self.region.bayer.shape[::-1]
+        inside = self.tangent.to_px(pose[:2]) - corner
+        margin_px = _LEAST_SHOWN * self.radius_m * self.tangent.px_per_m
+        return bool(np.all((inside >= margin_px) & (inside <= np.array(size) - 1 - margin_px)))
 
     def body(self, pose: Array) -> BodyFrame:
         """Where the robot is drawn if it is at `pose` [x, y, yaw]."""

@@ -5,6 +5,7 @@ The limits are the localizer's share of the pool experiment's error budget (5 mm
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -105,3 +106,22 @@ def test_a_marker_that_cannot_be_read_is_bridged(marker_id: int, monkeypatch: py
         assert poses[3 - marker_id].track is Track.MARKER
     rms = np.sqrt(np.mean(_errors(run) ** 2, axis=0))
     assert rms[:2].max() < 2.5e-3 and rms[2] < np.deg2rad(0.8)
+
+
+def test_a_look_counts_only_while_the_robots_middle_is_in_the_picture() -> None:
+    """Out over the edge, 1.9 m from the middle at the depth of its top, turning: what is said to be seen is right."""
+
+    def eta(t_s: float) -> Array:
+        return np.array([[1.78 + 0.06 * t_s, 0.3, 0.3, 0.3 * t_s], [-0.6, -0.5, 0.3, 0.0]])
+
+    starts = [f"robots.{i}.start={place}" for i, place in enumerate(eta(0.0).tolist())]
+    experiment = load_experiment("pool", ["localizer.markers=false", "pool.size_m=[6.0, 4.0, 1.0]", *starts])
+    renderer, locator, seen = Renderer(experiment, SEED), Locator(experiment), []
+    for k in range(80):
+        t_s = k * PERIOD_S
+        nu = np.array([[0.06 * np.cos(0.3 * t_s), -0.06 * np.sin(0.3 * t_s), 0.0, 0.3], [0.0] * 4])
+        located = locator.step(renderer.render(eta(t_s), nu, t_s, k), round(t_s * 1e9), {1: 0.3, 2: 0.3})
+        seen += [(eta(t_s), replace(located, poses=located.poses[:1]))] if located.poses[0][1].track is Track.KCF else []
+    errors = np.abs(_errors(seen))
+    assert len(errors) > 30
+    assert errors[:, :2].max() < 0.005 and errors[:, 2].max() < np.deg2rad(4.0)
