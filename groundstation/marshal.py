@@ -25,6 +25,11 @@ ORDERS = 6  # orders of the robots that are tried
 ASIDE_M = (0.8, 1.2, 1.8, 2.6)  # how far a robot goes to make room
 ASIDE_WAYS = 12
 MAKING_ROOM = 2  # robots that do so at most
+MOST_TRIES = 1500  # orders of robots, in all: a quarter of a minute; a dense fleet has more than anybody can wait for
+
+
+class _Enough(Exception):
+    """MOST_TRIES have been made."""
 
 
 def marshal(
@@ -37,25 +42,33 @@ def marshal(
         if not abs(rest[3]) <= ABSURD_RAD:  # true for NaN too
             raise PlanError(f"robot {robot} says that it heads {rest[3]:.3g} rad")
     around = basin(experiment, things)
-    trips = _marshal(experiment, around, dict(starts), dict(goals), MAKING_ROOM)
+    try:
+        trips = _marshal(experiment, around, dict(starts), dict(goals), MAKING_ROOM, iter(range(MOST_TRIES)))
+    except _Enough:
+        raise PlanError(f"no ways clear of one another have been found in {MOST_TRIES} tries") from None
     return {robot: with_heading(trip, float(starts[robot][3]), experiment) for robot, trip in trips.items()}
 
 
 def _marshal(
-    experiment: Experiment, around: Basin, starts: dict[int, Array], goals: dict[int, Array], depth: int
+    experiment: Experiment,
+    around: Basin,
+    starts: dict[int, Array],
+    goals: dict[int, Array],
+    depth: int,
+    tries: Iterator[int],
 ) -> dict[int, Trip]:
     reason = "no robots"
     for order in _orders(starts, goals):
         try:
-            return _one_after_the_other(experiment, around, starts, goals, order)
+            return _one_after_the_other(experiment, around, starts, goals, order, tries)
         except PlanError as error:
             reason = str(error)
     if depth:
         for robot, aside in _asides(experiment, around, starts, goals):
             elsewhere = {**starts, robot: aside}
             try:
-                first = _one_after_the_other(experiment, around, starts, elsewhere, list(starts))
-                rest = _marshal(experiment, around, elsewhere, goals, depth - 1)
+                first = _one_after_the_other(experiment, around, starts, elsewhere, list(starts), tries)
+                rest = _marshal(experiment, around, elsewhere, goals, depth - 1, tries)
             except PlanError:
                 continue
             return {r: joined(first[r], rest[r]) for r in starts}
@@ -88,8 +101,15 @@ def _asides(
 
 
 def _one_after_the_other(
-    experiment: Experiment, around: Basin, starts: Mapping[int, Array], goals: Mapping[int, Array], order: Sequence[int]
+    experiment: Experiment,
+    around: Basin,
+    starts: Mapping[int, Array],
+    goals: Mapping[int, Array],
+    order: Sequence[int],
+    tries: Iterator[int],
 ) -> dict[int, Trip]:
+    if next(tries, None) is None:
+        raise _Enough
     done: dict[int, Trip] = {}
     for robot in order:
         waiting = {r: starts[r] for r in order if r not in done and r != robot}

@@ -10,7 +10,8 @@ from groundstation.formation import NodeMotion
 from groundstation.from_rest import gathered
 from groundstation.legs import first_leg
 from groundstation.marshal import marshal
-from groundstation.trip import glide
+from groundstation.planner import start_poses
+from groundstation.trip import glide, planned_trip
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.scene import Island
@@ -143,3 +144,16 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
     )
     with pytest.raises(PlanError, match="robot 1"):
         gathered(experiment, first_leg(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, things)
+
+
+def test_where_a_dense_fleet_finds_no_way_it_says_so_instead_of_searching_for_hours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty robots of a grid, a third of a circle from where they began: each goal is beside somebody who waits."""
+    made = []
+    monkeypatch.setattr("groundstation.marshal.MOST_TRIES", 60)
+    monkeypatch.setattr("groundstation.marshal.planned_trip", lambda *given: made.append(1) or planned_trip(*given))
+    experiment = load_experiment("fleet-20")
+    leg = first_leg(experiment)
+    rests, goals = {r: t.eta[400] for r, t in leg.trajectories.items()}, start_poses(experiment, leg.trajectories)
+    with pytest.raises(PlanError, match="in 60 tries"):
+        marshal(experiment, rests, goals, NOTHING)
+    assert len(made) <= 60 * 2 * len(rests)
