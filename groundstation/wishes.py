@@ -31,6 +31,8 @@ def objection(
         return "where to? (places for the formation's centre, x and y in m)"
     if order is Order.GO and not can_detour(experiment):
         return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
+    if order is Order.GO:
+        return "; ".join(f"({x:g}, {y:g}) m is outside the pool" for x, y in via if not _inside(experiment, x, y))
     if order is Order.REJOIN and not crew.out:
         return "nobody is out"
     if order is Order.REJOIN and leg.home:
@@ -40,6 +42,12 @@ def objection(
     if order is Order.RETURN and not any(can_move(fleet[r]) for r in crew.active):
         return "no robot is fit to move"
     return ""
+
+
+def _inside(experiment: Experiment, x: float, y: float) -> bool:
+    """Where a robot accepts a path to: also in open water, which has no walls."""
+    length, width, _ = experiment.pool.size_m
+    return abs(x) <= length / 2.0 and abs(y) <= width / 2.0
 
 
 def can_move(robot: RobotView) -> bool:

@@ -314,6 +314,18 @@ def test_a_way_home_asked_for_while_a_detour_is_planned_is_not_that_detour() -> 
     assert run.mission.wanted.plan().home
 
 
+def test_a_place_outside_the_pool_is_refused_before_anybody_leaves_the_path() -> None:
+    """Robots refuse a trajectory that leaves the pool, walls or not; the formation would hold then."""
+    straight = ['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}', "sim.plant.walls=false"]
+    run = Run(settings=straight)
+    while run.mission.phase is not Phase.RUNNING:
+        run.step()
+    places = [(1.0, 1.0), (0.0, 1.3)]
+    assert run.mission.wish(Order.GO, run.fleet(), run.now_ns, places) == "(0, 1.3) m is outside the pool"
+    assert run.at(Phase.RUNNING)
+    assert run.mission.wish(Order.GO, run.fleet(), run.now_ns, places[:1]) == ""
+
+
 def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     run = Run(automatic=False)
     run.step(3.0)
