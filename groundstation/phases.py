@@ -100,7 +100,7 @@ TABLE: tuple[Row, ...] = (
     _row(ON_COURSE | {Phase.PAUSED}, Order.REJOIN, Phase.HALTING),
     _row(ANY - {Phase.STOPPED}, Order.DISARM, Phase.ENDING),
     _row(ANY, Order.STOP, Phase.STOPPED),
-    _row(Phase.STOPPED, Order.CLEAR_STOP, Phase.CLEARING),
+    _row(frozenset({Phase.STOPPED, Phase.WAITING}), Order.CLEAR_STOP, Phase.CLEARING),  # WAITING: of an earlier station's life
     # from the water to the end
     _row(Phase.WAITING, Event.FIT, Phase.LOADING),
     _row(Phase.LOADING, Event.OBEYED, Phase.ARMING),

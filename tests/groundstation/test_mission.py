@@ -326,6 +326,17 @@ def test_a_place_outside_the_pool_is_refused_before_anybody_leaves_the_path() ->
     assert run.mission.wish(Order.GO, run.fleet(), run.now_ns, places[:1]) == ""
 
 
+def test_robots_that_an_earlier_station_stopped_are_cleared_by_the_order_that_preflight_asks_for() -> None:
+    run = Run(automatic=False)
+    run.robots[2].mode, run.robots[2].fault = Mode.STOPPED, "emergency stop"
+    run.step(1.0)
+    assert "(clear the stop)" in run.mission.reason
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(Phase.WAITING)
+    assert run.in_mode(2, Mode.DISARMED)
+
+
 def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     run = Run(automatic=False)
     run.step(3.0)

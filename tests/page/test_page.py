@@ -4,6 +4,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -232,6 +233,7 @@ class Alone:
     page: Page
     url: str
     status: Status
+    robots: Bus
     orders: list[Order] = field(default_factory=list)
 
     def order(self, order: Order) -> str:
@@ -241,16 +243,17 @@ class Alone:
 
 @contextmanager
 def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
-    port, status = free_port(), Status(Phase.WAITING, "")
-    found = Alone(browser.new_page(viewport={"width": 1440, "height": 900}), f"http://127.0.0.1:{port}/", status)
-    post = Post(lambda: found.status, found.order, deque())
-    with Bus(MemoryTransport(MemoryHub())) as bus:
+    port, hub = free_port(), MemoryHub()
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
+        found = Alone(page, f"http://127.0.0.1:{port}/", Status(Phase.WAITING, ""), robots)
+        post = Post(lambda: found.status, found.order, deque())
         desk = Desk(
             experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
         )
         with WebServer(desk, WebOptions(port=port)):
             yield found
-            found.page.context.close()
+            page.context.close()
 
 
 @contextmanager
@@ -323,6 +326,17 @@ def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser
         expect(button(page, "You have control")).to_be_visible()
         page.wait_for_timeout(500)
         assert desk.orders == [Order.STOP]  # answered: not again
+
+
+def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        desk.page.goto(desk.url)
+        expect(button(desk.page, "You have control")).to_be_visible()
+        expect(button(desk.page, "Clear stop")).to_have_count(0)
+        desk.robots.publish(topics.STATE, RobotState(mode=Mode.STOPPED), time.time_ns(), 2)
+        button(desk.page, "Clear stop").click()
+        expect(desk.page.locator(".given")).to_contain_text("clear-stop under way")
+        assert desk.orders == [Order.CLEAR_STOP]
 
 
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:

@@ -22,6 +22,7 @@ const BUTTONS: Button[] = [
 /** Shown while the mission takes them. */
 const SOMETIMES: Button[] = [
   { order: "load", text: "Load again", keys: "" },
+  { order: "clear-stop", text: "Clear stop", keys: "" },
   { order: "return", text: "Return to start", keys: "Shift+B" },
   { order: "rejoin", text: "Rejoin", keys: "" },
   { order: "test", text: "Test thrusters", keys: "" }, // preflight may be waiting for just this one: the station judges
@@ -116,6 +117,12 @@ function Stopped({ state }: { state: Snapshot }) {
   );
 }
 
+/** Orders that are taken now, and do nothing that is not done. A stop from before the station was started is cleared here; its own, above. */
+function idle(order: OrderName, state: Snapshot): boolean {
+  if (order === "clear-stop") return state.stop || state.robots.every((robot) => robot.state?.mode !== "STOPPED");
+  return order === "load" && state.phase === "WAITING";
+}
+
 function OrderButton({ button, state }: { button: Button; state: Snapshot }) {
   const reason = whyNot(state, button);
   return (
@@ -147,7 +154,7 @@ export function Mission() {
         ))}
       </div>
       <div class="orders sometimes">
-        {SOMETIMES.filter(({ order }) => state.allowed.includes(order) && !(order === "load" && state.phase === "WAITING")).map((button) => (
+        {SOMETIMES.filter(({ order }) => state.allowed.includes(order) && !idle(order, state)).map((button) => (
           <OrderButton key={button.order} button={button} state={state} />
         ))}
       </div>
