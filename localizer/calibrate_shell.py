@@ -51,6 +51,9 @@ def calibrate(request: Request) -> list[str]:
     camera file and a picture beside it; returns the report's lines. Raises ConfigError."""
     _check_request(request)
     points = None if request.points is None else check(PoolPoints, read_toml(request.points), str(request.points))
+    image, drawn = _points_image(request, points), request.out.with_suffix(".png")
+    if image is not None and image.resolve() == drawn.resolve():
+        raise ConfigError(f"--out {request.out}: its picture would be written over {image}, which the points were seen in")
     summary, lines, panels = [], [], []
     if request.lens is not None:
         camera = _read_lens(request)
@@ -106,10 +109,7 @@ def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
 
 def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[PoseFit, Pixels]:
     """The pose, and the picture it was found in, black if there was none."""
-    image = request.image
-    assert request.points is not None
-    if image is None and points.image is not None:
-        image = request.points.parent / points.image
+    image = _points_image(request, points)
     width, height = camera.size_px
     picture = None if image is None else read_picture(image)
     if picture is not None and picture.shape[:2] != (height, width):
@@ -120,6 +120,13 @@ def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[Pos
     except ConfigError as error:
         raise ConfigError(f"{request.points}: {error}") from None
     return pose, np.zeros((height, width, 3), np.uint8) if picture is None else picture
+
+
+def _points_image(request: Request, points: PoolPoints | None) -> Path | None:
+    """The picture that the points were seen in, if there is one."""
+    if request.image is not None or points is None or points.image is None or request.points is None:
+        return request.image
+    return request.points.parent / points.image
 
 
 def _read_lens(request: Request) -> Camera:
