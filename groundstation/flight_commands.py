@@ -33,7 +33,7 @@ NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 def run(
     experiment: ExperimentName,
     out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
-    run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder for the run.")] = None,
+    run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder, without a log so far.")] = None,
     auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
     listen: ListenAddress = DEFAULT_STATION,
     external_router: ExternalRouter = False,
@@ -86,6 +86,8 @@ def run(
     text = dump_experiment(loaded)
     with files_named(folder):
         folder.mkdir(parents=True, exist_ok=True)
+        if (folder / "run.mcap").exists():
+            raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
         (folder / "experiment.toml").write_text(text, encoding="utf-8")
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         succeeded = station_process.run(

@@ -196,3 +196,6 @@ def _planned(make: Callable[[], Leg]) -> Leg | PlanError:
         return make()
     except PlanError as error:
         return error
+    except Exception as error:  # a bug in planning is no reason to leave a fleet in the water without its station
+        log.exception("planning failed")
+        return PlanError(f"planning failed: {type(error).__name__}: {error}")

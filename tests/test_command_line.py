@@ -157,7 +157,8 @@ def test_a_dry_run_looks_at_the_way_to_the_robots_too(tmp_path: Path) -> None:
     ):
         refused = CliRunner().invoke(groundstation, ["run", "pool", "--dry-run", *wrong]).exception
         assert isinstance(refused, ConfigError) and why in str(refused)
-    absent = CliRunner().invoke(groundstation, ["run", "pool", "--dry-run", "--web-certificate", str(tmp_path / "none")])
+    wide = CliRunner(env={"COLUMNS": "400"})
+    absent = wide.invoke(groundstation, ["run", "pool", "--dry-run", "--web-certificate", str(tmp_path / "none")])
     assert absent.exit_code == 2 and "does not exist" in absent.output
 
 
@@ -320,6 +321,14 @@ def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     for command in (["sil", "pool", "--no-web"], ["numeric", "pool"]):
         refused = CliRunner().invoke(sim_bridge, [*command, "--out", str(tmp_path / "file")]).exception
         assert isinstance(refused, ConfigError) and "Not a directory" in str(refused)
+
+
+def test_a_run_does_not_write_over_another_ones_log(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_text("flown")
+    code, _, said = ended("groundstation", "run", "pool", "--run-dir", str(tmp_path), "--no-web")
+    assert code == 2 and said.startswith(f"{tmp_path}/run.mcap: is there already")
+    assert [file.name for file in tmp_path.iterdir()] == ["run.mcap"]
+    assert (tmp_path / "run.mcap").read_text() == "flown"
 
 
 def test_a_token_that_cannot_be_read_is_named(tmp_path: Path) -> None:

@@ -122,6 +122,8 @@ class Rig(Onlooker):
         log = self.folder / "logs" / f"{name}.log"
         if log.exists():
             log.rename(log.with_name(f"{name}-{time.monotonic_ns()}.log"))
+        if name == "groundstation":
+            (self.run_dir / "run.mcap").unlink(missing_ok=True)  # no station writes over another's
         if self._patched and name != "sim-bridge":
             module, arguments = "tests.faults.patched", [str(self.children.clock_file(name)), module, *arguments]
         self.children.start(name, module, arguments)

@@ -78,6 +78,15 @@ def test_a_plan_that_comes_when_another_is_wanted_counts_for_nothing(tmp_path: P
         assert mission.leg is home
 
 
+def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        mission = station.mission
+        mission.phase, mission.itinerary.wanted = Phase.HALTING, Wanted("another path", lambda: dict[str, Leg]()["robot 3"])
+        station._plan(True, 0)
+        assert mission.phase is Phase.PAUSED
+        assert "KeyError: 'robot 3'" in mission.reason
+
+
 def test_answers_for_people_do_not_keep_the_paths_that_were_sent(tmp_path: Path) -> None:
     """Where no page takes them, the last 256 stay for as long as the station runs."""
     with a_station(tmp_path) as station:
