@@ -127,7 +127,7 @@ def test_a_page_gets_the_scene_then_states_as_they_come(lab: Lab) -> None:
     assert seen["robots"][1]["state"]["mode"] == "ARMED"
     assert "state" not in seen["robots"][0]
     assert any(line.startswith("robot 1: not heard (start its agent") for line in seen["preflight"])
-    assert seen["allowed"] == ["load", "arm", "start", "stop", "disarm", "return", "test"]
+    assert seen["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test"]
     lab.robots.publish(topics.PREVIEW, Preview(b"jpeg"), time.time_ns())
     assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
 
