@@ -30,7 +30,10 @@ class PathWatch:
     def step(self, place_m: complex, path_m: complex, is_free: bool, now_ns: int) -> None:
         """Where the robot is and where it is to be, both x + iy; `is_free`: nothing leads it round, or aside."""
         off_m = abs(place_m - path_m)
-        if self._foreseen_m(place_m, path_m, now_ns) < ARRIVED * self._limit_m:
+        drift_mps, at_once = self._motion(place_m, path_m, now_ns)
+        if at_once:
+            self._has_arrived = False
+        if off_m + drift_mps * FORESEEN_S < ARRIVED * self._limit_m:
             self._has_arrived = is_free
         if not (self._has_arrived and off_m > self._limit_m):
             self._since_ns = None
@@ -39,15 +42,14 @@ class PathWatch:
         else:
             self.left |= now_ns - self._since_ns >= LASTS_S * 1e9
 
-    def _foreseen_m(self, place_m: complex, path_m: complex, now_ns: int) -> float:
-        """How far off the robot may be soon, as it moves and its path; infinity while nobody knows."""
+    def _motion(self, place_m: complex, path_m: complex, now_ns: int) -> tuple[float, bool]:
+        """How fast the robot moves as seen from its path, m/s, infinitely while nobody knows; whether the path sets off at
+        once."""
         before, self._before = self._before, (place_m, path_m, now_ns)
         if before is None:
-            return float("inf")
+            return float("inf"), False
         per_s = 1e9 / max(now_ns - before[2], 1)
-        path_mps = (path_m - before[1]) * per_s
-        if self._path_mps is not None and abs(path_mps - self._path_mps) > AT_ONCE_MPS:
-            self._has_arrived = False
+        path_mps_before, path_mps = self._path_mps, (path_m - before[1]) * per_s
         self._path_mps = path_mps
-        drift_mps = abs((place_m - before[0]) * per_s - path_mps)
-        return abs(place_m - path_m) + drift_mps * FORESEEN_S
+        at_once = path_mps_before is not None and abs(path_mps - path_mps_before) > AT_ONCE_MPS
+        return abs((place_m - before[0]) * per_s - path_mps), at_once

@@ -162,7 +162,8 @@ class AgentFleet:
         self.held = False  # robots are kept in place: the water's time stands
         self.truth: list[Array] = []  # poses (n, 4) at each control step
         self.ahead_ns = [0] * len(self.robots)  # by how much each robot's own clock is ahead of `now_ns`
-        self._start_ns = self._begin = 0
+        self.begin = 0  # the control step at which the trajectories began
+        self._start_ns = 0
         self._water, self._clock_ns = water, clock_ns
         self._latency_ns = round(experiment.sim.latency_s * NS)
         self._located = Located(experiment, seed)
@@ -204,7 +205,7 @@ class AgentFleet:
                     raise RuntimeError(f"robot {reply.robot}: {order.name}: {reply.reason}")
         self._start_ns = self.now_ns + self.period_ns
         self.step()
-        self.held, self._begin = False, len(self.truth)
+        self.held, self.begin = False, len(self.truth)
 
     def step(self) -> None:
         """One control period of water, then one control step of every robot."""
@@ -218,7 +219,7 @@ class AgentFleet:
     def errors(self) -> Array:
         """Truth minus reference (steps, n, 4) since the trajectories began, yaw to the path's tangent. The reference is the
         trajectory's: a robot that has given up says that it is where it should be."""
-        truth = np.array(self.truth[self._begin :])
+        truth = np.array(self.truth[self.begin :])
         time_s = np.arange(1.0, len(truth) + 1.0) * (self.period_ns / NS)
         reference = [_poses(self.trajectories[robot], time_s) for robot in self.experiment.robot_ids]
         return pose_error(truth, np.stack(reference, axis=1))

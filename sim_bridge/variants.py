@@ -67,10 +67,9 @@ def fly(task: Task) -> Flight:
     water = BareWater(task.experiment, task.seed, task.starts)
     fleet = AgentFleet(task.experiment, task.trajectories, water, task.seed)
     fleet.start()
-    begin = len(fleet.truth)  # time 0 is past
     while fleet.time_s < task.experiment.duration_s - 1e-9:
         fleet.step()
-    states, truth = [robot.states[begin:] for robot in fleet.robots], np.array(fleet.truth[begin:])
+    states, truth = [robot.states[fleet.begin :] for robot in fleet.robots], np.array(fleet.truth[fleet.begin :])
     error = fleet.errors()
     traces = _traces(task, states, error) if task.look else None
     return Flight(task.seed, _figures(task.experiment, states, truth, error), traces)

@@ -266,9 +266,12 @@ class MemoryTransport:
         self._hub = hub
 
     def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]:
+        with self._hub.lock:
+            cached = self._hub.cache.setdefault(key, deque(maxlen=kept))
+
         def put(payload: bytes, header: bytes) -> None:
             with self._hub.lock:
-                self._hub.cache.setdefault(key, deque(maxlen=kept)).append((key, payload, header))
+                cached.append((key, payload, header))
                 listeners = [deliver for pattern, deliver, _ in self._hub.subscribers if _matches(pattern, key)]
             for deliver in listeners:
                 deliver(key, payload, header)

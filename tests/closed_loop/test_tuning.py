@@ -231,13 +231,19 @@ def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> No
         np.testing.assert_allclose(lap.max_m, np.max(errors))
 
 
-def test_whoever_leaves_the_run_forgets_what_waits_for_a_lap() -> None:
+def waiting_for_a_lap() -> Lab:
+    """In flight, with a set of gains that is to count from the next lap on."""
     lab = Lab(pool())
     lab.run(1.0)
     lab.take_off()
     lab.run(5.0)
     assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
     until(lab, lambda: lab.tuner.status().stage is Stage.WAITING, 1.0)
+    return lab
+
+
+def test_whoever_leaves_the_run_forgets_what_waits_for_a_lap() -> None:
+    lab = waiting_for_a_lap()
     for robot in (1, 2):
         assert lab.send(Command(Order.DISARM, robot)).accepted
     lab.run(2.0)
@@ -249,12 +255,7 @@ def test_whoever_leaves_the_run_forgets_what_waits_for_a_lap() -> None:
 
 def test_who_flies_on_without_the_one_that_left_forgets_what_waits_for_a_lap_too() -> None:
     """All robots together, or none: it had accepted the set, and would have changed alone."""
-    lab = Lab(pool())
-    lab.run(1.0)
-    lab.take_off()
-    lab.run(5.0)
-    assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
-    until(lab, lambda: lab.tuner.status().stage is Stage.WAITING, 1.0)
+    lab = waiting_for_a_lap()
     assert lab.send(Command(Order.DISARM, 2)).accepted
     lab.run(24.0)
     assert lab.states()[-1].mode is Mode.TRACKING and lab.states()[-1].trajectory_s > 26.0

@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 
-from benchmarks.thrusters import LACKING_N, THRUST_LEFT
+from benchmarks.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
 from tests.faults.rig import Rig
 from tests.faults.row import POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
@@ -14,7 +14,6 @@ from wire.messages import Mode, Order, Solve
 NEVER_S = 999.0
 SAME_US = 5  # a board whose outputs differ by no more than this from what they were told does as it is told
 FELT = ("dead", "reversed")  # what is found wherever the thruster pushes; the others may go on as they were told to
-WATCHED_S = 8.0
 
 
 def agent_killed(rig: Rig, random: Random) -> Sample:
