@@ -5,22 +5,25 @@ for record in valid_records(path): ...
 """
 
 import fcntl
+import io
 import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-import zstandard
+from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
-from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from groundstation.recorder import CHUNK_BYTES, claim
+from wire import log_records
+from wire.log_records import ATTACHMENT, CHANNEL, MESSAGE, METADATA, SCHEMA, Damaged
+from wire.outputs import replacing
 from wire.toml_file import ConfigError
 
-MAX_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not make the reader ask for all memory
+_READ: dict[int, Any] = {SCHEMA: Schema, CHANNEL: Channel, ATTACHMENT: Attachment, METADATA: Metadata}
 
 
 def is_complete(path: Path) -> bool:
@@ -37,13 +40,32 @@ def is_complete(path: Path) -> bool:
 
 
 def valid_records(path: Path) -> Iterator[McapRecord]:
-    """All records up to the first that is cut or damaged, chunks taken apart, checksums verified."""
+    """All records up to the first that is cut, damaged, or larger than wire/log_records.py allows; chunks taken apart, checksums
+    verified."""
     with path.open("rb") as file:
-        reader = StreamReader(file, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES)
         try:
-            yield from reader.records
-        except (McapError, ValueError, struct.error, zstandard.ZstdError, MemoryError):  # the last: of a length that is none
+            yield from checked_records(file)
+        except Damaged:
             return
+
+
+def checked_records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """All schemas, channels, messages, attachments and metadata of a file. Raises Damaged where it is cut or damaged."""
+    for opcode, body in log_records.records(file):
+        if opcode == MESSAGE:
+            channel, sequence, log_time, publish_time, data = log_records.message(body)
+            yield Message(channel, log_time, data, publish_time, sequence)
+        elif opcode in _READ:
+            yield parse(opcode, body)
+
+
+def parse(opcode: int, body: bytes) -> McapRecord:
+    """A record of one of the kinds in _READ. Raises Damaged."""
+    try:
+        found: McapRecord = _READ[opcode].read(ReadDataStream(io.BytesIO(body)))
+    except (McapError, ValueError, struct.error) as error:
+        raise Damaged(f"a record {opcode} that cannot be read: {error}") from None
+    return found
 
 
 def recover(path: Path) -> bool:
@@ -54,21 +76,16 @@ def recover(path: Path) -> bool:
     """
     if is_complete(path):
         return False
-    mended = path.with_name(path.name + ".mending")
     with path.open("rb") as cut:
         claim(cut.fileno(), path, fcntl.LOCK_SH, "its run still goes on")
-        try:
-            with mended.open("wb") as file:
-                _copy(path, Writer(file, chunk_size=CHUNK_BYTES))
-                file.flush()
-                os.fsync(file.fileno())
-            mended.replace(path)
-        finally:
-            mended.unlink(missing_ok=True)
+        with replacing(path, durable=True) as file:
+            _copy(path, Writer(file, chunk_size=CHUNK_BYTES))
     return True
 
 
 def _copy(path: Path, writer: Any) -> None:
+    """Everything that belongs to something: a channel of an unknown schema goes without one, a message of an unknown channel says
+    nothing to anybody and is left out."""
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
     writer.start(library="shoal, recovered")
@@ -76,10 +93,9 @@ def _copy(path: Path, writer: Any) -> None:
         if isinstance(record, Schema) and record.id not in schemas:
             schemas[record.id] = writer.register_schema(record.name, record.encoding, record.data)
         elif isinstance(record, Channel) and record.id not in channels:
-            channels[record.id] = writer.register_channel(
-                record.topic, record.message_encoding, schemas[record.schema_id], record.metadata
-            )
-        elif isinstance(record, Message):
+            schema = schemas.get(record.schema_id, 0)
+            channels[record.id] = writer.register_channel(record.topic, record.message_encoding, schema, record.metadata)
+        elif isinstance(record, Message) and record.channel_id in channels:
             channel = channels[record.channel_id]
             writer.add_message(channel, record.log_time, record.data, record.publish_time, record.sequence)
         elif isinstance(record, Attachment):

@@ -6,7 +6,6 @@ again, with all of the localizer. A plain video, of which nobody knows the camer
 
 import dataclasses
 import json
-import struct
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -21,7 +20,7 @@ from localizer.locate import Locator
 from localizer.patch import Pixels
 from localizer.shot import as_bayer
 from localizer.truth_files import read_idtracker, read_poses, way
-from wire import topics
+from wire import log_records, topics
 from wire.codec import DecodeError, decode
 from wire.experiment import Experiment
 from wire.frames import Array
@@ -29,7 +28,6 @@ from wire.messages import Pose, Truth
 from wire.toml_file import ConfigError
 
 _READ = (topics.TRUTH.name, "/pose")
-_LARGEST_RECORD_BYTES = 256 * 1024 * 1024  # a damaged length field must not ask for all memory
 
 Rows = Sequence[PixelRow] | Sequence[PoseRow]
 
@@ -81,23 +79,21 @@ def evaluate_log(path: Path) -> list[PoseRow]:
 
 
 def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, stamp and bytes of the poses and truths of a log, up to where it was cut."""
-    try:
-        import zstandard
-        from mcap.exceptions import McapError
-        from mcap.records import Channel, Message
-        from mcap.stream_reader import StreamReader
-    except ImportError:
-        raise ConfigError(f"{path}: reading logs needs the package mcap (pip install 'shoal[station]')") from None
+    """Topic, stamp and bytes of the poses and truths of a log, up to where it was cut or damaged."""
     names: dict[int, str] = {}
     try:
         with path.open("rb") as file:
-            for record in StreamReader(file, record_size_limit=_LARGEST_RECORD_BYTES).records:
-                if isinstance(record, Channel):
-                    names[record.id] = record.topic
-                elif isinstance(record, Message) and names.get(record.channel_id, "").endswith(_READ):
-                    yield names[record.channel_id], record.publish_time, record.data
-    except (McapError, ValueError, struct.error, zstandard.ZstdError):  # the recorder was killed: what lies before is good
+            for opcode, body in log_records.records(file):
+                if opcode == log_records.CHANNEL:
+                    number, topic = log_records.channel_topic(body)
+                    names[number] = topic
+                elif opcode == log_records.MESSAGE:
+                    number, _, _, stamp_ns, data = log_records.message(body)
+                    if names.get(number, "").endswith(_READ):
+                        yield names[number], stamp_ns, data
+    except ImportError:
+        raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
+    except log_records.Damaged:  # the recorder was killed: what lies before is good
         return
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None

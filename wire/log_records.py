@@ -1,0 +1,189 @@
+"""SHELL: the records of an MCAP file, read with bounds on memory and time: a log may come from anybody.
+
+    for opcode, body in records(file): ...      # chunks taken apart; raises Damaged where the file stops being a log
+
+A record is refused before its bytes are read when it is larger than the file can hold or than LARGEST_BYTES, a chunk before it
+is unpacked when it says, or turns out, to be larger than LARGEST_BYTES. All chunks together may unpack to UNPACKED_AT_LEAST
+bytes and UNPACKED_TIMES the size of the file: what a reader keeps in memory grows with the file that it was given.
+Layout: https://mcap.dev/spec. Needs only the standard library, and zstandard or lz4 for chunks that are packed with them.
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import IO
+
+MAGIC = b"\x89MCAP0\r\n"
+SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END, FOOTER = 3, 4, 5, 6, 7, 9, 12, 15, 2
+IN_CHUNKS = frozenset({SCHEMA, CHANNEL, MESSAGE})  # what the specification allows there
+
+LARGEST_BYTES = 32 * 1024 * 1024  # of a record, and of an unpacked chunk; the recorder's largest chunk has 4.3 MB
+UNPACKED_AT_LEAST = 16 * 1024 * 1024
+UNPACKED_TIMES = 64  # a pool's log unpacks to twice its size, its best chunk to five times
+
+_HEAD = struct.Struct("<BQ")  # opcode, length
+_CHUNK = struct.Struct("<QQQI")  # first and last log time, unpacked size, checksum of it
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
+
+
+class Damaged(Exception):
+    """Where a file stops being a log that can be read, and why."""
+
+
+@dataclass(frozen=True)
+class Packed:
+    """A chunk as it lies in the file."""
+
+    start_ns: int  # as it says: log time of its first message
+    end_ns: int
+    size: int  # unpacked
+    checksum: int  # of the unpacked bytes; 0: none
+    packing: str
+    data: bytes
+
+
+def records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
+    """Opcode and body of every record in order, chunks replaced by what is in them, checksums verified. Raises Damaged."""
+    allowed = Allowance(_size(file))
+    file.seek(0)
+    if file.read(len(MAGIC)) != MAGIC:
+        raise Damaged("does not begin as MCAP files do")
+    checksum = zlib.crc32(MAGIC)
+    while True:
+        at = file.tell()
+        opcode, length = read_head(file, at, allowed.file_bytes)
+        body = file.read(length)
+        if len(body) < length:
+            raise Damaged(f"byte {at}: cut within a record")
+        if opcode == CHUNK:
+            yield from parts(unpacked(chunk(body, at), allowed, at), at)
+        else:
+            if opcode == DATA_END and len(body) >= 4 and _U32.unpack_from(body)[0] not in (0, checksum):
+                raise Damaged(f"byte {at}: the file's checksum is wrong")
+            yield opcode, body
+        if opcode == FOOTER:
+            return
+        checksum = zlib.crc32(body, zlib.crc32(_HEAD.pack(opcode, length), checksum))
+
+
+class Allowance:
+    """How much the chunks of one file may still unpack to."""
+
+    def __init__(self, file_bytes: int) -> None:
+        self.file_bytes = file_bytes
+        self._left = UNPACKED_AT_LEAST + UNPACKED_TIMES * file_bytes
+
+    def take(self, size: int, at: int) -> None:
+        """Raises Damaged for a chunk that is too large, or one too many."""
+        if size > LARGEST_BYTES:
+            raise Damaged(f"byte {at}: a chunk of {size} bytes (allowed: {LARGEST_BYTES})")
+        self._left -= size
+        if self._left < 0:
+            raise Damaged(f"byte {at}: chunks of more than {UNPACKED_TIMES} times the file's {self.file_bytes} bytes")
+
+
+def read_head(file: IO[bytes], at: int, file_bytes: int) -> tuple[int, int]:
+    """Opcode and length of the record that begins here. Raises Damaged for one that cannot be."""
+    head = file.read(_HEAD.size)
+    if len(head) < _HEAD.size:
+        raise Damaged(f"byte {at}: the file ends without its last record")
+    opcode, length = _HEAD.unpack(head)
+    if opcode == 0:
+        raise Damaged(f"byte {at}: no record of MCAP")
+    if length > min(LARGEST_BYTES, file_bytes - at):
+        raise Damaged(f"byte {at}: a record of {length} bytes (allowed: {LARGEST_BYTES}, {file_bytes - at} are left)")
+    return opcode, length
+
+
+def chunk(body: bytes, at: int) -> Packed:
+    """The chunk in a record's body. Raises Damaged."""
+    try:
+        start_ns, end_ns, size, checksum = _CHUNK.unpack_from(body)
+        packing, place = _text(body, _CHUNK.size)
+        length = _U64.unpack_from(body, place)[0]
+    except (struct.error, UnicodeDecodeError) as error:
+        raise Damaged(f"byte {at}: no chunk: {error}") from None
+    data = body[place + 8 : place + 8 + length]
+    if len(data) < length:
+        raise Damaged(f"byte {at}: a chunk of {length} bytes in a record of {len(body)}")
+    return Packed(start_ns, end_ns, size, checksum, packing, data)
+
+
+def unpacked(found: Packed, allowed: Allowance, at: int) -> bytes:
+    """A chunk's content. Raises Damaged; ImportError where the package that unpacks it is not installed."""
+    allowed.take(found.size, at)
+    data = _unpack(found, at)
+    if len(data) != found.size:
+        raise Damaged(f"byte {at}: a chunk that does not unpack to the {found.size} bytes that it says")
+    if found.checksum and zlib.crc32(data) != found.checksum:
+        raise Damaged(f"byte {at}: a chunk's checksum is wrong")
+    return data
+
+
+def _unpack(found: Packed, at: int) -> bytes:
+    """Never more than one byte beyond the size that the chunk says."""
+    if found.packing == "":
+        return found.data
+    if found.packing == "zstd":
+        import zstandard
+
+        try:
+            unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_BYTES)
+            with unpacker.stream_reader(found.data) as stream:
+                return stream.read(found.size + 1)
+        except (zstandard.ZstdError, MemoryError) as error:
+            raise Damaged(f"byte {at}: a chunk that cannot be unpacked: {error}") from None
+    if found.packing == "lz4":
+        import lz4.frame
+
+        try:
+            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(found.data, found.size + 1))
+        except RuntimeError as error:
+            raise Damaged(f"byte {at}: a chunk that cannot be unpacked: {error}") from None
+    raise Damaged(f"byte {at}: a chunk packed with {found.packing[:20]!r} (allowed: zstd, lz4, none)")
+
+
+def parts(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
+    """The records of an unpacked chunk. Raises Damaged."""
+    place, end = 0, len(data)
+    while place < end:
+        if end - place < _HEAD.size:
+            raise Damaged(f"byte {at}: a chunk that ends within a record")
+        opcode, length = _HEAD.unpack_from(data, place)
+        place += _HEAD.size
+        if opcode not in IN_CHUNKS or length > end - place:
+            raise Damaged(f"byte {at}: a chunk with a record {opcode} of {length} bytes in it")
+        yield opcode, data[place : place + length]
+        place += length
+
+
+def message(body: bytes) -> tuple[int, int, int, int, bytes]:
+    """Channel, sequence number, log time, publish time and payload of a message. Raises Damaged."""
+    try:
+        return (*_MESSAGE.unpack_from(body), body[_MESSAGE.size :])
+    except struct.error as error:
+        raise Damaged(f"a message of {len(body)} bytes: {error}") from None
+
+
+def channel_topic(body: bytes) -> tuple[int, str]:
+    """A channel's number and topic. Raises Damaged."""
+    try:
+        return _U16.unpack_from(body)[0], _text(body, 4)[0]
+    except (struct.error, UnicodeDecodeError) as error:
+        raise Damaged(f"a channel of {len(body)} bytes: {error}") from None
+
+
+def _text(data: bytes, place: int) -> tuple[str, int]:
+    """A text with its length before it, and where it ends."""
+    length = _U32.unpack_from(data, place)[0]
+    end = place + 4 + length
+    if end > len(data):
+        raise struct.error(f"a text of {length} bytes")
+    return data[place + 4 : end].decode(), end
+
+
+def _size(file: IO[bytes]) -> int:
+    return file.seek(0, os.SEEK_END)
