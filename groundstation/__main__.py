@@ -11,6 +11,7 @@ from groundstation.rerun_commands import moment, rerun
 from groundstation.run_commands import compare, comparison, export, record, recover, report
 from groundstation.viewer_commands import foxglove_layout
 from wire.extras import run_role
+from wire.options import Version
 from wire.runtime import run_app
 
 cli = typer.Typer(
@@ -18,6 +19,13 @@ cli = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+
+
+@cli.callback()
+def main(version: Version = False) -> None:
+    """Ground station: plans trajectories, commands the fleet, records everything, writes the report."""
+
+
 for command in (run, plan, order, stop, phases, replay, rerun, report, compare, comparison, export, recover, record, deploy):
     cli.command()(command)
 cli.command("return")(come_back)

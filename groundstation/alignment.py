@@ -2,26 +2,46 @@
 
 A robot's reference at an instant is where its own trajectory clock (RobotState.trajectory_s) says it should be. A clock that
 stands (holding, dead) leaves the reference standing, and the run counts as incomplete.
+
+A log may hold several flights. One of them is looked at: the last that was more than the way home, or the one asked for.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from groundstation.runlog import Entry, RunLog
-from groundstation.series import CHANNELS, HOPS, Happening, RobotSeries, Series, States
+from groundstation.series import CHANNELS, HOPS, Flight, Happening, RobotSeries, Series, States
 from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array, pose_error
-from wire.messages import Event, LocalizerStatus, Mode, Pose, RobotState, StepInputs, Track, Trajectory, Truth
+from wire.messages import (
+    Event,
+    LocalizerStatus,
+    Mode,
+    Pose,
+    RobotState,
+    StationHeartbeat,
+    StepInputs,
+    Track,
+    Trajectory,
+    Truth,
+)
 from wire.scene import Circle, PathSpec
+from wire.toml_file import ConfigError
 
 LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
 OLD_POSE_MS = 150.0  # a step that goes by an older one came without a pose: its age is no latency
 WARNING = 3  # level of an Event from which on something is wrong
+BACK_S = 5.0  # who held goes on from where the slowest was, a little further back; who goes back further begins again
+FRESH_S = 2.0  # a clock that begins anew after 0 and is below this has been started; a robot that rejoins is further on
+TURNED_S = 1.0  # a flight that is on its way home so soon was nothing else
+HOMEWARD = "RETURNING"  # the mission's state in the station's heartbeat (groundstation/phases.py)
+SPARE_S = 3600.0  # a flight may take twice its duration and this: longer is a clock that leaps, and would fill the memory
+PERIODS_S = (0.001, 10.0)  # of a trajectory's samples; the agent takes up to 1 s
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,16 +84,21 @@ class _Recorded:
 
     @property
     def start_ns(self) -> int:
-        return round(float(self.clock_ns[0]) - float(self.clock_s[0]) * 1e9)
+        return _start_ns(self.clock_ns, self.clock_s)
 
 
-def align(experiment: Experiment, log: RunLog) -> Series:
-    """Bring a log onto one clock. Works for any part of a run, also for one in which nothing ever moved."""
+def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Series:
+    """Bring a flight of a log onto one clock: the one of that number, from 1, else the last that was more than the way home.
+    Works for any part of a run, also for one in which nothing ever moved. Raises ConfigError for a number that there is not."""
     known = bool(log.of(topics.TRUTH, Truth))
-    recorded = {robot: _gather(log, robot, known) for robot in experiment.robot_ids}
+    flights = _flights(log, experiment.robot_ids)
+    number = _chosen(flights, flight)
+    window = (flights[number - 1].begin_ns, flights[number - 1].until_ns) if number else (0, 0)
+    recorded = {robot: _gather(log, robot, known, window) for robot in experiment.robot_ids}
     flown = [r for r in recorded.values() if r.flew]
     start_ns = max((r.start_ns for r in flown), default=_first_stamp_ns(log))
-    end_s = _end_s(recorded, flown, start_ns, experiment.duration_s)
+    whole_s = _end_s(recorded, flown, start_ns, experiment.duration_s)
+    end_s = min(whole_s, 2.0 * experiment.duration_s + SPARE_S)
     rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if flown else 0
     time_s = np.arange(rows, dtype=np.float64) * experiment.controller.period_s
     located = any(len(r.truth.stamp_ns) > 1 for r in recorded.values())
@@ -83,26 +108,127 @@ def align(experiment: Experiment, log: RunLog) -> Series:
         end_s=end_s,
         started=bool(flown),
         reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
+        asked_s=_asked_s(experiment, recorded),
+        ended_s=(window[1] - start_ns) * 1e-9,
         time_s=time_s,
         robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, known) for robot, r in recorded.items()},
         errors_against=None if not flown or not located else "truth" if known else "localizer",
         frame_ms=_frame_times(log, start_ns),
         happenings=_happenings(log, recorded, start_ns),
+        sent_home_s=_sent_home_s(log, flights[number - 1], start_ns) if number else None,
+        cut_short=whole_s > end_s,
+        flights=tuple(flights),
+        flight=number,
     )
 
 
-def _gather(log: RunLog, robot: int, known: bool) -> _Recorded:
+def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
+    """The stamp of time 0, as `align` has it; needs the states only."""
+    flights = _flights(log, robots)
+    number = _chosen(flights, None)
+    if not number:
+        return _first_stamp_ns(log)
+    window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
+    clocks = [_clock(log.of(topics.STATE, RobotState, robot), window) for robot in robots]
+    return max(_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s))
+
+
+# --- flights
+
+
+def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
+    """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
+    one flies any more."""
+    parts = sorted(part for robot in robots for part in _robot_flights(log.of(topics.STATE, RobotState, robot), robot))
+    groups: list[list[tuple[int, int, float, int]]] = []
+    for part in parts:
+        here = groups[-1] if groups else []
+        if not here or part[3] in {robot for *_, robot in here} or part[0] > max(over_ns for _, over_ns, _, _ in here):
+            groups.append([part])
+        else:
+            here.append(part)
+    ends = [group[0][0] for group in groups[1:]] + ([_last_stamp_ns(log) + 1] if groups else [])
+    flights = []
+    for group, until_ns in zip(groups, ends, strict=True):
+        begin_ns, over_ns = group[0][0], max(over_ns for _, over_ns, _, _ in group)
+        flight = Flight(begin_ns, over_ns, until_ns, max(flown_s for _, _, flown_s, _ in group))
+        turned_s = _sent_home_s(log, flight, begin_ns)
+        flights.append(replace(flight, home=turned_s is not None and turned_s < TURNED_S))
+    return flights
+
+
+def _robot_flights(states: Sequence[Entry[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
+    """Of one robot: stamps of the first and the last step under way, how far it came, and its number."""
+    found: list[tuple[int, int, float, int]] = []
+    last_s, stood_at_zero = 0.0, False
+    for e in states:
+        clock_s = e.message.trajectory_s
+        if clock_s <= 0.0:
+            stood_at_zero = True
+        elif e.message.mode is Mode.TRACKING:
+            again = clock_s < last_s - BACK_S or (stood_at_zero and clock_s < min(last_s, FRESH_S))
+            if not found or again:
+                found.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
+            begin_ns, _, reached_s, _ = found[-1]
+            found[-1] = (begin_ns, e.stamp_ns, max(reached_s, clock_s), robot)
+            last_s, stood_at_zero = clock_s, False
+    return found
+
+
+def _chosen(flights: Sequence[Flight], wanted: int | None) -> int:
+    """Number of the flight to look at, from 1; 0 if there is none."""
+    if wanted is not None:
+        if not 1 <= wanted <= len(flights):
+            raise ConfigError(f"--flight {wanted}: the log holds {len(flights)} (allowed: 1 to {len(flights)})")
+        return wanted
+    outward = [number for number, flight in enumerate(flights, start=1) if not flight.home]
+    return outward[-1] if outward else len(flights)
+
+
+def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
+    """When in a flight the station first said that the fleet is on its way home."""
+    for beat in log.of(topics.HEARTBEAT, StationHeartbeat):
+        if flight.begin_ns <= beat.stamp_ns <= flight.over_ns and beat.message.mission == HOMEWARD:
+            return (beat.stamp_ns - start_ns) * 1e-9
+    return None
+
+
+def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float:
+    """How far along the trajectory the flight was to go. Trajectories are a controller's horizon longer than that."""
+    ahead_s = experiment.controller.mpc.horizon * experiment.controller.period_s
+    flown = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
+    ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in flown]
+    return max(0.0, min([experiment.duration_s, *ends]))
+
+
+# --- one robot
+
+
+def _clock(states: Sequence[Entry[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:
+    """Stamps and where on its trajectory the robot was, from its first step under way in a window on, whatever the mode: while
+    it holds, its clock stands. Empty if it did not fly."""
+    inside = [e for e in states if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
+    first = next((k for k, e in enumerate(inside) if e.message.mode is Mode.TRACKING), len(inside))
+    clock_ns = np.array([e.stamp_ns for e in inside[first:]], dtype=np.float64)
+    return clock_ns, np.array([e.message.trajectory_s for e in inside[first:]], dtype=np.float64)
+
+
+def _start_ns(clock_ns: Array, clock_s: Array) -> int:
+    """When the robot's trajectory began, by its first step under way."""
+    return round(float(clock_ns[0]) - float(clock_s[0]) * 1e9)
+
+
+def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _Recorded:
     states = log.of(topics.STATE, RobotState, robot)
     inputs = log.of(topics.INPUTS, StepInputs, robot)
     poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
-    flying = [e for e in states if e.message.mode is Mode.TRACKING and e.message.trajectory_s > 0.0]
-    # from the first step under way on, whatever the mode: while the robot holds, its clock stands
-    first_ns = flying[0].stamp_ns if flying else float("inf")
-    since = [e for e in states if e.stamp_ns >= first_ns and e.message.trajectory_s > 0.0]
-    trajectories = log.of(topics.TRAJECTORY, Trajectory, robot)
-    named = flying[-1].message.trajectory_id if flying else ""  # it holds what was flown before it as well
-    chosen = [e.message for e in trajectories if e.message.id == named] or [e.message for e in trajectories]
+    flown = [e.message for e in states if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
+    named = [m.trajectory_id for m in flown if m.mode is Mode.TRACKING]
+    trajectories = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot) if _is_path(e.message)]
+    # the last that was flown holds what was flown before it as well
+    chosen = [t for t in trajectories if named and t.id == named[-1]] or trajectories
     truth, disturbance = _truth(log, robot) if known else (_located(states, poses), _samples([], []))
+    clock_ns, clock_s = _clock(states, window)
     return _Recorded(
         states=states,
         trajectory=chosen[-1] if chosen else None,
@@ -111,9 +237,14 @@ def _gather(log: RunLog, robot: int, known: bool) -> _Recorded:
         poses=poses,
         inputs={e.stamp_ns: e.message for e in inputs},
         lost={"poses": _lost(log.of(topics.POSE, Pose, robot)), "states": _lost(states), "inputs": _lost(inputs)},
-        clock_ns=np.array([e.stamp_ns for e in since], dtype=np.float64),
-        clock_s=np.array([e.message.trajectory_s for e in since], dtype=np.float64),
+        clock_ns=clock_ns,
+        clock_s=clock_s,
     )
+
+
+def _is_path(trajectory: Trajectory) -> bool:
+    """Whether there is anything to be flown in it."""
+    return len(trajectory.eta) > 1 and PERIODS_S[0] <= trajectory.period_s <= PERIODS_S[1]
 
 
 def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
@@ -149,6 +280,10 @@ def _first_stamp_ns(log: RunLog) -> int:
     states = [e.stamp_ns for (name, _), found in log.entries.items() for e in found if name == topics.STATE.name]
     anything = [e.stamp_ns for found in log.entries.values() for e in found]
     return min(states or anything, default=0)
+
+
+def _last_stamp_ns(log: RunLog) -> int:
+    return max((e.stamp_ns for found in log.entries.values() for e in found[-1:]), default=0)
 
 
 def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
@@ -187,7 +322,7 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
 
 def _reference(r: _Recorded, stamps: Array) -> Array:
     """Where the robot should be at each stamp, (n, 4)."""
-    if r.trajectory is None or len(r.trajectory.eta) < 2:
+    if r.trajectory is None:
         return np.full((len(stamps), 4), np.nan)
     time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
     curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
@@ -197,7 +332,7 @@ def _reference(r: _Recorded, stamps: Array) -> Array:
 
 def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) -> Array | None:
     """The middle of a reference (4,): a circle's centre, else the mean over the run."""
-    if trajectory is None or len(trajectory.eta) == 0:
+    if trajectory is None:
         return None
     if isinstance(path, Circle):
         rate_radps = 2.0 * np.pi / path.lap_s

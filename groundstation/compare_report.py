@@ -10,6 +10,7 @@ from rich.table import Table
 from groundstation.comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
 from groundstation.plotting import to_svg
 from wire.comparison import Comparison
+from wire.outputs import replace_text
 from wire.toml_file import ConfigError
 
 FIGURES = (
@@ -40,7 +41,7 @@ def write(folder: Path) -> bool:
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ConfigError(f"{path}: no comparison that can be read: {error!r}") from None
     failed = failures(comparison)
-    (folder / "comparison.html").write_text(_render(comparison, failed), encoding="utf-8")
+    replace_text(folder / "comparison.html", _render(comparison, failed))
     console = Console()
     console.width = max(console.width, 170)  # a table that wraps cannot be read
     console.print(_table(comparison))

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from groundstation.judgement import checks, went_all_the_way
-from groundstation.results import Errors, PairResult, Quantiles, Result, RobotResult, Spread, Three
+from groundstation.results import Errors, FlightPart, PairResult, Quantiles, Result, RobotResult, Spread, Three
 from groundstation.runlog import RunLog
-from groundstation.series import HOPS, SETTLED_S, THRUSTERS, Mask, RobotSeries, Series, active_limits
+from groundstation.series import HOPS, SETTLED_S, THRUSTERS, Flight, Happening, Mask, RobotSeries, Series, active_limits
 from wire.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
+from wire.version import UNKNOWN, code
 
 
 def evaluate(series: Series, log: RunLog) -> Result:
@@ -58,10 +59,31 @@ def evaluate(series: Series, log: RunLog) -> Result:
         slack_m=_most(r.states.slack_m[rows] for r, rows in zip(each, flying, strict=True)),
         board_loss=_most(r.states.board_loss[rows] for r, rows in zip(each, flying, strict=True)),
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
-        faults=tuple(h for h in series.happenings if h.fault and (0.0 <= h.time_s <= series.end_s or not series.started)),
+        faults=tuple(h for h in series.happenings if h.fault and _in_flight(h, series)),
+        asked_s=round(series.asked_s, 6),
+        log_trouble=log.trouble,
+        version=log.metadata.get("version", UNKNOWN),
+        commit=log.metadata.get("commit", UNKNOWN),
+        evaluated_by=code().commit,
+        flight=series.flight,
+        flights=tuple(_part(flight, series.start_ns) for flight in series.flights),
     )
     judged = tuple(checks(result, series))
     return dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
+
+
+def _in_flight(happening: Happening, series: Series) -> bool:
+    """Whether something happened in the flight that is judged. What ended a flight early comes after its last step under way;
+    what comes after a flight that went to its end is none of its faults."""
+    if not series.started:
+        return True
+    until_s = series.end_s if went_all_the_way(series) else series.ended_s
+    return 0.0 <= happening.time_s <= until_s
+
+
+def _part(flight: Flight, start_ns: int) -> FlightPart:
+    begin_s, over_s = ((ns - start_ns) * 1e-9 for ns in (flight.begin_ns, flight.over_ns))
+    return FlightPart(round(begin_s, 6), round(over_s, 6), round(flight.flown_s, 6), flight.home)
 
 
 # --- errors
@@ -222,12 +244,10 @@ def _real_time_factor(series: Series, log: RunLog) -> float | None:
 
 
 def _notes(series: Series, log: RunLog) -> Iterator[str]:
-    """What a reader must know before the figures."""
-    planned = series.experiment.duration_s
-    if not series.started:
-        yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
-    elif not went_all_the_way(series):
-        yield f"The run is not complete: {series.reached_s:.1f} s of {planned:g} s were flown by the slowest robot."
+    """What a reader must know before the figures. What is wrong with the log comes first."""
+    if log.trouble:
+        yield log.trouble
+    yield from _of_the_flight(series)
     if series.started and series.errors_against is None:
         yield "Neither truth nor poses were recorded: there are no errors."
     if series.errors_against == "localizer":
@@ -235,12 +255,30 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
     absent = [str(robot) for robot, r in series.robots.items() if not r.states.tracking.any()]
     if series.started and absent:
         yield f"Never under way: robot {', '.join(absent)}."
-    if not log.complete:
-        yield "The log was cut off; what could be read is evaluated."
-    if log.dropped:
-        yield f"The recorder could not take {log.dropped} messages."
+    if series.cut_short:
+        yield f"Only {series.end_s:.0f} s are evaluated: by its stamps the flight lasts longer than a flight can; a clock leaps."
     if log.undecodable:
-        yield f"{log.undecodable} recorded messages could not be decoded."
+        yield f"{log.undecodable} recorded messages could not be decoded: they are damaged, or of another version."
+
+
+def _of_the_flight(series: Series) -> Iterator[str]:
+    planned_s = series.experiment.duration_s
+    if len(series.flights) > 1:
+        yield (
+            f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "
+            "`groundstation report RUN --flight N` makes one of another."
+        )
+    if not series.started:
+        yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
+    elif series.sent_home_s is not None and not went_all_the_way(series):
+        yield f"The run is not complete: the fleet was sent home after {series.sent_home_s:.1f} s of {planned_s:g} s."
+    elif not went_all_the_way(series):
+        yield f"The run is not complete: {series.reached_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
+        first = next((h for h in series.happenings if h.fault and _in_flight(h, series)), None)
+        if first is not None:
+            yield f"The first fault was at {first.time_s:.1f} s, {first.source}: {first.text}."
+    elif series.asked_s < planned_s - series.experiment.controller.period_s:
+        yield f"The path was over after {series.asked_s:.1f} s, before the {planned_s:g} s of the experiment."
 
 
 def _least(values: Iterable[float | None]) -> float | None:

@@ -24,6 +24,7 @@ from wire.options import (
     Verbose,
     WebAddress,
 )
+from wire.outputs import replace_text
 from wire.runtime import Stop, start_log
 from wire.toml_file import ConfigError, files_named
 
@@ -88,7 +89,7 @@ def run(
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / "run.mcap").exists():
             raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-        (folder / "experiment.toml").write_text(text, encoding="utf-8")
+        _lay_down(folder / "experiment.toml", loaded, text)
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         succeeded = station_process.run(
             loaded,
@@ -106,6 +107,15 @@ def run(
         write_report(folder)
         typer.echo(f"report: {folder / 'report.html'}")
     raise typer.Exit(0 if succeeded else 1)
+
+
+def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
+    """Put what is flown into the run's folder. A file that is there, as a launcher has put it there, stays as it is; raises
+    ConfigError if it is another experiment, perhaps the very file that was named."""
+    if not file.exists():
+        replace_text(file, text)
+    elif load_experiment(str(file)).hash != loaded.hash:
+        raise ConfigError(f"{file}: is there already, is another experiment, and would be lost (allowed: a new folder)")
 
 
 def _token(file: Path) -> str:

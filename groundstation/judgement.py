@@ -5,32 +5,36 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from groundstation.results import Check, Errors, Result
-from groundstation.series import SETTLED_S, Series
-from wire.experiment import Experiment
+from groundstation.series import Series
+from wire.comparison import settled
 
 MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
 AXES = ("x", "y", "z")
 
 
 def went_all_the_way(series: Series) -> bool:
-    """Whether the slowest robot got to the end, to within two control periods, and the evaluation with it."""
-    least = series.experiment.duration_s - 2.0 * series.experiment.controller.period_s
-    return series.started and min(series.reached_s, series.end_s) >= least
+    """Whether the slowest robot got to the end of what was to be flown, to within two control periods, and the evaluation with
+    it. A fleet that turned home before has not."""
+    spare_s = 2.0 * series.experiment.controller.period_s
+    turned = series.sent_home_s is not None and series.sent_home_s < series.experiment.duration_s - spare_s
+    return series.started and not turned and min(series.reached_s, series.end_s) >= series.asked_s - spare_s
 
 
 def checks(result: Result, series: Series) -> Iterator[Check]:
     """Requirements of every run, and the experiment's limits."""
     errors: dict[str, Errors] = {**{f"robot {k}": r for k, r in result.robots.items()}, **result.pairs}
     yield from _of_every_run(result, series)
-    yield from _of_errors(errors, series.experiment)
+    yield from _of_errors(errors, series)
     yield from _of_the_end(series)
-    yield from _of_the_means(result, series.experiment)
+    yield from _of_the_means(result, series)
 
 
 def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
     experiment = series.experiment
     flown_s = min(series.reached_s, series.end_s)
-    yield Check("whole run flown, s", "slowest robot", flown_s, experiment.duration_s, went_all_the_way(series))
+    missing = float(result.log_dropped) if result.log_complete else None
+    yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
+    yield Check("whole run flown, s", "slowest robot", flown_s, series.asked_s, went_all_the_way(series))
     yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
     fraction = result.missed_deadlines_fraction
     yield _at_most("missed deadlines, fraction", "all robots", fraction, MISSED_FRACTION)
@@ -41,9 +45,8 @@ def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
         yield Check("separation, m, at least", closest_pair, closest, allowed, passed)
 
 
-def _of_errors(errors: dict[str, Errors], experiment: Experiment) -> Iterator[Check]:
-    limits = experiment.limits
-    settles = experiment.duration_s > SETTLED_S  # what comes after 20 s is not asked of a shorter run
+def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
+    limits, settles = series.experiment.limits, settled(series.asked_s)
     for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
         limit = getattr(limits, name)
         if limit is not None and (settles or name == "rms_m"):
@@ -65,13 +68,13 @@ def _of_the_end(series: Series) -> Iterator[Check]:
         yield _at_most("from its place at the end, m", where, away.get(last) if last else None, limits.arrived_m)
 
 
-def _of_the_means(result: Result, experiment: Experiment) -> Iterator[Check]:
+def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
     """How well the localizer saw, how hard thrusters were worked, how late the pulses were."""
-    limits = experiment.limits
+    experiment, limits = series.experiment, series.experiment.limits
     if limits.pose_rms_m is not None:
         rms = result.pose_error_m.rms if result.pose_error_m else None
         yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)
-    if limits.wrench_step_rms is not None and experiment.duration_s > SETTLED_S:
+    if limits.wrench_step_rms is not None and settled(series.asked_s):
         share = _shares(result.dtau_rms_after_20s, experiment.vehicle.limits.wrench_step)
         where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
         yield _at_most(

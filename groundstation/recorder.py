@@ -36,6 +36,7 @@ from wire.codec import Header, protobuf_class
 from wire.experiment import Experiment
 from wire.toml_file import ConfigError
 from wire.topics import STATE, Qos, Role, Topic
+from wire.version import code
 
 FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
 GATHER_S = 0.01  # how far `log_time` may be behind the arrival; a control step's messages come in bursts
@@ -55,7 +56,8 @@ def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
         "seed": str(experiment.seed),
         "mode": mode,
         "experiment_hash": experiment.hash,
-        "version": importlib.metadata.version("shoal"),
+        "version": code().version,
+        "commit": code().commit,
         "zenoh": importlib.metadata.version("eclipse-zenoh"),
     }
 
@@ -80,13 +82,11 @@ class _Output:
     """What mcap's Writer writes to: collects bytes, hands them to the file in one go, and knows how far the file is good."""
 
     def __init__(self, path: Path) -> None:
-        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
-        try:
-            claim(self._fd, path, fcntl.LOCK_EX, "another run still writes it")
-            os.ftruncate(self._fd, 0)
-        except OSError:
-            os.close(self._fd)
-            raise
+        try:  # a log is never written over, nor through a link
+            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+        except FileExistsError as error:
+            raise FileExistsError(error.errno, "is there already, and would be lost (take a new folder)", str(path)) from None
+        claim(self._fd, path, fcntl.LOCK_EX, "another program has it")
         self._pending = bytearray()
         self.good_bytes = 0
 

@@ -1,5 +1,6 @@
 """SHELL: from a run's folder to result.json and one self-contained report.html; runs side by side; figures for a paper."""
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,9 @@ from groundstation.runlog import RunLog, read_log
 from groundstation.series import Happening, Series
 from groundstation.side_by_side import Run, differences, drawn, figures_of
 from wire.experiment import ArticleRow, Experiment, load_experiment
+from wire.outputs import replace_text, replacing
 from wire.runtime import log
+from wire.toml_file import ConfigError
 
 MOST_HAPPENINGS = 400
 NOTHING = "–"
@@ -36,22 +39,26 @@ class Drawn:
     svg: Markup | None
 
 
-def write_report(run_dir: Path) -> Result:
-    """Evaluate a run's folder (run.mcap, experiment.toml) and write result.json and report.html into it.
+def write_report(run_dir: Path, flight: int | None = None) -> Result:
+    """Evaluate a run's folder (run.mcap, experiment.toml) and write result.json and report.html into it; of several flights the
+    one of that number, else the last.
 
     A log that was cut off is mended first, if there is room. A run of any length gives a report. Raises ConfigError if the
-    experiment is neither in the folder nor in the log.
+    experiment is neither in the folder nor in the log, or there is no such flight.
     """
-    series, recorded, result = evaluated(run_dir)
-    _replace(run_dir / "result.json", result.to_json())
-    _replace(run_dir / "report.html", render(series, recorded, result))
+    recorded = _read(run_dir / "run.mcap", mend=True)
+    experiment = _experiment(run_dir, recorded, put_back=True)
+    series = align(experiment, recorded, flight)
+    result = evaluate(series, recorded)
+    replace_text(run_dir / "result.json", result.to_json())
+    replace_text(run_dir / "report.html", render(series, recorded, result))
     return result
 
 
-def evaluated(run_dir: Path) -> tuple[Series, RunLog, Result]:
-    """A run's folder read and evaluated. Raises ConfigError as `write_report`."""
-    recorded = _read(run_dir / "run.mcap")
-    series = align(_experiment(run_dir, recorded), recorded)
+def evaluated(run_dir: Path, flight: int | None = None) -> tuple[Series, RunLog, Result]:
+    """A run's folder read and evaluated, and left as it is. Raises ConfigError as `write_report`."""
+    recorded = _read(run_dir / "run.mcap", mend=False)
+    series = align(_experiment(run_dir, recorded, put_back=False), recorded, flight)
     return series, recorded, evaluate(series, recorded)
 
 
@@ -59,21 +66,26 @@ def write_comparison(runs: Sequence[Run], path: Path) -> None:
     """One self-contained page with all runs side by side."""
     figures = [(title, caption, _svg(figure, f"compare-{title}")) for title, caption, figure in drawn(runs)]
     page = _environment().get_template("side_by_side.html")
-    _replace(path, page.render(runs=runs, rows=figures_of(runs), differences=differences(runs), drawn=figures))
+    replace_text(path, page.render(runs=runs, rows=figures_of(runs), differences=differences(runs), drawn=figures))
 
 
-def write_figures(run_dir: Path, folder: Path) -> list[Path]:
+def write_figures(run_dir: Path, folder: Path, flight: int | None = None) -> list[Path]:
     """Every figure of a run's report as a PDF for a paper. Returns the files."""
-    series, _, _ = evaluated(run_dir)
+    series, _, _ = evaluated(run_dir, flight)
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     for kind in FIGURES:
         figure = kind.draw(series)
         if figure is not None:
             written.append(folder / f"{kind.name}.pdf")
-            with mpl.rc_context({"pdf.fonttype": 42}):  # text stays text, as journals want it
-                figure.savefig(written[-1], metadata={"CreationDate": None})
+            write_pdf(figure, written[-1])
     return written
+
+
+def write_pdf(figure: Figure, path: Path) -> None:
+    """A figure as a PDF, the same bytes for the same figure."""
+    with mpl.rc_context({"pdf.fonttype": 42}), replacing(path) as file:  # text stays text, as journals want it
+        figure.savefig(file, format="pdf", metadata={"CreationDate": None})
 
 
 def render(series: Series, recorded: RunLog, result: Result) -> str:
@@ -107,32 +119,33 @@ def _environment() -> Environment:
     return environment
 
 
-def _read(path: Path) -> RunLog:
+def _read(path: Path, mend: bool) -> RunLog:
     if not path.exists():
-        return RunLog()
-    try:
-        mended = recover(path)
-    except OSError as error:
-        log.warning("%s is not whole and cannot be mended (%s); reading what is there", path, error.strerror)
-        mended = False
-    if mended:
-        log.warning("%s was cut off: mended up to the cut", path)
+        return RunLog(found=False)
+    if mend:
+        try:
+            if recover(path):
+                log.warning("%s was cut off: mended up to the cut", path)
+        except OSError as error:
+            log.warning("%s is not whole and cannot be mended (%s); reading what is there", path, error.strerror)
     return read_log(path)
 
 
-def _experiment(run_dir: Path, recorded: RunLog) -> Experiment:
-    """The experiment as run; from the log if the folder has lost it."""
+def _experiment(run_dir: Path, recorded: RunLog, put_back: bool) -> Experiment:
+    """The experiment as run; from the log if the folder has lost it, and then put back there if it is to be."""
     path = run_dir / "experiment.toml"
-    if not path.exists() and recorded.experiment_toml:
-        _replace(path, recorded.experiment_toml)
-    return load_experiment(str(path))
-
-
-def _replace(path: Path, text: str) -> None:
-    """All or nothing: a reader never sees half a file."""
-    new = path.with_name(path.name + ".new")
-    new.write_text(text, encoding="utf-8")
-    new.replace(path)
+    if path.exists() or not recorded.experiment_toml:
+        return load_experiment(str(path))
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / path.name
+        copy.write_text(recorded.experiment_toml, encoding="utf-8")
+        try:
+            experiment = load_experiment(str(copy))
+        except ConfigError as error:
+            raise ConfigError(str(error).replace(str(copy), f"{path} (from the log)")) from None
+    if put_back:
+        replace_text(path, recorded.experiment_toml)
+    return experiment
 
 
 def _draw(series: Series, index: int) -> Drawn:
@@ -147,14 +160,17 @@ def _svg(figure: Figure | None, name: str) -> Markup | None:
 
 def _facts(recorded: RunLog, result: Result) -> list[tuple[str, str]]:
     factor = result.real_time_factor
-    known = {"scene", "seed", "mode", "experiment_hash", "hash"}
+    known = {"scene", "seed", "mode", "experiment_hash", "hash", "version", "commit"}
     return [
         ("seed", str(result.seed)),
         ("mode", result.mode),
         ("evaluated", f"{result.duration_s:.1f} s of {result.planned_duration_s:g} s"),
+        *([("flight", f"{result.flight} of {len(result.flights)}")] if len(result.flights) > 1 else []),
         ("speed", f"{factor:.2f} × real time" if factor is not None else NOTHING),
         ("late control steps", f"{result.missed_deadlines} of {sum(r.control_steps for r in result.robots.values())}"),
         ("faults", str(len(result.faults))),
+        ("version", result.version),
+        ("commit", result.commit),
         *((name, value) for name, value in sorted(recorded.metadata.items()) if name not in known),
         ("experiment hash", result.experiment_hash),
     ]

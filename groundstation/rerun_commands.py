@@ -30,6 +30,7 @@ def rerun(
                groundstation rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=25 --figures figures
     """
     from groundstation.again import draw
+    from groundstation.report import write_pdf
     from groundstation.rerun import rerun as do_again
 
     found = do_again(run_folder, robots or (), settings or ())
@@ -38,7 +39,7 @@ def rerun(
         for again in found:
             figure = draw(again)
             if figure is not None:
-                figure.savefig(figures / f"rerun-{again.robot}.pdf", metadata={"CreationDate": None})
+                write_pdf(figure, figures / f"rerun-{again.robot}.pdf")
     if as_json:
         typer.echo(json.dumps([again.as_dict() for again in found], indent=1))
     else:

@@ -83,6 +83,16 @@ class Check:
 
 
 @dataclass(frozen=True)
+class FlightPart:
+    """A flight of the log. Times are those of the report: 0 is the start of the one that is judged."""
+
+    begin_s: float
+    over_s: float  # its last step under way
+    flown_s: float  # along the trajectory, by the robot that came farthest
+    home: bool  # it was only the way home
+
+
+@dataclass(frozen=True)
 class Result:
     """Everything result.json holds."""
 
@@ -91,7 +101,7 @@ class Result:
     mode: str
     passed: bool
     duration_s: float  # that could be evaluated
-    planned_duration_s: float
+    planned_duration_s: float  # the experiment's
     real_time_factor: float | None
     errors_against: str | None  # "truth", or "localizer" in a pool that has none
     robots: dict[str, RobotResult]
@@ -117,6 +127,13 @@ class Result:
     slack_m: float | None = None  # the most by which a plan entered the space of another robot
     board_loss: float | None = None  # the most of a board's messages that were lost within 5 s
     messages_lost: dict[str, int] = field(default_factory=dict)  # on the way to the log, by kind, all robots
+    asked_s: float = 0.0  # along the trajectory, what was to be flown: less than planned where the path was over before
+    log_trouble: str = ""  # what is wrong with the log as a whole; empty if it holds the whole run
+    version: str = "unknown"  # of the code that recorded the run,
+    commit: str = "unknown"  # and its commit
+    evaluated_by: str = "unknown"  # the commit of the code that wrote this
+    flight: int = 0  # which of the flights is judged, from 1; 0: nothing flew
+    flights: tuple[FlightPart, ...] = ()  # all of the log
 
     def to_json(self) -> str:
         """As result.json."""

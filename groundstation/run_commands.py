@@ -9,6 +9,7 @@ import typer
 
 from wire.experiment import load_experiment
 from wire.options import AsJson
+from wire.outputs import RUN, check_output
 from wire.toml_file import ConfigError
 
 
@@ -31,22 +32,29 @@ def record(
 def report(
     run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
     pdf: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write every figure there as a PDF, too.")] = None,
+    flight: Annotated[int | None, typer.Option(min=1, help="Of several flights in one log: which. Default: the last.")] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write result.json and report.html of a run again, from its log.
+
+    What is wrong with the log as a whole (none, empty, cut off, gaps) is the first line. Exit code 0 if the run passed, 1 if it
+    did not or its log is not whole.
 
     Example:  groundstation report runs/pool-20260101-120000 --pdf figures
     """
     from groundstation import report as reporting
 
-    result = reporting.write_report(run_folder)
-    figures = reporting.write_figures(run_folder, pdf) if pdf is not None else []
+    result = reporting.write_report(run_folder, flight)
+    figures = reporting.write_figures(run_folder, pdf, flight) if pdf is not None else []
     if as_json:
         typer.echo(result.to_json(), nl=False)
-        return
-    typer.echo(f"report: {run_folder / 'report.html'}")
+        raise typer.Exit(0 if result.passed else 1)
+    if result.log_trouble:
+        typer.echo(result.log_trouble)
+    typer.echo(f"report: {run_folder / 'report.html'} ({'passed' if result.passed else 'failed'})")
     for path in figures:
         typer.echo(path)
+    raise typer.Exit(0 if result.passed else 1)
 
 
 def compare(
@@ -67,6 +75,7 @@ def compare(
 
     if len(runs) < 2:
         raise ConfigError("compare: two runs or more are needed")
+    check_output(out, [run / name for run in runs for name in RUN])
     missing = [str(run) for run in runs if not (run / "run.mcap").is_file()]
     if missing:
         raise ConfigError(f"{missing[0]}: no run.mcap there")
@@ -76,6 +85,8 @@ def compare(
     for name, folder in zip(names, runs, strict=True):
         series, _, result = reporting.evaluated(folder)
         read.append(Run(name, series, result))
+        if result.log_trouble:
+            typer.echo(f"{name}: {result.log_trouble}", err=True)
     reporting.write_comparison(read, out)
     if as_json:
         figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in figures_of(read)]

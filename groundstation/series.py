@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from wire.comparison import SETTLED_S as SETTLED_S  # ambiguity A14: errors are given for the whole run and from here on
 from wire.experiment import Experiment
 from wire.frames import Array, pose_error
 from wire.messages import Mode
 
 THRUSTERS, CHANNELS = 4, 8
 HOPS = ("localizer", "network, waiting", "control step", "to the board")  # of a pose, from the exposure to the PWM
-SETTLED_S = 20.0  # ambiguity A14: errors are given for the whole run and from here on
 SLACK_M = 0.001  # less is the solver's own tolerance
 AT_LIMIT = 0.999  # of a bound: the solver stops that close to it
 Mask = NDArray[np.bool_]
@@ -81,20 +81,37 @@ class Happening:
     fault: bool
 
 
+@dataclass(frozen=True)
+class Flight:
+    """One flight of a log: from a START of the fleet to the next, or to the log's end."""
+
+    begin_ns: int  # stamp of the first step under way
+    over_ns: int  # of the last step under way
+    until_ns: int  # where the next flight begins
+    flown_s: float  # along the trajectory, by the robot that came farthest
+    home: bool = False  # it was only the way home
+
+
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A run on one clock."""
+    """A flight of a run on one clock."""
 
     experiment: Experiment
     start_ns: int  # stamp of time 0
     end_s: float  # of the evaluation
     started: bool  # at least one robot flew
     reached_s: float  # along the trajectory, by the slowest robot
+    asked_s: float  # along the trajectory, what was to be flown: the experiment's duration, or less where the path was over
+    ended_s: float  # of the flight: its log goes on so long, also after the evaluation
     time_s: Array  # (n,) one row per control period, 0 to end_s
     robots: dict[int, RobotSeries]
     errors_against: str | None  # "truth", "localizer", or None when there is nothing to compare with
     frame_ms: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (f, 2) time in s, processing time of a frame in ms
     happenings: tuple[Happening, ...] = ()
+    sent_home_s: float | None = None  # when the fleet turned home before the end
+    cut_short: bool = False  # the evaluation ends before the flight does: its clock leaps
+    flights: tuple[Flight, ...] = ()  # all of the log
+    flight: int = 0  # number of this one, from 1; 0 if there is none
 
     def pair_error(self, a: int, b: int) -> Array:
         """Formation error (p_a - p_b) - (ref_a - ref_b), (n, 4), yaw wrapped."""

@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 from groundstation.colours import colour
 from groundstation.plotting import Line, Panel, stack
 from groundstation.results import Errors, Result
-from groundstation.series import Series
+from groundstation.series import SETTLED_S, Series
 from wire.experiment import Experiment
 
-SETTLED_S = 20.0
+FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, which have no brackets
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +71,15 @@ def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
 
 
 def differences(runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
-    """Keys of the experiments whose values are not the same in all runs, and the values as text."""
-    tables = [_flat(run.experiment.model_dump(mode="json", exclude_none=True)) for run in runs]
-    keys = sorted(set().union(*tables))
+    """Keys of the experiments whose values are not the same in all runs, and the values as text; before them how the runs were
+    flown, and by which code."""
+    tables = [_flown_by(run) | _flat(run.experiment.model_dump(mode="json", exclude_none=True)) for run in runs]
+    keys = [*FLOWN_BY, *sorted(set().union(*tables) - set(FLOWN_BY))]
     return [(key, values) for key in keys if len(set(values := tuple(str(table.get(key, "–")) for table in tables))) > 1]
+
+
+def _flown_by(run: Run) -> dict[str, str]:
+    return dict(zip(FLOWN_BY, (run.result.mode, run.result.version, run.result.commit), strict=True))
 
 
 def _flat(value: Any, prefix: str = "") -> dict[str, Any]:

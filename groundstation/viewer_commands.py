@@ -7,8 +7,9 @@ from typing import Annotated
 import typer
 
 from groundstation.viewer_layout import layout
-from wire.experiment import load_experiment
+from wire.experiment import experiment_path, load_experiment
 from wire.options import DEFAULT_FLEET, FleetName, experiments
+from wire.outputs import check_output, replace_text
 from wire.toml_file import ConfigError
 
 LayoutFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write it there instead of to stdout.")]
@@ -36,11 +37,13 @@ def foxglove_layout(
     Examples:  groundstation foxglove-layout pool --out layout.json
                groundstation export runs/pool-20260101-120000 --foxglove --out viewer
     """
+    if out is not None:
+        check_output(out, [experiment_path(experiment)])
     text = json.dumps(layout(load_experiment(experiment), fleet), indent=1) + "\n"
     if out is None:
         typer.echo(text, nl=False)
     else:
-        out.write_text(text, encoding="utf-8")
+        replace_text(out, text)
         typer.echo(out)
 
 

@@ -17,8 +17,10 @@ from groundstation.viewer_scene import FRAMES, MOVING, SCHEMAS, STANDING, Pictur
 from wire import topics
 from wire.codec import DecodeError, decode
 from wire.experiment import load_experiment
+from wire.outputs import RUN, check_output, replace_text, replacing
 
 LAYOUT_NAME = "foxglove-layout.json"
+COPY_ENDING = "-viewer.mcap"  # never run.mcap: an export is no run
 SCENE_NS = 100_000_000  # a new scene this often: smooth to the eye
 STANDING_NS = 5_000_000_000  # and what stands, for whoever jumps into the middle
 DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)
@@ -26,13 +28,16 @@ DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJE
 
 def export(run: Path, folder: Path) -> list[Path]:
     """Write the log of a run with the scene in it, and a layout that shows it. Returns the files. Raises ConfigError for what
-    is no run."""
+    is no run, and for a folder where one of the files would be written over the run's own."""
     experiment = load_experiment(str(run / "experiment.toml"))
-    folder.mkdir(parents=True, exist_ok=True)
-    copy, described = folder / f"{run.resolve().name}.mcap", folder / LAYOUT_NAME
-    with open_log(run) as log, copy.open("wb") as file:
-        fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), Picture(experiment)).run(log.readable)
-    described.write_text(json.dumps(layout(experiment, fleet.removesuffix("/")), indent=1) + "\n", encoding="utf-8")
+    copy, described = folder / f"{run.resolve().name}{COPY_ENDING}", folder / LAYOUT_NAME
+    for path in (copy, described):
+        check_output(path, [run / name for name in RUN])
+    with open_log(run) as log:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(copy) as file:
+            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), Picture(experiment)).run(log.readable)
+    replace_text(described, json.dumps(layout(experiment, fleet.removesuffix("/")), indent=1) + "\n")
     return [copy, described]
 
 
@@ -57,7 +62,7 @@ class _Copy:
                     self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
                 case Channel() if record.id not in self._channels:
                     self._channel(record)
-                case Message():
+                case Message() if record.channel_id in self._channels:
                     channel, times = self._channels[record.channel_id], (record.publish_time, record.sequence)
                     self._writer.add_message(channel, record.log_time, record.data, *times)
                     self._look(record)
@@ -71,7 +76,7 @@ class _Copy:
         return self._fleet
 
     def _channel(self, record: Channel) -> None:
-        schema = self._schemas[record.schema_id]
+        schema = self._schemas.get(record.schema_id, 0)
         self._channels[record.id] = self._writer.register_channel(
             record.topic, record.message_encoding, schema, record.metadata
         )

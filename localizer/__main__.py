@@ -19,6 +19,7 @@ from wire.options import (
     Settings,
     StationAddress,
     Verbose,
+    Version,
 )
 from wire.runtime import Stop, run_app, start_log
 
@@ -30,7 +31,7 @@ cli = typer.Typer(
 
 
 @cli.callback()
-def main() -> None:
+def main(version: Version = False) -> None:
     """Localizer: tracks the robots from an overhead camera and publishes their poses."""
 
 

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from localizer.patch import Pixels
+from wire.outputs import replacing
 from wire.toml_file import ConfigError
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
@@ -25,12 +26,13 @@ def read_picture(path: Path) -> Pixels:
 
 
 def write_picture(path: Path, picture: Pixels) -> None:
-    """Write a BGR picture (height, width, 3) as the kind of file that its suffix says. Raises ConfigError."""
+    """Write a BGR picture (height, width, 3) as the kind of file that its suffix says, whole or not at all. Raises ConfigError."""
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path}: {path.suffix!r} is no kind of picture (allowed: {', '.join(SUFFIXES)})")
     _, data = cv2.imencode(path.suffix, picture)
     try:
-        path.write_bytes(data.tobytes())
+        with replacing(path) as file:
+            file.write(data.tobytes())
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from wire.experiment import load_experiment
+from wire.experiment import experiment_path, load_experiment
 from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Insecure, KeyRing, Settings, StationAddress
+from wire.outputs import check_output
 
 
 def calibrate(
@@ -82,6 +83,7 @@ def check(
     from wire.transport import ZenohTransport
 
     loaded = load_experiment(experiment, settings or ())
+    check_output(out, [experiment_path(experiment), *([image] if image is not None else [])])
     if image is not None and (live or show):
         raise typer.BadParameter("give --image, or --live or --show, not both")
     if not (live or show):

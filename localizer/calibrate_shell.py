@@ -21,6 +21,7 @@ from localizer.patch import Pixels
 from localizer.pool_points import PoolPoints, seen_pixels
 from localizer.pool_pose import PoseFit, fit_pose
 from wire.sight import Camera, CameraFile
+from wire.outputs import check_output, replace_text
 from wire.toml_file import ConfigError, check, read_toml
 
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
@@ -52,8 +53,7 @@ def calibrate(request: Request) -> list[str]:
     _check_request(request)
     points = None if request.points is None else check(PoolPoints, read_toml(request.points), str(request.points))
     image, drawn = _points_image(request, points), request.out.with_suffix(".png")
-    if image is not None and image.resolve() == drawn.resolve():
-        raise ConfigError(f"--out {request.out}: its picture would be written over {image}, which the points were seen in")
+    _check_outputs(request, image, drawn)
     summary, lines, panels = [], [], []
     if request.lens is not None:
         camera = _read_lens(request)
@@ -85,6 +85,17 @@ def _check_request(request: Request) -> None:
         raise ConfigError("--pool-points-image is the picture that --pool-points were seen in: give both")
     if request.out.suffix != ".toml" or not request.out.parent.is_dir():
         raise ConfigError(f"--out {request.out}: must end in .toml, in a folder that exists")
+
+
+def _check_outputs(request: Request, image: Path | None, drawn: Path) -> None:
+    """Neither file may be one that is read. The lens' file may be given again as --out: its lens goes into the new one."""
+    read = [*request.sources, *(file for source in request.sources if source.is_dir() for file in source.iterdir())]
+    read += [path for path in (request.points, image) if path is not None]
+    for path in (request.out, drawn):
+        try:
+            check_output(path, read)
+        except ConfigError as error:
+            raise ConfigError(f"--out {request.out}: {error}") from None
 
 
 def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
@@ -151,7 +162,7 @@ def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels])
     text += f'# In an experiment: camera = "{out.name}", or this table.\n\n[camera]\n'
     text += "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())  # flat, and for such JSON is TOML
     try:
-        out.write_text(text, encoding="utf-8")
+        replace_text(out, text)
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written: {error.strerror}") from None
     picture = out.with_suffix(".png")

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
-from wire.experiment import load_experiment
+from wire.experiment import experiment_path, load_experiment
 from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Insecure, KeyRing, Settings, StationAddress
+from wire.outputs import check_output, replace_text
 from wire.toml_file import ConfigError
 
 SourceName = Annotated[
@@ -46,6 +47,8 @@ def latency(
     from wire.transport import ZenohTransport
 
     start_log("localizer")
+    if json is not None:
+        check_output(json, [experiment_path(experiment), *([Path(source.split(":")[1])] if ":" in source else [])])
     loaded, clock = load_experiment(experiment, settings or ()), WallClock()
     locator, stop = Locator(loaded), Stop()
     with ExitStack() as stack:
@@ -64,7 +67,7 @@ def latency(
         raise typer.Exit(1)
     typer.echo(result.to_text())
     if json is not None:
-        json.write_text(result.to_json(), encoding="utf-8")
+        replace_text(json, result.to_json())
     raise typer.Exit(1 if result.warnings else 0)
 
 
@@ -91,6 +94,9 @@ def evaluate(
     """
     from localizer import evaluate_shell
 
+    if json is not None:
+        read = [recording, *([truth] if truth is not None else [])]
+        check_output(json, [*read, *([experiment_path(experiment)] if experiment is not None else [])])
     if recording.suffix == ".mcap":
         rows: evaluate_shell.Rows = evaluate_shell.evaluate_log(recording)
     elif truth is None:
@@ -102,4 +108,4 @@ def evaluate(
         rows = evaluate_shell.evaluate_pool(recording, truth, loaded, frames)
     typer.echo(evaluate_shell.table(rows))
     if json is not None:
-        json.write_text(evaluate_shell.to_json(rows), encoding="utf-8")
+        replace_text(json, evaluate_shell.to_json(rows))

@@ -21,6 +21,7 @@ from wire.options import (
     LockstepMode,
     Settings,
     Verbose,
+    Version,
     live_fleet,
 )
 from wire.runtime import Stop, log, run_app, start_log
@@ -30,6 +31,11 @@ cli = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+
+
+@cli.callback()
+def main(version: Version = False) -> None:
+    """The program on a robot's board."""
 
 
 cli.command()(init)

@@ -12,6 +12,7 @@ from wire.endpoint import parse_address
 from wire.experiment import Experiment, load_experiment
 from wire.network import refuse_open
 from wire.options import DEFAULT_FLEET, FleetName
+from wire.outputs import check_output, replace_text
 from wire.runtime import start_log
 from wire.toml_file import ConfigError, files_named
 
@@ -52,7 +53,8 @@ def init(
     with files_named(out):
         if out.exists() and not force:
             raise ConfigError(f"{out}: is there already (--force writes over it)")
-        out.write_text(template(out.name, board), encoding="utf-8")
+        check_output(out, [Path(given) for given in (experiment, link_key) if given is not None])
+        replace_text(out, template(out.name, board))
     typer.echo(f"{out}: written; `robot-agent check --config {out}` looks the board over")
 
 

@@ -7,6 +7,7 @@ from sim_bridge.conformance_shell import board_conformance
 from sim_bridge.flight_commands import campaign, numeric, sil
 from sim_bridge.pool_commands import board, pool
 from wire.extras import run_role
+from wire.options import Version
 from wire.runtime import run_app
 
 cli = typer.Typer(
@@ -14,6 +15,13 @@ cli = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
+
+
+@cli.callback()
+def main(version: Version = False) -> None:
+    """The pool in software, on the same wires as the real one."""
+
+
 cli.command()(sil)
 cli.command()(numeric)
 cli.command()(campaign)

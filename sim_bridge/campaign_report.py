@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from sim_bridge.campaign import Campaign, flights
 from sim_bridge.measures import MEASURES
 from sim_bridge.summary import Interval, distribution, rate
+from wire.outputs import replace_text
 
 SHOWN = ("rms_after_20s_m", "max_after_20s_m", "wrench_step_rms")  # beside what was varied
 WORST = 10
@@ -28,9 +29,7 @@ def write_report(campaign: Campaign, rows: Sequence[Row], wanted: int, file: Pat
     )
     environment.filters |= {"interval": _interval, "figure": _figure, "percent": _percent}
     page = environment.get_template("campaign.html").render(**_content(campaign, rows, wanted))
-    new = file.with_name(f"{file.name}.new")  # nobody sees half a page
-    new.write_text(page, encoding="utf-8")
-    new.replace(file)
+    replace_text(file, page)
 
 
 def _content(campaign: Campaign, rows: Sequence[Row], wanted: int) -> dict[str, Any]:

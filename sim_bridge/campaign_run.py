@@ -24,6 +24,7 @@ from sim_bridge.campaign import Campaign, Flight, flights
 from sim_bridge.campaign_flight import fly_one, one_thread
 from sim_bridge.campaign_report import write_report
 from wire.experiment import Experiment, load_experiment
+from wire.outputs import CAMPAIGN, check_output, replacing
 from wire.runtime import Stop
 from wire.toml_file import ConfigError
 
@@ -39,6 +40,8 @@ def run(
     journal = folder / JOURNAL
     if journal.exists() and not resume:
         raise ConfigError(f"{folder}: holds a campaign already (--resume goes on with it, --out DIR begins another)")
+    for name in CAMPAIGN:
+        check_output(folder / name, mine=CAMPAIGN)
     folder.mkdir(parents=True, exist_ok=True)
     said = journal.read_text(encoding="utf-8") if journal.exists() else ""
     kept = {row["hash"]: row for row in _rows(said)}
@@ -57,7 +60,8 @@ def run(
         console.print("[red]a worker process has died (out of memory?); --resume goes on[/]")
     ordered = [rows[index] for index in sorted(rows)]
     if ordered:
-        pq.write_table(_table(campaign, ordered), folder / RESULTS)
+        with replacing(folder / RESULTS) as results:
+            pq.write_table(_table(campaign, ordered), results)
         write_report(campaign, ordered, len(wanted), folder / REPORT)
         console.print(f"results: {folder / RESULTS}\nreport:  {folder / REPORT}", soft_wrap=True)
     if stop.requested:

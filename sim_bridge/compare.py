@@ -17,6 +17,7 @@ from sim_bridge.numeric_run import STATION, plan
 from sim_bridge.variants import VARIANTS, Task, fly, scattered
 from wire.comparison import SETTLED_S, Comparison, Flight, Variant
 from wire.experiment import Experiment, dump_experiment, load_experiment
+from wire.outputs import replace_text
 from wire.toml_file import ConfigError
 
 
@@ -52,7 +53,7 @@ def run(
         robots=list(plain.robot_ids),
         variants=found,
     )
-    (folder / "comparison.json").write_text(comparison.to_json(), encoding="utf-8")
+    replace_text(folder / "comparison.json", comparison.to_json())
     return subprocess.run([*STATION, "comparison", str(folder)], check=False).returncode
 
 

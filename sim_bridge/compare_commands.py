@@ -8,8 +8,10 @@ from typing import Annotated
 
 import typer
 
-from wire.experiment import load_experiment
+from wire.experiment import experiment_path, load_experiment
 from wire.options import ExperimentName, Settings
+from wire.outputs import COMPARISON, check_output
+from wire.toml_file import ConfigError
 
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
 
@@ -47,6 +49,10 @@ def compare(
     asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
     name = load_experiment(experiment, asked).name
     folder = out or Path("runs") / f"compare-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for file in COMPARISON:
+        check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)
+    if (folder / COMPARISON[0]).exists():
+        raise ConfigError(f"{folder}: holds a comparison already (--out FOLDER makes another)")
     folder.mkdir(parents=True, exist_ok=True)
     raise typer.Exit(comparing.run(experiment, asked, chosen, flown, scatter, _cores(jobs), folder, console))
 

@@ -170,10 +170,12 @@ def report(run_dir: Path, console: Console) -> bool:
     writing = subprocess.run(
         [sys.executable, "-m", "groundstation", "report", str(run_dir)], capture_output=True, text=True, check=False
     )
-    if writing.returncode != 0:
+    if writing.returncode not in (0, 1):  # 1: there is one, of a run that did not pass
         _alarm(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
     result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
+    if result["log_trouble"]:
+        _alarm(console, result["log_trouble"])
     console.print(_table(result) if result["duration_s"] else "[red]nothing was flown[/]")
     for check in result["checks"]:
         if result["duration_s"] and not check["passed"]:

@@ -11,6 +11,11 @@ from dataclasses import dataclass
 SETTLED_S = 20.0
 
 
+def settled(flown_s: float) -> bool:
+    """Whether a flight of that length has anything after SETTLED_S; what comes after it is not asked of a shorter one."""
+    return flown_s > SETTLED_S
+
+
 @dataclass(frozen=True)
 class Figures:
     """One flight in numbers."""

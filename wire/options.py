@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from wire.experiment import EXPERIMENTS
+from wire.version import code
 
 DEFAULT_STATION = "tcp/127.0.0.1:7447"
 DEFAULT_FLEET = "shoal"
@@ -41,6 +42,15 @@ def experiments(begun: str) -> list[str]:
     return sorted(shipped) + sorted(f"{path}/" if path.is_dir() else str(path) for path in files)
 
 
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(str(code()))
+        raise typer.Exit
+
+
+Version = Annotated[
+    bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which version and commit this is.")
+]
 ExperimentName = Annotated[
     str,
     typer.Argument(

@@ -173,7 +173,7 @@ def test_a_cut_log_is_mended_and_gives_back_the_experiment(tmp_path: Path) -> No
     for again in (result, write_report(tmp_path)):  # by now the file itself is whole
         assert not again.log_complete
         text = (tmp_path / "report.html").read_text()
-        assert "The run is not complete" in text and "The log was cut off" in text
+        assert "The run is not complete" in text and "Cut log: run.mcap ends before its run does" in text
     assert load_experiment(str(tmp_path / "experiment.toml")).hash == result.experiment_hash == experiment.hash
 
 

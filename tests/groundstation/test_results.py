@@ -179,6 +179,7 @@ def test_limits_name_the_worst_cell(tmp_path: Path) -> None:
 def test_a_good_run_passes(result: Result) -> None:
     assert result.passed
     assert {c.name for c in result.checks} == {
+        "messages missing from the log",
         "whole run flown, s",
         "faults",
         "missed deadlines, fraction",
