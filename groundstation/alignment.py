@@ -89,7 +89,7 @@ class _Recorded:
 
 def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Series:
     """Bring a flight of a log onto one clock: the one of that number, from 1, else the last that was more than the way home.
-    Works for any part of a run, also for one in which nothing ever moved. Raises ConfigError for a number that there is not."""
+    Works for any part of a run, also for one in which nothing ever moved. Raises ConfigError where there is no such flight."""
     known = bool(log.of(topics.TRUTH, Truth))
     flights = _flights(log, experiment.robot_ids)
     number = _chosen(flights, flight)

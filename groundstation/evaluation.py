@@ -256,7 +256,7 @@ def _notes(series: Series, log: RunLog) -> Iterator[str]:
     if series.started and absent:
         yield f"Never under way: robot {', '.join(absent)}."
     if series.cut_short:
-        yield f"Only {series.end_s:.0f} s are evaluated: by its stamps the flight lasts longer than a flight can; a clock leaps."
+        yield f"Only {series.end_s:.0f} s are evaluated: by its stamps the flight lasts longer than it can; a clock leaps."
     if log.undecodable:
         yield f"{log.undecodable} recorded messages could not be decoded: they are damaged, or of another version."
 

@@ -1,5 +1,6 @@
 """SHELL: a recorded log as it was heard: message by message, bytes unchanged, also one that was cut off."""
 
+import re
 import shutil
 import struct
 from collections.abc import Callable, Iterator
@@ -94,10 +95,9 @@ class LogFile:
         found, session = key_topic(channel.topic), channel.metadata.get("session", "0")
         if found is None:
             return
-        try:
-            self._channels[channel.id] = (*found, int(session, 16))
-        except ValueError:
-            raise Damaged(f"channel {channel.topic}: session {session[:20]!r} is no hexadecimal number") from None
+        if not re.fullmatch("[0-9a-fA-F]{1,16}", session):
+            raise Damaged(f"channel {channel.topic}: session {session[:20]!r} is no number of 16 hexadecimal digits")
+        self._channels[channel.id] = (*found, int(session, 16))
 
     def lines(
         self, wanted: Callable[[Topic, int], bool], from_ns: int | None = None, before_ns: int | None = None

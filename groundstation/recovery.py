@@ -40,8 +40,8 @@ def is_complete(path: Path) -> bool:
 
 
 def valid_records(path: Path) -> Iterator[McapRecord]:
-    """All records up to the first that is cut, damaged, or larger than wire/log_records.py allows; chunks taken apart, checksums
-    verified."""
+    """All records up to the first that is cut, damaged, or larger than wire/log_records.py allows; chunks taken apart,
+    checksums verified."""
     with path.open("rb") as file:
         try:
             yield from checked_records(file)
@@ -84,8 +84,8 @@ def recover(path: Path) -> bool:
 
 
 def _copy(path: Path, writer: Any) -> None:
-    """Everything that belongs to something: a channel of an unknown schema goes without one, a message of an unknown channel says
-    nothing to anybody and is left out."""
+    """Copy everything that belongs to something: a channel of an unknown schema goes without one, a message of an unknown
+    channel says nothing to anybody and is left out."""
     schemas: dict[int, int] = {0: 0}
     channels: dict[int, int] = {}
     writer.start(library="shoal, recovered")

@@ -40,8 +40,8 @@ class Drawn:
 
 
 def write_report(run_dir: Path, flight: int | None = None) -> Result:
-    """Evaluate a run's folder (run.mcap, experiment.toml) and write result.json and report.html into it; of several flights the
-    one of that number, else the last.
+    """Evaluate a run's folder (run.mcap, experiment.toml) and write result.json and report.html into it; of several flights
+    the one of that number, else the last.
 
     A log that was cut off is mended first, if there is room. A run of any length gives a report. Raises ConfigError if the
     experiment is neither in the folder nor in the log, or there is no such flight.

@@ -37,8 +37,8 @@ def report(
 ) -> None:
     """Write result.json and report.html of a run again, from its log.
 
-    What is wrong with the log as a whole (none, empty, cut off, gaps) is the first line. Exit code 0 if the run passed, 1 if it
-    did not or its log is not whole.
+    What is wrong with the log as a whole (none, empty, cut off, gaps) is the first line. Exit code 0 if the run passed, 1 if
+    it did not or its log is not whole.
 
     Example:  groundstation report runs/pool-20260101-120000 --pdf figures
     """
@@ -114,9 +114,10 @@ def export(
     foxglove: Annotated[bool, typer.Option("--foxglove", help="For Foxglove-family viewers instead.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write a run's messages as tables, one per topic and robot: a row per message, a column per number.
+    """Write every recorded message of a run as tables, one per topic and robot, with columns of named units.
 
-    Or, for 3-D viewers, the log with the scene in it, and a layout that shows it.
+    The first column, time_s, is 0 where the report's is. Exit code 1 if the log is not whole or holds messages that cannot be
+    decoded. Or, for 3-D viewers, the log with the scene in it, and a layout that shows it.
 
     Examples:  groundstation export runs/pool-20260101-120000 --out tables
                groundstation export runs/pool-20260101-120000 --out viewer --foxglove
@@ -124,15 +125,22 @@ def export(
     from groundstation import tables, viewer_export
 
     written: list[tuple[Path, int | None]]
+    trouble: list[str] = []
     if foxglove:
         written = [(path, None) for path in viewer_export.export(run_folder, out)]
     else:
-        written = list(tables.export(run_folder / "run.mcap", out, parquet))
+        done = tables.export(run_folder, out, parquet)
+        written = [*done.files]
+        trouble += [done.trouble] if done.trouble else []
+        trouble += [f"{done.undecodable} messages cannot be decoded: they are in no table"] if done.undecodable else []
+    for line in trouble:
+        typer.echo(line, err=True)
     if as_json:
         typer.echo(json.dumps([{"file": str(path), "rows": rows} for path, rows in written], indent=1))
-        return
-    for path, rows in written:
-        typer.echo(path if rows is None else f"{path}: {rows} rows")
+    else:
+        for path, rows in written:
+            typer.echo(path if rows is None else f"{path}: {rows} rows")
+    raise typer.Exit(1 if trouble else 0)
 
 
 def recover(

@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -29,6 +29,7 @@ READ = (
     topics.TUNING,
     topics.EVENT,
 )
+EVERYTHING = tuple(topic for topic in topics.TOPICS if topic.recorded)
 # below any fleet's name: "shoal/robot/3/pose" is topic POSE of robot 3; no robot has a number of more than three digits
 _PATTERNS = tuple(
     (re.compile(r"(?:.*/)?" + topic.name.replace("{robot}", r"([1-9][0-9]{0,2})")), topic) for topic in topics.TOPICS
@@ -81,10 +82,10 @@ class RunLog:
         return self.entries.get((topic.name, robot), [])
 
 
-def read_log(path: Path) -> RunLog:
-    """Read a run into memory (see docs/runs.md for how much that takes). Raises OSError if there is no such file; damage inside
-    it only shortens what is found, and is told in `damage`."""
-    reading = _Reading()
+def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
+    """Read the wanted topics of a run into memory (docs/runs.md says how much that takes). Raises OSError if there is no such
+    file; damage inside it only shortens what is found, and is told in `damage`."""
+    reading = _Reading(wanted)
     damage = ""
     with path.open("rb") as file:
         try:
@@ -112,6 +113,7 @@ def read_log(path: Path) -> RunLog:
 class _Reading:
     """What has been read of a log."""
 
+    wanted: Collection[Topic]
     entries: dict[tuple[str, int], list[Entry[Any]]] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     experiment_toml: str = ""
@@ -125,7 +127,7 @@ class _Reading:
             self._message(record)
         elif isinstance(record, Channel):
             found = key_topic(record.topic)
-            if found is not None and found[0] in READ:
+            if found is not None and found[0] in self.wanted:
                 self.channels[record.id] = found
         elif isinstance(record, Attachment) and record.name == EXPERIMENT_NAME:
             self.experiment_toml = record.data.decode(errors="replace")

@@ -26,7 +26,8 @@ def read_picture(path: Path) -> Pixels:
 
 
 def write_picture(path: Path, picture: Pixels) -> None:
-    """Write a BGR picture (height, width, 3) as the kind of file that its suffix says, whole or not at all. Raises ConfigError."""
+    """Write a BGR picture (height, width, 3), as the kind of file that its suffix says, whole or not at all. Raises
+    ConfigError."""
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path}: {path.suffix!r} is no kind of picture (allowed: {', '.join(SUFFIXES)})")
     _, data = cv2.imencode(path.suffix, picture)

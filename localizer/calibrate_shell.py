@@ -20,8 +20,8 @@ from localizer.calibrate_report import lens_lines, lens_picture, pose_lines, pos
 from localizer.patch import Pixels
 from localizer.pool_points import PoolPoints, seen_pixels
 from localizer.pool_pose import PoseFit, fit_pose
-from wire.sight import Camera, CameraFile
 from wire.outputs import check_output, replace_text
+from wire.sight import Camera, CameraFile
 from wire.toml_file import ConfigError, check, read_toml
 
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."

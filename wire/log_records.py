@@ -8,6 +8,7 @@ bytes and UNPACKED_TIMES the size of the file: what a reader keeps in memory gro
 Layout: https://mcap.dev/spec. Needs only the standard library, and zstandard or lz4 for chunks that are packed with them.
 """
 
+import importlib
 import os
 import struct
 import zlib
@@ -22,6 +23,8 @@ IN_CHUNKS = frozenset({SCHEMA, CHANNEL, MESSAGE})  # what the specification allo
 LARGEST_BYTES = 32 * 1024 * 1024  # of a record, and of an unpacked chunk; the recorder's largest chunk has 4.3 MB
 UNPACKED_AT_LEAST = 16 * 1024 * 1024
 UNPACKED_TIMES = 64  # a pool's log unpacks to twice its size, its best chunk to five times
+
+LATEST_NS = (1 << 63) - 1  # MCAP's times have 64 bits without a sign, ours, and those of other programs' tables, have one
 
 _HEAD = struct.Struct("<BQ")  # opcode, length
 _CHUNK = struct.Struct("<QQQI")  # first and last log time, unpacked size, checksum of it
@@ -137,10 +140,9 @@ def _unpack(found: Packed, at: int) -> bytes:
         except (zstandard.ZstdError, MemoryError) as error:
             raise Damaged(f"byte {at}: a chunk that cannot be unpacked: {error}") from None
     if found.packing == "lz4":
-        import lz4.frame
-
+        lz4_frame = importlib.import_module("lz4.frame")  # it ships no types
         try:
-            return bytes(lz4.frame.LZ4FrameDecompressor().decompress(found.data, found.size + 1))
+            return bytes(lz4_frame.LZ4FrameDecompressor().decompress(found.data, found.size + 1))
         except RuntimeError as error:
             raise Damaged(f"byte {at}: a chunk that cannot be unpacked: {error}") from None
     raise Damaged(f"byte {at}: a chunk packed with {found.packing[:20]!r} (allowed: zstd, lz4, none)")
@@ -163,9 +165,12 @@ def parts(data: bytes, at: int) -> Iterator[tuple[int, bytes]]:
 def message(body: bytes) -> tuple[int, int, int, int, bytes]:
     """Channel, sequence number, log time, publish time and payload of a message. Raises Damaged."""
     try:
-        return (*_MESSAGE.unpack_from(body), body[_MESSAGE.size :])
+        channel, sequence, log_ns, stamp_ns = _MESSAGE.unpack_from(body)
     except struct.error as error:
         raise Damaged(f"a message of {len(body)} bytes: {error}") from None
+    if max(log_ns, stamp_ns) > LATEST_NS:
+        raise Damaged(f"a message of {max(log_ns, stamp_ns)} ns: no clock of ours shows that")
+    return channel, sequence, log_ns, stamp_ns, body[_MESSAGE.size :]
 
 
 def channel_topic(body: bytes) -> tuple[int, str]:

@@ -231,7 +231,10 @@ def _files(folder: Path, lab: Path) -> None:
         ("--lens lens.toml --pool-points few.toml", r"few\.toml: .*points: 3 given, at least 4 are needed"),
         ("--lens lens.toml --pool-points nowhere.toml", r"nowhere\.toml: no such file"),
         ("--lens lens.toml --pool-points points.toml", r"pool\.png: cannot be read: No such file"),
-        ("--lens lens.toml --pool-points points.toml --out pool.toml", r"--out pool\.toml: .*pool\.png: is read by this command"),
+        (
+            "--lens lens.toml --pool-points points.toml --out pool.toml",
+            r"--out pool\.toml: .*pool\.png: is read by",
+        ),
         ("--lens lens.toml --pool-points blind.toml", r"blind\.toml: points: 'rim 0': marker_id = 0: there is no picture"),
         ("--lens lens.toml --pool-points blind.toml --pool-points-image large.png", r"large\.png: 960x720, but the lens was"),
         (
