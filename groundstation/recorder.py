@@ -216,6 +216,7 @@ class Recorder:
                 self._write_pending()
                 self._flush()
             self._write_pending()
+            self._writer.flush()  # the end comes behind the last message, or a log cut between them would count as whole
             self._writer.add_metadata(END_METADATA, {"dropped": str(self._dropped), "pace": json.dumps(self._pace)})
             self._writer.finish()
             self._output.flush()

@@ -101,7 +101,8 @@ def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
         metadata=reading.metadata.get(RUN_METADATA, {}),
         experiment_toml=reading.experiment_toml,
         messages=reading.messages,
-        complete=END_METADATA in reading.metadata,  # a mended file ends as it should, and lacks what was cut off all the same
+        # a mended file ends as it should, and lacks what was cut off all the same
+        complete=END_METADATA in reading.metadata and not damage,
         damage=damage,
         dropped=_dropped(end),
         pace=_pace(end),

@@ -131,7 +131,7 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
 
         for (topic, robot), session, record in _messages(log):
             try:
-                message = decode(topic.type, record.data, "log", topic.name)
+                message: Any = decode(topic.type, record.data, "log", topic.name)
             except DecodeError:
                 done.undecodable += 1
                 continue
@@ -201,7 +201,7 @@ def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: 
         return [Column(prefix + names[k], int, _entry(name, k)) for k in range(len(names))]
     if get_origin(hint) is tuple:
         return [Column(prefix + name, str, _text(name))]
-    nested = next((part for part in (hint, *get_args(hint)) if dataclasses.is_dataclass(part)), None)
+    nested = next((part for part in get_args(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)), None)
     if nested is not None:
         return [Column(c.name, c.kind, _within(name, c)) for c in columns(nested, f"{prefix}{name}.")]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
@@ -330,10 +330,12 @@ def _parquet() -> type[_Rows]:
             self._writer = files.ParquetWriter(file, self._schema)
 
         def write(self, rows: Sequence[Sequence[Any]]) -> None:
-            if rows:
-                arrays = [
-                    arrow.array(column, of.type) for column, of in zip(zip(*rows, strict=True), self._schema, strict=True)
-                ]
+            try:
+                cells = zip(zip(*rows, strict=True), self._schema, strict=True) if rows else ()
+                arrays = [arrow.array(column, of.type) for column, of in cells]
+            except OverflowError:
+                raise ConfigError("--parquet: the log holds a number of more than 63 bits (CSV takes it)") from None
+            if arrays:
                 self._writer.write_table(arrow.Table.from_arrays(arrays, schema=self._schema))
 
         def close(self) -> None:

@@ -56,7 +56,7 @@ class Limit(Section):
 class Experiment(Section):
     """The whole file."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]  # a run's folder has it in its name
     title: str = ""
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
     duration_s: Annotated[float, Field(gt=0, le=36000)]

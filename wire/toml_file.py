@@ -1,5 +1,6 @@
 """SHELL: load a TOML file into a checked pydantic model; every complaint names file, key, value and what is allowed."""
 
+import re
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -7,6 +8,12 @@ from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, ValidationError
+
+MOST_BYTES = 1024 * 1024  # of a file; a path of 30,000 waypoints has no more. A parsed file takes a hundred times its size
+MOST_PARTS = 16  # of a dotted key; the parser's memory grows with the square of it, and no key of ours has more than five
+
+_PART = r"""(?:[\w-]+|"[^"\n]*"|'[^'\n]*')"""
+_LONG_KEY = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS},}}")
 
 
 class ConfigError(Exception):
@@ -32,9 +39,14 @@ def files_named(path: Path) -> Iterator[None]:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file. Raises ConfigError naming the file, and the line where it stops being TOML."""
+    """Parse a TOML file. Raises ConfigError naming the file, and the line where it stops being TOML; also for one that is
+    larger, or has longer keys, than any of ours: it may take all memory."""
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+        if len(data) > MOST_BYTES:
+            raise ConfigError(f"{path}: is larger than {MOST_BYTES} bytes, the most that is read")
+        return _parsed(data.decode("utf-8").replace("\r\n", "\n"))
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file") from None
     except OSError as error:
@@ -43,6 +55,15 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     except (ValueError, RecursionError) as error:  # beside its own error the parser lets these out: huge numbers, deep nesting
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """TOML, parsed. Raises ValueError or RecursionError for what is none, and for keys of too many parts."""
+    found = _LONG_KEY.search(text)
+    if found is not None:
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"a key of more than {MOST_PARTS} parts (at line {line})")
+    return tomllib.loads(text)
 
 
 def check(model: type[S], table: dict[str, Any], source: str) -> S:
@@ -70,7 +91,7 @@ def apply_setting(table: dict[str, Any], setting: str) -> None:
     if not equals or not key.strip():
         raise ConfigError(f"--set {setting}: write it as key=value, for example --set duration_s=30")
     try:
-        value = tomllib.loads(f"v = {text}")["v"]
+        value = _parsed(f"v = {text}")["v"]
     except (ValueError, RecursionError):
         value = text
     *parents, last = key.strip().split(".")

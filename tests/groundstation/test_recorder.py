@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
 from groundstation.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
@@ -316,3 +317,12 @@ def test_no_run_begins_without_room_for_its_log(tmp_path: Path) -> None:
     assert done.returncode == 2
     assert "recording.min_free_gb" in done.stderr
     assert not (tmp_path / "run" / "run.mcap").exists()
+
+
+def test_the_end_comes_behind_the_last_message(tmp_path: Path) -> None:
+    """A log cut anywhere before its end lacks the note that it is whole."""
+    record_poses(tmp_path / "run.mcap", 20)
+    with (tmp_path / "run.mcap").open("rb") as file:
+        kinds = [type(record).__name__ for record in StreamReader(file, emit_chunks=True).records]
+    assert kinds.index("DataEnd") - 1 == len(kinds) - 1 - kinds[::-1].index("Metadata")
+    assert kinds[: kinds.index("DataEnd") - 1].count("Chunk") == kinds.count("Chunk") == 1

@@ -1,5 +1,6 @@
 """Logs that were cut, anywhere: what is good is kept, the rest does no harm, and a cut file is not lost in the mending."""
 
+import os
 import random
 import resource
 import struct
@@ -59,7 +60,7 @@ def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
         assert len(found) >= kept_before  # a later cut never keeps less
         kept_before = len(found)
     assert kept_before == 8
-    assert not list(tmp_path.glob("*.mending"))
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_a_length_that_is_none_ends_what_can_be_read(tmp_path: Path) -> None:
@@ -95,7 +96,7 @@ def test_a_log_that_is_still_written_is_left_alone(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="still goes on"):
         recover(path)
     write_report(tmp_path)
-    with pytest.raises(OSError, match="another run still writes it"):
+    with pytest.raises(OSError, match="is there already, and would be lost"):
         Recorder(path, "", {})
     put(6, 10)
     recorder.close()
@@ -116,4 +117,48 @@ def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert path.read_bytes() == cut
-    assert not list(tmp_path.glob("*.mending"))
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_what_was_mended_is_on_the_disk_before_it_takes_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power cut between the two would else leave a file without its content."""
+    path = tmp_path / "run.mcap"
+    record_poses(path, 20)
+    path.write_bytes(path.read_bytes()[:-100])
+    happened: list[str] = []
+    sync, replace = os.fsync, Path.replace
+    monkeypatch.setattr(os, "fsync", lambda fd: (happened.append(str(os.fstat(fd).st_size)), sync(fd))[1])
+    monkeypatch.setattr(Path, "replace", lambda old, new: (happened.append(new.name), replace(old, new))[1])
+    assert recover(path)
+    assert happened == [str(path.stat().st_size), "run.mcap"]
+
+
+def test_links_in_a_runs_folder_are_not_followed(tmp_path: Path) -> None:
+    """A run that somebody hands over as an archive: what a report writes stays in its folder."""
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    run.mkdir()
+    elsewhere.mkdir()
+    text = dump_experiment(load_experiment("pool"))
+    (run / "experiment.toml").write_text(text)
+    record_poses(elsewhere / "cut.mcap", 20)
+    cut = (elsewhere / "cut.mcap").read_bytes()[:-100]
+    (elsewhere / "cut.mcap").write_bytes(cut)
+    (run / "run.mcap").symlink_to(elsewhere / "cut.mcap")
+    for name in ("run.mcap.mending", "result.json", "result.json.new", "report.html", "report.html.new"):
+        (elsewhere / name).write_text("precious")
+        (run / name).symlink_to(elsewhere / name)
+    write_report(run)
+    assert (elsewhere / "cut.mcap").read_bytes() == cut
+    assert {path.read_text() for path in elsewhere.iterdir() if path.suffix != ".mcap"} == {"precious"}
+    assert not any((run / name).is_symlink() for name in ("run.mcap", "result.json", "report.html"))
+
+
+def test_a_log_is_never_written_over(tmp_path: Path) -> None:
+    path, link = tmp_path / "run.mcap", tmp_path / "link.mcap"
+    record_poses(path, 5)
+    before = path.read_bytes()
+    link.symlink_to(tmp_path / "none.mcap")
+    for place in (path, link):
+        with pytest.raises(OSError, match="would be lost"):
+            Recorder(place, "", {})
+    assert path.read_bytes() == before and not (tmp_path / "none.mcap").exists()

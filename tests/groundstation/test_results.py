@@ -132,7 +132,8 @@ def test_real_time_factor_counts_only_the_run(tmp_path: Path) -> None:
 
 
 def test_keys_need_no_fleet_name(tmp_path: Path) -> None:
-    assert result_of(tmp_path, Script(prefix="", duration_s=22.0)).robots["1"].rms_after_20s_m is not None
+    found = result_of(tmp_path, Script(prefix="", duration_s=25.0)).robots["1"].rms_after_20s_m
+    assert found == pytest.approx((synthetic.AMPLITUDE_M[1][1] / ROOT2, synthetic.OFFSET_Y_M[1], 0.0), rel=2e-2, abs=1e-6)
 
 
 def test_missed_deadlines_count_in_the_run_and_across_a_restart(tmp_path: Path) -> None:

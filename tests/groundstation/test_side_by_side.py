@@ -1,21 +1,20 @@
 """Runs side by side, and runs as tables: true to their logs."""
 
-import csv
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from groundstation.__main__ import cli
 from groundstation.recovery import is_complete
 from groundstation.report import evaluated, write_figures
-from groundstation.runlog import read_log
 from groundstation.side_by_side import Run, differences, drawn, figures_of
-from groundstation.tables import export
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
-from wire import topics
-from wire.messages import Pose
+from wire.toml_file import ConfigError
 
 
 @pytest.fixture(scope="module")
@@ -86,18 +85,27 @@ def test_figures_for_a_paper(runs: list[Path], tmp_path: Path) -> None:
     assert all(path.read_bytes().startswith(b"%PDF") for path in written)
 
 
-def test_tables_hold_every_message(runs: list[Path], tmp_path: Path) -> None:
-    written = dict(export(runs[0] / "run.mcap", tmp_path, parquet=False))
-    log = read_log(runs[0] / "run.mcap")
-    poses = log.of(topics.POSE, Pose, 2)
-    path = tmp_path / "robot-2-pose.csv"
-    assert written[path] == len(poses) > 400
-    with path.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert [float(row["x_m"]) for row in rows] == [entry.message.x_m for entry in poses]
-    assert [float(row["stamp_s"]) for row in rows] == pytest.approx([entry.stamp_ns * 1e-9 for entry in poses])
-    assert {row["track"] for row in rows} == {"MARKER"}
-    assert written[tmp_path / "robot-1-trajectory.csv"] > 500  # a row per sample
+def test_runs_of_different_code_or_mode_compare_as_different(runs: list[Path]) -> None:
+    (one,) = read(runs[:1])
+    other = dataclasses.replace(one, result=dataclasses.replace(one.result, commit="b" * 40, mode="numeric"))
+    assert differences([one, other]) == [("(mode)", ("lockstep", "numeric")), ("(commit)", (one.result.commit, "b" * 40))]
+
+
+def test_a_comparison_leaves_the_runs_as_they_are(runs: list[Path], tmp_path: Path) -> None:
+    """Also a run whose log was cut and whose experiment is only in the log; and no page is written over a run's file."""
+    folder = tmp_path / "cut"
+    folder.mkdir()
+    whole = (runs[0] / "run.mcap").read_bytes()
+    (folder / "run.mcap").write_bytes(whole[: len(whole) // 2])
+    done = CliRunner().invoke(cli, ["compare", str(runs[0]), str(folder), "--out", str(tmp_path / "page.html")])
+    assert done.exit_code == 0, done.output
+    assert "cut: Cut log:" in done.output
+    assert [path.name for path in folder.iterdir()] == ["run.mcap"]
+    assert (folder / "run.mcap").read_bytes() == whole[: len(whole) // 2]
+    for out in (runs[0] / "experiment.toml", runs[1] / "run.mcap", folder / "result.json"):
+        done = CliRunner().invoke(cli, ["compare", *map(str, runs), "--out", str(out)])
+        assert isinstance(done.exception, ConfigError) and str(out) in str(done.exception)
+    assert (runs[0] / "run.mcap").read_bytes() == whole
 
 
 def test_a_cut_log_is_mended_on_request(runs: list[Path], tmp_path: Path) -> None:

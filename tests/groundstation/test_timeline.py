@@ -1,18 +1,17 @@
 """What a report says of limits, links and time: against states and records of known content."""
 
-import dataclasses
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from groundstation import figures_timeline as drawn
 from groundstation.alignment import _hops_ms, _lost, align
 from groundstation.evaluation import evaluate
 from groundstation.runlog import Entry, RunLog, read_log
 from groundstation.series import HOPS, Series, active_limits
-from groundstation.tables import _columns
 from tests.groundstation.synthetic import Script, write_run
 from wire.frames import Array
 from wire.messages import Mode, Pose, RobotState, StepInputs
@@ -33,6 +32,18 @@ def with_states(series: Series, robot: int, **columns: object) -> Series:
     return replace(series, robots={**series.robots, robot: replace(mine, states=replace(mine.states, **columns))})  # type: ignore[arg-type]
 
 
+def bars(figure: Figure | None) -> list[float]:
+    """Where the bars of a figure begin, row by row."""
+    assert figure is not None
+    return [float(path.vertices[:, 0].min()) for c in figure.axes[0].collections for path in c.get_paths()]
+
+
+def curve(figure: Figure | None, name: str) -> Array:
+    """The values of a line."""
+    assert figure is not None
+    return np.asarray(next(line for line in figure.axes[0].lines if line.get_label() == name).get_ydata())
+
+
 def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tuple[Series, Path]) -> None:
     series, folder = flown
     bounds, states = series.experiment.vehicle.limits, series.robots[1].states
@@ -51,7 +62,10 @@ def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tupl
     assert result.at_limit["heave"] == 0.0
     assert result.slack_m == pytest.approx(0.013)
     assert result.board_loss == pytest.approx(0.026)
-    assert drawn.limits(changed) is not None and drawn.slack(changed) is not None and drawn.links(changed) is not None
+    assert bars(drawn.limits(changed)) == pytest.approx(states.time_s[[rows[0], rows[5]]])
+    assert curve(drawn.slack(changed), "robot 1").max() == pytest.approx(13.0)  # mm
+    assert curve(drawn.links(changed), "robot 1").max() == pytest.approx(2.6)  # %
+    assert not curve(drawn.links(changed), "robot 2").any()
 
 
 def entry(state: RobotState, stamp_ns: int) -> Entry[RobotState]:
@@ -114,9 +128,3 @@ def read_log_of_nothing(folder: Path) -> RunLog:
     path = folder / "run.mcap"
     path.write_bytes(b"")
     return read_log(path)
-
-
-def test_messages_within_messages_are_columns_of_their_own() -> None:
-    columns = _columns("inputs", StepInputs(7, Pose(1.5, 0.0, 0.0)))
-    assert (columns["inputs_step"], columns["inputs_pose_x_m"], columns["inputs_pose_track"]) == (7, 1.5, "LOST")
-    assert all(not dataclasses.is_dataclass(cell) for cell in columns.values())
