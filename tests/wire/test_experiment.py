@@ -190,6 +190,7 @@ def test_what_nobody_can_guess_has_no_default(tmp_path: Path, key: str) -> None:
         ("safety.pose_neutral_s=0.1", "safety: pose_neutral_s = 0.1 must be more than pose_hold_s = 0.19"),
         ("safety.station_disarm_s=2", "station_disarm_s = 2.0 must be more than station_neutral_s = 3.0"),
         ("name=Pool 1", "name = 'Pool 1'"),
+        ("name=" + "a" * 65, "name = 'aaaaaaaa"),
         ("seed=-1", "seed = -1"),
         ("path.kind=square", "path.kind = 'square': must be one of 'circle', 'waypoints'"),
         ('path={kind="waypoints", points_m=[[0, 0]], speed_mps=1}', "path.points_m = .*at least 2"),

@@ -111,6 +111,46 @@ def test_a_file_that_is_no_toml(tmp_path: Path, content: bytes, complaint: str) 
     assert str(path) in str(caught.value)
 
 
+HARMFUL = {
+    "a key of 20,000 parts": ".".join("a" * 20_000) + " = 1",
+    "a table of 20,000 parts": "[" + " . ".join("a" * 20_000) + "]",
+    "quoted parts": ".".join(['"a"'] * 20_000) + " = 1",
+    "parts of both quotes": ".".join(["'a'", '"b"'] * 10_000) + " = 1",
+    "in an inline table": "a = {" + ".".join("a" * 20_000) + " = 1}",
+    "a megabyte": "a = 1 #" + "x" * MOST_BYTES,
+}
+
+
+@pytest.mark.parametrize("name", HARMFUL)
+def test_a_file_that_would_take_all_memory_is_refused_before_it_is_parsed(tmp_path: Path, name: str) -> None:
+    """A dotted key of 20,000 parts, 40 kB, took 2.45 GB."""
+    path = tmp_path / "nest.toml"
+    path.write_text(HARMFUL[name])
+    tracemalloc.start()
+    try:
+        with pytest.raises(
+            ConfigError, match=r"nest\.toml: (not valid TOML: a key of more than 16 parts .at line 1|is larger)"
+        ):
+            read_toml(path)
+        assert tracemalloc.get_traced_memory()[1] < 10 * MOST_BYTES
+    finally:
+        tracemalloc.stop()
+
+
+def test_long_lists_and_texts_with_dots_are_read(tmp_path: Path) -> None:
+    path = tmp_path / "points.toml"
+    text = f"title = 'A. B. C'\na.b.c.d.e = {[[0.1, 0.2]] * 2000}\n# v1.2.3 ......... and so on\r\n[x.y.z]\n"
+    path.write_text(text, newline="")
+    assert read_toml(path)["a"]["b"]["c"]["d"]["e"][-1] == [0.1, 0.2]
+
+
+def test_a_setting_is_held_to_the_same() -> None:
+    table: dict[str, Any] = {}
+    text = "{" + ".".join("a" * 20_000) + " = 1}"
+    apply_setting(table, f"a={text}")
+    assert table == {"a": text}
+
+
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nowhere\.toml: no such file"):
         read_toml(tmp_path / "nowhere.toml")
