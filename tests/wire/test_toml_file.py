@@ -1,6 +1,7 @@
 """Files that cannot be used, and settings on the command line: what the person who wrote them gets to read."""
 
 import copy
+import tracemalloc
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import Field
 
-from wire.toml_file import ConfigError, Section, apply_setting, check, read_toml
+from wire.toml_file import MOST_BYTES, ConfigError, Section, apply_setting, check, read_toml
 
 
 class Tank(Section):
