@@ -6,7 +6,7 @@ from socket import SOCK_DGRAM
 
 import pytest
 
-from robot_agent import shell
+from robot_agent import pace, shell
 from sim_bridge.ports import free_port
 from wire import topics
 from wire.bus import Bus
@@ -24,7 +24,7 @@ NEVER = 1e4  # periods
 def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     order: Order, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(shell, "LATE", NEVER)
+    monkeypatch.setattr(pace, "LATE", NEVER)
     hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     heard = station.inbox(topics.STATE, RobotState, 1)
@@ -61,5 +61,6 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
         stop.request()
         thread.join()
     assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
-        "thruster board: /dev/none: not there; is the board plugged in, and powered?"
+        "thruster board: /dev/none: not there; is the board plugged in, and powered?",
+        "told to stop; neutral and disarm sent to the thruster board, which has not said within 0.25 s that it is disarmed",
     ]
