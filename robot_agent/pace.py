@@ -1,9 +1,9 @@
 """When a control step is due, by the wall clock. Pure: instants are arguments, in seconds on one monotonic clock.
 
 Steps stand on a grid, one in each period: filters, plans and rate limits count in periods. The grid follows the camera slowly.
-Where the camera has the loop's rate, or a multiple of it, the two fall in step, and from then on each step comes with its pose:
-up to EARLY before its place on the grid or LATE after. At any other rate steps come on the grid, with the newest pose there
-is. Either way the mean period is the one that was set.
+Where the camera has the loop's rate, or a multiple of it, the two fall in step, and from then on each step comes with its
+pose: up to EARLY before its place on the grid or LATE after. At any other rate steps come on the grid, with the newest pose
+there is. Either way the mean period is the one that was set.
 """
 
 import math

@@ -128,9 +128,7 @@ class Pond:
             now_ns = self.clock.tick_ns
             record, outputs = self.shell._step(now_ns, None)
             self.agents.publish(topics.INPUTS, record, now_ns, ME)
-            self.shell._write(
-                outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS
-            )  # never late
+            self.shell._write(outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS)  # never late
             self.states.append(outputs.state)
             self.plans += [outputs.plan] if outputs.plan is not None else []
 
