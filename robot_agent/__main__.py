@@ -111,7 +111,9 @@ def run(
         with Bus(ZenohTransport(where, stop), board.fleet) as bus:
             for refused in realtime.apply(board.realtime):
                 log.warning("real time: %s", refused)
-            Shell(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing).run()
+            shell = Shell(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing)
+            realtime.settle()
+            shell.run()
     finally:
         watchdog.stopping()
         wires.close()

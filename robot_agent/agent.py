@@ -8,12 +8,16 @@ The data's way through `Agent.step`:
 Nothing here knows whether it runs in a pool or in a simulator; robot_agent/shell.py has the sockets and the clock.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
 
 from robot_agent.controller import Controller, ControlOutput, Goal, Hold, Measurement, Neighbour, Sighting
 from robot_agent.course import Course
-from robot_agent.gains import Gains
+from robot_agent.gains import Gains, Prepared
 from robot_agent.inputs import Inputs
 from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
@@ -26,6 +30,7 @@ from wire.mavlink import Telemetry
 from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
 from wire.topics import OBSTACLES
 
+THRUSTERS = 4
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 
 
@@ -68,18 +73,27 @@ class Agent:
 
     # --- orders
 
-    def order(self, header: Header, command: Command, station: StationView, now_ns: int) -> Reply:
-        """Deal with an order. Refused ones say why."""
+    def prepare(self, command: Command) -> Prepared:
+        """What an order takes that is long to make, beforehand: it may run beside a step, which an order may not."""
+        return self._gains.prepare(command)
+
+    def order(
+        self, header: Header, command: Command, station: StationView, now_ns: int, prepared: Prepared | None = None
+    ) -> Reply:
+        """Deal with an order. Refused ones say why. `prepared` is what `prepare` has made of it, if that was asked."""
         reason = unacceptable(self._me.id, self._experiment.hash, header, command, station)
         if reason:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
-        reason = refusal(command.order, self.mode) or self._objection(command, station, now_ns)
+        reason = refusal(command.order, self.mode)
         if not reason:
+            prepared = self.prepare(command) if prepared is None else prepared
+            reason = self._objection(command, prepared, station, now_ns)
+        if not reason and prepared is not None:
             # Counted from when the order was given: robots that got it at different instants still start together.
-            self._follow(command, station, now_ns - (station.clock_ns - header.stamp_ns))
+            self._follow(command, prepared, station, now_ns - (station.clock_ns - header.stamp_ns))
         return Reply(self._me.id, not reason, reason, self.mode)
 
-    def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
+    def _objection(self, command: Command, prepared: Prepared, station: StationView, now_ns: int) -> str:
         reason = self._course.objection(command, self.mode is Mode.TRACKING)
         if reason:
             return reason
@@ -87,11 +101,11 @@ class Agent:
             return self._vitals.unfit(self._inputs, station, now_ns)
         if command.order in (Order.START, Order.RESUME) and not self._located:
             return "the robot does not know where it is"
-        return self._gains.objection(command)
+        return self._gains.objection(command, prepared)
 
-    def _follow(self, command: Command, station: StationView, given_ns: int) -> None:
+    def _follow(self, command: Command, prepared: Prepared, station: StationView, given_ns: int) -> None:
         """Carry out an order that is accepted, given at that instant on our clock."""
-        self._gains.follow(command, given_ns)
+        self._gains.follow(command, prepared, given_ns)
         self._course.follow(command, self.mode is Mode.TRACKING, station, given_ns)
         if command.order is Order.TEST:
             neutral_us = self._last.pulse_us if self._last is not None else ()
@@ -118,21 +132,21 @@ class Agent:
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         self._inputs = inputs
-        self._vitals.note(inputs, self.mode)
+        self._vitals.note(inputs, self.mode, now_ns)
         solver_failed = self._last is not None and self._last.solve is Solve.FAILED
         health = self._vitals.health(inputs, solver_failed, now_ns)
-        mode, reason = react(self.mode, health, self._experiment.safety, self._experiment.vehicle.battery)
+        mode, reason = react(self.mode, health, self._experiment.safety)
         if mode is not self.mode:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
         arming = health.board_disarmed_s >= ARM_AGAIN_S  # asked again: it arms on neutral pulses only
         things, goal = self._things(inputs, now_ns), None if arming else self._goal(now_ns)
         self._gains.step(now_ns, self._course.reached_s)
-        output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
+        output = self._sound(self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things))
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
         self._vitals.told(pulses, now_ns)
-        self._vitals.flew(output, now_ns)
+        self._vitals.flew(output, self.mode, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, len(heard)) if output.estimated else None
         return Outputs(
@@ -141,6 +155,25 @@ class Agent:
             plan,
             self._state(output, pulses, health, inputs, heard),
         )
+
+    def _sound(self, output: ControlOutput) -> ControlOutput:
+        """What a control step came to, or neutral and FAILED in its place if there is a number in it that is none, or a pulse
+        that this vehicle has not: the last guard before the wire."""
+        arrays = {name: value for name, value in vars(output).items() if isinstance(value, np.ndarray)}
+        lowest_us, *_, highest_us = (us for us, _ in self._experiment.vehicle.thruster.curve)
+        least_us, most_us = self._experiment.vehicle.legs.ankle_us
+        thrusters, ankles = output.pulse_us[:THRUSTERS], output.pulse_us[THRUSTERS:]
+        if (
+            all(np.isfinite(array).all() for array in arrays.values())
+            and math.isfinite(output.tracking_error_m)
+            and math.isfinite(output.slack_m)
+            and all(lowest_us <= pulse <= highest_us for pulse in thrusters)
+            and all(least_us <= pulse <= most_us for pulse in ankles)
+        ):
+            return output
+        nothing: dict[str, Any] = {name: np.zeros_like(array) for name, array in arrays.items()}
+        nothing |= {"tracking_error_m": 0.0, "slack_m": 0.0, "estimated": False}
+        return replace(output, pulse_us=self.neutral_us, solve=Solve.FAILED, **nothing)
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
         """The controller's; those of a thruster test while it lasts."""
@@ -155,6 +188,11 @@ class Agent:
         """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
         self._controller.acted(state.wrench, state.wrench_delivered, now_ns)
         self._vitals.told(state.pulse_us, now_ns)
+
+    @property
+    def neutral_us(self) -> tuple[int, ...]:
+        """Pulses with which no thruster turns: 4 thrusters, 4 ankles."""
+        return self._vitals.neutral_us
 
     @property
     def trajectory(self) -> Trajectory | None:

@@ -43,7 +43,7 @@ robot = {robot}
 # What the operating system allows is done, and the rest is told in the log. The systemd unit allows all of it.
 # SCHED_FIFO priority of the control loop, 1 to 99; 0 leaves it to the ordinary scheduler.
 priority = 20
-# Pin the process to these CPU cores, for example [3]; empty: any.
+# Pin the process, with all its threads, to these CPU cores, for example [3]; empty: any.
 cores = []
 # Keep it out of swap.
 lock_memory = true

@@ -28,6 +28,7 @@ class EchoCheck:
 
     def __init__(self) -> None:
         self._told: deque[tuple[int, Pulses]] = deque(maxlen=KEPT)
+        self.wrong_s = 0.0  # for how much of the last second the board, armed all the time, has put out something else
         self._wrong: deque[tuple[int, int]] = deque()  # instant, ns that it speaks for
         self._judged_ns = 0
 
@@ -37,17 +38,18 @@ class EchoCheck:
             self._told.pop()
         self._told.append((now_ns, tuple(pulse_us)))
 
-    def wrong_s(self, telemetry: Telemetry, now_ns: int) -> float:
-        """For how much of the last second the board, armed all the time, has put out something else. Call it at every step."""
+    def note(self, telemetry: Telemetry, now_ns: int) -> None:
+        """Judge what the board says at a step that it puts out. To be called once at each step."""
         since_ns, self._judged_ns = now_ns - self._judged_ns, now_ns
         if not telemetry.armed or len(telemetry.echo_us) != CHANNELS:
             self._wrong.clear()
-            return 0.0
+            self.wrong_s = 0.0
+            return
         while self._wrong and self._wrong[0][0] <= now_ns - JUDGED_NS:
             self._wrong.popleft()
         if since_ns > 0 and not self._is_right(telemetry):
             self._wrong.append((now_ns, min(since_ns, LONGEST_NS)))
-        return sum(ns for _, ns in self._wrong) * 1e-9
+        self.wrong_s = sum(ns for _, ns in self._wrong) * 1e-9
 
     def _is_right(self, telemetry: Telemetry) -> bool:
         lately = self._lately(telemetry.arrival_ns)

@@ -12,6 +12,8 @@ from wire.toml_file import ConfigError
 from wire.tunable import of_message, tuning
 from wire.tuning import Controller as Config
 
+Prepared = Tuned | str  # a set that can be flown, or why it cannot be
+
 
 @dataclass(frozen=True, eq=False)
 class Adoption:
@@ -32,25 +34,32 @@ class Gains:
         self._ready: tuple[str, Tuned] | None = None
         self._adoption: Adoption | None = None
 
-    def objection(self, command: Command) -> str:
+    def prepare(self, command: Command) -> Prepared:
+        """What a TUNE asks for, made; or why it cannot be; nothing for another order. It takes ten times as long as a control
+        step and changes nothing, so it may be done beside one."""
+        if command.order is not Order.TUNE:
+            return ""
+        if command.tuning is None:
+            return "carries no gains"
+        try:
+            return self._controller.make_ready(of_message(self._config, command.tuning))
+        except ConfigError as error:
+            return str(error)
+
+    def objection(self, command: Command, prepared: Prepared) -> str:
         """Why a TUNE or ADOPT is not followed; empty if it is."""
-        if command.order is Order.TUNE:
-            if command.tuning is None:
-                return "carries no gains"
-            try:
-                of_message(self._config, command.tuning)
-            except ConfigError as error:
-                return str(error)
+        if command.order is Order.TUNE and isinstance(prepared, str):
+            return prepared
         if command.order is Order.ADOPT and command.tuning_id != self.id:
             ready = self._ready[0] if self._ready is not None else "none"
             if command.tuning_id != ready:
                 return f"tuning {command.tuning_id} is not ready (flown: {self.id}, ready: {ready})"
         return ""
 
-    def follow(self, command: Command, given_ns: int) -> None:
+    def follow(self, command: Command, prepared: Prepared, given_ns: int) -> None:
         """Carry out an order without objection, given at that instant on our clock."""
-        if command.order is Order.TUNE and command.tuning is not None:
-            self._ready = command.tuning.id, self._controller.make_ready(of_message(self._config, command.tuning))
+        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, Tuned):
+            self._ready = command.tuning.id, prepared
         elif command.order is Order.ADOPT and command.tuning_id == self.id:
             self._adoption = None
         elif command.order is Order.ADOPT and self._ready is not None:

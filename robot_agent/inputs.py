@@ -42,4 +42,4 @@ class Inputs:
     emergency_stop: bool = False
     plans: Mapping[int, Heard] = field(default_factory=dict)
     watched: Watched | None = None
-    late_steps: int = 0  # control steps in a row that took more of the processor than their budget
+    late_steps: int = 0  # by how much late steps outnumber timely ones of late (pace.py)

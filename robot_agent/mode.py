@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 from wire.messages import Mode, Order
 from wire.tuning import Safety
-from wire.vehicle import Battery
 
 BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
 BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thruster that runs by itself should not for long
 BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
-LATE_STEPS = 3  # as many as a plan may bridge
+LATE_S = 0.15  # so much more of the time steps are late than in time: three steps at 20 Hz, as many as a plan may bridge
 DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
 
 POWERED = frozenset({Mode.TRACKING, Mode.HOLDING})  # modes that put out thrust
@@ -55,13 +54,14 @@ class Health:
     station_age_s: float
     board_age_s: float
     board_disarmed_s: float  # for how long the board has been disarmed though it should not be
-    battery_v: float
+    battery_empty: bool
     emergency_stop: bool
     solver_failed: bool
-    late_steps: int = 0  # in a row
+    late_s: float = 0.0  # by how much the time of late steps outweighs that of timely ones
     echo_wrong_s: float = 0.0  # for how much of the last second the board has put out other pulses than it was told
     thrusters_broken: bool = False  # they do not turn and push the robot as they should
     off_path: bool = False  # farther than it may be, and for no reason
+    estimate_ended: bool = False  # while it had power: where it is was not known at a step since
 
 
 @dataclass(frozen=True)
@@ -70,33 +70,34 @@ class Reaction:
 
     reason: str
     modes: frozenset[Mode]
-    when: Callable[[Health, Safety, Battery], bool]
+    when: Callable[[Health, Safety], bool]
     to: Mode
 
 
 REACTIONS: tuple[Reaction, ...] = (
-    Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s, b: h.emergency_stop, Mode.STOPPED),
-    Reaction("thruster board silent", LIVE, lambda h, s, b: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
-    Reaction("thruster board disarmed", LIVE, lambda h, s, b: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
-    Reaction("thruster board disobeys", POWERED, lambda h, s, b: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
-    Reaction("thrusters do not do as told", POWERED, lambda h, s, b: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
-    Reaction("off its path", POWERED, lambda h, s, b: h.off_path, Mode.FAULT),
-    Reaction("battery empty", LIVE, lambda h, s, b: h.battery_v < b.neutral_v, Mode.FAULT),
-    Reaction("no pose", POWERED, lambda h, s, b: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
-    Reaction("no control solution", POWERED, lambda h, s, b: h.solver_failed, Mode.FAULT),
-    Reaction("control too slow", POWERED, lambda h, s, b: h.late_steps >= LATE_STEPS, Mode.FAULT),
-    Reaction("station lost", LIVE | {Mode.FAULT}, lambda h, s, b: h.station_age_s > s.station_disarm_s, Mode.DISARMED),
-    Reaction("station silent", LIVE, lambda h, s, b: h.station_age_s > s.station_neutral_s, Mode.FAULT),
-    Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s, b: h.station_age_s > s.station_hold_s, Mode.HOLDING),
-    Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s, b: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
-    Reaction("identity in doubt", frozenset({Mode.TRACKING}), lambda h, s, b: h.identity_age_s > DOUBT_S, Mode.HOLDING),
+    Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s: h.emergency_stop, Mode.STOPPED),
+    Reaction("thruster board silent", LIVE, lambda h, s: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
+    Reaction("thruster board disarmed", LIVE, lambda h, s: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
+    Reaction("thruster board disobeys", POWERED, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
+    Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
+    Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT),
+    Reaction("battery empty", LIVE, lambda h, s: h.battery_empty, Mode.FAULT),
+    Reaction("no pose", POWERED, lambda h, s: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
+    Reaction("no control solution", POWERED, lambda h, s: h.solver_failed, Mode.FAULT),
+    Reaction("estimate ended", POWERED, lambda h, s: h.estimate_ended, Mode.FAULT),
+    Reaction("control too slow", POWERED, lambda h, s: h.late_s >= LATE_S, Mode.FAULT),
+    Reaction("station lost", LIVE | {Mode.FAULT}, lambda h, s: h.station_age_s > s.station_disarm_s, Mode.DISARMED),
+    Reaction("station silent", LIVE, lambda h, s: h.station_age_s > s.station_neutral_s, Mode.FAULT),
+    Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s: h.station_age_s > s.station_hold_s, Mode.HOLDING),
+    Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
+    Reaction("identity in doubt", frozenset({Mode.TRACKING}), lambda h, s: h.identity_age_s > DOUBT_S, Mode.HOLDING),
 )
 
 
-def react(mode: Mode, health: Health, safety: Safety, battery: Battery) -> tuple[Mode, str]:
+def react(mode: Mode, health: Health, safety: Safety) -> tuple[Mode, str]:
     """The mode after this step's reactions, and the reason if it changed (empty otherwise)."""
     for reaction in REACTIONS:
-        if mode in reaction.modes and reaction.when(health, safety, battery):
+        if mode in reaction.modes and reaction.when(health, safety):
             return reaction.to, reaction.reason
     return mode, ""
 

@@ -1,16 +1,18 @@
 """Which orders are taken at all, before anyone asks whether they fit the mode. Pure.
 
 An order counts from the station that is heard now, while it is young, and for the experiment that this robot holds. That it
-counts once, and only in the life of this process that it was meant for, is the bus's affair (wire/once.py).
+counts once, and only in the life of this process that it was meant for, is the bus's affair (wire/once.py). STOP and DISARM
+count always: whoever may command at all (docs/security.md) may take the power away, at any time.
 """
 
 from dataclasses import dataclass
 
 from wire.codec import Header
-from wire.messages import Command, Order
+from wire.messages import Command
+from wire.once import ALWAYS_TAKEN
 
 FROM_THE_FUTURE_S = 0.5  # an order may look younger than the heartbeat it is judged by, by no more than this
-ALWAYS_SAFE = frozenset({Order.STOP, Order.DISARM})  # whatever experiment they name: they only take power away
+LONGEST_LIFE_S = 5.0  # whatever time to live its sender gives it: what was meant for then moves nobody now
 
 
 @dataclass(frozen=True)
@@ -29,11 +31,14 @@ def unacceptable(robot: int, experiment_hash: str, header: Header, command: Comm
     """Why an order to that robot, which holds that experiment, is not taken; empty if it is."""
     if command.robot != robot:
         return f"is for robot {command.robot}, this is robot {robot}"
+    if command.order in ALWAYS_TAKEN:
+        return ""
     if header.session != station.session:
         return "does not come from the station that is heard now"
     age_s = (station.clock_ns - header.stamp_ns) * 1e-9
-    if not -FROM_THE_FUTURE_S <= age_s <= command.time_to_live_s:
-        return f"is {age_s:.3f} s old, lives {command.time_to_live_s:g} s"
-    if command.order not in ALWAYS_SAFE and command.experiment_hash != experiment_hash:
+    lives_s = min(command.time_to_live_s, LONGEST_LIFE_S)
+    if not -FROM_THE_FUTURE_S <= age_s <= lives_s:
+        return f"is {age_s:.3f} s old, lives {lives_s:g} s"
+    if command.experiment_hash != experiment_hash:
         return f"is for experiment {command.experiment_hash[:8]}, this robot holds {experiment_hash[:8]}"
     return ""

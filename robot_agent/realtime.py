@@ -1,13 +1,16 @@
 """SHELL: what is asked of the operating system so that the loop runs when it must; what it does not allow is said, not fatal.
 
 Only the calling thread gets the real-time priority: that is the control loop. Zenoh's network threads, begun before, stay as
-they were, so a flood of messages cannot push the loop aside.
+they were, so a flood of messages cannot push the loop aside. The cores are for all threads of the process, Zenoh's too.
 """
 
 import ctypes
+import gc
 import os
 import resource
 import sys
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from robot_agent.config import Realtime
@@ -23,7 +26,7 @@ def apply(wanted: Realtime) -> list[str]:
         return ["real-time options need Linux"] if wanted != Realtime() else []
     if wanted.cores:
         try:
-            os.sched_setaffinity(0, wanted.cores)
+            _pin(wanted.cores)
         except (OSError, ValueError) as error:
             refused.append(f"cores {list(wanted.cores)}: {error} (there are {_ranges(os.sched_getaffinity(0))})")
     if wanted.lock_memory and ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
@@ -36,6 +39,19 @@ def apply(wanted: Realtime) -> list[str]:
                 f"priority {wanted.priority}: {error.strerror} (LimitRTPRIO={wanted.priority} in the unit, or CAP_SYS_NICE)"
             )
     return refused
+
+
+def settle() -> None:
+    """Keep Python's collector off what there is by now: going through all of it takes longer than a control step lasts."""
+    gc.collect()
+    gc.freeze()
+
+
+def _pin(cores: Sequence[int]) -> None:
+    """Every thread of this process onto these cores; those that begin later inherit it. Raises OSError, ValueError."""
+    for thread in (int(task.name) for task in Path("/proc/self/task").iterdir()):
+        with suppress(ProcessLookupError):  # it has ended since
+            os.sched_setaffinity(thread, cores)
 
 
 def permitted() -> str:

@@ -1,19 +1,24 @@
 """SHELL: one robot's process around its core: read, step, publish.
 
-By the wall clock a step comes as soon as a pose has arrived, about one period (EARLY, LATE) after the last step; without a
-pose it comes anyway, and no later than the instant at which the last one gets too old. So the loop falls in step with the
-camera, and a pose never waits. Nor does an order that takes the power away: it brings a step of its own. In lockstep a step
-comes when the simulator says so and every input it names is here.
+By the wall clock a step comes once a period, on a grid that follows the camera slowly (pace.py), and no later than the instant
+at which the last pose gets too old. An order that takes the power away does not wait for it: it brings a step of its own. In
+lockstep a step comes when the simulator says so and every input it names is here.
+
+However the loop ends, asked to or by an exception, the first thing that happens is that the thruster board is told to be
+neutral and to disarm. It would do so by itself, but only 0.25 s later.
 """
 
+import logging
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
+from robot_agent.gains import Prepared
 from robot_agent.journal import answered, inputs_of, noted, order_noted, station_view
 from robot_agent.mode import POWERED
+from robot_agent.pace import Pace
 from robot_agent.watchdog import Watchdog
 from wire import topics
 from wire.bus import Bus, Received
@@ -21,15 +26,18 @@ from wire.codec import Header
 from wire.experiment import Experiment
 from wire.link import Link
 from wire.link_key import Signing, agent_end
+from wire.mavlink import ACCEPTED, ARM_DISARM
 from wire.messages import Command, LocalizerStatus, Mode, Obstacles, Plan, Pose, Reply, StationHeartbeat, StepInputs, Tick
+from wire.once import ALWAYS_TAKEN
 from wire.runtime import SLICE_S, Clock, Lockstep, LockstepClock, Reminder, Stop, WallClock, log, log_to_bus, wait
 
-EARLY = 0.25  # of a period: a step may come this much before its time, for a pose
-LATE = 0.5  # of a period: a step waits this much longer for a pose; one with an old pose is worth less than a late one
-BUDGET = 0.5  # of a period: pulses that leave later than this after the step was due are a missed deadline
+DISARMED = (ARM_DISARM, ACCEPTED)  # the board's answer
 LINK_HEARTBEAT_S = 1.0
 CLOCK_PERIOD_S = 1.0
 CLOCK_WAIT_S = 0.01  # for the board's answer about its time: its loop, 5 ms, and the way. What is left of the period is longer
+LEAVE_S = 0.25  # for the board's answer that it is disarmed; after that long without pulses it is by itself
+LEAVE_AGAIN_S = 0.01  # how often it is told meanwhile
+LEAVE_TIMES = 3  # at the least: one datagram of ten may be lost
 
 
 class Shell:
@@ -66,21 +74,33 @@ class Shell:
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._dropped = 0  # frames of the board, for their signature
         self._trouble = ""  # that the link was last said to have
-        self._budget_ns = round(BUDGET * experiment.controller.period_s * 1e9)
-        self._missed = self._late_steps = 0
+        self._pace = Pace(experiment.controller.period_s, time.monotonic())
+        self._failure: BaseException | None = None  # of an order, on a network thread: the loop ends with it
+        self._leaving = False
         self._steps = self._orders = 0  # of this agent, as the log counts them
         self._station_session = 0
         self._told = (Mode.DISARMED, "")
 
     def run(self) -> None:
-        """Fly until told to stop."""
+        """Fly until told to stop. Raises what ended the control loop otherwise. Either way the board is disarmed first."""
         log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
-        self._bus.serve(self._robot, self._order)
-        self._greet()
-        self._bus.announce(f"agent-{self._robot}")
-        log.info("ready, experiment %s", self._experiment.hash[:8])
-        self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
+        self._stop.on_request(self._awake)
+        try:
+            self._bus.serve(self._robot, self._order)
+            self._greet()
+            self._bus.announce(f"agent-{self._robot}")
+            log.info("ready, experiment %s", self._experiment.hash[:8])
+            self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
+            self._fly()
+        except BaseException as error:
+            self._leave(f"the control loop has ended: {type(error).__name__}: {error}", logging.ERROR)
+            raise
+        self._leave("told to stop")
+
+    def _fly(self) -> None:
         for due_ns, up_to_ns in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
+            if self._failure is not None:
+                raise self._failure
             started_ns = time.perf_counter_ns()
             now_ns = self._clock.now_ns()
             with self._turn:
@@ -89,6 +109,31 @@ class Shell:
             self._watchdog.alive(time.monotonic_ns())
             self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
             self._compare_clocks()
+
+    def _awake(self) -> None:
+        """Let the loop look at once at what has happened, wherever it sleeps."""
+        self._hurry.set()
+        with self._bus.arrival:
+            self._bus.arrival.notify_all()
+
+    def _leave(self, why: str, level: int = logging.INFO) -> None:
+        """Tell the board to be neutral and to disarm, until it says that it has. Nothing else is told to it any more."""
+        self._leaving = True
+        before, until_s = self._mavlink.telemetry.acknowledgements, time.monotonic() + LEAVE_S
+        told, disarmed = 0, False
+        while told < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s):
+            self._link.send(self._mavlink.arm(False))
+            self._link.send(self._mavlink.pulses(self.agent.neutral_us))
+            told += 1
+            self._link.wait(LEAVE_AGAIN_S)
+            self._mavlink.receive(self._link.read(), self._clock.now_ns())
+            seen = self._mavlink.telemetry
+            disarmed = seen.acknowledgements > before and seen.acknowledged == DISARMED and not seen.armed
+        log.log(
+            level if disarmed else max(level, logging.WARNING),
+            "%s; neutral and disarm sent to the thruster board, %s", why,
+            "which says that it is disarmed" if disarmed else f"which has not said within {LEAVE_S:g} s that it is disarmed",
+        )  # fmt: skip
 
     def _greet(self) -> None:
         """Let a board behind UDP learn where we are; it may not be there yet."""
@@ -131,18 +176,33 @@ class Shell:
             self._mavlink.receive(self._link.read(), self._clock.now_ns())
 
     def _order(self, header: Header, command: Command) -> Reply:
-        with self._turn:
-            # In lockstep the station may have taken up a tick that we have not: an order of that tick is given in it.
-            now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
-            heartbeat = self._station()
-            record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
-            powered = self.agent.mode in POWERED
-            reply = self.agent.order(header, command, station_view(record, now_ns), now_ns)
-            self._orders += 1
-            if powered and self.agent.mode not in POWERED:
-                self._hurry.set()
-        self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
+        agent = self.agent
+        try:
+            prepared = agent.prepare(command)  # what is long to make is made beside the steps
+            with self._turn:
+                if self._leaving and command.order not in ALWAYS_TAKEN:
+                    return Reply(self._robot, False, f"{command.order.name}: the robot's program is ending", self.agent.mode)
+                reply = self._obey(header, command, prepared if agent is self.agent else None)
+        except Exception as error:  # half an order may have been carried out: nobody flies on with that
+            self._failure = error
+            self._awake()
+            return Reply(
+                self._robot, False, f"{command.order.name}: {type(error).__name__}: {error}; the robot's program ends"
+            )
         log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
+        return reply
+
+    def _obey(self, header: Header, command: Command, prepared: Prepared | None) -> Reply:
+        # In lockstep the station may have taken up a tick that we have not: an order of that tick is given in it.
+        now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
+        heartbeat = self._station()
+        record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
+        powered = self.agent.mode in POWERED
+        reply = self.agent.order(header, command, station_view(record, now_ns), now_ns, prepared)
+        self._orders += 1
+        if powered and self.agent.mode not in POWERED:
+            self._awake()
+        self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
         return reply
 
     # --- inputs
@@ -155,15 +215,11 @@ class Shell:
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
         telemetry = self._mavlink.telemetry
         pose = self._poses.newest()
-        record = noted(self._steps, self._late_steps, self._clock, pose, heartbeat, telemetry, plans, obstacles)
+        record = noted(self._steps, self._pace.late_steps, self._clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
         messages = {robot: plan.message for robot, plan in plans.items()}
         seen = obstacles.message if obstacles is not None else None
-        begun_ns = time.thread_time_ns()  # a step that has to wait for the machine is no slow step
-        outputs = self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
-        slow = not self._lockstep and time.thread_time_ns() - begun_ns > self._budget_ns
-        self._late_steps = self._late_steps + 1 if slow else 0
-        return record, outputs
+        return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
 
     def _station(self) -> Received[StationHeartbeat] | None:
         """The station as heard last. With one that it meets for the first time a robot that is disarmed begins anew: the log
@@ -179,25 +235,36 @@ class Shell:
     # --- pace: when a step is due, and up to which stamp neighbours' plans count
 
     def _wall_pace(self) -> Iterator[tuple[int, None]]:
-        period_s = self._experiment.controller.period_s
-        last_s = time.monotonic()
-        taken: Header | None = None
+        pace = self._pace = Pace(self._experiment.controller.period_s, time.monotonic())
+        taken: Received[Pose] | None = None
         while not self._stop.requested:
-            latest_s = min(last_s + (1 + LATE) * period_s, self._react_by_s())
-            # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
-            self._hurry.wait(max(min(last_s + (1 - EARLY) * period_s, latest_s) - time.monotonic(), 0.0))
-            fresh = wait(
+            due_s = self._await_step(pace, taken)
+            if self._stop.requested:
+                return
+            self._hurry.clear()
+            now_s, pose = time.monotonic(), self._poses.newest()
+            pace.stepped(now_s, _arrived_s(pose, taken))
+            taken = pose
+            yield self._clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9), None
+
+    def _await_step(self, pace: Pace, taken: Received[Pose] | None) -> float:
+        """Sleep until the next step. Returns when it was due, on the monotonic clock. `taken` is the last step's pose."""
+        react_by_s = self._react_by_s()
+        # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
+        self._hurry.wait(max(min(pace.opens_s, react_by_s) - time.monotonic(), 0.0))
+        while not self._stop.requested and not self._hurry.is_set():
+            seen = self._poses.newest_header()
+            due_s = min(pace.due_s(_arrived_s(self._poses.newest(), taken)), react_by_s)
+            left_s = due_s - time.monotonic()
+            if left_s <= 0.0:
+                return due_s
+            wait(
                 self._bus,
                 self._stop,
-                lambda seen=taken: self._hurry.is_set() or self._poses.newest_header() is not seen,  # type: ignore[misc]
-                latest_s - time.monotonic(),
+                lambda seen=seen: self._hurry.is_set() or self._poses.newest_header() is not seen,  # type: ignore[misc]
+                left_s,
             )
-            self._hurry.clear()
-            now_s = time.monotonic()
-            due_s = now_s if fresh else min(now_s, last_s + (1 + LATE) * period_s)
-            taken = self._poses.newest_header()
-            last_s = max(due_s, now_s - period_s)
-            yield self._clock.now_ns() - round((now_s - due_s) * 1e9), None
+        return time.monotonic()
 
     def _react_by_s(self) -> float:
         """When the pose gets too old, on the monotonic clock; infinity if it does not, or is so already."""
@@ -253,8 +320,7 @@ class Shell:
         self._link.send(self._mavlink.pulses(outputs.pulse_us))
         sent_ns = time.perf_counter_ns() - started_ns
         if not self._lockstep:  # where time waits for the step, nothing is late
-            late_ns = sent_ns + now_ns - due_ns
-            self._missed += late_ns > self._budget_ns
+            self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)
         if outputs.plan is not None:
             self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else sent_ns)
         latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else sent_ns * 1e-6)
@@ -263,7 +329,7 @@ class Shell:
             outputs.state,
             step_us=step_ns * 1e-3,
             exposure_to_pwm_ms=latency_ms,
-            missed_deadlines=self._missed,
+            missed_deadlines=self._pace.missed,
             board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
             board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
         )
@@ -272,3 +338,8 @@ class Shell:
             self._told = (state.mode, state.fault)
             say = log.warning if state.fault else log.info
             say("%s%s", state.mode.name.lower(), f": {state.fault}" if state.fault else "")
+
+
+def _arrived_s(pose: Received[Pose] | None, taken: Received[Pose] | None) -> float | None:
+    """When a pose came, on the monotonic clock; None if there is none, or it is the one that has been taken."""
+    return None if pose is None or pose is taken else pose.arrived_ns * 1e-9

@@ -1,6 +1,7 @@
 """How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
 
 from robot_agent.allocation import Allocator
+from robot_agent.battery import Gauge
 from robot_agent.controller import ControlOutput
 from robot_agent.echo import EchoCheck
 from robot_agent.inputs import Inputs
@@ -11,7 +12,8 @@ from robot_agent.thruster_watch import ThrusterWatch
 from wire.experiment import Experiment
 from wire.messages import Mode, Track
 
-ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
+ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
+DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
 NEVER_S = float("inf")
 
 
@@ -19,11 +21,9 @@ class Vitals:
     """What is remembered of one robot's senses from step to step."""
 
     def __init__(self, experiment: Experiment) -> None:
-        self._safety, self._battery, self._markers = (
-            experiment.safety,
-            experiment.vehicle.battery,
-            experiment.localizer.markers,
-        )
+        self._safety, self._markers = experiment.safety, experiment.localizer.markers
+        self._period_s = experiment.controller.period_s
+        self._battery = Gauge(experiment.vehicle.battery)
         self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
         self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
         self._mode = Mode.DISARMED
@@ -31,9 +31,12 @@ class Vitals:
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
         self._armed_since_ns: int | None = None  # since when the board should be armed and is not
         self._board_armed = False  # the board has armed since it was last to be disarmed
-        self._asked_ns = -(10**18)
+        self._wanted: bool | None = None  # whether the board is to be armed; None before the first step
+        self._wanted_since_ns = 0
+        self._asked_ns: int | None = None  # when the board was last told so
+        self._estimated = self._estimate_ended = False
 
-    def note(self, inputs: Inputs, mode: Mode) -> None:
+    def note(self, inputs: Inputs, mode: Mode, now_ns: int) -> None:
         """Take in what a step has to go by, in the mode that the robot has been in until now."""
         seen, telemetry = inputs.pose, inputs.telemetry
         if seen is not None and seen.pose.track >= Track.KCF:
@@ -43,8 +46,11 @@ class Vitals:
         if mode is not self._mode:
             self._path.reset()
         self._mode = mode
+        self._battery.note(telemetry, now_ns)
+        self._echo.note(telemetry, now_ns)
         if mode not in POWERED:
             self._thrusters.reset()
+            self._estimate_ended = False
         elif telemetry.board_ms >= 0:
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
@@ -53,13 +59,20 @@ class Vitals:
         self._echo.told(pulse_us, now_ns)
         self._thrusters.told(self._allocator.turning(pulse_us), now_ns)
 
-    def flew(self, output: ControlOutput, now_ns: int) -> None:
-        """What a control step found out about how the robot moves."""
+    def flew(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
+        """What a control step found out about how the robot moves, in the mode that it is in now."""
+        self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
+        self._estimated = output.estimated
         place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
         self._path.step(place_m, path_m, output.is_free, now_ns)
 
+    @property
+    def neutral_us(self) -> tuple[int, ...]:
+        """Pulses with which no thruster turns: 4 thrusters, 4 ankles."""
+        return self._allocator.neutral_us
+
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
-        """What reactions look at."""
+        """What reactions look at. Asks only: nothing is changed by it."""
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
         if self._board_armed and not telemetry.armed:
@@ -70,13 +83,14 @@ class Vitals:
             station_age_s=inputs.station.age_s,
             board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
             board_disarmed_s=disarmed_s,
-            battery_v=telemetry.battery_v if telemetry.battery_v > 0 else self._battery.full_v,
+            battery_empty=self._battery.empty,
             emergency_stop=inputs.emergency_stop,
             solver_failed=solver_failed,
-            late_steps=inputs.late_steps,
-            echo_wrong_s=self._echo.wrong_s(telemetry, now_ns),
+            late_s=round(inputs.late_steps * self._period_s, 9),
+            echo_wrong_s=self._echo.wrong_s,
             thrusters_broken=self._thrusters.broken,
             off_path=self._path.left,
+            estimate_ended=self._estimate_ended,
         )
 
     def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
@@ -94,19 +108,21 @@ class Vitals:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:
             return "its identity is not verified: no marker was read"
-        if health.battery_v < self._battery.no_arm_v:
-            return f"the battery has {health.battery_v:.1f} V, needs {self._battery.no_arm_v:.1f} V"
-        return ""
+        return self._battery.unfit(now_ns)
 
     def arming(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
-        """What to tell a board that says that it is armed, or not; None: nothing, or not again so soon."""
+        """What to tell a board that says that it is armed, or not; None: nothing, or not again so soon. To be called once at
+        each step. When the power has just been taken away, or the program has just begun, each step disarms."""
         wanted = mode in LIVE
+        if wanted is not self._wanted:
+            self._wanted, self._wanted_since_ns, self._asked_ns = wanted, now_ns, None
         if armed == wanted:
             self._armed_since_ns, self._board_armed = None, wanted
-            return None
-        if self._armed_since_ns is None or not wanted:
+        elif self._armed_since_ns is None or not wanted:
             self._armed_since_ns = now_ns if wanted else None
-        if now_ns - self._asked_ns < ARM_AGAIN_S * 1e9:
+        insists = not wanted and now_ns - self._wanted_since_ns < DISARM_S * 1e9
+        is_due = self._asked_ns is None or now_ns - self._asked_ns >= ARM_AGAIN_S * 1e9
+        if not insists and (armed == wanted or not is_due):
             return None
         self._asked_ns = now_ns
         return wanted

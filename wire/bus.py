@@ -236,7 +236,7 @@ class Bus:
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot))
         known = self._recipients.get(key, 0)
         reply = self._ask(key, replace(command, recipient=known), stamp_ns, timeout_s)
-        if not known and reply.session:
+        if not known and reply.session and not reply.accepted:
             reply = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s)
         if reply.session:
             self._recipients[key] = reply.session

@@ -349,7 +349,7 @@ class Reply(_message.Message):
     def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ..., session: _Optional[int] = ...) -> None: ...
 
 class BoardReading(_message.Message):
-    __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss")
+    __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss", "charge", "battery_reports")
     BOARD_MS_FIELD_NUMBER: _ClassVar[int]
     ARRIVAL_NS_FIELD_NUMBER: _ClassVar[int]
     HEADING_RAD_FIELD_NUMBER: _ClassVar[int]
@@ -360,6 +360,8 @@ class BoardReading(_message.Message):
     ARMED_FIELD_NUMBER: _ClassVar[int]
     ECHO_US_FIELD_NUMBER: _ClassVar[int]
     LOSS_FIELD_NUMBER: _ClassVar[int]
+    CHARGE_FIELD_NUMBER: _ClassVar[int]
+    BATTERY_REPORTS_FIELD_NUMBER: _ClassVar[int]
     board_ms: int
     arrival_ns: int
     heading_rad: float
@@ -370,7 +372,9 @@ class BoardReading(_message.Message):
     armed: bool
     echo_us: _containers.RepeatedScalarFieldContainer[int]
     loss: float
-    def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ...) -> None: ...
+    charge: int
+    battery_reports: int
+    def __init__(self, board_ms: _Optional[int] = ..., arrival_ns: _Optional[int] = ..., heading_rad: _Optional[float] = ..., yaw_rate_radps: _Optional[float] = ..., acceleration_mps2: _Optional[_Iterable[float]] = ..., depth_m: _Optional[float] = ..., battery_v: _Optional[float] = ..., armed: _Optional[bool] = ..., echo_us: _Optional[_Iterable[int]] = ..., loss: _Optional[float] = ..., charge: _Optional[int] = ..., battery_reports: _Optional[int] = ...) -> None: ...
 
 class StepInputs(_message.Message):
     __slots__ = ("step", "pose", "pose_instant_ns", "pose_told_age_ns", "heartbeat", "station_session", "station_stamp_ns", "station_instant_ns", "board", "plan_robots", "plan_sessions", "plan_sequences", "plan_instants_ns", "obstacles_session", "obstacles_sequence", "obstacles_instant_ns", "late_steps")

@@ -15,6 +15,7 @@ import serial
 from wire.toml_file import ConfigError
 
 READ_BYTES = 65536
+READ_DATAGRAMS = 256  # at one read: more than two seconds of a board's; who sends more does not hold up a control step
 FORMS = "udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:/dev/ttyACM0:115200"
 BAUDS = range(300, 12_000_001)
 IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
@@ -73,19 +74,25 @@ class UdpLink:
             self.trouble = error.strerror or str(error)
 
     def read(self) -> bytes:
-        datagrams = []
-        while True:
+        """What has come, as far as one read goes; what is left comes with the next."""
+        datagrams: list[bytes] = []
+        left = READ_BYTES
+        for _ in range(READ_DATAGRAMS):
             try:
                 datagrams.append(self._socket.recv(READ_BYTES))
                 self.trouble = ""
+                left -= len(datagrams[-1])
+                if left <= 0:
+                    break
             except BlockingIOError:
-                return b"".join(datagrams)
+                break
             except ConnectionRefusedError:
                 self.trouble = "connection refused: the machine is there, but nothing listens on that port"
                 continue  # the answer to an earlier send; behind it may be data
             except OSError as error:  # another such answer: a firewall's "prohibited", a router's "network unknown"
                 self.trouble = error.strerror or str(error)
-                return b"".join(datagrams)
+                break
+        return b"".join(datagrams)
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until something can be read, at most this long."""
@@ -102,6 +109,7 @@ class SerialLink:
         self._device, self._baud = device, baud
         self._port: serial.Serial | None = None
         self._refusal = ""
+        self._unsent = b""  # the rest of a frame of which the port has taken a part
         self._reopen()
 
     @property
@@ -117,9 +125,14 @@ class SerialLink:
             self._refusal = f"{self._device}: {IN_USE if taken else error}"
 
     def send(self, data: bytes) -> None:
+        """Hand bytes to the port. A port that takes a part of them gets the rest with the next call, before anything else: the
+        board loses no frame that it has half of, nor those behind it. What it takes nothing of is dropped."""
+        if self._port is None:
+            return
         try:
-            if self._port is not None:
-                os.write(self._port.fileno(), data)  # pyserial's own, told not to wait, tries for ever
+            while self._unsent:
+                self._unsent = self._unsent[os.write(self._port.fileno(), self._unsent) :]
+            self._unsent = data[os.write(self._port.fileno(), data) :]  # pyserial's own, told not to wait, tries for ever
         except BlockingIOError:  # the board takes nothing, and the port holds no more
             return
         except (OSError, serial.SerialException):
@@ -141,7 +154,7 @@ class SerialLink:
     def _drop(self) -> None:
         if self._port is not None:
             self._port.close()
-        self._port = None
+        self._port, self._unsent = None, b""
 
     def close(self) -> None:
         self._drop()

@@ -35,7 +35,12 @@ PROTOCOL_VERSION = 3  # what a HEARTBEAT says for MAVLink 2
 TEXT_LENGTH = 50  # of a STATUSTEXT
 TEXTS_KEPT = 16
 CLOCKS_KEPT = 16  # of these the quickest round trip tells the clock: what is slow was held up one way and not the other
+CLOCK_TRIP_NS = 20_000_000  # a slower answer may be wrong by more than what a burst that is read waited for
+CLOCK_STEP_NS = 5_000_000  # two answers that differ by this more than their round trips explain: the board's clock was set
+BOARD_MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
+CHARGE_STATES = range(8)  # MAV_BATTERY_CHARGE_STATE
 
+ARM_DISARM: int = dialect.MAV_CMD_COMPONENT_ARM_DISARM
 ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT; rejected: for now
 
 
@@ -60,13 +65,14 @@ class Telemetry:
     """What the board last said, complete as of the burst of `board_ms`. Values are finite and within a sensor's range."""
 
     board_ms: int = -1  # the board's time of the last burst; -1: none yet
-    arrival_ns: int = 0  # when that burst arrived, on the receiver's clock
+    arrival_ns: int = 0  # when that burst was measured, on the receiver's clock; when it was read, until TIMESYNC was answered
     heading_rad: float = 0.0
     yaw_rate_radps: float = 0.0
     acceleration_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)  # specific force, body frame
     depth_m: float = 0.0
-    battery_v: float = 0.0  # 0: not heard yet
-    charge: int = 0  # how low the battery is, for the board: MAV_BATTERY_CHARGE_STATE, 0 not heard yet
+    battery_v: float = 0.0  # one raw measurement, under whatever load there was; means nothing before the first report
+    battery_reports: int = 0  # how many voltages the board has told; 0: none yet
+    charge: int = 0  # how low the board takes the battery to be, filtered: MAV_BATTERY_CHARGE_STATE, 0 not known
     armed: bool = False
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
@@ -121,6 +127,7 @@ class AgentLink:
         self._receiver = Receiver(lambda peer: peer == self._board, gate)
         self._refused = 0
         self._has_depth = False  # this burst, so far
+        self._burst_ms = -1  # the board's time of the last burst
         self._asked_ns: int | None = None
         self._clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)  # round trip, the board's clock minus ours
         self.telemetry = Telemetry()
@@ -202,7 +209,7 @@ class AgentLink:
                 "heading_rad": within(message.yaw, -math.tau, math.tau),
                 "yaw_rate_radps": within(message.yawspeed, -50.0, 50.0),
                 "board_ms": message.time_boot_ms,
-                "arrival_ns": now_ns,
+                "arrival_ns": self._measured_ns(message.time_boot_ms, now_ns),
             }
         if kind == "SCALED_IMU":
             unit = STANDARD_GRAVITY_MPS2 / 1000.0
@@ -214,8 +221,10 @@ class AgentLink:
         if kind == "SERVO_OUTPUT_RAW":
             return {"echo_us": pulses_of(message, SERVOS, ignorable=False)}
         if kind == "SYS_STATUS":
-            return {"battery_v": within(message.voltage_battery, 0, IGNORED - 1) / 1000.0}
+            count = changes.get("battery_reports", self.telemetry.battery_reports)
+            return {"battery_v": within(message.voltage_battery, 0, IGNORED - 1) / 1000.0, "battery_reports": count + 1}
         if kind == "BATTERY_STATUS":
+            within(message.charge_state, CHARGE_STATES.start, CHARGE_STATES[-1])
             return {"charge": message.charge_state} if message.id == 0 else {}
         if kind == "HEARTBEAT":
             return {"armed": bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)}
@@ -234,7 +243,26 @@ class AgentLink:
         if kind == "TIMESYNC" and message.tc1 != 0 and message.ts1 == self._asked_ns:
             round_trip_ns = int(within(now_ns - message.ts1, 0, LOSS_WINDOW_NS))
             self._asked_ns = None
-            self._clocks.append((round_trip_ns, message.tc1 - message.ts1 - round_trip_ns // 2))
+            self._note_clock(round_trip_ns, message.tc1 - message.ts1 - round_trip_ns // 2)
             trips = changes.get("round_trips", self.telemetry.round_trips) + 1
             return {"clock_offset_ns": min(self._clocks)[1], "round_trip_ns": round_trip_ns, "round_trips": trips}
         return {}
+
+    def _note_clock(self, round_trip_ns: int, offset_ns: int) -> None:
+        """Take in how far the board's clock is from ours; an answer is wrong by half its round trip at most."""
+        if self._clocks:
+            best_trip_ns, best_ns = min(self._clocks)
+            if abs(offset_ns - best_ns) > (round_trip_ns + best_trip_ns) // 2 + CLOCK_STEP_NS:
+                self._clocks.clear()
+        self._clocks.append((round_trip_ns, offset_ns))
+
+    def _measured_ns(self, board_ms: int, now_ns: int) -> int:
+        """When a burst was measured, on our clock: never later than now, and now while the board's clock is not known. A board
+        that was started again has another clock."""
+        if board_ms < self._burst_ms:
+            self._clocks.clear()
+        self._burst_ms = board_ms
+        if not self._clocks or min(self._clocks)[0] > CLOCK_TRIP_NS:
+            return now_ns
+        age_ns = (now_ns + min(self._clocks)[1] - board_ms * 1_000_000) % (BOARD_MS_WRAPS * 1_000_000)
+        return now_ns - age_ns if age_ns < BOARD_MS_WRAPS * 500_000 else now_ns

@@ -272,7 +272,7 @@ class BoardReading:
     """What a thruster board said last, as far as its robot acts on it (wire/mavlink.py, Telemetry)."""
 
     board_ms: int = -1  # the board's time of the last burst; -1: none yet
-    arrival_ns: int = 0  # of that burst, on the robot's clock
+    arrival_ns: int = 0  # when it was measured, on the robot's clock; when it was read, while the board's clock is not known
     heading_rad: float = 0.0
     yaw_rate_radps: float = 0.0
     acceleration_mps2: Array = array(3)  # specific force, body frame
@@ -281,6 +281,8 @@ class BoardReading:
     armed: bool = False
     echo_us: tuple[int, ...] = ()
     loss: float = 0.0  # fraction of the board's messages lost, last 5 s
+    charge: int = 0  # how low the board takes the battery to be: MAV_BATTERY_CHARGE_STATE, 0 not known
+    battery_reports: int = 0  # how many voltages the board has told; 0: none yet, or an old log
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +307,7 @@ class StepInputs:
     obstacles_session: int = 0  # of the message's header; 0: none has been heard
     obstacles_sequence: int = 0
     obstacles_instant_ns: int = 0  # when it was so
-    late_steps: int = 0  # steps in a row, before this one, that took more of the processor than their budget
+    late_steps: int = 0  # by how much late steps outnumber timely ones, before this one: +1 for a late one, -1 for another
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,14 +4,18 @@ A process draws a number when it starts (its session). An order names the number
 recorded in an earlier life is refused, however fresh it looks and whoever's heartbeats are played back with it. Within a life
 the sender's session and sequence number tell an order that has been dealt with: the same once more gets the answer it got, and
 no second effect; an older one is refused.
+
+STOP and DISARM are the exception: they only take power away, and the same once more changes nothing for the worse. They are
+looked at whenever they come, from whoever may command: late, repeated, or meant for an earlier life.
 """
 
 from collections import OrderedDict
 from dataclasses import replace
 
 from wire.codec import Header
-from wire.messages import Command, Reply
+from wire.messages import Command, Order, Reply
 
+ALWAYS_TAKEN = frozenset({Order.STOP, Order.DISARM})  # they only take power away
 SENDERS = 4096  # remembered; each station's life and each terminal's order is one
 
 
@@ -24,6 +28,8 @@ class Once:
 
     def settled(self, header: Header, command: Command) -> Reply | None:
         """The answer to an order that is not to be looked at (again); None if it is new and for this life."""
+        if command.order in ALWAYS_TAKEN:
+            return None
         if command.recipient != self._session:
             return self._refuse(command, "is not for this life of the process: it has been started again since, or never met")
         sequence, reply = self._answered.get(header.session, (0, None))
@@ -36,8 +42,9 @@ class Once:
     def settle(self, header: Header, reply: Reply) -> Reply:
         """Note an order as dealt with. Returns the answer, which tells for whom the next order must be."""
         reply = replace(reply, session=self._session)
-        self._answered[header.session] = (header.sequence, reply)
-        self._answered.move_to_end(header.session)
+        if header.sequence >= self._answered.get(header.session, (0, None))[0]:  # a late STOP makes no other order new again
+            self._answered[header.session] = (header.sequence, reply)
+            self._answered.move_to_end(header.session)
         if len(self._answered) > SENDERS:
             self._answered.popitem(last=False)
         return reply

@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from types import FrameType
@@ -75,6 +76,7 @@ class Stop:
 
     def __init__(self, install: bool = True) -> None:
         self.requested = False
+        self._wakes: list[Callable[[], None]] = []
         if install:
             signal.signal(signal.SIGINT, self._on_signal)
             signal.signal(signal.SIGTERM, self._on_signal)
@@ -82,7 +84,7 @@ class Stop:
     def _on_signal(self, number: int, frame: FrameType | None) -> None:
         if self.requested:
             os._exit(128 + number)
-        self.requested = True
+        self.request()
 
     def __call__(self) -> bool:
         """Whether a stop has been asked for."""
@@ -91,6 +93,13 @@ class Stop:
     def request(self) -> None:
         """Ask for a clean stop."""
         self.requested = True
+        for wake in self._wakes:
+            threading.Thread(target=wake, name="stop", daemon=True).start()
+
+    def on_request(self, wake: Callable[[], None]) -> None:
+        """Have `wake` called when a stop is asked for, for a loop that sleeps too long to look. On a thread of its own: a
+        signal may come while the loop holds a lock that `wake` needs."""
+        self._wakes.append(wake)
 
 
 def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:

@@ -23,6 +23,10 @@ Bandwidth = Annotated[float, Field(gt=0, le=50), LIVE]
 Gain = Annotated[float, Field(ge=0, le=10), LIVE]
 
 
+COAST_S = 1.0  # an estimate ends so long after its last pose: prediction alone is none any more
+COMMAND_AGE_S = 0.25  # CMD_AGE_MS of a thruster board as it comes (docs/board.md): without pulses for so long it disarms
+
+
 class Safety(Section):
     """Collision avoidance and freshness."""
 
@@ -31,11 +35,11 @@ class Safety(Section):
     bubble_mps: NotNegative = 0.1  # how fast the space around a silent neighbour grows
     bubble_max_m: NotNegative = 0.5  # and how far: a robot that is gone must not push the others against the walls
     pose_hold_s: Positive = 0.19  # hold, then (pose_neutral_s) neutral, counted from the last pose: within 0.2 s, all told
-    pose_neutral_s: Positive = 0.45
+    pose_neutral_s: Annotated[float, Field(gt=0, lt=COAST_S)] = 0.45  # before the estimate ends
     station_hold_s: Positive = 1.0
     station_neutral_s: Positive = 3.0
-    station_disarm_s: Positive = 10.0
-    plan_max_age_s: Positive = 0.5
+    station_disarm_s: Annotated[float, Field(gt=0, le=60)] = 10.0  # and a board that is forgotten does not stay armed
+    plan_max_age_s: Annotated[float, Field(gt=0, le=5)] = 0.5  # a plan reaches 2.5 s ahead
     watch_thrusters: bool = True  # neutral when the gyroscope does not feel what the thrusters were told
     off_path_m: Positive = (
         0.3  # neutral when farther off its path than this for 0.5 s, nothing being in the way; still water: 0.1
@@ -110,7 +114,7 @@ class Mpc(Section):
 class Controller(Section):
     """What runs on the robot, 1/period_s times a second. `law` is what computes the wrench, given estimate and reference."""
 
-    period_s: Annotated[float, Field(ge=0.01, le=0.5)] = 0.05
+    period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05  # so that one step may fail to come
     law: LawName = "eso-mpc"
     estimator: Estimator = Estimator()
     guidance: Guidance = Guidance()

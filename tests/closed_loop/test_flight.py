@@ -147,6 +147,60 @@ def test_control_steps_that_are_late_three_times_in_a_row_end_in_neutral() -> No
     assert outputs.pulse_us[:4] == (NEUTRAL_US,) * 4
 
 
+def test_a_robot_that_was_off_its_path_flies_again_when_it_is_told_to() -> None:
+    """Its thrusters are dead for a while, and nobody watches them."""
+    settings = ["duration_s=60", "safety.watch_thrusters=false", "safety.off_path_m=0.05", "robots.0.start_offset=[0,0,0,0]"]
+    pool = DryPool(load_experiment("pool", settings, [f"t=1 for=9 thruster 1/{k} dead" for k in (1, 2, 3, 4)]))
+    world, step = pool.world, pool.world.step
+    world.step = lambda: (world.break_things(), step())[1]  # type: ignore[method-assign]
+    pool.take_off()
+    world.start_ns = world.now_ns
+    agent, states = pool.robots[0].agent, pool.robots[0].states
+    pool.run(10.5)
+    assert (agent.mode, states[-1].fault) == (Mode.FAULT, "off its path")
+    reached_s = states[-1].trajectory_s
+    assert pool.order(Order.DISARM, 0).accepted
+    pool.run(0.2)
+    assert not states[-1].board_armed
+    for order in (Order.LOAD, Order.ARM, Order.HOLD):
+        reply = pool.order(order, 0)
+        assert reply.accepted, reply.reason
+    pool.run(0.3)
+    assert pool.order(Order.START, 0, start_in_s=0.2, trajectory_s=reached_s).accepted
+    pool.run(1.0)
+    assert (agent.mode, states[-1].fault, states[-1].board_armed) == (Mode.TRACKING, "", True)
+    assert states[-1].wrench.any()
+
+
+def test_thrust_does_not_come_back_unasked_however_late_poses_may_be() -> None:
+    """With ages that no experiment file may have: the estimate ends before the robot takes poses for missing."""
+    experiment = load_experiment("pool")
+    late = experiment.safety.model_copy(update={"pose_hold_s": 2.0, "pose_neutral_s": 3.0})
+    pool = DryPool(experiment.model_copy(update={"safety": late}))
+    pool.take_off()
+    pool.run(2.0)
+    pool.camera_works = False
+    pool.run(1.5)
+    pool.camera_works = True
+    back = len(pool.pulses)
+    pool.run(1.0)
+    for robot in pool.robots:
+        assert (robot.agent.mode, robot.states[-1].fault) == (Mode.FAULT, "estimate ended")
+    assert all((pulses[:, :4] == NEUTRAL_US).all() for pulses in pool.pulses[back:])
+
+
+def test_a_stop_right_after_an_arm_disarms_the_board_at_the_next_step() -> None:
+    """Though the rate of requests is limited, and the board has not said yet that it is armed."""
+    pool = DryPool(load_experiment("pool"))
+    pool.run(1.0)
+    assert pool.order(Order.ARM, 0).accepted
+    pool.run(0.05)
+    assert pool.world._boards[0].armed
+    assert pool.order(Order.STOP, 0).accepted
+    pool.run(0.05)
+    assert not pool.world._boards[0].armed
+
+
 @pytest.mark.parametrize("place", [{"x_m": 2.6, "y_m": 0.0}, {"x_m": 0.0, "y_m": -1.9}])
 def test_a_pose_outside_the_pool_is_none(place: dict[str, float]) -> None:
     """Not even one that stays there for so long that the observer would believe it."""

@@ -27,7 +27,7 @@ from wire.runtime import Stop, WallClock, wait
 from wire.topics import WHOLE_FLEET
 from wire.transport import MemoryHub, MemoryTransport
 
-PERIOD_S = 0.5
+PERIOD_S = 0.125
 PATIENCE_S = 20.0
 TRIES = 5
 
@@ -99,7 +99,7 @@ def test_answers_for_people_do_not_keep_the_paths_that_were_sent(tmp_path: Path)
 
 
 def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
-    experiment = load_experiment("pool", [f"controller.period_s={PERIOD_S}", "camera.rate_hz=2"])
+    experiment = load_experiment("pool", [f"controller.period_s={PERIOD_S}", "camera.rate_hz=8"])
     hub, stop = MemoryHub(), Stop(install=False)
     bus, person = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     beats = person.inbox(topics.HEARTBEAT, StationHeartbeat)

@@ -153,7 +153,7 @@ def test_the_rehearsal_flies_with_every_neighbour() -> None:
     "setting",
     [
         "vehicle.battery={cells=6, full_v=25.2, warn_v=21.6, no_arm_v=21.0, neutral_v=19.8, hysteresis_v=0.3}",
-        "controller.period_s=0.2",
+        "controller.period_s=0.1",
     ],
 )
 def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> None:

@@ -12,8 +12,8 @@ from wire.experiment import load_experiment
 from wire.messages import Mode, Order
 
 EXPERIMENT = load_experiment("pool")
-SAFETY, BATTERY = EXPERIMENT.safety, EXPERIMENT.vehicle.battery
-WELL = Health(0.03, 0.03, 0.02, 0.02, 0.0, 12.0, False, False)
+SAFETY = EXPERIMENT.safety
+WELL = Health(0.03, 0.03, 0.02, 0.02, 0.0, False, False, False)
 
 healths = st.builds(
     Health,
@@ -22,19 +22,19 @@ healths = st.builds(
     station_age_s=st.floats(0, 20) | st.just(float("inf")),
     board_age_s=st.floats(0, 20) | st.just(float("inf")),
     board_disarmed_s=st.floats(0, 5),
-    battery_v=st.floats(0, 13),
+    battery_empty=st.booleans(),
     emergency_stop=st.booleans(),
     solver_failed=st.booleans(),
 )
 
 
 def after(mode: Mode, **change: object) -> Mode:
-    return react(mode, replace(WELL, **change), SAFETY, BATTERY)[0]  # type: ignore[arg-type]
+    return react(mode, replace(WELL, **change), SAFETY)[0]  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_nothing_happens_while_all_is_well(mode: Mode) -> None:
-    assert react(mode, WELL, SAFETY, BATTERY) == (mode, "")
+    assert react(mode, WELL, SAFETY) == (mode, "")
 
 
 def test_a_late_pose_means_hold_and_a_missing_one_neutral() -> None:
@@ -63,13 +63,13 @@ def test_a_silent_station_means_hold_after_1_s_neutral_after_3_disarmed_after_10
 @pytest.mark.parametrize("mode", sorted(LIVE))
 def test_a_silent_board_an_empty_battery_and_a_disarmed_board_are_faults(mode: Mode) -> None:
     assert after(mode, board_age_s=0.31) is Mode.FAULT
-    assert after(mode, battery_v=BATTERY.neutral_v - 0.01) is Mode.FAULT
+    assert after(mode, battery_empty=True) is Mode.FAULT
     assert after(mode, board_disarmed_s=1.6) is Mode.FAULT
 
 
 @given(st.sampled_from(Mode), healths)
 def test_no_reaction_ever_leads_towards_thrust(mode: Mode, health: Health) -> None:
-    to, reason = react(mode, health, SAFETY, BATTERY)
+    to, reason = react(mode, health, SAFETY)
     assert (to is mode) == (reason == "")
     if mode not in POWERED:
         assert to not in POWERED
@@ -83,7 +83,7 @@ def test_no_reaction_ever_leads_towards_thrust(mode: Mode, health: Health) -> No
 def test_a_stop_is_latched_through_anything_that_happens(run: list[Health]) -> None:
     mode = Mode.STOPPED
     for health in run:
-        mode, _ = react(mode, health, SAFETY, BATTERY)
+        mode, _ = react(mode, health, SAFETY)
     assert mode is Mode.STOPPED
     for order in Order:
         if order not in (Order.CLEAR_STOP, Order.STOP):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from robot_agent.orders import StationView, unacceptable
+from robot_agent.orders import LONGEST_LIFE_S, StationView, unacceptable
 from wire.codec import Header
 from wire.messages import Command, Order
 
@@ -39,6 +39,24 @@ def test_what_does_not_count_is_refused_with_the_reason(
     assert says in unacceptable(1, HASH, head, command, station)
 
 
-def test_power_can_be_taken_away_whatever_the_experiment() -> None:
-    for kind in (Order.STOP, Order.DISARM):
-        assert unacceptable(1, HASH, header(), order(kind, experiment_hash=""), STATION) == ""
+@pytest.mark.parametrize("kind", [Order.STOP, Order.DISARM])
+@pytest.mark.parametrize(
+    ("head", "station"),
+    [
+        (header(session=8), STATION),
+        (header(age_s=1e6), STATION),
+        (header(age_s=-1e6), STATION),
+        (header(), StationView()),
+        (header(session=8, age_s=99.0), StationView(9, 0, 20.0)),
+    ],
+    ids=["another station", "old", "from the future", "no station", "all of it"],
+)
+def test_power_can_be_taken_away_by_whoever_may_command_at_any_time(kind: Order, head: Header, station: StationView) -> None:
+    assert unacceptable(1, HASH, head, order(kind, experiment_hash="cd" * 32), station) == ""
+    assert "for robot 2" in unacceptable(1, HASH, head, order(kind, robot=2), station)
+
+
+def test_no_order_lives_longer_than_the_robot_grants_whatever_its_sender_says() -> None:
+    eternal = Command(Order.START, 1, time_to_live_s=1e9, experiment_hash=HASH)
+    assert unacceptable(1, HASH, header(age_s=LONGEST_LIFE_S - 0.001), eternal, STATION) == ""
+    assert "5.001 s old, lives 5 s" in unacceptable(1, HASH, header(age_s=LONGEST_LIFE_S + 0.001), eternal, STATION)

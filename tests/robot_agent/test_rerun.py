@@ -1,6 +1,7 @@
 """A robot's program on a bus in memory, and its steps done again from what it published: the same to the last bit."""
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,12 +12,11 @@ import pytest
 from groundstation import planner
 from robot_agent.rerun import Rerun
 from robot_agent.shell import Shell
+from tests.robot_agent.obedient_board import Board
 from wire import topics
 from wire.bus import Bus, Received
 from wire.codec import Header, encode
 from wire.experiment import Experiment, load_experiment
-from wire.link import Link
-from wire.mavlink_board import BoardLink
 from wire.messages import Command, Event, Mode, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat, Track
 from wire.runtime import Stop
 from wire.topics import Topic
@@ -24,38 +24,11 @@ from wire.transport import MemoryHub, MemoryTransport
 
 ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000
+HOUR_NS = 3_600_000_000_000
 BEHIND_NS = 3_000_000_000
 Line = tuple[Topic, int | None, Header, bytes]
 
 UNMOVED = ("safety.watch_thrusters=false",)  # nothing that its thrusters do moves the robot of these tests
-
-
-class Board(Link):
-    """A board that puts out what it is told, and is armed when asked."""
-
-    def __init__(self) -> None:
-        self._link, self._ms, self._armed, self._pulses_us = BoardLink(ME), 0, False, (1500,) * 8
-
-    def send(self, data: bytes) -> None:
-        for _, event in self._link.receive(data, self._ms * 1_000_000):
-            self._armed = getattr(event, "arm", self._armed)
-            self._pulses_us = getattr(event, "pulses_us", self._pulses_us)
-
-    def read(self) -> bytes:
-        self._ms += 50
-        return b"".join(
-            [
-                self._link.imu(self._ms, (0.1, -0.2, -9.8), 0.01),
-                self._link.pressure(self._ms, 0.3 + 0.001 * math.sin(self._ms)),
-                self._link.servo_output(self._ms * 1000, self._pulses_us),
-                self._link.status(12.1, 0, 0, 0),
-                self._link.heartbeat(self._armed, True),
-                self._link.attitude(self._ms, 0.2, 0.01),
-            ]
-        )
-
-    def wait(self, timeout_s: float) -> None: ...
-    def close(self) -> None: ...
 
 
 class HandClock:
@@ -126,7 +99,7 @@ class Pond:
             now_ns = self.clock.tick_ns
             record, outputs = self.shell._step(now_ns, None)
             self.agents.publish(topics.INPUTS, record, now_ns, ME)
-            self.shell._write(outputs, now_ns, now_ns, 0)
+            self.shell._write(outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS)  # never late
             self.states.append(outputs.state)
             self.plans += [outputs.plan] if outputs.plan is not None else []
 

@@ -1,6 +1,7 @@
 """The wire to the board: real sockets and a real pseudo-terminal."""
 
 import errno
+import itertools
 import os
 import pty
 import signal
@@ -12,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from wire.link import Address, SerialLink, UdpLink, open_link, parse_link
+from wire.link import READ_DATAGRAMS, Address, SerialLink, UdpLink, open_link, parse_link
 from wire.toml_file import ConfigError
 
 
@@ -167,3 +168,47 @@ def test_a_wrong_address_is_explained() -> None:
             parse_link(f"serial:/dev/x:{baud}", "--port")
     assert parse_link("serial:/dev/x:300") == Address("serial", "/dev/x", 300)
     assert parse_link("serial:/dev/serial/by-id/usb:1-port") == Address("serial", "/dev/serial/by-id/usb:1-port", 115200)
+
+
+def test_a_frame_that_the_port_takes_half_of_is_not_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    ours, theirs = pty.openpty()
+    link, real = SerialLink(os.ttyname(theirs), 115200), os.write
+    takes = [3, 0, 2, 100, 100, 100]  # bytes at each call; 0: the port is full
+
+    def write(descriptor: int, data: bytes) -> int:
+        taken = takes.pop(0)
+        if taken == 0:
+            raise BlockingIOError
+        return real(descriptor, data[:taken])
+
+    try:
+        monkeypatch.setattr("wire.link.os.write", write)
+        link.send(b"one two ")
+        link.send(b"is dropped whole ")
+        link.send(b"three ")
+        assert takes == [100]
+        monkeypatch.undo()
+        assert os.read(ours, 100) == b"one two three "
+    finally:
+        link.close()
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_a_flood_of_datagrams_does_not_hold_up_a_read() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
+        board.bind(("127.0.0.1", 0))
+        link = UdpLink("127.0.0.1", board.getsockname()[1])
+        try:
+            flood = itertools.count()
+
+            class Flooded(socket.socket):
+                def recv(self, size: int, flags: int = 0, /) -> bytes:
+                    next(flood)
+                    return b"x"
+
+            link._socket.close()
+            link._socket = Flooded(socket.AF_INET, socket.SOCK_DGRAM)
+            assert len(link.read()) == next(flood) == READ_DATAGRAMS
+        finally:
+            link.close()

@@ -397,3 +397,80 @@ def test_a_frame_that_ends_late_is_still_taken() -> None:
     board, frame = BoardLink(1), AgentLink(1).pulses(PULSES)
     assert board.events(frame[:11], 0) == []
     assert board.events(frame[11:], 10 * FRAME_TIMEOUT_NS) == [Override(PULSES)]
+
+
+def synced(ahead_ns: int, now_ns: int, trip_ns: int = 2 * MS, link: AgentLink | None = None) -> AgentLink:
+    """A computer that has just heard what the board's clock says, which is ahead of its own."""
+    agent, board = link or AgentLink(7), BoardLink(7)
+    (event,) = board.events(agent.timesync(now_ns - trip_ns), 0)
+    assert isinstance(event, Timesync)
+    agent._receiver._sequences.clear()  # each call's board counts its frames anew
+    agent.receive(board.timesync(now_ns - trip_ns // 2 + ahead_ns, event.sent_ns), now_ns)
+    return agent
+
+
+def measured_ns(agent: AgentLink, board_ms: int, read_ns: int) -> int:
+    """When a burst was measured, as far as the computer knows."""
+    agent._receiver._sequences.clear()
+    agent.receive(burst(BoardLink(7), board_ms), read_ns)
+    assert agent.telemetry.board_ms == board_ms
+    return agent.telemetry.arrival_ns
+
+
+AHEAD_NS = 3_000_000_000_000  # a board that was switched on 50 minutes before the computer's clock began
+
+
+@pytest.mark.parametrize("waited_ms", [0, 7, 43, 390])
+def test_a_burst_is_as_old_as_it_is_however_long_it_waited_to_be_read(waited_ms: int) -> None:
+    agent = synced(AHEAD_NS, 1000 * MS)
+    assert measured_ns(agent, 3_001_200, (1200 + waited_ms) * MS) == 1200 * MS
+
+
+def test_a_burst_is_never_from_the_future() -> None:
+    agent = synced(AHEAD_NS, 1000 * MS)
+    assert measured_ns(agent, 3_001_300, 1200 * MS) == 1200 * MS
+
+
+def test_while_the_boards_clock_is_not_known_well_a_burst_is_as_old_as_its_coming() -> None:
+    assert measured_ns(AgentLink(7), 5000, 1234 * MS) == 1234 * MS
+    assert measured_ns(synced(AHEAD_NS, 1000 * MS, trip_ns=40 * MS), 3_001_000, 1234 * MS) == 1234 * MS
+
+
+def test_a_board_that_was_started_again_has_another_clock() -> None:
+    agent = synced(AHEAD_NS, 1000 * MS)
+    assert measured_ns(agent, 3_001_100, 1105 * MS) == 1100 * MS
+    assert measured_ns(agent, 20, 2000 * MS) == 2000 * MS
+    synced(-1980 * MS, 2100 * MS, link=agent)
+    assert measured_ns(agent, 200, 2190 * MS) == 2180 * MS
+
+
+def test_a_board_whose_clock_is_set_is_believed_at_its_next_answer() -> None:
+    """As a simulation's is that was too slow for a moment. The quickest answer of all was given before."""
+    agent = synced(AHEAD_NS, 1000 * MS, trip_ns=MS)
+    synced(AHEAD_NS - 150 * MS, 2000 * MS, trip_ns=4 * MS, link=agent)
+    assert measured_ns(agent, 3_002_000, 2160 * MS) == 2150 * MS
+
+
+def test_slow_answers_do_not_move_a_clock_that_is_known() -> None:
+    agent = synced(AHEAD_NS, 1000 * MS, trip_ns=MS)
+    synced(AHEAD_NS + 20 * MS, 2000 * MS, trip_ns=60 * MS, link=agent)  # held up one way
+    assert measured_ns(agent, 3_002_000, 2005 * MS) == 2000 * MS
+
+
+def test_a_boards_time_goes_on_through_its_32_bits() -> None:
+    """After 49.7 days of milliseconds."""
+    wraps_ns = 2**32 * MS
+    agent = synced(wraps_ns - 1000 * MS, 990 * MS)
+    assert measured_ns(agent, 2**32 - 5, 1000 * MS) == 995 * MS
+    assert measured_ns(agent, 15, 1030 * MS) == 1030 * MS  # it may have been started again
+    synced(wraps_ns - 1000 * MS, 1040 * MS, link=agent)
+    assert measured_ns(agent, 50, 1060 * MS) == 1050 * MS
+
+
+def test_what_the_board_tells_of_its_battery_is_counted_and_an_impossible_state_refused() -> None:
+    agent, board = AgentLink(7), BoardLink(7)
+    assert (agent.telemetry.battery_reports, agent.telemetry.charge) == (0, 0)
+    agent.receive(board.status(0.0, 1, 1, 0) + board.status(11.5, 1, 1, 0) + board.battery(11.5, 3), 0)
+    assert (agent.telemetry.battery_v, agent.telemetry.battery_reports, agent.telemetry.charge) == (11.5, 2, 3)
+    agent.receive(board.battery(11.5, 8), 0)
+    assert (agent.telemetry.charge, agent.telemetry.refused_frames) == (3, 1)

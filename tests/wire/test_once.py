@@ -1,5 +1,6 @@
 """Each order once, in order, and only for the life of the process that it was meant for."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -11,8 +12,8 @@ ME = 77
 ORDERS = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 20), st.sampled_from([ME, ME - 1, 0])), max_size=60)
 
 
-def command(recipient: int = ME) -> Command:
-    return Command(Order.ARM, 1, recipient=recipient)
+def command(recipient: int = ME, order: Order = Order.ARM) -> Command:
+    return Command(order, 1, recipient=recipient)
 
 
 def test_a_repeated_order_gets_the_same_answer_and_an_older_one_a_refusal() -> None:
@@ -58,3 +59,21 @@ def test_what_is_remembered_is_bounded_and_the_newest_senders_are_kept() -> None
     assert once.settled(Header(SENDERS + 2, 1, 0), command()) is not None
     assert once.settled(Header(3, 1, 0), command()) is not None
     assert len(once._answered) == SENDERS
+
+
+@pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
+def test_power_is_taken_away_however_late_and_often_and_for_whichever_life(order: Order) -> None:
+    once = Once(ME)
+    for sequence, recipient in ((5, ME), (5, ME), (3, ME), (6, ME + 1), (1, 0)):
+        head = Header(7, sequence, 0)
+        assert once.settled(head, command(recipient, order)) is None
+        assert once.settle(head, Reply(1, True)).session == ME
+
+
+def test_a_late_stop_makes_no_other_order_new_again() -> None:
+    once, head = Once(ME), Header(7, 5, 0)
+    armed = once.settle(head, Reply(1, True, "", Mode.ARMED))
+    once.settle(Header(7, 2, 0), Reply(1, True, "", Mode.STOPPED))
+    assert once.settled(head, command()) is armed
+    refused = once.settled(Header(7, 4, 0), command())
+    assert refused is not None and refused.reason == "ARM is old: order 4 after 5"

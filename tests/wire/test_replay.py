@@ -1,4 +1,4 @@
-"""Recorded traffic played back to real programs, over real sessions: nothing of it is ever obeyed.
+"""Recorded traffic played back to real programs, over real sessions: nothing of it is ever obeyed but what takes power away.
 
 On an open network, where anybody may speak: with keys the strangers would not get this far. Every order lives for an hour, so
 its age protects nobody, and the old station's heartbeats are played back with its orders.
@@ -118,27 +118,28 @@ def test_a_robot_obeys_nothing_twice_not_live_and_not_after_a_restart_of_either_
         station.until_heard(agent)
         assert [station.order(order).accepted for order in GIVEN] == [True] * len(GIVEN)
         assert agent.said(": accepted") == len(GIVEN)
-        assert len(tape.orders) == len(GIVEN) + 1  # the first had to ask for whom it is
+        assert len(tape.orders) == len(GIVEN)  # a STOP is taken without knowing whom it is for
+        assert agent.said("CLEAR_STOP: accepted") == 2
 
         tape.play(address)  # live
         tape.play(address)
-        assert (agent.said(": accepted"), station.mode()) == (len(GIVEN), Mode.DISARMED)
+        assert (agent.said("CLEAR_STOP: accepted"), station.mode()) == (2, Mode.STOPPED)
 
         agent.end()  # the robot starts again, and hears the same station
         agent = robot(address, tmp_path / "next.log")
         station.until_heard(agent)
         tape.play(address)
-        assert (agent.said(": accepted"), station.mode()) == (0, Mode.DISARMED)
+        assert (agent.said("CLEAR_STOP: accepted"), station.mode()) == (0, Mode.STOPPED)
 
         station.bus.close()  # the station starts again, and its old heartbeats are played back
         later = station = Beating(address)
         station.until_heard(agent)
-        assert station.order(Order.DISARM).accepted
+        assert station.order(Order.CLEAR_STOP).accepted
         put = later.bus._transport.publisher("shoal/station/heartbeat", topics.HEARTBEAT.qos)
         for data, header in heartbeats[-5:]:
             put(data, header.encode())
             tape.play(address)
-        assert (agent.said(": accepted"), station.mode()) == (1, Mode.DISARMED)
+        assert (agent.said("CLEAR_STOP: accepted"), station.mode()) == (1, Mode.STOPPED)
     finally:
         station.bus.close()
         agent.end()
@@ -160,13 +161,13 @@ def test_a_station_obeys_nothing_twice_not_live_and_not_after_a_restart(tmp_path
         assert [terminal.order(Command(order, 0, HOUR_S), 0, 2.0).accepted for order in wishes] == [True, True]
         terminal.close()
         tape.play(address)
-        assert program.said("asked for: under way") == len(wishes)
+        assert program.said("CLEAR_STOP asked for: under way") == 1
         program.end()
 
         program = station("second")
         assert eventually(lambda: program.said("mission: waiting") > 0, 30.0)
         answers = tape.play(address)
         assert None not in answers
-        assert program.said("asked for") == 0
+        assert (program.said("STOP asked for: under way"), program.said("CLEAR_STOP asked for")) == (1, 0)
     finally:
         program.end()

@@ -1,0 +1,59 @@
+"""When a control step is due, by the wall clock. Pure: instants are arguments, in seconds on one monotonic clock.
+
+Steps stand on a grid, one in each period: filters, plans and rate limits count in periods. The grid follows the camera slowly.
+Where the camera has the loop's rate, or a multiple of it, the two fall in step, and from then on each step comes with its
+pose: up to EARLY before its place on the grid or LATE after. At any other rate steps come on the grid, with the newest pose
+there is. Either way the mean period is the one that was set.
+"""
+
+import math
+
+EARLY = 0.25  # of a period: in step with the camera a step may come this much before its place, for a pose that arrives then
+LATE = 0.5  # of a period: and waits this much longer for one; a step with an old pose is worth less than a late one
+APART = 0.49  # of a period: no two steps are nearer; less than what LATE leaves of one, or rounding would cost a step
+FOLLOWS = 0.1  # of what a pose is off the grid, the grid moves with each step: how long poses take varies, this is their mean
+MOST = 0.01  # of a period, that it moves at most with a step: whatever the camera does, the period is within 1 %
+IN_STEP = 0.15  # of a period: poses are in step that are off the grid by less than this in the mean; at 30 Hz it is 0.17
+BUDGET = 0.5  # of a period: pulses that leave later than this after their step was due are late
+
+
+class Pace:
+    """Of one control loop."""
+
+    def __init__(self, period_s: float, now_s: float) -> None:
+        self.missed = 0  # steps whose pulses left late
+        self.late_steps = 0  # by how much late steps outnumber timely ones of late
+        self._period_s, self._grid_s = period_s, now_s
+        self._off_s = period_s  # how far poses are off the grid, in the mean
+        self._had_pose = False  # the last step
+
+    @property
+    def opens_s(self) -> float:
+        """Before this no pose brings a step."""
+        return self._grid_s - EARLY * self._period_s
+
+    def due_s(self, arrived_s: float | None) -> float:
+        """When the next step is due. `arrived_s` is when the newest pose came, if no step has taken it yet; else None."""
+        if self._off_s > IN_STEP * self._period_s:
+            return self._grid_s
+        latest_s = self._grid_s + (LATE if self._had_pose else 0.0) * self._period_s  # but one that is gone holds up no more
+        if arrived_s is None or arrived_s <= self.opens_s:  # that one should have come with the step before
+            return latest_s
+        return min(arrived_s, latest_s)
+
+    def stepped(self, now_s: float, arrived_s: float | None) -> None:
+        """A step begins, with the pose that came at `arrived_s`. Places on the grid that have gone by are left out."""
+        self._had_pose = arrived_s is not None
+        if arrived_s is not None:
+            off_s, most_s = math.remainder(arrived_s - self._grid_s, self._period_s), MOST * self._period_s
+            self._grid_s += min(max(FOLLOWS * off_s, -most_s), most_s)
+            self._off_s += FOLLOWS * (abs(off_s) - self._off_s)
+        behind_s = now_s + APART * self._period_s - self._grid_s
+        self._grid_s += max(math.ceil(behind_s / self._period_s), 0) * self._period_s
+
+    def put_out(self, late_s: float) -> None:
+        """The pulses of a step have left, so much later than the step was due. One that is late costs what one in time makes
+        good: a single hiccup ends nothing, and a loop that cannot keep up is found however it alternates."""
+        late = late_s > BUDGET * self._period_s
+        self.missed += late
+        self.late_steps = self.late_steps + 1 if late else max(self.late_steps - 1, 0)

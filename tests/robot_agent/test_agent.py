@@ -1,0 +1,56 @@
+"""A robot's core, given what nobody should give it: the last guard before the wire."""
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_agent.agent import Agent
+from robot_agent.inputs import Inputs
+from robot_agent.rehearsal import ARM_AFTER, rehearse
+from wire.experiment import load_experiment
+from wire.messages import Mode, Solve
+
+NEUTRAL_US = (1500,) * 4
+POOL = load_experiment("pool")
+
+
+def flying() -> tuple[Agent, Inputs, int]:
+    """A robot that tracks, what it has to go by at its next step, and when that is."""
+    steps = rehearse(POOL, 1)
+    for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 20):
+        agent.step(inputs, now_ns)
+    assert agent.mode is Mode.TRACKING
+    return next(steps)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {"wrench": np.array([np.nan, 0.0, 0.0])},
+        {"wrench_step": np.array([0.0, np.inf, 0.0])},
+        {"plan_eta": np.full((51, 4), np.nan)},
+        {"tracking_error_m": float("nan")},
+        {"slack_m": float("inf")},
+        {"pulse_us": (1901, *[1500] * 7)},
+        {"pulse_us": (1099, *[1500] * 7)},
+        {"pulse_us": (*[1500] * 7, 2001)},
+        {"pulse_us": (*[1500] * 7, 999)},
+    ],
+    ids=["wrench", "step", "plan", "error", "slack", "ahead", "astern", "ankle high", "ankle low"],
+)
+def test_what_is_no_number_or_no_pulse_of_this_vehicle_ends_in_neutral(
+    broken: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    agent, inputs, now_ns = flying()
+    controller = agent._controller
+    real = controller.step
+    monkeypatch.setattr(controller, "step", lambda *arguments: replace(real(*arguments), **broken))
+    outputs = agent.step(inputs, now_ns)
+    assert (outputs.pulse_us[:4], outputs.state.solve, outputs.plan) == (NEUTRAL_US, Solve.FAILED, None)
+    assert all(np.isfinite(value).all() for value in vars(outputs.state).values() if isinstance(value, np.ndarray | float))
+    monkeypatch.undo()
+    outputs = agent.step(inputs, now_ns + 50_000_000)
+    assert (outputs.state.mode, outputs.state.fault) == (Mode.FAULT, "no control solution")

@@ -1,0 +1,170 @@
+"""A robot's real program ends, asked to or not, with the simulator's board at the other end of its link: neutral and disarmed
+at once, and by its agent's word, not for want of pulses."""
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from socket import AF_INET, SOCK_DGRAM, socket
+
+import numpy as np
+import pytest
+
+from sim_bridge.board import Board
+from sim_bridge.ports import free_port
+from wire import topics
+from wire.bus import Bus
+from wire.experiment import load_experiment
+from wire.mavlink import AgentLink
+from wire.mavlink_board import Arm, BoardLink, Override
+from wire.messages import Command, Mode, Order, Pose, RobotState, StationHeartbeat, Track
+from wire.transport import Endpoint, ZenohTransport
+
+POOL = load_experiment("pool", ["safety.watch_thrusters=false"])  # nothing that they do moves this robot
+PATIENCE_S, NEUTRAL_US = 60.0, (1500,) * 4
+BROKEN_ON_PURPOSE = """
+import runpy, signal, sys
+from robot_agent.controller import Controller
+step, broken = Controller.step, []
+signal.signal(signal.SIGUSR1, lambda *_: broken.append(True))
+def stumble(*arguments):
+    if broken:
+        raise RuntimeError("broken on purpose")
+    return step(*arguments)
+Controller.step = stumble
+sys.argv = sys.argv[1:]
+runpy.run_module("robot_agent", run_name="__main__", alter_sys=True)
+"""
+
+
+class Bench:
+    """A thruster board on UDP, and what it was told, in order."""
+
+    def __init__(self, port: int) -> None:
+        self.board, self._ear = Board(POOL, 1, 1), BoardLink(1)
+        self.told: list[Arm | Override] = []
+        self.heard = AgentLink(1)  # what the board says
+        self._socket, self._over = socket(AF_INET, SOCK_DGRAM), threading.Event()
+        self._socket.bind(("127.0.0.1", port))
+        self._socket.settimeout(0.002)
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> "Bench":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self._socket.close()
+
+    def _run(self) -> None:
+        asker, begin_ns = None, time.monotonic_ns()
+        while not self._over.is_set():
+            now_ns = time.monotonic_ns() - begin_ns
+            try:
+                data, asker = self._socket.recvfrom(65536)
+                self.told += [event for _, event in self._ear.receive(data, now_ns) if isinstance(event, Arm | Override)]
+                self.board.receive(data, now_ns)
+            except TimeoutError:
+                pass
+            data = self.board.step(now_ns, np.array([0.0, 0.0, 0.3, 0.0]), np.zeros(4), np.zeros(4))
+            self.heard.receive(data, now_ns)
+            if asker is not None and data:
+                self._socket.sendto(data, asker)
+
+
+class Station:
+    """What a robot has to hear to fly: heartbeats, and poses."""
+
+    def __init__(self, address: str) -> None:
+        self.bus = Bus(ZenohTransport(Endpoint(address), patience_s=5.0))
+        self.states, self._over = self.bus.inbox(topics.STATE, RobotState, 1), threading.Event()
+        self._thread = threading.Thread(target=self._run)
+
+    def __enter__(self) -> "Station":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._over.set()
+        self._thread.join()
+        self.bus.close()
+
+    def _run(self) -> None:
+        away = 0
+        while not self._over.wait(0.05):
+            away += self.mode is Mode.HOLDING  # the robot seems to drift off, and pushes
+            pose = Pose(min(0.002 * away, 0.2), 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+            self.bus.publish(topics.POSE, pose, time.time_ns(), 1)
+            self.bus.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash), time.time_ns())
+
+    @property
+    def mode(self) -> Mode | None:
+        state = self.states.newest()
+        return None if state is None else state.message.mode
+
+    def until(self, order: Order) -> None:
+        """Give an order until it is obeyed."""
+        deadline, why = time.monotonic() + PATIENCE_S, "never asked"
+        while time.monotonic() < deadline:
+            reply = self.bus.order(Command(order, 1, experiment_hash=POOL.hash), time.time_ns(), 1.0)
+            if reply.accepted:
+                return
+            why = reply.reason
+            time.sleep(0.05)
+        raise AssertionError(f"{order.name}: {why}")
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    where = f"tcp/127.0.0.1:{free_port()}"
+    router = ZenohTransport(Endpoint(where, router=True))
+    yield where
+    router.close()
+
+
+@pytest.mark.parametrize(
+    ("number", "why", "code"),
+    [
+        (signal.SIGTERM, "told to stop", 0),
+        (signal.SIGINT, "told to stop", 0),
+        (signal.SIGUSR1, "the control loop has ended: RuntimeError: broken on purpose", 1),
+    ],
+    ids=["SIGTERM", "Ctrl-C", "exception"],
+)
+def test_a_program_that_ends_leaves_its_board_neutral_and_disarmed(
+    number: signal.Signals, why: str, code: int, address: str, tmp_path: Path
+) -> None:
+    port, log = free_port(SOCK_DGRAM), tmp_path / "agent.log"
+    options = ["run", "pool", "--robot", "1", "--link", f"udp:127.0.0.1:{port}", "--station", address]
+    settings = ["--set", "safety.watch_thrusters=false"]
+    with log.open("wb") as output, Bench(port) as bench, Station(address) as station:
+        agent = subprocess.Popen(
+            [sys.executable, "-c", BROKEN_ON_PURPOSE, "robot_agent", *options, *settings], stdout=output, stderr=output
+        )
+        try:
+            station.until(Order.ARM)
+            station.until(Order.HOLD)
+            deadline = time.monotonic() + PATIENCE_S
+            while bench.board.neutral and time.monotonic() < deadline:
+                time.sleep(0.01)
+            assert bench.board.armed and not bench.board.neutral
+            before = len(bench.told)
+            agent.send_signal(number)
+            assert agent.wait(PATIENCE_S) == code
+        finally:
+            agent.kill()
+            agent.wait()
+    told = bench.told[before:]
+    disarm = told.index(Arm(False))
+    assert all(event == Arm(False) or (isinstance(event, Override) and event.pulses_us[:4] == NEUTRAL_US)
+               for event in told[disarm:])  # fmt: skip
+    assert any(isinstance(event, Override) for event in told[disarm:])
+    assert (bench.board.armed, bench.board.neutral) == (False, True)
+    said = [text for _, text in bench.heard.telemetry.texts]
+    assert "armed" in said and not any("no override" in text for text in said)  # it was told, and did not have to find out
+    assert f"{why}; neutral and disarm sent to the thruster board, which says that it is disarmed" in log.read_text()
