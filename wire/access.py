@@ -11,7 +11,7 @@ cache that is asked, a beat that tells the newest number, and tokens by which th
 the event's key, behind a part that begins with `@` and that no wildcard covers.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,6 +86,11 @@ def access_control(fleet: str, members: Iterable[Member]) -> dict[str, Any]:
         subjects.append({"id": member.common_name, **known_by})
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [member.common_name]})
     return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+
+
+def listed(access: Mapping[str, Any]) -> tuple[str, ...]:
+    """The common names that such a section lets through."""
+    return tuple(name for subject in access["subjects"] for name in subject.get("cert_common_names", ()))
 
 
 def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:

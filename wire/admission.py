@@ -25,10 +25,10 @@ MOST_TRYING_EACH = 8  # and of one origin
 MOST_ORIGINS = 4096  # remembered
 MOST_KNOWN = 1024  # of these with a proof
 
-# Failed handshakes. 5 a second make the router pause for half of its time; 2 of one origin for a fifth. A burst is what a
+# Failed handshakes. 5 a second make the router pause for half of its time, 3 of one origin for a third. A burst is what a
 # robot with the wrong keys tries in ten seconds: it shall hear the router's reason.
 LANE_BURST, LANE_PER_S = 20.0, 5.0
-ORIGIN_BURST, ORIGIN_PER_S = 10.0, 2.0
+ORIGIN_BURST, ORIGIN_PER_S = 10.0, 3.0
 
 HANDSHAKE, CLIENT_HELLO, SERVER_HELLO = 22, 1, 2  # a TLS record's type; types of handshake messages
 MOST_HELLO = 16 * 1024  # bytes of a ClientHello; with post-quantum key shares they have less than 2 kB
@@ -162,13 +162,13 @@ class Admission:
         self._crowd[name] = origin
         self._forget()
         if len(origin.silent) + len(origin.ready) > MOST_WAITING_EACH:
-            return (self._out(origin),)
+            return (self._out(origin, connection),)
         if len(self._waits) > MOST_WAITING:
-            return (self._out(max(self._crowd.values(), key=lambda one: len(one.silent) + len(one.ready))),)
+            return (self._out(max(self._crowd.values(), key=lambda one: len(one.silent) + len(one.ready)), connection),)
         return ()
 
-    def _out(self, origin: Origin) -> int:
-        connection = next(iter(origin.silent or origin.ready))
+    def _out(self, origin: Origin, newest: int) -> int:
+        connection = next(c for c in (*origin.silent, *origin.ready, newest) if c != newest)
         self.gone(connection)
         return connection
 

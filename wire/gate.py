@@ -4,8 +4,8 @@
   router, one for origins that are new to it and one for those that are known. Another process of this machine could find these
   ports and knock there past the guard; strangers on the network cannot.
 * The door is a Unix socket in a folder that only the station's user may enter. Through it go a terminal's orders
-  (`groundstation stop`), with an operator's rights, whatever happens at the public port. The router knows who comes that way by
-  the kind of link (wire/access.py); its user could as well read the operator's key.
+  (`groundstation stop`), with an operator's rights, whatever happens at the public port. The router knows by the kind of link
+  who comes that way (wire/access.py); that user could as well read the operator's key.
 """
 
 import contextlib

@@ -4,6 +4,7 @@ Every choice was measured; the reason stands beside it. All settings are explici
 Zenoh with other defaults behave the same.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -18,7 +19,7 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
-from wire.access import DOOR
+from wire.access import DOOR, listed
 from wire.endpoint import Endpoint as Endpoint  # whoever opens a transport needs one
 from wire.endpoint import beside, settings
 from wire.gate import Gate
@@ -132,11 +133,30 @@ def _open_gate(endpoint: Endpoint) -> tuple[zenoh.Session, Gate]:
         raise ConfigError(f"cannot listen at {endpoint.address}: {error.strerror or error}") from None
     try:
         session = _open_router(gate)
+        if endpoint.access is not None:
+            _tell_of_unlisted(session, frozenset(listed(endpoint.access)))
         gate.open()
     except BaseException:
         gate.close()
         raise
     return session, gate
+
+
+def _tell_of_unlisted(session: zenoh.Session, listed: frozenset[str]) -> None:
+    """Log each connection whose certificate the authority made and whose name counts no more: it can say and hear nothing.
+    A thread of its own: what the log says goes out as an event, and Zenoh's threads are not to wait for themselves."""
+    came = session.info.declare_link_events_listener(zenoh.handlers.RingChannel(UNCOLLECTED))
+
+    def follow() -> None:
+        with contextlib.suppress(zenoh.ZError):  # the session is closed
+            for event in came:
+                name = event.link.auth_identifier
+                if event.kind == zenoh.SampleKind.PUT and name is not None and name not in listed:
+                    log.warning(
+                        "%s is not on the list of members (revoked?): it is connected, and says and hears nothing", name
+                    )
+
+    threading.Thread(target=follow, name="unlisted", daemon=True).start()
 
 
 def _open_router(gate: Gate) -> zenoh.Session:
