@@ -32,6 +32,14 @@ MOST_LINKS = 2048  # 49 robots take some 150
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 
 
+class Gone(Exception):
+    """A socket's other end is no more."""
+
+    def __init__(self, which: socket.socket) -> None:
+        super().__init__()
+        self.which = which
+
+
 class Pump:
     """Bytes one way between two sockets. What the receiver does not take at once waits, and nothing more is read meanwhile."""
 
@@ -52,8 +60,13 @@ class Pump:
         return 0 if self.ended or self.waiting else READ
 
     def read(self, buffer: bytearray) -> bytes | memoryview:
-        """What the source has to say now, sent on as far as the sink takes it. Raises OSError where a side is gone."""
-        size = self.source.recv_into(buffer)
+        """What the source has to say now, sent on as far as the sink takes it. Raises Gone."""
+        try:
+            size = self.source.recv_into(buffer)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            raise Gone(self.source) from None
         if not size:
             self.ended = True
             self.write()
@@ -66,7 +79,7 @@ class Pump:
         return read
 
     def write(self) -> None:
-        """Send what waits. Raises OSError where the sink is gone."""
+        """Send what waits. Raises Gone."""
         if self.waiting:
             self.waiting = self.waiting[self._send(self.waiting) :]
         if self.over:
@@ -78,6 +91,8 @@ class Pump:
             return self.sink.send(data)
         except BlockingIOError:
             return 0
+        except OSError:
+            raise Gone(self.sink) from None
 
 
 class Link:
@@ -241,13 +256,13 @@ class Guard:
                 first = not link.down.passed
                 read = link.down.read(self._buffer)
                 link.by_router = link.by_router or (link.down.ended and not link.up.ended)
-                if first and (not read or asks_for_another_hello(bytes(read[:64]))):
+                if first and (link.down.ended or asks_for_another_hello(bytes(read[:64]))):
                     self._drop(link.number)
                     return
                 if not link.proven:
                     self._judge(link)
-        except OSError:
-            link.by_router = not link.up.ended
+        except Gone as gone:
+            link.by_router = link.by_router or (gone.which is link.down.source and not link.up.ended)
             self._drop(link.number)
             return
         self._go_on(link)
@@ -262,7 +277,7 @@ class Guard:
                 link.up.read(self._buffer)
                 if link.claimed_at is None and link.up.passed >= CERTIFICATE_BYTES:
                     link.claimed_at = link.down.passed
-        except OSError:
+        except Gone:
             self._drop(link.number)
             return
         self._go_on(link)

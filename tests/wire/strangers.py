@@ -14,6 +14,7 @@ from types import TracebackType
 MOST_HALF_OPEN = 1000
 MOST_PER_S = 500
 MOST_S = 30.0
+REPLACED = 20  # half-open connections that were closed, ten times a second
 
 
 class Strangers:
@@ -68,8 +69,10 @@ class Strangers:
                         continue
                 held.close()
                 self._held.remove(held)
-        while len(self._held) < self._half_open and not self._over.is_set():
-            self._held.append(self._connect())
+        missing = self._half_open - len(self._held)
+        for _ in range(missing if self.made < self._half_open else min(missing, REPLACED)):
+            if not self._over.is_set():
+                self._held.append(self._connect())
 
     def __enter__(self) -> "Strangers":
         for thread in self._threads:

@@ -1,5 +1,6 @@
 """The ways into a router with keys, under attack: real sessions, a real guard, strangers on loopback addresses."""
 
+import contextlib
 import os
 import signal
 import socket
@@ -272,6 +273,28 @@ def test_what_comes_after_a_hello_waits_for_the_routers_answer(passage: Passage)
         server.sendall(b"answer")
         server.settimeout(SOON_S)
         assert len(server.recv(1000, socket.MSG_WAITALL)) == 1000
+
+
+def test_a_member_that_is_killed_is_no_stranger(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    with server:
+        server.sendall(b"answer")
+        assert client.recv(6) == b"answer"
+        client.sendall(bytes(1000))  # as much as a certificate
+        assert len(server.recv(1000, socket.MSG_WAITALL)) == 1000
+        server.sendall(bytes(1000))  # as the answer to one
+        assert len(client.recv(1000, socket.MSG_WAITALL)) == 1000
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")  # a reset
+        client.close()
+        with contextlib.suppress(OSError):
+            for _ in range(100):
+                server.sendall(bytes(1000))
+                time.sleep(0.001)
+    with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
+        stranger.sendall(b"hello")
+        assert stranger.recv(1) == b""
+    assert eventually(lambda: bool(passage.told))
+    assert passage.told == ["refused a connection from 127.0.0.1 without a valid certificate"]  # the stranger alone
 
 
 def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None:
