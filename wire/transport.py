@@ -32,6 +32,7 @@ log = logging.getLogger("shoal")
 Deliver = Callable[[str, bytes, bytes], None]  # key, payload, header
 Collect = Callable[[], Iterable[tuple[str, bytes, bytes]]]  # what has come since the last call, in the order of its coming
 Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the reply
+Await = Callable[[], bytes | None]  # waits for the answer to what has been sent; None if there is none in time
 Presence = Callable[[str, bool], None]  # key, is it there
 
 UNCOLLECTED = 8192  # messages of a subscription that wait to be collected: 20 s of the busiest topic of 20 robots
@@ -64,7 +65,7 @@ class Transport(Protocol):
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None: ...
     def collect(self, key: str, qos: Qos) -> Collect: ...
     def serve(self, key: str, answer: Answer) -> None: ...
-    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None: ...
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await: ...
     def announce(self, key: str) -> None: ...
     def watch(self, key: str, presence: Presence) -> None: ...
     def close(self) -> None: ...
@@ -266,7 +267,7 @@ class ZenohTransport:
 
         self._kept.append(self._control.declare_queryable(key, on_query))
 
-    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None:
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
         replies = self._control.get(
             key,
             payload=payload,
@@ -276,10 +277,14 @@ class ZenohTransport:
             congestion_control=self._congestion,
             express=True,
         )
-        for reply in replies:
-            if reply.ok is not None:
-                return reply.ok.payload.to_bytes()
-        return None
+
+        def answer() -> bytes | None:
+            for reply in replies:
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
+            return None
+
+        return answer
 
     def announce(self, key: str) -> None:
         self._kept.append(self._control.liveliness().declare_token(key))
@@ -361,10 +366,12 @@ class MemoryTransport:
         with self._hub.lock:
             self._hub.queryables[key] = (answer, self)
 
-    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None:
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
+        """It comes in order, and at once: who answers does so in the thread of who asks."""
         with self._hub.lock:
             found = self._hub.queryables.get(key)
-        return found[0](payload, header) if found else None
+        reply = found[0](payload, header) if found else None
+        return lambda: reply
 
     def announce(self, key: str) -> None:
         with self._hub.lock:
