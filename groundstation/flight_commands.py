@@ -84,11 +84,8 @@ def run(
     stop = Stop()
     folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     text = dump_experiment(loaded)
-    with files_named(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        if (folder / "run.mcap").exists():
-            raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-        (folder / "experiment.toml").write_text(text, encoding="utf-8")
+    if (folder / "run.mcap").exists():
+        raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         succeeded = station_process.run(
             loaded,
@@ -125,9 +122,7 @@ def _intent(experiment: Experiment, folder: Path) -> str:
     from groundstation.recorder import check_room
 
     starts = planner.start_poses(experiment, planner.plan(experiment))
-    check_room(
-        next(place for place in (folder, *folder.resolve().parents) if place.is_dir()), experiment.recording.min_free_gb
-    )
+    check_room(folder, experiment.recording.min_free_gb)
     lines = [
         f"{experiment.title or experiment.name}: {experiment.duration_s:g} s, experiment {experiment.hash[:8]}, into {folder}"
     ]

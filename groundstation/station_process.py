@@ -55,7 +55,7 @@ def run(
     viewer: tuple[str, int] | None = None,
 ) -> bool:
     """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
-    are served. Returns whether the mission succeeded."""
+    are served. Makes `run_dir`. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
     leg = first_leg(experiment)
     trajectories = dict(leg.trajectories)
@@ -65,6 +65,8 @@ def run(
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
     check_room(run_dir, experiment.recording.min_free_gb)
     with files_named(run_dir):
+        run_dir.mkdir(parents=True, exist_ok=True)  # the router listens, the plan stands: a start that fails leaves no folder
+        (run_dir / "experiment.toml").write_text(experiment_toml, encoding="utf-8")
         recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
     recorder.whole_until_ns = -1 if lockstep else None
     try:
