@@ -167,7 +167,7 @@ def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> C
 
 
 def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
-    pose, limit_s = seen.pose, topics.POSE.max_age_s
+    pose, limit_s = seen.pose, topics.POSE.max_age_in(experiment.safety)
     if pose is None or seen.pose_age_s > limit_s:
         age = "none yet" if pose is None else f"{seen.pose_age_s:.1f} s old"
         yield "pose", "warning", True, f"no fresh pose ({age})", "is the localizer running, the robot in the picture?"
@@ -191,7 +191,15 @@ def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
         text = f"depth {state.depth_m:.2f} m in a basin of {depth_m:g} m"
         yield "depth", "warning", True, text, "check its pressure sensor, or its zero"
     battery = experiment.vehicle.battery
-    if state.battery_v < battery.no_arm_v:
+    if state.battery_v <= 0.0:  # RobotState's default: the board tells its voltage a second after its first word
+        yield (
+            "battery",
+            "warning",
+            True,
+            "battery not heard yet",
+            "wait a second; if it lasts, check the board",
+        )
+    elif state.battery_v < battery.no_arm_v:
         text = f"battery {state.battery_v:.1f} V, needs {battery.no_arm_v:.1f} V"
         yield "battery", "critical", True, text, "charge it"
     elif state.battery_v < battery.warn_v:
@@ -215,7 +223,7 @@ def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
     elif state.fault:
         yield "fault", "warning", False, state.fault, ""
     flies = state.mode in (Mode.TRACKING, Mode.HOLDING)
-    if flies and topics.PLAN.max_age_s < seen.plan_age_s < float("inf"):
+    if flies and topics.PLAN.max_age_in(experiment.safety) < seen.plan_age_s < float("inf"):
         yield "plan", "warning", False, f"its plan is {seen.plan_age_s:.1f} s old", "others give it room"
     if experiment.mission.thruster_test and not flies and state.thruster_test != "passed":
         text = f"thruster test: {state.thruster_test or 'not done'}"
@@ -240,7 +248,7 @@ CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], Check], ...] = (
 
 def _start(experiment: Experiment, state: RobotState, start: Array) -> Check:
     away_m = float(np.hypot(*(state.eta[:2] - start[:2])))
-    if state.pose_age_ms <= topics.POSE.max_age_s * 1e3 and away_m > experiment.mission.start_within_m:
+    if state.pose_age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3 and away_m > experiment.mission.start_within_m:
         text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
         yield "start", "notice", True, text, "bring it there, or: groundstation return"
 

@@ -24,7 +24,6 @@ from wire.options import (
     Verbose,
     WebAddress,
 )
-from wire.outputs import replace_text
 from wire.runtime import Stop, start_log
 from wire.toml_file import ConfigError, files_named
 
@@ -85,11 +84,8 @@ def run(
     stop = Stop()
     folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     text = dump_experiment(loaded)
-    with files_named(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        if (folder / "run.mcap").exists():
-            raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-        _lay_down(folder / "experiment.toml", loaded, text)
+    if (folder / "run.mcap").exists():
+        raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         succeeded = station_process.run(
             loaded,
@@ -109,15 +105,6 @@ def run(
     raise typer.Exit(0 if succeeded else 1)
 
 
-def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
-    """Put what is flown into the run's folder. A file that is there, as a launcher has put it there, stays as it is; raises
-    ConfigError if it is another experiment, perhaps the very file that was named."""
-    if not file.exists():
-        replace_text(file, text)
-    elif load_experiment(str(file)).hash != loaded.hash:
-        raise ConfigError(f"{file}: is there already, is another experiment, and would be lost (allowed: a new folder)")
-
-
 def _token(file: Path) -> str:
     with files_named(file):
         try:
@@ -135,9 +122,7 @@ def _intent(experiment: Experiment, folder: Path) -> str:
     from groundstation.recorder import check_room
 
     starts = planner.start_poses(experiment, planner.plan(experiment))
-    check_room(
-        next(place for place in (folder, *folder.resolve().parents) if place.is_dir()), experiment.recording.min_free_gb
-    )
+    check_room(folder, experiment.recording.min_free_gb)
     lines = [
         f"{experiment.title or experiment.name}: {experiment.duration_s:g} s, experiment {experiment.hash[:8]}, into {folder}"
     ]

@@ -131,11 +131,12 @@ def _tell_station(
 ) -> None:
     """Give the running station an order as its operator, and say what becomes of it."""
     from wire.bus import Bus
+    from wire.gate import nearest
     from wire.network import endpoint
     from wire.topics import Role, process_name
     from wire.transport import ZenohTransport
 
-    where = endpoint(station, process_name(Role.OPERATOR), keys, insecure=insecure)
+    where = nearest(endpoint(station, process_name(Role.OPERATOR), keys, insecure=insecure))
     with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
         reply = bus.order(command, time.time_ns(), ORDER_TIMEOUT_S)
     if as_json:

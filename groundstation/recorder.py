@@ -283,8 +283,8 @@ class Recorder:
 
 
 def check_room(folder: Path, least_gb: float) -> None:
-    """Raises ConfigError where there is no room for a log."""
-    free_gb = disk_free(folder) / 1e9
+    """Raises ConfigError where there is no room for a log in a folder, which need not be there yet."""
+    free_gb = disk_free(next(place for place in (folder, *folder.resolve().parents) if place.is_dir())) / 1e9
     if free_gb < least_gb:
         raise ConfigError(
             f"{folder}: {free_gb:.2f} GB free, a run needs {least_gb:g} (recording.min_free_gb): make room, or --out elsewhere"

@@ -1,4 +1,4 @@
-"""SHELL: the ground station: one cycle a control period, orders in their own threads; station_process.py runs it.
+"""SHELL: the ground station: one cycle a control period, answers awaited in their own threads; station_process.py runs it.
 
 The heartbeat goes out from the same cycle that runs the mission: no thread of its own could outlive it. In lockstep the
 orders of a cycle are answered before its heartbeat, so a robot that has the heartbeat has the orders.
@@ -85,7 +85,8 @@ class Station:
         for gains in new_gains:
             self.bus.publish(topics.TUNING, gains, now_ns)
         timeout_s = LOCKSTEP_ORDER_TIMEOUT_S if lockstep else ORDER_TIMEOUT_S
-        self.pending += [(c, self.pool.submit(self.bus.order, c, now_ns, timeout_s)) for c in commands]
+        # Sent from here, in the mission's order; only the waiting is for other threads.
+        self.pending += [(c, self.pool.submit(self.bus.send_order(c, now_ns, timeout_s))) for c in commands]
         if lockstep:
             for _, future in self.pending:
                 future.result()

@@ -26,9 +26,10 @@ from wire import topics
 from wire.access import INSECURE
 from wire.bus import Bus
 from wire.codec import Header
-from wire.experiment import Experiment
+from wire.experiment import Experiment, load_experiment
+from wire.outputs import replace_text
 from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus
-from wire.toml_file import files_named
+from wire.toml_file import ConfigError, files_named
 from wire.topics import WHOLE_FLEET
 
 
@@ -55,7 +56,7 @@ def run(
     viewer: tuple[str, int] | None = None,
 ) -> bool:
     """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
-    are served. Returns whether the mission succeeded."""
+    are served. Makes `run_dir`. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
     leg = first_leg(experiment)
     trajectories = dict(leg.trajectories)
@@ -65,6 +66,8 @@ def run(
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
     check_room(run_dir, experiment.recording.min_free_gb)
     with files_named(run_dir):
+        run_dir.mkdir(parents=True, exist_ok=True)  # the router listens, the plan stands: a start that fails leaves no folder
+        _lay_down(run_dir / "experiment.toml", experiment, experiment_toml)
         recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
     recorder.whole_until_ns = -1 if lockstep else None
     try:
@@ -99,6 +102,15 @@ def run(
             return mission.phase is Phase.DONE and not mission.failed and not recorder.error
     finally:
         recorder.close()
+
+
+def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
+    """Put what is flown into the run's folder. A file that is there, as a launcher has put it there, stays as it is; raises
+    ConfigError if it is another experiment, perhaps the very file that was named."""
+    if not file.exists():
+        replace_text(file, text)
+    elif load_experiment(str(file)).hash != loaded.hash:
+        raise ConfigError(f"{file}: is there already, is another experiment, and would be lost (allowed: a new folder)")
 
 
 def _over(station: Station) -> bool:

@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
+from groundstation import keys
 from groundstation.__main__ import cli as groundstation
 from sim_bridge.__main__ import cli as sim_bridge
+from sim_bridge.ports import free_port
 from wire.bus import Bus
 from wire.messages import Order, Reply
 from wire.options import experiments
@@ -316,7 +319,10 @@ def test_a_port_that_is_taken_is_told_before_the_station_is_waited_for() -> None
 
 def test_a_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    code, _, said = ended("groundstation", "run", "pool", "--run-dir", str(tmp_path / "file" / "run"), "--no-web")
+    listen = f"tcp/127.0.0.1:{free_port()}"
+    code, _, said = ended(
+        "groundstation", "run", "pool", "--run-dir", str(tmp_path / "file" / "run"), "--no-web", "--listen", listen
+    )
     assert (code, said) == (2, f"{tmp_path}/file/run: Not a directory\n")
     for command in (["sil", "pool", "--no-web"], ["numeric", "pool"]):
         refused = CliRunner().invoke(sim_bridge, [*command, "--out", str(tmp_path / "file")]).exception
@@ -331,8 +337,23 @@ def test_a_run_does_not_write_over_another_ones_log(tmp_path: Path) -> None:
     assert (tmp_path / "run.mcap").read_text() == "flown"
 
 
+def test_a_start_that_fails_leaves_no_folder(tmp_path: Path) -> None:
+    keys.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        place = f"127.0.0.1:{taken.getsockname()[1]}"
+        for how in (["--listen", f"tcp/{place}"], ["--listen", f"tls/{place}", "--keys", str(tmp_path / "keys")]):
+            code, _, said = ended("groundstation", "run", "pool", "--out", str(tmp_path / "runs"), "--no-web", *how)
+            assert (code, said) == (2, f"cannot listen at {how[1]}: Address already in use\n")
+    assert not (tmp_path / "runs").exists()
+
+
 def test_a_token_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "token").write_bytes(b"\xff")
-    for name, says in (("nowhere", "nowhere: No such file"), ("token", "token: not a text")):
+    (tmp_path / "empty").write_text(" \n")
+    for name, says in (
+        ("nowhere", "nowhere: No such file"),
+        ("token", "token: not a text"),
+        ("empty", "empty: is empty, anybody would know that token"),
+    ):
         refused = CliRunner().invoke(groundstation, ["run", "pool", "--web-token-file", str(tmp_path / name)]).exception
         assert isinstance(refused, ConfigError) and says in str(refused)

@@ -71,6 +71,19 @@ def _unseeded(tree: ast.Module) -> Iterator[str]:
             yield f"{owner}.{name} in line {node.lineno}"
 
 
+def _reached_on_disk(tree: ast.Module) -> Iterator[str]:
+    """Packages whose files a file names: `folder / "localizer"`, `Path("localizer/...")`, `resources.files("localizer")`."""
+    for node in ast.walk(tree):
+        named: list[ast.expr] = []
+        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
+            named = [node.left, node.right]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in ("Path", "files", "joinpath"):
+            named = list(node.args)
+        for one in named:
+            if isinstance(one, ast.Constant) and isinstance(one.value, str):
+                yield one.value.partition("/")[0].partition(".")[0]
+
+
 def _is_shell(tree: ast.Module) -> bool:
     return "SHELL:" in (ast.get_docstring(tree) or "")
 
@@ -84,6 +97,9 @@ def test_the_rules_notice_offenders() -> None:
         "sim_bridge.world",
     ]
     assert list(_imports(ast.parse("from . import mpc"), "robot_agent")) == ["robot_agent."]
+    reaching = "p / 'sim_bridge' / 'x'\nPath('localizer/y')\nresources.files('robot_agent')\nstart('groundstation')\n"
+    assert set(_reached_on_disk(ast.parse(reaching))) >= {"sim_bridge", "localizer", "robot_agent"}
+    assert "groundstation" not in set(_reached_on_disk(ast.parse(reaching)))
     unseeded = ast.parse("import numpy as np\nnp.random.normal(3)\nnp.random.default_rng()\nnp.random.default_rng(1)\n")
     assert len(list(_unseeded(unseeded))) == 2
 
@@ -95,6 +111,12 @@ def test_packages_do_not_import_one_another(source: str) -> None:
     allowed = {package} | ALLOWED.get(source, set())
     forbidden = seen & (PROCESSES | {"tests", "benchmarks"}) - allowed
     assert not forbidden, f"{source} imports {', '.join(sorted(forbidden))}; what processes share belongs in wire/"
+
+
+@pytest.mark.parametrize("source", _sources())
+def test_packages_do_not_reach_into_one_another_on_disk(source: str) -> None:
+    forbidden = set(_reached_on_disk(_tree(source))) & (PROCESSES | {"tests", "benchmarks"}) - {source.partition("/")[0]}
+    assert not forbidden, f"{source} names files of {', '.join(sorted(forbidden))}; what processes share belongs in wire/"
 
 
 def test_the_exceptions_are_needed() -> None:

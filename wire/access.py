@@ -1,7 +1,8 @@
 """Who may say and hear what, as the router's access control: made from the topic table, so that nothing is said twice. Pure.
 
 The router denies everything that no rule allows. It knows a member by the common name of its certificate and looks at each
-message twice: on its way in from the sender and on its way out to the receiver. A rule covers a message if one of its keys
+message twice: on its way in from the sender and on its way out to the receiver. Who comes through the station's door has no
+certificate, and an operator's rights. A rule covers a message if one of its keys
 includes the message's key, so a robot that may write `robot/1/state` may not write `robot/*/state`.
 
 Zenoh's parts are finer than ours: to publish means to put, and to be told who subscribes (without that a session keeps its
@@ -10,7 +11,7 @@ cache that is asked, a beat that tells the newest number, and tokens by which th
 the event's key, behind a part that begins with `@` and that no wildcard covers.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,6 +30,8 @@ from wire.topics import (
 
 INSECURE = "INSECURE: the network is open, anybody on it can command the robots"  # said where there are no keys
 
+DOOR = "unixsock-stream"  # Zenoh's protocol of the station's door, which this machine's user alone can open (wire/gate.py)
+
 CACHE, FOLLOWER = "@adv/pub/**", "@adv/sub/**"  # below an event's key: the publisher's side and the subscriber's
 
 
@@ -39,6 +42,9 @@ class Member:
     role: Role
     common_name: str
     robot: int = 0  # a robot's number
+
+
+AT_THE_DOOR = Member(Role.OPERATOR, "operator at the door")  # no certificate has such a name: groundstation/authority.py
 
 
 @dataclass(frozen=True)
@@ -70,17 +76,21 @@ def grants(member: Member) -> Grants:
 
 
 def access_control(fleet: str, members: Iterable[Member]) -> dict[str, Any]:
-    """Zenoh's `access_control` section for a fleet of these members and nobody else."""
+    """Zenoh's `access_control` section for a fleet of these members, an operator at the station's door, and nobody else."""
     rules: list[dict[str, Any]] = []
     subjects, policies = [], []
-    for member in members:
+    for member in (AT_THE_DOOR, *members):
         own = _rules(fleet, member)
         rules += own
-        subjects.append({"id": member.common_name, "cert_common_names": [member.common_name]})
+        known_by = {"link_protocols": [DOOR]} if member is AT_THE_DOOR else {"cert_common_names": [member.common_name]}
+        subjects.append({"id": member.common_name, **known_by})
         policies.append({"rules": [rule["id"] for rule in own], "subjects": [member.common_name]})
-    # Zenoh takes no empty list; without members the section denies all the same.
-    some = {"rules": rules, "subjects": subjects, "policies": policies} if subjects else {}
-    return {"enabled": True, "default_permission": "deny", **some}
+    return {"enabled": True, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies}
+
+
+def listed(access: Mapping[str, Any]) -> tuple[str, ...]:
+    """The common names that such a section lets through."""
+    return tuple(name for subject in access["subjects"] for name in subject.get("cert_common_names", ()))
 
 
 def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ from wire.lateness import Lateness
 from wire.messages import Command, Message, Reply
 from wire.once import Once
 from wire.topics import Topic
-from wire.transport import Transport
+from wire.transport import Await, Transport
 
 M = TypeVar("M")
 Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
@@ -124,6 +124,7 @@ class Bus:
         self._sequences: dict[str, int] = {}
         self._present: set[str] = set()
         self._recipients: dict[str, int] = {}  # session of whoever answers orders under a key
+        self._turns: dict[str, threading.Lock] = {}  # by an order's key: around its number and its sending
 
     def _key(self, name: str) -> str:
         return f"{self._fleet}/{name}"
@@ -229,22 +230,47 @@ class Bus:
         self._transport.serve(self._key(name), answer)
 
     def order(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
-        """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason.
+        """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
+        return self.send_order(command, stamp_ns, timeout_s)()
+
+    def send_order(self, command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
+        """Send an order, and return what waits for its answer (`order`). Orders to one recipient reach it in the order of
+        these calls: an order neither overtakes another nor waits until another is answered.
 
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
-        started again is refused: what it was meant for is no more."""
+        started again is refused: what it was meant for is no more. So is a second try that would come after a later order."""
         key = self._key(topics.COMMAND_KEY.format(robot=command.robot))
         known = self._recipients.get(key, 0)
-        reply = self._ask(key, replace(command, recipient=known), stamp_ns, timeout_s)
-        if not known and reply.session and not reply.accepted:
-            reply = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s)
-        if reply.session:
-            self._recipients[key] = reply.session
+        first = self._ask(key, replace(command, recipient=known), stamp_ns, timeout_s)
+        assert first is not None
+
+        def reply() -> Reply:
+            sequence, answer = first
+            reply = self._read(command, key, answer(), timeout_s)
+            if reply.session:
+                self._recipients[key] = reply.session
+            if known or not reply.session or reply.accepted:
+                return reply
+            named = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s, only_after=sequence)
+            if named is None:
+                return Reply(command.robot, False, f"{command.order.name} was overtaken by a later order")
+            return self._read(command, key, named[1](), timeout_s)
+
         return reply
 
-    def _ask(self, key: str, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
-        header = self._next_header(key, stamp_ns)
-        answer = self._transport.ask(key, encode(command), header.encode(), timeout_s)
+    def _ask(
+        self, key: str, command: Command, stamp_ns: int, timeout_s: float, only_after: int | None = None
+    ) -> tuple[int, Await] | None:
+        """Send; returns the number that was given, and what waits. With `only_after` nothing, and None, if the last number
+        that was given is another."""
+        payload = encode(command)  # a trajectory takes its time: before the turn, so that no other order waits for it
+        with self._turns.setdefault(key, threading.Lock()):
+            if only_after is not None and self._sequences.get(key) != only_after:
+                return None
+            header = self._next_header(key, stamp_ns)
+            return header.sequence, self._transport.ask(key, payload, header.encode(), timeout_s)
+
+    def _read(self, command: Command, key: str, answer: bytes | None, timeout_s: float) -> Reply:
         if answer is None:
             return Reply(command.robot, False, f"no answer within {timeout_s:g} s")
         try:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+from wire.access import DOOR
 from wire.keys import Keys
 from wire.toml_file import ConfigError
 from wire.topics import PLAN
@@ -39,6 +40,7 @@ class Endpoint:
     keys: Keys | None = None  # mutual TLS
     access: Mapping[str, Any] | None = None  # router: Zenoh's access_control section (wire/access.py)
     insecure: bool = False  # open to other machines, as was asked for
+    listens: tuple[str, ...] = ()  # router with keys: where it listens instead, behind its guard and its door (wire/gate.py)
 
 
 def beside(endpoint: Endpoint) -> Endpoint:
@@ -68,7 +70,7 @@ def settings(endpoint: Endpoint) -> dict[str, Any]:
     if endpoint.router and not endpoint.lossless:  # in lockstep rates are any
         found["downsampling"] = _flood_limits()
     if endpoint.router:
-        found["listen/endpoints"] = [endpoint.address]
+        found["listen/endpoints"] = list(endpoint.listens) or [endpoint.address]
     else:
         found["connect/endpoints"] = [endpoint.address]
         found["connect/timeout_ms"] = TRY_MS
@@ -91,7 +93,7 @@ def _flood_limits() -> list[dict[str, Any]]:
 def _tls(keys: Keys, router: bool) -> dict[str, Any]:
     """Both sides show a certificate of the fleet's authority; the router's must name the host that was asked for."""
     found: dict[str, Any] = {
-        "transport/link/protocols": ["tls"],
+        "transport/link/protocols": ["tls", DOOR] if router else ["tls"],
         "transport/link/tls/root_ca_certificate": str(keys.ca),
         "transport/link/tls/enable_mtls": True,
         "transport/link/tls/verify_name_on_connect": True,

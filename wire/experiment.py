@@ -28,7 +28,7 @@ from wire.toml_file import ConfigError, Section, apply_setting, check, read_toml
 from wire.tuning import Controller, Safety
 from wire.vehicle import Fraction, Positive, Vehicle, load_vehicle
 
-EXPERIMENTS = Path(__file__).parents[1] / "groundstation" / "experiments"
+EXPERIMENTS = Path(__file__).parent / "experiments"
 
 
 class ArticleRow(Section):

@@ -31,16 +31,26 @@ def trouble_reaching(address: str, keys: Keys | None) -> str:
 
 def trouble_listening(address: str) -> str:
     """Why no router can be had at `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if one could."""
-    _, host, port = parse_address(address)
     try:
-        family, kind, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-        with socket.socket(family, kind) as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            probe.bind(place)
+        with public_listener(address) as probe:
             probe.listen(1)
     except OSError as error:
         return f"{error.strerror or error}"
     return ""
+
+
+def public_listener(address: str) -> socket.socket:
+    """A socket bound to `tcp/HOST:PORT` or `tls/HOST:PORT`. Raises OSError."""
+    _, host, port = parse_address(address)
+    family, kind, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+    listener = socket.socket(family, kind)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(place)
+    except OSError:
+        listener.close()
+        raise
+    return listener
 
 
 def _handshake(plain: socket.socket, host: str, keys: Keys) -> str:

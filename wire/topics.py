@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from wire import messages
+from wire.tuning import Safety
 
 
 class Qos(Enum):
@@ -42,7 +43,8 @@ OUTSIDE = (Role.STATION, Role.SIMULATOR, Role.OPERATOR, Role.VIEWER)  # of the t
 
 @dataclass(frozen=True)
 class Topic:
-    """One row. `max_age_s` is when a value stops being usable; freshness checks and the page's greying derive from it."""
+    """One row. `max_age_s` is when a value stops being usable; freshness checks and the page's greying derive from it. Where
+    an experiment sets that age, `limit` is the key of its [safety], and `max_age_s` the key's default: see `max_age_in`."""
 
     name: str  # key below the fleet's name; {robot} is filled in
     type: type
@@ -53,6 +55,11 @@ class Topic:
     writers: tuple[Role, ...]  # a robot only under its own number
     readers: tuple[Role, ...] = EVERYONE
     kept: int = 0  # so many by their publisher, for who comes late or was cut off: for 20 s at most in a run that goes on
+    limit: str = ""
+
+    def max_age_in(self, safety: Safety) -> float:
+        """When a value stops being usable in an experiment with these limits, s: one number for station and robots."""
+        return float(getattr(safety, self.limit)) if self.limit else self.max_age_s
 
     def key(self, robot: int | None = None) -> str:
         """The key for one robot, or for all (`*`) when the topic has a robot and none is given."""
@@ -69,6 +76,12 @@ class Topic:
         return "everyone" if self.readers == EVERYONE else ", ".join(role.value for role in self.readers)
 
 
+def _limited(limit: str, name: str, kind: type, rate_hz: float, recorded: bool, writers: tuple[Role, ...]) -> Topic:
+    """A topic for control whose greatest age an experiment sets."""
+    default_s = float(Safety.model_fields[limit].default)
+    return Topic(name, kind, rate_hz, default_s, Qos.CONTROL, recorded, writers, limit=limit)
+
+
 TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))
 EXPOSED = Topic("sim/exposed", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))  # to the localizer, early
 TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OUTSIDE)
@@ -76,12 +89,12 @@ FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, SEEING
 PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
 VIDEO = Topic("camera/video", messages.Video, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
 PICTURE = Topic("camera/picture", messages.Picture, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
-POSE = Topic("robot/{robot}/pose", messages.Pose, 20, 0.2, Qos.CONTROL, True, SEEING)
+POSE = _limited("pose_hold_s", "robot/{robot}/pose", messages.Pose, 20, True, SEEING)
 LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, SEEING)
 OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, SEEING)
-PLAN = Topic("robot/{robot}/plan", messages.Plan, 20, 0.5, Qos.CONTROL, True, (Role.ROBOT,))
+PLAN = _limited("plan_max_age_s", "robot/{robot}/plan", messages.Plan, 20, True, (Role.ROBOT,))
 STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, (Role.ROBOT,))
-HEARTBEAT = Topic("station/heartbeat", messages.StationHeartbeat, 20, 1.0, Qos.CONTROL, True, (Role.STATION,))
+HEARTBEAT = _limited("station_hold_s", "station/heartbeat", messages.StationHeartbeat, 20, True, (Role.STATION,))
 TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=4)
 TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=100)
 INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE, kept=400)

@@ -4,6 +4,7 @@ Every choice was measured; the reason stands beside it. All settings are explici
 Zenoh with other defaults behave the same.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -18,8 +19,10 @@ from typing import Any, Protocol
 import zenoh
 import zenoh.ext
 
+from wire.access import DOOR, listed
 from wire.endpoint import Endpoint as Endpoint  # whoever opens a transport needs one
 from wire.endpoint import beside, settings
+from wire.gate import Gate
 from wire.reach import trouble_listening, trouble_reaching
 from wire.toml_file import ConfigError
 from wire.topics import RECOVERED, Qos
@@ -29,17 +32,19 @@ log = logging.getLogger("shoal")
 Deliver = Callable[[str, bytes, bytes], None]  # key, payload, header
 Collect = Callable[[], Iterable[tuple[str, bytes, bytes]]]  # what has come since the last call, in the order of its coming
 Answer = Callable[[bytes, bytes], bytes]  # payload, header -> payload of the reply
+Await = Callable[[], bytes | None]  # waits for the answer to what has been sent; None if there is none in time
 Presence = Callable[[str, bool], None]  # key, is it there
 
 UNCOLLECTED = 8192  # messages of a subscription that wait to be collected: 20 s of the busiest topic of 20 robots
 UNCOLLECTED_IMAGES = 256  # 12 s, in some 30 MB
 TRY_AGAIN_S = 0.2
+DRAWS = 3  # of free ports behind the gate
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
 NO_ANSWER = "something listens there, but does not answer as a station without keys (one that has them wants --keys FOLDER)"
 
-# Zenoh's own log, on stdout, of a router with keys: who came in under which name, whose certificate was refused, and who is
-# not on the list. What a member tries beyond its rights Zenoh drops without a word (1.10: decides once per key).
-GUARD = "warn,zenoh_link_tls::unicast=debug,zenoh::net::routing::interceptor::access_control=info"
+# Zenoh's own log, on stdout, of a router with keys, with --verbose: who came in, why a handshake failed, and what access
+# control is applied. Without, only what RUST_LOG asks for: our own log has what a person needs, in one format.
+DETAILS = "warn,zenoh_link_tls::unicast=debug,zenoh::net::routing::interceptor::access_control=info"
 
 # Zenoh hands every message on from thread to thread, of which it has six. What is received, and links, can do with one: an
 # agent that hears 19 plans then takes 8 to 15 % less of the processor. Sending keeps its own, so that a full queue empties
@@ -60,7 +65,7 @@ class Transport(Protocol):
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None: ...
     def collect(self, key: str, qos: Qos) -> Collect: ...
     def serve(self, key: str, answer: Answer) -> None: ...
-    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None: ...
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await: ...
     def announce(self, key: str) -> None: ...
     def watch(self, key: str, presence: Presence) -> None: ...
     def close(self) -> None: ...
@@ -91,9 +96,6 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
     `stopped()`, or with the reason when the patience is over; ConfigError where a router cannot listen.
 
     In attempts, because Zenoh's own endless wait hears neither Ctrl-C nor SIGTERM."""
-    if endpoint.access is not None:
-        os.environ.setdefault("NO_COLOR", "1")  # it ends in files and journals
-        zenoh.init_log_from_env_or(GUARD)
     config = _config(endpoint)
     if endpoint.router:
         try:
@@ -105,7 +107,9 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
         try:
             return zenoh.open(config)
         except zenoh.ZError as error:
-            reason = trouble_reaching(endpoint.address, endpoint.keys) or (str(error) if endpoint.keys else NO_ANSWER)
+            at_door = endpoint.address.startswith(DOOR)
+            reason = "" if at_door else trouble_reaching(endpoint.address, endpoint.keys)
+            reason = reason or (str(error) if at_door or endpoint.keys else NO_ANSWER)
         now_s = time.monotonic()
         if stopped():
             raise Unreached(f"stopped while waiting for the station at {endpoint.address}: {reason}")
@@ -115,6 +119,57 @@ def _open(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) ->
             say_s = now_s + SAY_AGAIN_S
             log.info("waiting for the station at %s: %s", endpoint.address, reason)
         time.sleep(TRY_AGAIN_S)
+
+
+def _open_gate(endpoint: Endpoint) -> tuple[zenoh.Session, Gate]:
+    """A router with keys behind its gate. Raises ConfigError where it cannot listen."""
+    os.environ.setdefault("NO_COLOR", "1")  # it ends in files and journals
+    if log.isEnabledFor(logging.DEBUG):
+        zenoh.init_log_from_env_or(DETAILS)
+    else:
+        zenoh.try_init_log_from_env()
+    try:
+        gate = Gate(endpoint)
+    except OSError as error:
+        raise ConfigError(f"cannot listen at {endpoint.address}: {error.strerror or error}") from None
+    try:
+        session = _open_router(gate)
+        if endpoint.access is not None:
+            _tell_of_unlisted(session, frozenset(listed(endpoint.access)))
+        gate.open()
+    except BaseException:
+        gate.close()
+        raise
+    return session, gate
+
+
+def _tell_of_unlisted(session: zenoh.Session, listed: frozenset[str]) -> None:
+    """Log each connection whose certificate the authority made and whose name counts no more: it can say and hear nothing.
+    A thread of its own: what the log says goes out as an event, and Zenoh's threads are not to wait for themselves."""
+    came = session.info.declare_link_events_listener(zenoh.handlers.RingChannel(UNCOLLECTED))
+
+    def follow() -> None:
+        with contextlib.suppress(zenoh.ZError):  # the session is closed
+            for event in came:
+                name = event.link.auth_identifier
+                if event.kind == zenoh.SampleKind.PUT and name is not None and name not in listed:
+                    log.warning(
+                        "%s is not on the list of members (revoked?): it is connected, and says and hears nothing", name
+                    )
+
+    threading.Thread(target=follow, name="unlisted", daemon=True).start()
+
+
+def _open_router(gate: Gate) -> zenoh.Session:
+    """The router at its loopback ports: at others where a program took one of them meanwhile."""
+    for left in reversed(range(DRAWS)):
+        try:
+            return zenoh.open(_config(gate.endpoint))
+        except zenoh.ZError as error:
+            if not left:
+                raise ConfigError(f"cannot listen behind {gate.endpoint.address}: {error}") from None
+            gate.draw()
+    raise AssertionError
 
 
 def _parts(sample: zenoh.Sample) -> tuple[str, bytes, bytes]:
@@ -132,7 +187,11 @@ class ZenohTransport:
         self, endpoint: Endpoint, stopped: Callable[[], bool] = lambda: False, patience_s: float = float("inf")
     ) -> None:
         self._endpoint, self._stopped = endpoint, stopped
-        self._control = _open(endpoint, stopped, patience_s)
+        self._gate: Gate | None = None
+        if endpoint.router and endpoint.keys is not None:
+            self._control, self._gate = _open_gate(endpoint)
+        else:
+            self._control = _open(endpoint, stopped, patience_s)
         self._images: zenoh.Session | None = None
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
 
@@ -140,7 +199,8 @@ class ZenohTransport:
         if qos is not Qos.IMAGE:
             return self._control
         if self._images is None:
-            self._images = _open(beside(self._endpoint), self._stopped, float("inf"))
+            where = self._gate.inside if self._gate is not None else beside(self._endpoint)
+            self._images = _open(where, self._stopped, float("inf"))
         return self._images
 
     @property
@@ -207,7 +267,7 @@ class ZenohTransport:
 
         self._kept.append(self._control.declare_queryable(key, on_query))
 
-    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None:
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
         replies = self._control.get(
             key,
             payload=payload,
@@ -217,10 +277,14 @@ class ZenohTransport:
             congestion_control=self._congestion,
             express=True,
         )
-        for reply in replies:
-            if reply.ok is not None:
-                return reply.ok.payload.to_bytes()
-        return None
+
+        def answer() -> bytes | None:
+            for reply in replies:
+                if reply.ok is not None:
+                    return reply.ok.payload.to_bytes()
+            return None
+
+        return answer
 
     def announce(self, key: str) -> None:
         self._kept.append(self._control.liveliness().declare_token(key))
@@ -237,6 +301,8 @@ class ZenohTransport:
         if self._images is not None:
             self._images.close()
         self._control.close()
+        if self._gate is not None:
+            self._gate.close()
 
 
 @dataclass
@@ -300,10 +366,12 @@ class MemoryTransport:
         with self._hub.lock:
             self._hub.queryables[key] = (answer, self)
 
-    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None:
+    def ask(self, key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
+        """It comes in order, and at once: who answers does so in the thread of who asks."""
         with self._hub.lock:
             found = self._hub.queryables.get(key)
-        return found[0](payload, header) if found else None
+        reply = found[0](payload, header) if found else None
+        return lambda: reply
 
     def announce(self, key: str) -> None:
         with self._hub.lock:

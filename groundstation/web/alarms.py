@@ -34,7 +34,7 @@ def alarms(
     insecure: bool = False,
 ) -> list[Alarm]:
     """All that is amiss, critical first."""
-    found = [*_system(fleet, localizer, localizer_age_s, recorder_error)]
+    found = [*_system(experiment, fleet, localizer, localizer_age_s, recorder_error)]
     if insecure:
         found.append(Alarm("warning", "insecure", INSECURE))
     for robot in experiment.robot_ids:
@@ -45,11 +45,14 @@ def alarms(
     return sorted(found, key=lambda alarm: LEVELS.index(alarm.level))
 
 
-def _system(fleet: Fleet, localizer: LocalizerStatus | None, age_s: float, recorder_error: str) -> Iterator[Alarm]:
+def _system(
+    experiment: Experiment, fleet: Fleet, localizer: LocalizerStatus | None, age_s: float, recorder_error: str
+) -> Iterator[Alarm]:
     if recorder_error:
         yield Alarm("critical", "recorder", f"the log is not being written: {recorder_error}")
     if localizer is None:
-        if not any(robot.pose_age_s <= topics.POSE.max_age_s for robot in fleet.values()):  # poses may come without one
+        limit_s = topics.POSE.max_age_in(experiment.safety)
+        if not any(robot.pose_age_s <= limit_s for robot in fleet.values()):  # poses may come without one
             yield Alarm("warning", "localizer", "no localizer has been heard")
     elif age_s > topics.LOCALIZER.max_age_s:
         yield Alarm("critical", "localizer", "the localizer is silent")

@@ -1,7 +1,7 @@
 """The table of faults: what is measured of each, and what it must not exceed."""
 
 from benchmarks.thrusters import LACKING_N
-from tests.faults import rows_alone, rows_network, rows_robot, rows_sight, rows_station
+from tests.faults import rows_alone, rows_network, rows_robot, rows_sight, rows_station, rows_strangers
 from tests.faults.row import RESUMED, SECONDS, STEP_S, TIMES, Measure, Row
 
 STATION_LOST = {
@@ -154,6 +154,12 @@ ROWS: tuple[Row, ...] = (
         "stranger", "Stranger on the network",
         "no certificate, another authority's, expired, revoked, another robot's, a viewer's",
         {"let in, heard or obeyed": TIMES()}, rows_alone.stranger, times=5, rig="",
+    ),
+    Row(
+        "strangers-knock", "Strangers at the station's port",
+        "no certificate: 12 or 200 connections a second, 900 half open, or 50 handshakes a second, for 8 s and on",
+        {"stop answered, this machine": SECONDS(1.0), "stop answered": SECONDS(2.0), "agent joins later": SECONDS(2.0)},
+        rows_strangers.strangers_knock, times=12, rig="",
     ),
     Row(
         "old-traffic", "Replay of old traffic", "recorded orders sent again, live and after restarts of either side",

@@ -242,7 +242,7 @@ def seeds(name: str) -> list[bytes]:
     good = {
         "messages": [bytes([i]) + encode(example(cls)) for i, cls in enumerate(CLASSES)],
         "mavlink": [link.pulses([1500] * 8) + link.arm(True), end.attitude(5, 1.0, 0.1) + end.pressure(5, 0.3)],
-        "toml": [Path("groundstation/experiments/pool.toml").read_bytes(), b"controller.mpc.horizon=20"],
+        "toml": [Path("wire/experiments/pool.toml").read_bytes(), b"controller.mpc.horizon=20"],
         "requests": [b'{"kind":"order","n":1,"order":"start"}', b'{"kind":"try","n":2,"edit":{"points_m":[[0,0],[1,2]]}}'],
     }
     return good.get(name, [bytes(range(256)), bytes(300)])

@@ -1,5 +1,6 @@
 """What headers tell of a robot's link and clock, and what is found amiss."""
 
+import numpy as np
 import pytest
 
 from groundstation.fleet import Ear, RobotView, findings
@@ -7,7 +8,7 @@ from wire import topics
 from wire.bus import Bus
 from wire.codec import Header, encode
 from wire.experiment import load_experiment
-from wire.messages import Plan, RobotState
+from wire.messages import Mode, Plan, Pose, RobotState, Track
 from wire.transport import MemoryHub, MemoryTransport
 
 MS = 1_000_000
@@ -25,6 +26,26 @@ def test_only_what_did_not_come_is_lost_however_late_somebody_looks(lost: tuple[
             ear.hear(inbox.headers(), newest.header, (k * 50 - 3) * MS)
     assert ear.loss == pytest.approx(share, abs=0.02)
     assert 0.002 < ear.clock_offset_s < 0.004
+
+
+@pytest.mark.parametrize(("limit", "key", "age_s"), [("pose_hold_s", "pose", 0.4), ("plan_max_age_s", "plan", 0.7)])
+def test_the_station_calls_old_what_the_experiment_calls_old(limit: str, key: str, age_s: float) -> None:
+    """At a lower rate an experiment allows more; the station must not bar what the robots would fly with."""
+    seen = RobotView(
+        RobotState(mode=Mode.HOLDING, battery_v=16.0), 0.02, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True, 1.0, 0.0),
+        age_s, age_s,
+    )  # fmt: skip
+    for limit_s, found in ((age_s - 0.1, True), (age_s + 0.1, False)):
+        experiment = load_experiment("pool", [f"safety.{limit}={limit_s}", "safety.pose_neutral_s=0.9"])
+        assert (key in [finding.key for finding in findings(experiment, 1, seen)]) is found
+
+
+def test_a_battery_of_which_nothing_was_heard_is_not_called_empty() -> None:
+    experiment = load_experiment("pool")
+    found = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0), 0.02))}
+    assert (found["battery"].text, found["battery"].bars) == ("battery not heard yet", True)
+    low = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0, battery_v=9.0), 0.02))}
+    assert low["battery"].text == "battery 9.0 V, needs 10.5 V"
 
 
 @pytest.mark.parametrize(("age_ms", "text"), [(2500.0, "thruster board silent for 2.5 s"), (1e6, "thruster board not heard")])

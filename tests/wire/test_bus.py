@@ -1,12 +1,15 @@
 """The same contract for real Zenoh sessions through a real router, and for the in-memory twin."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from sim_bridge.ports import free_port
+from wire import bus as bus_module
 from wire import messages, topics, transport
 from wire.bus import Bus
 from wire.codec import Header
@@ -210,3 +213,75 @@ def test_a_picture_arrives_whole(make_bus: MakeBus) -> None:
     received = inbox.newest()
     assert received is not None
     assert np.array_equal(received.message.pixels, pixels)
+
+
+# --- several orders at a time
+
+
+class Obeying:
+    """A robot that says yes, and what it was told."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.told: list[messages.Order] = []
+        bus.serve(1, self._obey)
+
+    def _obey(self, header: Header, command: messages.Command) -> messages.Reply:
+        self.told.append(command.order)
+        return messages.Reply(1, True)
+
+
+TUNE, HOLD = messages.Command(messages.Order.TUNE, 1), messages.Command(messages.Order.HOLD, 1)
+
+
+@pytest.mark.parametrize(("slow", "quick"), [(TUNE, HOLD), (HOLD, TUNE)], ids=["tune is slow", "hold is slow"])
+def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_waiting(
+    make_bus: MakeBus, monkeypatch: pytest.MonkeyPatch, slow: messages.Command, quick: messages.Command
+) -> None:
+    station, robot = make_bus(), Obeying(make_bus())
+    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    robot.told.clear()
+    encode, begun, go_on = bus_module.encode, threading.Event(), threading.Event()
+
+    def encode_slowly(message: messages.Message, stamp_ns: int = 0) -> bytes:
+        if isinstance(message, messages.Command) and message.order is slow.order:
+            begun.set()
+            assert go_on.wait(20.0)
+        return encode(message, stamp_ns)
+
+    monkeypatch.setattr(bus_module, "encode", encode_slowly)
+    with ThreadPoolExecutor(1) as pool:
+        late = pool.submit(station.order, slow, 1, 5.0)
+        assert begun.wait(20.0)
+        try:
+            answer = station.order(quick, 1, 5.0)
+        finally:
+            go_on.set()
+        assert (answer.accepted, late.result().accepted) == (True, True), (answer.reason, late.result().reason)
+    assert robot.told == [quick.order, slow.order]
+
+
+def test_orders_from_many_threads_are_all_taken(make_bus: MakeBus) -> None:
+    station, _ = make_bus(), Obeying(make_bus())
+    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    with ThreadPoolExecutor(8) as pool:
+        replies = list(pool.map(lambda k: station.order(HOLD if k % 2 else TUNE, k, 5.0), range(200)))
+    assert [reply.reason for reply in replies if not reply.accepted] == []
+
+
+def test_orders_come_in_the_order_in_which_they_were_sent_whoever_waits_for_the_answers(make_bus: MakeBus) -> None:
+    station, robot = make_bus(), Obeying(make_bus())
+    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    robot.told.clear()
+    waiting = [station.send_order(HOLD if k % 3 else TUNE, 1, 5.0) for k in range(8)]  # more than 16 at once a queue may drop
+    assert [reply.reason for wait in reversed(waiting) if not (reply := wait()).accepted] == []
+    assert robot.told == [(HOLD if k % 3 else TUNE).order for k in range(8)]
+
+
+def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> None:
+    """A robot that is met for the first time is asked who it is: by then another order may have been given."""
+    station, robot = make_bus(), Obeying(make_bus())
+    resume, hold = station.send_order(messages.Command(messages.Order.RESUME, 1), 1, 2.0), station.send_order(HOLD, 1, 2.0)
+    overtaken = resume()
+    assert (overtaken.accepted, overtaken.reason) == (False, "RESUME was overtaken by a later order")
+    assert hold().accepted
+    assert robot.told == [messages.Order.HOLD]

@@ -20,7 +20,7 @@ from wire.bus import Bus
 from wire.experiment import load_experiment
 from wire.messages import Command, Mode, Order, Reply, RobotState, StationHeartbeat
 from wire.runtime import WallClock
-from wire.transport import Endpoint, ZenohTransport
+from wire.transport import Await, Endpoint, ZenohTransport
 
 POOL = load_experiment("pool")
 HOUR_S = 3600.0
@@ -36,7 +36,7 @@ class Tape:
     def record(self, bus: Bus) -> None:
         ask = bus._transport.ask
 
-        def recording(key: str, payload: bytes, header: bytes, timeout_s: float) -> bytes | None:
+        def recording(key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
             self.orders.append((key, payload, header))
             return ask(key, payload, header, timeout_s)
 
@@ -46,7 +46,7 @@ class Tape:
         """As a stranger does it: bytes, from a session of his own."""
         stranger = ZenohTransport(Endpoint(address), patience_s=5.0)
         try:
-            return [stranger.ask(*order, 1.0) for order in self.orders]
+            return [stranger.ask(*order, 1.0)() for order in self.orders]
         finally:
             stranger.close()
 

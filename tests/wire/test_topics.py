@@ -19,6 +19,7 @@ from wire import codec, fleet_pb2, messages, topics
 from wire.experiment import load_experiment
 from wire.messages import BoardReading, Command, Event, Frame, Message, Order, OrderTaken, Picture, Preview, Reply, Video
 from wire.topics import TOPICS, Qos, Topic
+from wire.tuning import Safety
 
 ROOT = Path(__file__).parents[2]
 ENUMS = {
@@ -65,6 +66,17 @@ def test_a_periodic_topic_may_lose_one_message_and_stay_fresh(topic: Topic) -> N
         assert 2.0 / topic.rate_hz <= topic.max_age_s < math.inf
     else:
         assert topic.qos in (Qos.EVENT, Qos.JOURNAL) and topic.max_age_s == math.inf
+
+
+def test_an_age_that_an_experiment_sets_is_the_same_for_all_who_ask() -> None:
+    """Stations and robots used to have a number each, which could drift apart."""
+    limited = {topic.limit: topic for topic in TOPICS if topic.limit}
+    assert set(limited) == {"pose_hold_s", "plan_max_age_s", "station_hold_s"}
+    other = Safety(pose_hold_s=0.3, plan_max_age_s=0.7, station_hold_s=2.0)
+    for key, topic in limited.items():
+        assert topic.max_age_s == topic.max_age_in(Safety()) == getattr(Safety(), key)
+        assert topic.max_age_in(other) == getattr(other, key) != topic.max_age_s
+    assert topics.STATE.max_age_in(other) == topics.STATE.max_age_s
 
 
 @each_topic

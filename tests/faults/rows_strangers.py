@@ -1,0 +1,96 @@
+"""SHELL: strangers without a certificate at the port of a station that has keys: who has some must come in all the same."""
+
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from groundstation import keys
+from sim_bridge.ports import free_port
+from tests.faults.onlooker import PATIENCE_S, Stuck
+from tests.faults.row import Random, Sample
+from tests.wire.strangers import Strangers
+from wire.bus import Bus
+from wire.gate import nearest
+from wire.messages import Command, Order
+from wire.network import endpoint
+from wire.transport import Endpoint, ZenohTransport
+
+ATTACKS: tuple[dict[str, float], ...] = (
+    {"knocks_hz": 12.0},
+    {"knocks_hz": 200.0},
+    {"half_open": 900},
+    {"handshakes_hz": 50.0},
+)
+ATTACK_S = 8.0  # before anybody wants to come in
+PROGRAM = [sys.executable, "-m"]
+
+
+@contextmanager
+def _process(log: Path, *command: str) -> Iterator[subprocess.Popen[bytes]]:
+    with log.open("ab") as file:
+        child = subprocess.Popen([*PROGRAM, *command], stdout=file, stderr=file)
+    try:
+        yield child
+    finally:
+        child.send_signal(signal.SIGTERM)
+        try:
+            child.wait(10.0)
+        except subprocess.TimeoutExpired:
+            child.kill()
+            child.wait()
+
+
+def _stop_s(where: Endpoint) -> float:
+    """How long an operator takes from nothing to the station's answer to a stop."""
+    begin_s = time.monotonic()
+    with Bus(ZenohTransport(where, patience_s=PATIENCE_S)) as bus:
+        while not (reply := bus.order(Command(Order.STOP, 0), time.time_ns(), 2.0)).accepted:
+            if time.monotonic() - begin_s > PATIENCE_S:
+                raise Stuck(f"no stop: {reply.reason}")
+    return time.monotonic() - begin_s
+
+
+def _until(there: Bus, process: str, present: bool) -> None:
+    if not there.wait(lambda: (process in there.present) is present, PATIENCE_S):
+        raise Stuck(f"{process} is {'not ' if present else ''}there")
+
+
+def strangers_knock(rig: None, random: Random) -> Sample:
+    """Strangers from the members' own address, or another; whole handshakes only from another (docs/security.md)."""
+    attack = ATTACKS[int(random.integers(len(ATTACKS)))]
+    source = "127.0.0.2" if "handshakes_hz" in attack or random.integers(2) else "127.0.0.1"
+    folder = Path(tempfile.mkdtemp(prefix="shoal-strangers-"))
+    ring, now, port = folder / "keys", datetime.now(UTC), free_port()
+    keys.init(ring, [], "shoal", now)
+    keys.add(ring, "robot", 1, now)
+    address = f"tls/127.0.0.1:{port}"
+    station = ["groundstation", "run", "pool", "--listen", address, "--keys", str(ring), "--no-web"]
+    agent = ["robot_agent", "run", "pool", "--robot", "1", "--station", address, "--keys", str(ring), "--link"]
+    agent.append(f"udp:127.0.0.1:{free_port()}")
+    with (
+        _process(folder / "station.log", *station, "--run-dir", str(folder / "run")),
+        Bus(ZenohTransport(endpoint(address, "viewer", ring), patience_s=PATIENCE_S)) as there,
+    ):
+        there.watch_presence()
+        _until(there, "groundstation", True)
+        calm_s = _joins_s(there, folder, agent)
+        with Strangers(port, source, **attack):  # type: ignore[arg-type]
+            time.sleep(ATTACK_S)
+            operator = endpoint(address, "operator", ring)
+            found = {"stop answered, this machine": _stop_s(nearest(operator)), "stop answered": _stop_s(operator)}
+            return {**found, "agent joins later": max(_joins_s(there, folder, agent) - calm_s, 0.0)}
+
+
+def _joins_s(there: Bus, folder: Path, agent: list[str]) -> float:
+    """How long an agent takes from its start until the others see it."""
+    _until(there, "agent-1", False)
+    begin_s = time.monotonic()
+    with _process(folder / "agent.log", *agent):
+        _until(there, "agent-1", True)
+        return time.monotonic() - begin_s

@@ -1,0 +1,87 @@
+"""SHELL: strangers at a port of this machine: short connections, silent ones, and handshakes without a certificate.
+
+Loopback addresses only, and bounded in number and time: what they attack is started by the test itself.
+"""
+
+import contextlib
+import socket
+import ssl
+import threading
+import time
+from collections.abc import Callable
+from types import TracebackType
+
+MOST_HALF_OPEN = 1000
+MOST_PER_S = 500
+MOST_S = 30.0
+REPLACED = 20  # half-open connections that were closed, ten times a second
+
+
+class Strangers:
+    """Attack a port from `source` until the context ends, or MOST_S have passed.
+
+    `knocks_hz`: connections that send five bytes and close. `half_open`: connections that stay and say nothing; those that
+    are closed are replaced. `handshakes_hz`: whole TLS handshakes without a certificate."""
+
+    def __init__(
+        self, port: int, source: str = "127.0.0.1", *, knocks_hz: float = 0.0, half_open: int = 0, handshakes_hz: float = 0.0
+    ) -> None:
+        assert source.startswith("127.") and half_open <= MOST_HALF_OPEN and max(knocks_hz, handshakes_hz) <= MOST_PER_S
+        self._port, self._source = port, source
+        self._over = threading.Event()
+        self._held: list[socket.socket] = []
+        self._half_open = half_open
+        self.made = 0  # connections, of all kinds
+        ways: list[tuple[Callable[[], None], float]] = [(self._knock, knocks_hz), (self._handshake, handshakes_hz)]
+        ways.append((self._hold, 10.0 if half_open else 0.0))
+        self._threads = [threading.Thread(target=self._at, args=way, daemon=True) for way in ways if way[1]]
+
+    def _connect(self) -> socket.socket:
+        self.made += 1
+        return socket.create_connection(("127.0.0.1", self._port), timeout=1.0, source_address=(self._source, 0))
+
+    def _at(self, once: Callable[[], None], rate_hz: float) -> None:
+        begin_s, count = time.monotonic(), 0
+        while not self._over.wait(max(begin_s + count / rate_hz - time.monotonic(), 0.0)):
+            if time.monotonic() - begin_s > MOST_S:
+                return
+            count += 1
+            with contextlib.suppress(OSError):
+                once()
+
+    def _knock(self) -> None:
+        with self._connect() as stranger:
+            stranger.sendall(b"hello")
+
+    def _handshake(self) -> None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+        with context.wrap_socket(self._connect()) as stranger:
+            stranger.settimeout(0.2)
+            stranger.recv(1)
+
+    def _hold(self) -> None:
+        for held in list(self._held):
+            held.setblocking(False)
+            with contextlib.suppress(BlockingIOError):
+                with contextlib.suppress(ConnectionError):
+                    if held.recv(1):
+                        continue
+                held.close()
+                self._held.remove(held)
+        missing = self._half_open - len(self._held)
+        for _ in range(missing if self.made < self._half_open else min(missing, REPLACED)):
+            if not self._over.is_set():
+                self._held.append(self._connect())
+
+    def __enter__(self) -> "Strangers":
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._over.set()
+        for thread in self._threads:
+            thread.join()
+        for held in self._held:
+            held.close()
