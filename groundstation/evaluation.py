@@ -13,7 +13,6 @@ from groundstation.runlog import RunLog
 from groundstation.series import HOPS, SETTLED_S, THRUSTERS, Flight, Happening, Mask, RobotSeries, Series, active_limits
 from wire.experiment import ArticleRow, Experiment
 from wire.frames import Array, pose_error, wrap_angle
-from wire.version import UNKNOWN, code
 
 
 def evaluate(series: Series, log: RunLog) -> Result:
@@ -62,9 +61,8 @@ def evaluate(series: Series, log: RunLog) -> Result:
         faults=tuple(h for h in series.happenings if h.fault and _in_flight(h, series)),
         asked_s=round(series.asked_s, 6),
         log_trouble=log.trouble,
-        version=log.metadata.get("version", UNKNOWN),
-        commit=log.metadata.get("commit", UNKNOWN),
-        evaluated_by=code().commit,
+        version=log.metadata.get("version", "unknown"),
+        commit=log.metadata.get("commit", "unknown"),
         flight=series.flight,
         flights=tuple(_part(flight, series.start_ns) for flight in series.flights),
     )

@@ -2,7 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -23,6 +23,7 @@ from wire.experiment import ArticleRow, Experiment, load_experiment
 from wire.outputs import replace_text, replacing
 from wire.runtime import log
 from wire.toml_file import ConfigError
+from wire.version import code
 
 MOST_HAPPENINGS = 400
 NOTHING = "–"
@@ -49,7 +50,7 @@ def write_report(run_dir: Path, flight: int | None = None) -> Result:
     recorded = _read(run_dir / "run.mcap", mend=True)
     experiment = _experiment(run_dir, recorded, put_back=True)
     series = align(experiment, recorded, flight)
-    result = evaluate(series, recorded)
+    result = replace(evaluate(series, recorded), evaluated_by=code().commit)
     replace_text(run_dir / "result.json", result.to_json())
     replace_text(run_dir / "report.html", render(series, recorded, result))
     return result

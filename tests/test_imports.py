@@ -25,8 +25,8 @@ SHELL_MODULES = {
     "serial", "shutil", "signal", "socket", "subprocess", "tempfile", "threading", "time", "urllib", "uuid", "zenoh",
 }  # fmt: skip
 SHELL_METHODS = {
-    "exists", "glob", "imread", "imwrite", "is_dir", "is_file", "iterdir", "mkdir", "now", "read_bytes", "read_text", "rename",
-    "rglob", "rmdir", "symlink_to", "unlink", "utcnow", "VideoCapture", "write_bytes", "write_text",
+    "exists", "glob", "imread", "imwrite", "is_dir", "is_file", "iterdir", "mkdir", "now", "open", "read_bytes", "read_text",
+    "rename", "rglob", "rmdir", "symlink_to", "unlink", "utcnow", "VideoCapture", "write_bytes", "write_text",
 }  # fmt: skip
 SHELL_FUNCTIONS = {"open", "input", "print"}
 

@@ -8,6 +8,7 @@ import tracemalloc
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import zstandard
@@ -144,7 +145,7 @@ def zip_until_damaged(file: object) -> Iterator[tuple[int, bytes]]:
 def write_crafted(folder: Path, key: str, session: str = "1", cut: bool = False, stamp_ns: int = 5, end: str = "{}") -> None:
     """A log with one odd thing in it, and a pose before it."""
     with (folder / "run.mcap").open("wb") as file:
-        writer = Writer(file)
+        writer: Any = Writer(file)  # Any: mcap is typed in part
         writer.start(library="somebody")
         schema = writer.register_schema("fleet.Pose", "protobuf", b"")
         good = writer.register_channel("shoal/robot/1/pose", "protobuf", schema, {"session": "1"})

@@ -127,8 +127,17 @@ def test_what_was_mended_is_on_the_disk_before_it_takes_the_place(tmp_path: Path
     path.write_bytes(path.read_bytes()[:-100])
     happened: list[str] = []
     sync, replace = os.fsync, Path.replace
-    monkeypatch.setattr(os, "fsync", lambda fd: (happened.append(str(os.fstat(fd).st_size)), sync(fd))[1])
-    monkeypatch.setattr(Path, "replace", lambda old, new: (happened.append(new.name), replace(old, new))[1])
+
+    def synced(fd: int) -> None:
+        happened.append(str(os.fstat(fd).st_size))
+        sync(fd)
+
+    def replaced(old: Path, new: Path) -> Path:
+        happened.append(new.name)
+        return replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
     assert recover(path)
     assert happened == [str(path.stat().st_size), "run.mcap"]
 

@@ -125,7 +125,8 @@ def test_lists_have_a_row_per_entry_and_an_empty_one_says_so(run: Path, tmp_path
     assert [row["obstacle"] for row in obstacles] == ["4", "9", ""]
     assert (obstacles[1]["corner_12_y_m"], obstacles[2]["corner_1_x_m"], obstacles[2]["watched"]) == ("47.0", "", "0.5")
     plan = table(tmp_path / "robot-2-plan.csv")
-    assert [(row["node"], float(row["ahead_s"]), row["x_m"]) for row in plan][2] == ("2", pytest.approx(0.1), "8.0")
+    assert (plan[2]["node"], plan[2]["x_m"]) == ("2", "8.0")
+    assert float(plan[2]["ahead_s"]) == pytest.approx(0.1)
     path = table(tmp_path / "robot-1-trajectory.csv")
     assert [float(row["trajectory_s"]) for row in path] == pytest.approx([0.5, 0.55, 0.6])
     assert [(row["key"], row["value"]) for row in table(tmp_path / "station-tuning.csv")][1] == ("controller.mpc.q.1", "2.0")

@@ -35,7 +35,7 @@ def with_states(series: Series, robot: int, **columns: object) -> Series:
 def bars(figure: Figure | None) -> list[float]:
     """Where the bars of a figure begin, row by row."""
     assert figure is not None
-    return [float(path.vertices[:, 0].min()) for c in figure.axes[0].collections for path in c.get_paths()]
+    return [float(np.asarray(path.vertices)[:, 0].min()) for c in figure.axes[0].collections for path in c.get_paths()]
 
 
 def curve(figure: Figure | None, name: str) -> Array:

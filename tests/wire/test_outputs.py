@@ -63,8 +63,17 @@ def test_rights_of_a_file_stay_as_they_were(tmp_path: Path) -> None:
 def test_durable_is_on_the_disk_before_it_takes_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     happened: list[str] = []
     sync, replace = os.fsync, Path.replace
-    monkeypatch.setattr(os, "fsync", lambda fd: (happened.append(f"{os.fstat(fd).st_size} on the disk"), sync(fd))[1])
-    monkeypatch.setattr(Path, "replace", lambda old, new: (happened.append(f"now {new.name}"), replace(old, new))[1])
+
+    def synced(fd: int) -> None:
+        happened.append(f"{os.fstat(fd).st_size} on the disk")
+        sync(fd)
+
+    def replaced(old: Path, new: Path) -> Path:
+        happened.append(f"now {new.name}")
+        return replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
     with replacing(tmp_path / "file", durable=True) as file:
         file.write(b"12345")
     assert happened == ["5 on the disk", "now file"]
