@@ -45,7 +45,7 @@ robot = {robot}
 priority = 20
 # Pin the process, with all its threads, to these CPU cores, for example [3]; empty: any.
 cores = []
-# Keep it out of swap.
+# Keep what it uses out of swap.
 lock_memory = true
 """
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from robot_agent.config import Realtime
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
+_MCL_ONFAULT = 4  # what is used, once it is used: threads' stacks and pools that nobody fills would take another 250 MB
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 
@@ -29,7 +30,8 @@ def apply(wanted: Realtime) -> list[str]:
             _pin(wanted.cores)
         except (OSError, ValueError) as error:
             refused.append(f"cores {list(wanted.cores)}: {error} (there are {_ranges(os.sched_getaffinity(0))})")
-    if wanted.lock_memory and ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+    everything = _MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT
+    if wanted.lock_memory and ctypes.CDLL(None, use_errno=True).mlockall(everything) != 0:
         refused.append(f"lock_memory: {os.strerror(ctypes.get_errno())} (LimitMEMLOCK=infinity in the unit, or CAP_IPC_LOCK)")
     if wanted.priority:
         try:

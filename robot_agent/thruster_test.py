@@ -1,11 +1,13 @@
 """SHELL: turn each thruster a little, one after the other, and see that the board did. The robot must be free to move.
 
 Pulses go out at the control rate, as in flight, so the board's own rules (arming, rate, age) hold all the time. Whatever
-happens, the last things sent are neutral pulses and a disarm.
+happens, also when it is told to end or its terminal is closed, the last things sent are neutral pulses and a disarm.
 """
 
+import signal
 import time
 from collections.abc import Iterator
+from types import FrameType
 
 import numpy as np
 
@@ -62,6 +64,8 @@ class _Bench:
 
 def turn_thrusters(experiment: Experiment, board: Board) -> Iterator[Finding]:
     """One finding per thruster. The caller has made sure that nobody's fingers are near."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _end)
     link, signing = open_board(board)
     bench = _Bench(experiment, link, agent_end(board.robot, signing))
     try:
@@ -77,6 +81,11 @@ def turn_thrusters(experiment: Experiment, board: Board) -> Iterator[Finding]:
     finally:
         bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
         link.close()
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    """As Ctrl-C does: what is under way ends in its `finally`."""
+    raise SystemExit(128 + number)
 
 
 def judge(i: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> Finding:

@@ -25,6 +25,13 @@ from wire.transport import Endpoint, ZenohTransport
 
 POOL = load_experiment("pool", ["safety.watch_thrusters=false"])  # nothing that they do moves this robot
 PATIENCE_S, NEUTRAL_US = 60.0, (1500,) * 4
+TURN_THRUSTERS = """
+import sys
+from robot_agent.config import Board
+from robot_agent.thruster_test import turn_thrusters
+from wire.experiment import load_experiment
+print(list(turn_thrusters(load_experiment("pool"), Board(robot=1, experiment="pool", station="", link=sys.argv[1]))))
+"""
 BROKEN_ON_PURPOSE = """
 import runpy, signal, sys
 from robot_agent.controller import Controller
@@ -166,5 +173,29 @@ def test_a_program_that_ends_leaves_its_board_neutral_and_disarmed(
     assert any(isinstance(event, Override) for event in told[disarm:])
     assert (bench.board.armed, bench.board.neutral) == (False, True)
     said = [text for _, text in bench.heard.telemetry.texts]
-    assert "armed" in said and not any("no override" in text for text in said)  # it was told, and did not have to find out
+    assert "armed" in said and not any(
+        "disarmed: no override" in text for text in said
+    )  # it was told, and did not have to find out
     assert f"{why}; neutral and disarm sent to the thruster board, which says that it is disarmed" in log.read_text()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_look_at_the_thrusters_that_is_ended_leaves_them_at_rest(number: signal.Signals) -> None:
+    port = free_port(SOCK_DGRAM)
+    with Bench(port) as bench:
+        looking = subprocess.Popen(
+            [sys.executable, "-c", TURN_THRUSTERS, f"udp:127.0.0.1:{port}"], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+        )
+        try:
+            deadline = time.monotonic() + PATIENCE_S
+            while bench.board.neutral and time.monotonic() < deadline:
+                time.sleep(0.005)
+            assert not bench.board.neutral
+            looking.send_signal(number)
+            said, _ = looking.communicate(timeout=PATIENCE_S)
+        finally:
+            looking.kill()
+            looking.wait()
+    texts = [text for _, text in bench.heard.telemetry.texts]
+    assert (said, bench.board.armed, bench.told[-2]) == (b"", False, Arm(False))
+    assert "armed" in texts and not any("disarmed: no override" in text for text in texts)

@@ -172,3 +172,57 @@ print(refused, here == (os.SCHED_FIFO, 5), there == [os.SCHED_OTHER])
     if "priority" in said:
         pytest.skip(f"this container allows no real-time priority: {said}")
     assert said == "[] True True"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads are pinned on Linux")
+def test_every_thread_is_pinned_those_from_before_and_those_to_come() -> None:
+    script = """
+import os, threading
+from robot_agent import realtime
+from robot_agent.config import Realtime
+core, found, go = min(os.sched_getaffinity(0)), [], threading.Event()
+def look():
+    go.wait()
+    found.append(os.sched_getaffinity(0))
+before = threading.Thread(target=look)
+before.start()
+print(realtime.apply(Realtime(cores=(core,))))
+go.set(); before.join()
+after = threading.Thread(target=look)
+after.start(); after.join()
+print(found == [{core}, {core}])
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["[]", "True"]
+
+
+def test_the_collector_leaves_alone_what_there_was_when_the_program_began() -> None:
+    script = """
+import gc
+from robot_agent import realtime
+from robot_agent.agent import Agent
+from wire.experiment import load_experiment
+agent = Agent(load_experiment("pool"), 1)
+before = len(gc.get_objects())
+realtime.settle()
+print(before > 50_000 and len(gc.get_objects()) < before // 20)
+"""
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip() == "True"
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs root to be allowed everything")
+def test_locked_memory_is_what_is_used_and_no_more() -> None:
+    script = """
+import mmap, pathlib
+from robot_agent import realtime
+from robot_agent.config import Realtime
+before = mmap.mmap(-1, 1 << 29)
+refused = realtime.apply(Realtime(lock_memory=True))
+after = mmap.mmap(-1, 1 << 29)
+said = dict(line.split(":", 1) for line in pathlib.Path("/proc/self/status").read_text().splitlines() if ":" in line)
+print(refused, int(said["VmLck"].split()[0]) > 2**20, int(said["VmRSS"].split()[0]) < 2**19)
+"""
+    said = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout.strip()
+    if "lock_memory" in said:
+        pytest.skip(f"this container locks no memory: {said}")
+    assert said == "[] True True"
