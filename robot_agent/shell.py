@@ -80,6 +80,7 @@ class Shell:
         self._bus.announce(f"agent-{self._robot}")
         log.info("ready, experiment %s", self._experiment.hash[:8])
         self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
+        self._watchdog.mode(self.agent.mode.name)
         for due_ns, up_to_ns in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
             started_ns = time.perf_counter_ns()
             now_ns = self._clock.now_ns()
@@ -270,5 +271,6 @@ class Shell:
         self._bus.publish(topics.STATE, state, now_ns, self._robot)
         if (state.mode, state.fault) != self._told:
             self._told = (state.mode, state.fault)
+            self._watchdog.mode(state.mode.name, state.fault)
             say = log.warning if state.fault else log.info
             say("%s%s", state.mode.name.lower(), f": {state.fault}" if state.fault else "")
