@@ -34,6 +34,7 @@ class Probe:
     machine: str
     python: str  # 3.11
     manifest: Mapping[str, str]
+    agent: str = ""  # what the agent does, if it runs and is not disarmed: a mode's name, or "unknown"
 
     @property
     def platforms(self) -> tuple[str, ...]:
@@ -66,9 +67,9 @@ def check_home(home: str) -> None:
         raise ConfigError(f"--home {home!r}: no folder for a board (allowed: an absolute path of letters, digits, . _ - /)")
 
 
-PROBE = (
+PROBE = (  # behind templates/armed.sh
     "uname -m; python3 -c 'import sys, venv, ensurepip; print(\"%d.%d\" % sys.version_info[:2])' 2>/dev/null || echo none; "
-    "cat {home}/manifest 2>/dev/null || true"
+    "armed | sed 's/^/agent /'; cat {home}/manifest 2>/dev/null || true"
 )
 
 
@@ -82,7 +83,21 @@ def read_probe(host: str, said: str) -> Probe:
     if tuple(map(int, python.split("."))) < OLDEST_PYTHON:
         raise ConfigError(f"{host}: Python {python}, needs {'.'.join(map(str, OLDEST_PYTHON))} or newer")
     known = dict(line.split(" ", 1) for line in manifest if " " in line)
-    return Probe(machine, python, {part: known[part] for part in PARTS if part in known})
+    return Probe(machine, python, {part: known[part] for part in PARTS if part in known}, known.get("agent", ""))
+
+
+def refuse_to_restart(target: Target, probe: Probe) -> None:
+    """Raises ConfigError for a board whose agent is not surely disarmed: a restart would disarm a robot in flight."""
+    if probe.agent == "unknown":
+        raise ConfigError(
+            f"{target.host}: the agent of robot {target.robot} runs, and does not say whether it is armed (an older version): "
+            "see that it rests, then --force; or --no-restart"
+        )
+    if probe.agent:
+        raise ConfigError(
+            f"{target.host}: robot {target.robot} is {probe.agent}, and a restart would disarm it at once: "
+            "disarm it first (groundstation order disarm); or --no-restart, or --force"
+        )
 
 
 def digest(files: Iterable[tuple[str, bytes]]) -> str:

@@ -25,11 +25,13 @@ def deploy(
     wheelhouse: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Ready-made wheels; default: made here.")] = None,
     ssh: Annotated[str, typer.Option(help="The ssh command, with options.")] = "ssh",
     restart: Annotated[bool, typer.Option(help="Restart the service where something has changed.")] = True,
+    force: Annotated[bool, typer.Option("--force", help="Restart also where the robot is armed: it disarms.")] = False,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would change, and change nothing.")] = False,
 ) -> None:
     """Bring robots' boards up to date over SSH: software, certificates, experiment, settings, service.
 
-    What is there already does not travel; a board where nothing has changed is not touched. Exit code 1 if one has failed.
+    What is there already does not travel; a board where nothing has changed is not touched. A robot that is not disarmed is
+    refused. Exit code 1 if one has failed.
 
     Examples:  groundstation deploy pi@192.168.1.21=1 pi@192.168.1.22=2 --station tls/192.168.1.10:7447 --keys keys
                groundstation deploy pi@192.168.1.21=1 --station tls/192.168.1.10:7447 --keys keys --dry-run
@@ -44,7 +46,7 @@ def deploy(
     targets = parse_targets(boards)
     loaded = load_experiment(experiment, settings or ())
     command = _command(ssh)
-    wanted = Wanted(loaded, station, fleet, link, link_key, home, keys, insecure, wheelhouse, command, restart, dry_run)
+    wanted = Wanted(loaded, station, fleet, link, link_key, home, keys, insecure, wheelhouse, command, restart, dry_run, force)
     check(targets, wanted)
     table = Table("board", "robot", "would change" if dry_run else "changed", "version", "service")
     failed = False

@@ -27,6 +27,7 @@ ANSWER_S = 30.0
 INSTALL_S = 900.0  # a small board unpacks and compiles for minutes
 AT_ONCE = 4
 SCRIPT = Path(__file__).parent / "templates" / "board.sh"
+ARMED = Path(__file__).parent / "templates" / "armed.sh"
 
 Files = list[tuple[str, bytes]]
 
@@ -47,6 +48,7 @@ class Wanted:
     ssh: tuple[str, ...] = ("ssh",)
     restart: bool = True
     dry_run: bool = False
+    force: bool = False  # restart also an agent that is armed
 
 
 @dataclass(frozen=True)
@@ -91,15 +93,22 @@ def _tried(target: Target, wanted: Wanted) -> Outcome:
 def deploy_one(target: Target, wanted: Wanted) -> Outcome:
     """One board. Raises ConfigError with the reason why not."""
     home = shlex.quote(wanted.home)
-    probe = deploy.read_probe(target.host, _ssh(wanted, target, deploy.PROBE.format(home=home), b"", ANSWER_S))
+    asked = ARMED.read_text(encoding="utf-8") + deploy.PROBE.format(home=home)
+    probe = deploy.read_probe(target.host, _ssh(wanted, target, asked, b"", ANSWER_S))
     parts = _parts(target, wanted, probe)
     digests = {part: deploy.digest(files) for part, files in parts.items()}
     travels = deploy.changed(digests, probe.manifest)
-    if wanted.dry_run or not travels:
+    if not travels:
+        return Outcome(target, travels, service="not touched")
+    if wanted.restart and not wanted.force:
+        deploy.refuse_to_restart(target, probe)
+    if wanted.dry_run:
         return Outcome(target, travels, service="not touched")
     files = [file for part in travels for file in parts[part]]
-    archive = _tar([*files, ("manifest", deploy.write_manifest(digests)), ("board.sh", SCRIPT.read_bytes())])
-    restart = "yes" if wanted.restart else "no"
+    archive = _tar(
+        [*files, ("manifest", deploy.write_manifest(digests)), ("board.sh", ARMED.read_bytes() + SCRIPT.read_bytes())]
+    )
+    restart = "no" if not wanted.restart else "force" if wanted.force else "yes"
     command = (
         f"set -e; umask 077; mkdir -p {home}; rm -rf {home}/incoming; mkdir {home}/incoming; "
         f"tar -xf - -C {home}/incoming; sh {home}/incoming/board.sh {home} {restart}"

@@ -91,6 +91,7 @@ class Shell:
             self._bus.announce(f"agent-{self._robot}")
             log.info("ready, experiment %s", self._experiment.hash[:8])
             self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
+            self._watchdog.mode(self.agent.mode.name)
             self._fly()
         except BaseException as error:
             self._leave(f"the control loop has ended: {type(error).__name__}: {error}", logging.ERROR)
@@ -336,6 +337,7 @@ class Shell:
         self._bus.publish(topics.STATE, state, now_ns, self._robot)
         if (state.mode, state.fault) != self._told:
             self._told = (state.mode, state.fault)
+            self._watchdog.mode(state.mode.name, state.fault)
             say = log.warning if state.fault else log.info
             say("%s%s", state.mode.name.lower(), f": {state.fault}" if state.fault else "")
 

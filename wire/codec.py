@@ -23,12 +23,13 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
 from wire import fleet_pb2
-from wire.messages import Event, Frame, Message, Picture, Preview, Video
+from wire.messages import Command, Event, Frame, Message, OrderTaken, Picture, Preview, Trajectory, Video
 from wire.protobuf_packed import DOUBLE, packed_classes
 from wire.protobuf_tail import joined, parted
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
+MAX_SMALL_BYTES = 64 * 1024  # what holds neither a path nor a picture: 200 nodes of a plan take 13 kB, 290 obstacles the whole
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
@@ -279,9 +280,17 @@ def encode(message: Message, stamp_ns: int = 0) -> bytes:
     return encoded
 
 
+_LARGE = {Trajectory, Command, OrderTaken, Preview, Picture, Video}  # with a path, or compressed pictures
+
+
+def max_bytes(cls: type) -> int:
+    """The most bytes that a message of a class may have: what any member can send must not fill another's memory."""
+    return MAX_FRAME_BYTES if cls is Frame else MAX_MESSAGE_BYTES if cls in _LARGE else MAX_SMALL_BYTES
+
+
 def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:
     """A checked message of class `cls` from its wire form. Raises DecodeError, and nothing else, for any bytes."""
-    limit = MAX_FRAME_BYTES if cls is Frame else MAX_MESSAGE_BYTES
+    limit = max_bytes(cls)
     if len(data) > limit:
         raise DecodeError(peer, topic, "(size)", f"{len(data)} bytes, more than the allowed {limit}")
     message = _carrier(cast(Any, cls))()

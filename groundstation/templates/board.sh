@@ -1,6 +1,6 @@
 #!/bin/sh
 # What `groundstation deploy` does on a robot's board: put the parts that came into place, each whole or not at all.
-# Usage: sh board.sh HOME RESTART(yes|no). In HOME/incoming: manifest, and of software/ keys/ experiment.toml init.args what has
+# Usage: sh board.sh HOME RESTART(yes|no|force); armed.sh stands before it. In HOME/incoming: manifest, and of software/ keys/ experiment.toml init.args what has
 # changed. Prints "key=value" lines for the station.
 set -eu
 umask 077
@@ -8,6 +8,16 @@ home=$1
 restart=$2
 in=$home/incoming
 cd "$home"
+
+# A restart disarms the robot. Asked at first, and again when it is due: an installation takes minutes.
+refuse_if_armed() {
+    does=$([ "$restart" != yes ] || armed)
+    if [ -n "$does" ]; then
+        echo "its agent is $does now: the service was not restarted; deploy again when it is DISARMED" >&2
+        exit 3
+    fi
+}
+refuse_if_armed
 
 if [ -d "$in/software" ]; then
     venv=venvs/$(sed -n 's/^software //p' "$in/manifest")
@@ -55,6 +65,7 @@ if [ -d /run/systemd/system ]; then
         $sudo systemctl enable --quiet shoal-agent.service
     fi
     rm -f unit.next
+    refuse_if_armed
     [ "$restart" = no ] || $sudo systemctl restart --no-block shoal-agent.service
     service=$(systemctl is-active shoal-agent.service || true)
 else

@@ -19,7 +19,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
-from groundstation import deploy, keys, wheelhouse
+from groundstation import deploy, deploy_shell, keys, wheelhouse
 from groundstation.__main__ import cli
 from groundstation.deploy import Probe, Target
 from sim_bridge.ports import free_port
@@ -62,6 +62,21 @@ def test_a_board_that_cannot_run_the_agent_says_what_it_lacks() -> None:
     ):
         with pytest.raises(ConfigError, match=says):
             deploy.read_probe("pi", said)
+
+
+@pytest.mark.parametrize(
+    ("does", "says"),
+    [
+        ("TRACKING", "pi: robot 3 is TRACKING, and a restart would disarm it at once: disarm it first"),
+        ("unknown", "pi: the agent of robot 3 runs, and does not say whether it is armed"),
+    ],
+)
+def test_an_agent_that_is_not_surely_disarmed_is_not_restarted(does: str, says: str) -> None:
+    probe = deploy.read_probe("pi", f"aarch64\n3.11\nagent {does}\nsoftware ab\n")
+    assert (probe.agent, dict(probe.manifest)) == (does, {"software": "ab"})
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        deploy.refuse_to_restart(Target("pi", 3), probe)
+    deploy.refuse_to_restart(Target("pi", 3), deploy.read_probe("pi", "aarch64\n3.11\n"))
 
 
 def test_only_what_differs_travels() -> None:
@@ -148,7 +163,9 @@ def board(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[SshBoard]:
         "UsePAM": "no",
         "StrictModes": "no",
         "PasswordAuthentication": "no",
-        "SetEnv": " ".join(f"{k}={v}" for k, v in {**_environment(), **getattr(request, "param", {})}.items()),
+        "SetEnv": " ".join(f"{k}={v}" for k, v in {**_environment(), **getattr(request, "param", {})}.items()).format(
+            tmp=tmp_path
+        ),
     }
     (tmp_path / "sshd_config").write_text("".join(f"{key} {value}\n" for key, value in settings.items()))
     (tmp_path / "known_hosts").write_text(f"[localhost]:{port} {(tmp_path / 'host.pub').read_text()}")
@@ -233,6 +250,29 @@ def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard,
     assert row(changed)[2] == "experiment"
     assert load_experiment(str(board.home / "experiment.toml")).duration_s == 33
     assert "PRIVATE KEY" not in first.output
+
+
+@pytest.mark.parametrize("board", [{**WITH_PACKAGES, "RUNTIME_DIRECTORY": "{tmp}/run"}], indirect=True)
+def test_a_robot_that_flies_is_left_alone(board: SshBoard, ring: Path, own_wheel: Path) -> None:
+    status = board.home.parents[1] / "run" / "status"
+    status.parent.mkdir()
+    status.write_text(f"TRACKING {os.getpid()}\n")  # an agent that runs: this test's process
+    refused = deployed(board, ring, own_wheel)
+    assert refused.exit_code == 1
+    assert row(refused)[2].startswith("localhost: robot 1 is TRACKING, and a restart would disarm it at once")
+    assert not board.home.exists()
+    archive = board.home / "incoming"  # as if it had been armed while the software was being installed
+    archive.mkdir(parents=True)
+    script = (deploy_shell.ARMED.read_text() + deploy_shell.SCRIPT.read_text()).encode()
+    late = subprocess.run(
+        [*board.ssh.split(), "localhost", f"sh -s {board.home} yes"], input=script, capture_output=True, check=False
+    )
+    assert late.returncode == 3 and b"its agent is TRACKING now: the service was not restarted" in late.stderr
+    assert row(deployed(board, ring, own_wheel, "--force", "--dry-run"))[4] == "not touched"
+    for rests in (f"DISARMED {os.getpid()}", "TRACKING 4194305"):  # the second has ended: no process has such a number
+        status.write_text(f"{rests}\n")
+        armed = board.run(f"{deploy_shell.ARMED.read_text()}armed")
+        assert armed == ""
 
 
 def test_a_board_that_does_not_answer_is_named_and_the_others_get_theirs(ring: Path, own_wheel: Path, board: SshBoard) -> None:

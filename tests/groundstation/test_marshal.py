@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation import marshal as marshalling
 from groundstation.checks import PlanError
 from groundstation.formation import NodeMotion
 from groundstation.from_rest import gathered
@@ -126,6 +127,16 @@ def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, floa
     x, yaw = absurd
     with pytest.raises(PlanError, match="robot 1 says that it"):
         marshal(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NOTHING)
+
+
+def test_a_robot_whose_way_leads_past_one_that_waits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no way leads around: here because every trip is planned as if nobody stood anywhere."""
+    straight = marshalling.planned_trip
+    monkeypatch.setattr(marshalling, "planned_trip", lambda *given: straight(*given[:4], []))
+    monkeypatch.setattr(marshalling, "ORDERS", 2)
+    starts = {1: pose(-2.0, 0.0), 2: pose(0.0, 0.1)}
+    with pytest.raises(PlanError, match="robot 1 would pass too near a robot that waits"):
+        marshal(pool(), starts, {1: pose(2.0, 0.0), 2: starts[2]}, NOTHING)
 
 
 def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:

@@ -45,6 +45,7 @@ def test_the_unit_says_what_was_decided() -> None:
         "Restart=always",
         "User=pi",
         "StateDirectory=shoal-agent",
+        "RuntimeDirectory=shoal-agent",
         "ExecStart=/opt/shoal/venv/bin/robot-agent run --config /opt/shoal/agent.toml",
     ):
         assert line in lines
@@ -72,6 +73,7 @@ def test_the_watchdog_is_fed_as_often_as_asked_and_never_by_itself(tmp_path: Pat
     with ear(tmp_path / name) as heard:
         watchdog = Watchdog({"NOTIFY_SOCKET": str(tmp_path / name), "WATCHDOG_USEC": "2000000"})
         watchdog.ready("flying")
+        watchdog.mode("FAULT", "no pose")
         for now_ns in range(0, 2_000_000_000, 50_000_000):  # a watchdog period of control steps
             watchdog.alive(now_ns)
         watchdog.stopping()
@@ -80,7 +82,7 @@ def test_the_watchdog_is_fed_as_often_as_asked_and_never_by_itself(tmp_path: Pat
         said = []
         while (text := _next(heard)) is not None:
             said.append(text)
-    assert said == ["READY=1\nSTATUS=flying", *["WATCHDOG=1"] * TIMES_A_WATCH, "STOPPING=1"]
+    assert said == ["READY=1\nSTATUS=flying", "STATUS=fault: no pose", *["WATCHDOG=1"] * TIMES_A_WATCH, "STOPPING=1"]
 
 
 def _next(heard: socket.socket) -> str | None:
@@ -106,9 +108,23 @@ def test_without_a_service_manager_nothing_happens(environment: dict[str, str]) 
     watchdog.close()
 
 
+def test_what_the_robot_does_stands_in_a_file_until_the_agent_ends(tmp_path: Path) -> None:
+    watchdog = Watchdog({"RUNTIME_DIRECTORY": str(tmp_path)})
+    watchdog.mode("DISARMED")
+    watchdog.mode("TRACKING")
+    assert (tmp_path / "status").read_text() == f"TRACKING {os.getpid()}\n"
+    assert [file.name for file in tmp_path.iterdir()] == ["status"]
+    watchdog.stopping()
+    assert not list(tmp_path.iterdir())
+    lost = Watchdog({"RUNTIME_DIRECTORY": str(tmp_path / "gone")})
+    lost.mode("TRACKING")
+    lost.stopping()
+
+
 def test_a_real_agent_tells_systemd_when_it_is_ready_and_that_its_loop_goes_round(tmp_path: Path) -> None:
     address = f"tcp/127.0.0.1:{free_port()}"
     environment = {**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "400000"}
+    environment["RUNTIME_DIRECTORY"] = str(tmp_path)
     command = ["run", "pool", "--robot", "1", "--link", "udp:127.0.0.1:9", "--station", address]
     with ear(tmp_path / "notify") as heard:
         agent = subprocess.Popen([sys.executable, "-m", "robot_agent", *command], env=environment, stderr=subprocess.DEVNULL)
@@ -120,6 +136,8 @@ def test_a_real_agent_tells_systemd_when_it_is_ready_and_that_its_loop_goes_roun
             router = ZenohTransport(Endpoint(address, router=True))
             heard.settimeout(30.0)
             assert heard.recv(1000) == b"READY=1\nSTATUS=robot 1, experiment pool"
+            assert heard.recv(1000) == b"STATUS=disarmed"
+            assert (tmp_path / "status").read_text() == f"DISARMED {agent.pid}\n"  # `groundstation deploy` reads it
             assert [heard.recv(1000) for _ in range(5)] == [b"WATCHDOG=1"] * 5
             agent.terminate()
             told = b""

@@ -14,7 +14,23 @@ from hypothesis import strategies as st
 from tests.wire.strategies import CLASSES, FOREIGN, OWN, damaged, example, nested, same, valid
 from wire import codec
 from wire.codec import DecodeError, Header, decode, encode
-from wire.messages import Command, Event, Frame, Order, Plan, Pose, Preview, RobotState, Trajectory
+from wire.messages import (
+    Command,
+    Event,
+    Frame,
+    Obstacles,
+    Order,
+    OrderTaken,
+    Picture,
+    Plan,
+    Pose,
+    Preview,
+    RobotState,
+    StepInputs,
+    Trajectory,
+    Truth,
+    Video,
+)
 
 each_class = pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 
@@ -316,8 +332,75 @@ def test_a_message_of_another_type_is_a_message_or_a_decode_error(cls: Any) -> N
 
 @each_class
 def test_an_oversized_payload_is_refused_before_it_is_parsed(cls: Any) -> None:
-    limit = codec.MAX_FRAME_BYTES if cls is Frame else codec.MAX_MESSAGE_BYTES
-    assert _refused(cls, bytes(limit + 1)).field == "(size)"
+    limit = codec.max_bytes(cls)
+    large = limit == codec.MAX_MESSAGE_BYTES
+    assert large == (cls in (Trajectory, Command, OrderTaken, Preview, Picture, Video))
+    error = _refused(cls, bytes(limit + 1))
+    assert (error.field, error.reason) == ("(size)", f"{limit + 1} bytes, more than the allowed {limit}")
+
+
+def test_the_largest_messages_that_a_fleet_sends_get_through() -> None:
+    nodes, robots, obstacles = 200, 49, 200  # a horizon's and a fleet's bounds in wire/tuning.py and wire/experiment.py
+    ids = tuple(range(robots))
+    for message in (
+        Plan(0.05, np.ones((nodes, 4)), np.ones((nodes, 4))),
+        Truth(ids, np.ones((robots, 4)), np.ones((robots, 4)), np.ones((robots, 3)), np.ones((robots, 4))),
+        StepInputs(1, plan_robots=ids, plan_sessions=ids, plan_sequences=ids, plan_instants_ns=(2**62,) * robots),
+        Obstacles(tuple(range(obstacles)), np.ones((obstacles, 12, 2)), np.ones((obstacles, 2))),
+    ):
+        assert same(_decode(type(message), encode(message)), message)
+
+
+def _spoilt_wire(message: Any, **fields: Any) -> bytes:
+    """A message's wire form with some of its protobuf fields replaced."""
+    theirs = codec.protobuf_class(type(message)).FromString(encode(message))
+    for name, value in fields.items():
+        setattr(theirs, name, value)
+    return bytes(theirs.SerializeToString())
+
+
+@pytest.mark.parametrize(
+    ("cls", "data", "says"),
+    [
+        (
+            Trajectory,
+            lambda: encode(dataclasses.replace(example(Trajectory), period_s=0.0)),
+            "period_s: 0.0 is not more than 0",
+        ),
+        (RobotState, lambda: _spoilt_wire(RobotState(), mode=99), "mode: 99 is not allowed (allowed: 0 DISARMED, 1 ARMED, "),
+        (Event, lambda: _spoilt_wire(Event(2, "x", "y"), level=0), "level: 0 is not allowed (allowed: 1 to 5)"),
+        (Preview, lambda: _spoilt_wire(Preview(b""), format="png"), "format: 'png' is not allowed (allowed: jpeg)"),
+        (
+            Frame,
+            lambda: _spoilt_wire(Frame(np.zeros((2, 2), np.uint8)), encoding="rgb8"),
+            "encoding: 'rgb8' is not allowed (allowed: bayer_rggb8)",
+        ),
+        (
+            Frame,
+            lambda: _spoilt_wire(Frame(np.zeros((2, 2), np.uint8)), step=3),
+            "step: 2 x 2 with step 3 is no packed picture",
+        ),
+        (
+            Frame,
+            lambda: _spoilt_wire(Frame(np.zeros((2, 2), np.uint8)), height=3),
+            "data: 4 bytes, must be 6",
+        ),
+        (Plan, lambda: _plan_cut(1), "eta: 31 bytes are no doubles"),
+        (Plan, lambda: _plan_cut(8), "eta: 3 values do not fill the shape (-1, 4)"),
+        (Plan, lambda: encode(Plan(0.05, np.ones((2, 4)), np.ones((1, 4)))), "eta_reference: 1 rows, but eta has 2"),
+        (Plan, lambda: b"\xff", "(all): no valid fleet.Plan: "),
+    ],
+    ids=lambda value: value[:20] if isinstance(value, str) else "",
+)
+def test_a_refusal_names_the_field_what_it_holds_and_what_is_allowed(cls: Any, data: Any, says: str) -> None:
+    assert f"field {says}" in str(_refused(cls, data()))
+
+
+def _plan_cut(less: int) -> bytes:
+    """A plan of one node whose first array lacks so many bytes."""
+    whole = np.ones(4).tobytes()
+    plan = encode(Plan(0.05, np.ones((1, 4)), np.ones((1, 4))))
+    return plan.replace(bytes([len(whole)]) + whole, bytes([len(whole) - less]) + whole[: len(whole) - less], 1)
 
 
 def test_deep_nesting_is_refused() -> None:

@@ -1,11 +1,16 @@
 """Beyond this machine only with keys, or when the open network was asked for; and what is said about it."""
 
+import contextlib
 import os
+import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,9 +18,10 @@ import pytest
 
 from groundstation import keys
 from sim_bridge.ports import free_port
-from wire import topics
+from wire import reach, topics
 from wire.access import INSECURE
 from wire.endpoint import FLOOD
+from wire.keys import Keys
 from wire.network import endpoint
 from wire.reach import trouble_reaching
 from wire.toml_file import ConfigError
@@ -69,7 +75,8 @@ def test_keys_that_others_can_read_are_refused(ring: Path) -> None:
 
 
 def test_what_cannot_be_is_refused(ring: Path) -> None:
-    with pytest.raises(ConfigError, match=r"agent-9.*missing"):
+    made = "(made by `groundstation keys add`, copied by `deploy`)"
+    with pytest.raises(ConfigError, match=re.escape(f"--keys {ring}: {ring}/agent-9/ca.pem is missing {made}")):
         endpoint("tls/127.0.0.1:7447", "agent-9", ring)
     for name in ("ca.pem", "cert.pem", "key.pem"):
         shutil.copytree(ring / "viewer", ring / "agent-9", dirs_exist_ok=True)
@@ -120,6 +127,72 @@ def test_a_reason_is_given_for_every_way_of_not_being_there(ring: Path) -> None:
             ZenohTransport(Endpoint(address), patience_s=0.1)
     finally:
         guarded.close()
+
+
+class Impostor:
+    """A server on this machine that does one thing with each connection."""
+
+    def __init__(self, once: Callable[[socket.socket], None]) -> None:
+        self._server, self._once = socket.create_server(("127.0.0.1", 0)), once
+        self.address = f"tls/127.0.0.1:{self._server.getsockname()[1]}"
+        threading.Thread(target=self._serve, daemon=True).start()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):  # closed
+            while True:
+                connection, _ = self._server.accept()
+                with connection:
+                    self._once(connection)
+
+    def close(self) -> None:
+        self._server.close()
+
+
+def alert(number: int) -> Callable[[socket.socket], None]:
+    """Answer with a fatal TLS alert."""
+    return lambda connection: connection.sendall(b"\x15\x03\x03\x00\x02\x02" + bytes([number]))
+
+
+@pytest.mark.parametrize(
+    ("once", "says"),
+    [
+        (lambda connection: connection.sendall(b"220 mail\r\n"), "TLS failed: WRONG_VERSION_NUMBER"),
+        (alert(0x74), "accept this process's certificate: none was shown"),
+        (alert(0x2a), "accept this process's certificate: it is damaged"),
+        (alert(0x28), "TLS failed: "),
+        (
+            lambda connection: connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0"),
+            "the station closed the connection: Connection reset by peer",
+        ),
+    ],
+    ids=["another protocol", "certificate_required", "bad_certificate", "handshake_failure", "reset"],
+)  # fmt: skip
+def test_a_handshake_that_fails_says_why(ring: Path, once: Callable[[socket.socket], None], says: str) -> None:
+    def after_the_hello(connection: socket.socket) -> None:
+        connection.recv(65536)
+        once(connection)
+
+    with contextlib.closing(Impostor(after_the_hello)) as impostor:
+        assert says in trouble_reaching(impostor.address, Keys(ring / "viewer"))
+
+
+def test_keys_that_cannot_be_used_are_told_when_the_station_is_called(tmp_path: Path) -> None:
+    for name in ("ca.pem", "cert.pem", "key.pem"):
+        (tmp_path / name).write_text("junk")
+    with contextlib.closing(Impostor(lambda connection: None)) as station:
+        assert f"the keys in {tmp_path} cannot be used" in trouble_reaching(station.address, Keys(tmp_path))
+
+
+def test_a_machine_that_does_not_answer_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reach, "CONNECT_S", 0.05)
+    with contextlib.ExitStack() as held:
+        server = held.enter_context(socket.create_server(("127.0.0.1", 0), backlog=0))
+        for _ in range(4):  # nobody accepts them: the system answers no more
+            waiting = held.enter_context(socket.socket())
+            waiting.setblocking(False)
+            waiting.connect_ex(server.getsockname())
+        said = trouble_reaching(f"tcp/127.0.0.1:{server.getsockname()[1]}", None)
+    assert said == "no answer: is it switched on, and on this network?"
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -1,6 +1,7 @@
 """What may be changed in flight, against the experiment file's own checks."""
 
 import math
+import re
 
 import pytest
 from hypothesis import given
@@ -74,14 +75,30 @@ def test_a_message_stands_for_exactly_its_values() -> None:
     wanted = tuned(POOL.controller, {"controller.mpc.q.0": 3.0})
     message = tuning(wanted)
     assert of_message(POOL.controller, message) == wanted
-    for wrong in (
-        Tuning("00000000", message.keys, message.values),
-        Tuning(message.id, message.keys[1:], message.values),
-        Tuning(message.id, (message.keys[1], *message.keys[1:]), message.values),
-        Tuning(message.id, message.keys, -message.values),
+    count = len(message.keys)
+    for wrong, says in (
+        (Tuning("00000000", message.keys, message.values), f"tuning 00000000: with these values it is {message.id}"),
+        (Tuning(message.id, message.keys[1:], message.values), f"{count - 1} keys and {count} values do not fit together"),
+        (Tuning(message.id, (message.keys[1], *message.keys[1:]), message.values), "values do not fit together"),
+        (Tuning(message.id, message.keys, -message.values), "gains: controller."),
     ):
-        with pytest.raises(ConfigError):
+        with pytest.raises(ConfigError) as refused:
             of_message(POOL.controller, wrong)
+        assert says in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("controller.guidance.filter_s=slow", "controller.guidance.filter_s = 'slow': must be a number"),
+        ("controller.guidance.filter_s=true", "controller.guidance.filter_s = True: must be a number"),
+        ("controller.mpc.q=[1, 'x']", "controller.mpc.q.1 = 'x': must be a number"),
+        ("controller.mpc.q", "write it as key=value"),
+    ],
+)
+def test_a_change_that_is_no_number_is_refused_with_its_key(setting: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        values_of([setting])
 
 
 @given(st.builds(Tuning, st.text(), st.lists(st.sampled_from([k.key for k in KNOBS]) | st.text()).map(tuple)))
