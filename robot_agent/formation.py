@@ -40,22 +40,20 @@ class Neighbour:
     plan: Plan
     fresh: bool
     formation: bool = True  # False: only stay clear of it
+    hears_us: bool = False  # its plan says so; a robot that does not hear us cannot give way to us
 
 
 @dataclass(frozen=True)
 class Rank:
     """What the article ranks robots by (section 3.3): urgent task, then small tracking error. Higher goes first. Its third
-    mark, who hears others, comes first of all here and the other way round: one that hears nobody cannot yield."""
+    mark, who hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
 
     urgent: bool
     tracking_error_m: float
-    heard: int
 
     def above(self, other: "Rank", age_s: float = 0.0) -> bool:
         """True if the other, told so long ago, must yield to this one. Two robots never both are above one another, however
         late they hear of each other: what may have changed meanwhile does not count."""
-        if other.heard == 0:
-            return False
         if self.urgent != other.urgent:
             return self.urgent
         return other.tracking_error_m - self.tracking_error_m > SAME_ERROR_M + ERROR_RATE_MPS * max(age_s, 0.0)
@@ -194,9 +192,10 @@ class Formation:
         return np.array([self.keep_m(neighbour, now_ns) for neighbour in company.others])
 
     def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
-        """The same, or None if that robot yields. Nobody yields that cannot be heard."""
+        """The same, or None if that robot yields. Only a robot that we hear and that hears us is taken to yield."""
         plan, age_s = neighbour.plan, (now_ns - neighbour.stamp_ns) / NS
-        if neighbour.fresh and own.above(Rank(plan.urgent, plan.tracking_error_m, plan.heard), age_s):
+        heard_both_ways = neighbour.fresh and neighbour.hears_us
+        if heard_both_ways and own.above(Rank(plan.urgent, plan.tracking_error_m), age_s):
             return None
         return self.keep_m(neighbour, now_ns)
 

@@ -62,6 +62,10 @@ class Health:
     echo_wrong_s: float = 0.0  # for how much of the last second the board has put out other pulses than it was told
     thrusters_broken: bool = False  # they do not turn and push the robot as they should
     off_path: bool = False  # farther than it may be, and for no reason
+    off_depth: bool = False  # the same for its depth
+    depth_age_s: float = 0.0  # of the last depth that did not contradict the estimate
+    depth_leap: str = ""  # the depth that is told and the one that was believed, when one had to give way
+    leap: str = ""  # the same for the place
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ class Reaction:
     modes: frozenset[Mode]
     when: Callable[[Health, Safety, Battery], bool]
     to: Mode
+    detail: Callable[[Health], str] = lambda h: ""  # that belongs to the reason, if there is more to say
 
 
 REACTIONS: tuple[Reaction, ...] = (
@@ -81,6 +86,12 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("thruster board disobeys", POWERED, lambda h, s, b: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
     Reaction("thrusters do not do as told", POWERED, lambda h, s, b: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
     Reaction("off its path", POWERED, lambda h, s, b: h.off_path, Mode.FAULT),
+    Reaction("off its depth", POWERED, lambda h, s, b: h.off_depth, Mode.FAULT),
+    Reaction("depth in doubt", POWERED, lambda h, s, b: h.depth_leap != "", Mode.FAULT, lambda h: h.depth_leap),
+    Reaction(
+        "no depth", POWERED, lambda h, s, b: h.depth_age_s > s.pose_neutral_s, Mode.FAULT,
+        lambda h: f"none that can be true for {h.depth_age_s:.2f} s",
+    ),
     Reaction("battery empty", LIVE, lambda h, s, b: h.battery_v < b.neutral_v, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s, b: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
     Reaction("no control solution", POWERED, lambda h, s, b: h.solver_failed, Mode.FAULT),
@@ -90,14 +101,16 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s, b: h.station_age_s > s.station_hold_s, Mode.HOLDING),
     Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s, b: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
     Reaction("identity in doubt", frozenset({Mode.TRACKING}), lambda h, s, b: h.identity_age_s > DOUBT_S, Mode.HOLDING),
-)
+    Reaction("position leapt", frozenset({Mode.TRACKING}), lambda h, s, b: h.leap != "", Mode.HOLDING, lambda h: h.leap),
+)  # fmt: skip
 
 
 def react(mode: Mode, health: Health, safety: Safety, battery: Battery) -> tuple[Mode, str]:
     """The mode after this step's reactions, and the reason if it changed (empty otherwise)."""
     for reaction in REACTIONS:
         if mode in reaction.modes and reaction.when(health, safety, battery):
-            return reaction.to, reaction.reason
+            detail = reaction.detail(health)
+            return reaction.to, f"{reaction.reason}: {detail}" if detail else reaction.reason
     return mode, ""
 
 

@@ -13,6 +13,7 @@ from wire.messages import Mode, Track
 
 ARM_AGAIN_S = 0.2  # how often the board is asked when it has not done as told
 NEVER_S = float("inf")
+DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 
 
 class Vitals:
@@ -26,6 +27,8 @@ class Vitals:
         )
         self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
         self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
+        self._depth, self._pool_depth_m = PathWatch(experiment.safety.off_depth_m), experiment.pool.size_m[2]
+        self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
@@ -42,6 +45,7 @@ class Vitals:
                 self._verified_ns = seen.instant_ns
         if mode is not self._mode:
             self._path.reset()
+            self._depth.reset()
         self._mode = mode
         if mode not in POWERED:
             self._thrusters.reset()
@@ -57,6 +61,9 @@ class Vitals:
         """What a control step found out about how the robot moves."""
         place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
         self._path.step(place_m, path_m, output.is_free, now_ns)
+        depth_m, path_depth_m = (complex(eta[2]) for eta in (output.eta, output.eta_reference))
+        self._depth.step(depth_m, path_depth_m, True, now_ns)  # nobody makes room by depth
+        self._output = output
 
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
         """What reactions look at."""
@@ -77,6 +84,10 @@ class Vitals:
             echo_wrong_s=self._echo.wrong_s(telemetry, now_ns),
             thrusters_broken=self._thrusters.broken,
             off_path=self._path.left,
+            off_depth=self._depth.left,
+            depth_age_s=self._output.depth_age_s if self._output is not None else NEVER_S,
+            depth_leap=self._output.depth_leap if self._output is not None else "",
+            leap=self._output.leap if self._output is not None else "",
         )
 
     def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
@@ -94,6 +105,11 @@ class Vitals:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:
             return "its identity is not verified: no marker was read"
+        depth_m = inputs.telemetry.depth_m
+        if not -DEPTH_SLACK_M <= depth_m <= self._pool_depth_m + DEPTH_SLACK_M:
+            return f"the depth sensor says {depth_m:.2f} m in a pool of {self._pool_depth_m:g} m: check it, or its zero"
+        if health.depth_age_s > self._safety.pose_neutral_s:
+            return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
         if health.battery_v < self._battery.no_arm_v:
             return f"the battery has {health.battery_v:.1f} V, needs {self._battery.no_arm_v:.1f} V"
         return ""

@@ -128,6 +128,11 @@ class Experiment(Section):
         return self
 
     @property
+    def wrench_step(self) -> tuple[float, float, float]:
+        """The largest change of the wrench per control step: N, N, N m."""
+        return self.vehicle.limits.wrench_step(self.controller.period_s)
+
+    @property
     def robot_ids(self) -> tuple[int, ...]:
         """Ids of all robots, in the file's order."""
         return tuple(robot.id for robot in self.robots)
@@ -185,6 +190,7 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Seq
     for setting in settings:
         apply_setting(table, setting)
         _insert_files(table, path)
+    _insert_rates(table)
     _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
     if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
@@ -208,6 +214,18 @@ def _insert_files(table: dict[str, Any], experiment: Path) -> None:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):
             _lay_over(table[key], {k: value for k, value in given.items() if k != "like"})
+
+
+def _insert_rates(table: dict[str, Any]) -> None:
+    """Read the copies of experiments beside older logs: they limit the wrench's change per control step, not per second."""
+    vehicle, controller = table.get("vehicle"), table.get("controller", {})
+    limits = vehicle.get("limits") if isinstance(vehicle, dict) else None
+    if not (isinstance(limits, dict) and isinstance(controller, dict)) or "wrench_rate_per_s" in limits:
+        return
+    steps, period_s = limits.get("wrench_step"), controller.get("period_s", Controller().period_s)
+    if isinstance(steps, list) and all(isinstance(value, int | float) and value > 0.0 for value in (*steps, period_s)):
+        limits["wrench_rate_per_s"] = [step * (1.0 / period_s) for step in steps]
+        del limits["wrench_step"]
 
 
 def _insert_nodes(table: dict[str, Any]) -> None:

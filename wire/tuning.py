@@ -41,6 +41,8 @@ class Safety(Section):
         0.3  # neutral when farther off its path than this for 0.5 s, nothing being in the way; still water: 0.1
     )
 
+    off_depth_m: Positive = 0.15  # the same for its depth, whose errors are millimetres: a thruster or an ankle that is dead
+
     @model_validator(mode="after")
     def _worse_comes_later(self) -> Self:
         for earlier, later in (
@@ -110,7 +112,7 @@ class Mpc(Section):
 class Controller(Section):
     """What runs on the robot, 1/period_s times a second. `law` is what computes the wrench, given estimate and reference."""
 
-    period_s: Annotated[float, Field(ge=0.01, le=0.5)] = 0.05
+    period_s: Annotated[float, Field(ge=0.01, le=0.2)] = 0.05  # a board disarms 0.25 s after the last pulses
     law: LawName = "eso-mpc"
     estimator: Estimator = Estimator()
     guidance: Guidance = Guidance()

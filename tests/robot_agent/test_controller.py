@@ -18,7 +18,7 @@ from wire.messages import Plan, Solve, Trajectory
 POOL = load_experiment("pool")
 VEHICLE = POOL.vehicle
 STEP_NS = 50_000_000
-LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step)
+LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 
 
 def controller(*settings_: str) -> Controller:
@@ -69,13 +69,13 @@ class Pool:
         outputs = []
         for i, goal in enumerate(goals):
             others = [
-                Neighbour(j, (self.k - 1) * STEP_NS, plan, True)
+                Neighbour(j, (self.k - 1) * STEP_NS, plan, True, hears_us=True)
                 for j, plan in enumerate(self.plans)
                 if j != i and plan is not None
             ]
             outputs.append(self.controllers[i].step(self.measure(i), goal, others, self.k * STEP_NS))
             check(outputs[-1])
-        self.plans = [Plan(0.05, o.plan_eta, o.plan_reference, o.tracking_error_m, False, 1) for o in outputs]
+        self.plans = [Plan(0.05, o.plan_eta, o.plan_reference, o.tracking_error_m, False) for o in outputs]
         pulses = np.array([o.pulse_us for o in outputs], dtype=np.float64)
         for _ in range(10):
             self.state = self.plant.step(self.state, pulses)
@@ -252,7 +252,7 @@ measurements = st.builds(
 
 def some_plan(values: list[float], period_s: float) -> Plan:
     rows = np.array(values[: len(values) // 4 * 4]).reshape(-1, 4)
-    return Plan(period_s, rows, rows * 0.9, values[0], False, 1)
+    return Plan(period_s, rows, rows * 0.9, values[0], False)
 
 
 plans = st.builds(some_plan, st.lists(numbers, min_size=4, max_size=40), st.floats(-1, 1))

@@ -6,7 +6,7 @@ from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from robot_agent.formation import NOWHERE, HalfSpaces
 from robot_agent.model import Model, State
-from robot_agent.mpc import MAX_SHIFTED, Mpc
+from robot_agent.mpc import Mpc, bridged_steps
 from robot_agent.qp import Solution
 from wire.frames import Array
 from wire.messages import Solve
@@ -15,7 +15,8 @@ from wire.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")
 PERIOD_S, ROWS = 0.05, 20
-LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step)
+BRIDGED = bridged_steps(PERIOD_S)
+LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 WEIGHT = np.ones(4)
 START: State = (0.0,) * 11
 
@@ -139,12 +140,12 @@ def test_failures_are_bridged_by_the_last_plan_then_neutral() -> None:
     solver = Refusing(controller)
     wrench = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE).wrench
     solver.refuse, seen = True, []
-    for _ in range(MAX_SHIFTED + 2):
+    for _ in range(BRIDGED + 2):
         plan = controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE)
         assert np.all(np.abs(plan.wrench - wrench) <= STEP + 1e-12) or plan.solve is Solve.FAILED
         wrench = plan.wrench
         seen.append(plan.solve)
-    assert seen == [Solve.SHIFTED] * MAX_SHIFTED + [Solve.FAILED] * 2 and not wrench.any()
+    assert seen == [Solve.SHIFTED] * BRIDGED + [Solve.FAILED] * 2 and not wrench.any()
     solver.refuse = False
     assert controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE).solve is Solve.SOLVED
 
@@ -164,8 +165,8 @@ def test_the_bridge_is_the_rest_of_the_plan() -> None:
 def test_nothing_solved_yet_means_neutral() -> None:
     controller = mpc()
     Refusing(controller).refuse = True
-    plans = [controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE) for _ in range(MAX_SHIFTED + 2)]
-    assert [plan.solve for plan in plans] == [Solve.SHIFTED] * MAX_SHIFTED + [Solve.FAILED] * 2
+    plans = [controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE) for _ in range(BRIDGED + 2)]
+    assert [plan.solve for plan in plans] == [Solve.SHIFTED] * BRIDGED + [Solve.FAILED] * 2
     assert not any(plan.wrench.any() for plan in plans)
 
 

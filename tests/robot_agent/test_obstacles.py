@@ -11,7 +11,7 @@ from tests.robot_agent.test_formation import CONFIG, NS, PERIOD_S, SAFETY, expec
 from wire.messages import Obstacles
 from wire.scene import Island
 
-ALONE = Rank(False, 0.0, 0)
+ALONE = Rank(False, 0.0)
 
 
 def box(x: float, y: float, half_x: float, half_y: float, velocity: tuple[float, float] = (0.0, 0.0)) -> Obstacles:
