@@ -27,7 +27,7 @@ class Vitals:
         )
         self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
         self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
-        self._depth, self._pool_depth_m = PathWatch(experiment.safety.off_depth_m), experiment.pool.size_m[2]
+        self._depth, self._pool = PathWatch(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
@@ -106,8 +106,9 @@ class Vitals:
         if health.identity_age_s > limit_s:
             return "its identity is not verified: no marker was read"
         depth_m = inputs.telemetry.depth_m
-        if not -DEPTH_SLACK_M <= depth_m <= self._pool_depth_m + DEPTH_SLACK_M:
-            return f"the depth sensor says {depth_m:.2f} m in a pool of {self._pool_depth_m:g} m: check it, or its zero"
+        floor_m = self._pool.size_m[2]
+        if self._pool.walls and not -DEPTH_SLACK_M <= depth_m <= floor_m + DEPTH_SLACK_M:
+            return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"
         if health.depth_age_s > self._safety.pose_neutral_s:
             return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
         if health.battery_v < self._battery.no_arm_v:

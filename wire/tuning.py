@@ -112,7 +112,7 @@ class Mpc(Section):
 class Controller(Section):
     """What runs on the robot, 1/period_s times a second. `law` is what computes the wrench, given estimate and reference."""
 
-    period_s: Annotated[float, Field(ge=0.01, le=0.2)] = 0.05  # a board disarms 0.25 s after the last pulses
+    period_s: Annotated[float, Field(ge=0.01, le=0.5)] = 0.05
     law: LawName = "eso-mpc"
     estimator: Estimator = Estimator()
     guidance: Guidance = Guidance()
