@@ -195,3 +195,28 @@ def test_after_a_reset_it_expects_to_stay_where_it_is_now() -> None:
     assert np.array_equal(expected[0], np.tile([1.0, 2.0], (51, 1))) and np.array_equal(
         expected[1], np.tile([0.3, 0.5], (51, 1))
     )
+
+
+@pytest.mark.parametrize("period_s", [0.025, 0.05, 0.1])
+def test_the_wrench_grows_as_fast_per_second_at_every_control_period(period_s: float) -> None:
+    controller, wrench = Mpc(VEHICLE, Model(VEHICLE), MpcConfig(), period_s, ROWS), np.zeros(3)
+    for _ in range(round(0.4 / period_s)):
+        wrench = controller.plan(START, np.zeros(4), wrench, ahead(50.0, z=50.0), WEIGHT, NOWHERE).wrench
+    assert wrench[:2] == pytest.approx([0.4 * 6.0, 0.4 * 6.0], rel=1e-3)
+
+
+def test_what_the_thrusters_could_not_give_is_not_expected_of_them() -> None:
+    """2 N were asked for and 1 N came: the plan goes on from 1 N, the limits of what is asked from 2 N."""
+    asked, delivered = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    controller = mpc(blocks=(10, 10))
+    start: State = (*START[:8], 1.0, 0.0, 0.0)
+    plan = controller.plan(start, np.zeros(4), asked, ahead(0.5), WEIGHT, NOWHERE, 0j, delivered)
+    assert abs(plan.wrench[0] - asked[0]) <= STEP[0] + 1e-12
+    state = start
+    for _ in range(10):
+        state = Model(VEHICLE).advance(state, (0.0,) * 4, tuple(delivered + plan.wrench - asked), PERIOD_S)
+    assert plan.eta[10, 0] == pytest.approx(state[0], abs=2e-3)
+
+
+def test_a_plan_is_bridged_as_long_at_every_control_period() -> None:
+    assert [bridged_steps(period_s) for period_s in (0.025, 0.05, 0.075, 0.1, 0.2)] == [6, 3, 2, 1, 0]
