@@ -52,7 +52,7 @@ class Agent:
             experiment.safety,
             self._me.urgent,
             follows=leader is not None,
-            room_m=experiment.pool.size_m[:2],
+            room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
             islands=islands(experiment.islands, experiment.vehicle.radius_m),
         )
         self._gains = Gains(self._controller, experiment.controller)

@@ -105,7 +105,7 @@ class Controller:
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self._sampler = Sampler(nodes_s)
         self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
-        self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s)
+        self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
         self._formation.weigh(self._formation_weight(config))
         self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)

@@ -193,6 +193,7 @@ class Mpc:
         along = responses.real * keep_clear.normal.real + responses.imag * keep_clear.normal.imag
         rows, lower = self._a_beside[2 * size :], self._lower[2 * size :]
         rows[:count, : 2 * n], rows[count:, : 2 * n] = along[:-1].T, 0.0
+        rows[:count, -1] = 1.0 if keep_clear.give is None else keep_clear.give
         lower[:count], lower[count:] = keep_clear.offset - along[-1], -NO_BOUND
         self._p_beside[:-1, :-1] = self._p
         return self._beside.solve(self._p_beside, self._q, self._a_beside, self._lower, self._upper)

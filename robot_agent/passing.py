@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.formation import MEANT_S, Company
+from robot_agent.formation import MEANT_S, WALL_M, Company
 from robot_agent.obstacles import Thing
 from robot_agent.reference import Path
 from wire.frames import Array, wrap
@@ -47,7 +47,6 @@ HOLD_COURSE_MPS = 0.02  # slower, a direction of motion means nothing
 TURN_RADPS = 0.8
 ARRIVED_M, ARRIVED_MPS, ARRIVED_RAD = 0.002, 0.004, 0.02
 WALL_S = 3.0  # a velocity is not taken if in this time it leads closer to a wall than WALL_M beyond the hull
-WALL_M = 0.05
 
 _STEPS_S = np.arange(1, round(LOOK_AHEAD_S / LOOK_STEP_S) + 1) * LOOK_STEP_S
 _ANGLES = np.radians(np.arange(-150.0, 151.0, 7.5))

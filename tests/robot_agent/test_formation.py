@@ -219,3 +219,29 @@ def test_a_plan_leans_against_a_half_space_that_it_is_close_to_or_in(x_m: float,
     eta[2, :2] = x_m, 9.0
     assert HalfSpaces(np.array([2]), np.array([1 + 0j]), np.array([0.5])).bind(eta) is leans
     assert not NOWHERE.bind(eta)
+
+
+# --- walls
+
+
+def beside_a_wall(other: tuple[float, float], own: tuple[float, float]) -> HalfSpaces:
+    f = Formation(CONFIG, SAFETY, PERIOD_S, 0.0, (3.5, 2.5), 0.15)
+    return f.half_spaces(f.company([neighbour(plan(other))], 0), expecting(*own), EQUAL, 0)
+
+
+def test_next_to_a_wall_a_neighbours_lines_come_with_the_walls() -> None:
+    rows = beside_a_wall((1.0, 0.0), (1.54, 0.0))
+    towards = rows.normal == -1.0  # stay at -x >= -1.55: 5 cm beyond the hull of 15, in a pool that ends at 1.75
+    assert towards.sum() == 5 and rows.offset[towards] == pytest.approx(np.full(5, -1.55))
+    assert len(rows.node) == 10 and set(rows.node[towards]) == set(rows.node[~towards])
+
+
+@pytest.mark.parametrize(("own", "walls"), [((1.2, 0.0), set()), ((-1.52, -1.02), {1, 1j}), ((0.0, 1.02), {-1j})])
+def test_only_walls_that_are_near_get_lines(own: tuple[float, float], walls: set[complex]) -> None:
+    rows = beside_a_wall((own[0] - 0.4 if own[0] > 0 else own[0] + 0.4, own[1]), own)
+    assert {complex(n) for n in rows.normal[5:]} | {complex(n) for n in rows.normal[:5]} >= walls
+    assert len(rows.node) == 5 * (1 + len(walls))
+
+
+def test_a_robot_that_meets_nobody_has_no_walls() -> None:
+    assert len(beside_a_wall((-1.0, 0.0), (1.7, 0.0)).node) == 0

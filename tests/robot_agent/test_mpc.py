@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
-from robot_agent.formation import NOWHERE, HalfSpaces
+from robot_agent.formation import NOWHERE, Formation, HalfSpaces, Neighbour, Rank
 from robot_agent.model import Model, State
 from robot_agent.mpc import Mpc, bridged_steps
 from robot_agent.qp import Solution
 from wire.frames import Array
-from wire.messages import Solve
+from wire.messages import Plan, Solve
 from wire.tuning import Mpc as MpcConfig
+from wire.tuning import Safety
 from wire.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")
@@ -220,3 +221,19 @@ def test_what_the_thrusters_could_not_give_is_not_expected_of_them() -> None:
 
 def test_a_plan_is_bridged_as_long_at_every_control_period() -> None:
     assert [bridged_steps(period_s) for period_s in (0.025, 0.05, 0.075, 0.1, 0.2)] == [6, 3, 2, 1, 0]
+
+
+def test_a_neighbour_does_not_push_a_robot_into_a_wall() -> None:
+    """The other comes nearer from behind, the wall is ahead, and there is not room for all that should be kept."""
+    pushed = {}
+    for walls in (None, (3.5, 2.5)):
+        near = Formation(MpcConfig(), Safety(), PERIOD_S, 0.0, walls, VEHICLE.radius_m)
+        controller, model, wrench, state = mpc(), Model(VEHICLE), np.zeros(3), (1.5, *START[1:])
+        for k in range(60):
+            eta = np.tile([0.95 + 0.0025 * k, 0.0, 0.0, 0.0], (51, 1))
+            company = near.company([Neighbour(2, 0, Plan(PERIOD_S, eta, eta), True)], 0)
+            lines = near.half_spaces(company, controller.expected(state), Rank(False, 0.0), 0)
+            wrench = controller.plan(state, np.zeros(4), wrench, ahead(1.5), WEIGHT, lines).wrench
+            state = model.advance(state, (0.0,) * 4, tuple(wrench), PERIOD_S)
+        pushed[walls] = state[0] + VEHICLE.radius_m - 1.75
+    assert pushed[None] > -0.01 and pushed[3.5, 2.5] < -0.03  # m beyond the wall
