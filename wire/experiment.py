@@ -29,6 +29,7 @@ from wire.tuning import Controller, Safety
 from wire.vehicle import Fraction, Positive, Vehicle, load_vehicle
 
 EXPERIMENTS = Path(__file__).parents[1] / "groundstation" / "experiments"
+SHORTEST_HORIZON_S = 2.0  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
@@ -132,6 +133,19 @@ class Experiment(Section):
     def wrench_step(self) -> tuple[float, float, float]:
         """The largest change of the wrench per control step: N, N, N m."""
         return self.vehicle.limits.wrench_step(self.controller.period_s)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Settings that may be flown, and are known to go wrong somewhere: sentences for people."""
+        mpc, period_s = self.controller.mpc, self.controller.period_s
+        ahead_s = mpc.horizon * period_s
+        if self.controller.law != "eso-mpc" or ahead_s >= SHORTEST_HORIZON_S - 1e-9:
+            return ()
+        steps = math.ceil(SHORTEST_HORIZON_S / period_s - 1e-9)
+        return (
+            f"controller.mpc.horizon = {mpc.horizon} looks {ahead_s:.2f} s ahead: below {SHORTEST_HORIZON_S:g} s slow robots "
+            f"have left their paths (docs/control.md); use {steps} or more, or see it fly in simulation first",
+        )
 
     @property
     def robot_ids(self) -> tuple[int, ...]:

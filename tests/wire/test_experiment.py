@@ -12,6 +12,7 @@ import pytest
 import tomli_w
 
 from wire.experiment import EXPERIMENTS, Experiment, dump_experiment, experiment_path, load_experiment
+from wire.options import caution
 from wire.toml_file import ConfigError, apply_setting, check
 from wire.vehicle import Vehicle
 
@@ -419,3 +420,26 @@ def test_the_change_per_step_in_a_runs_record_is_read_as_the_rate_it_was(tmp_pat
 
 def test_the_shipped_rates_are_the_articles_steps_to_the_last_bit() -> None:
     assert load_experiment("pool").wrench_step == (0.3, 0.3, 0.1)
+
+
+def test_a_horizon_that_is_too_short_for_slow_robots_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    for settings, told in (
+        ((), ""),
+        (("controller.mpc.horizon=40",), ""),
+        (("controller.mpc.horizon=25", 'controller.law="pid"'), ""),
+        (("controller.mpc.horizon=25",), "controller.mpc.horizon = 25 looks 1.25 s ahead: below 2 s"),
+        (("controller.mpc.horizon=25", "controller.period_s=0.1"), ""),
+        (("controller.mpc.horizon=19", "controller.period_s=0.1"), "use 20 or more"),
+    ):
+        caution(load_experiment("pool", settings))
+        said = capsys.readouterr().err
+        assert (told in said and said.startswith("warning: ")) if told else not said
+
+
+def test_no_shipped_experiment_and_no_example_has_a_horizon_that_is_too_short() -> None:
+    root = EXPERIMENTS.parents[1]
+    pages = [root / "README.md", *(root / "docs").glob("*.md"), *root.glob("*/*commands.py")]
+    found = [int(steps) for page in pages for steps in re.findall(r"--set controller.mpc.horizon=(\d+)", page.read_text())]
+    assert len(found) >= 4
+    for name, settings in [*((path.stem, ()) for path in EXPERIMENTS.glob("*.toml")), *(("pool", (n,)) for n in found)]:
+        assert not load_experiment(name, [f"controller.mpc.horizon={n}" for n in settings]).cautions
