@@ -44,7 +44,7 @@ def examples() -> dict[str, Any]:
             heard=(2, 3),
         ),
         "Pose": messages.Pose(0.4, -0.1, 0.3, np.diag([1e-6, 1e-6, 1e-5]), messages.Track.MARKER, True, 0.9, 0.3),
-        "Plan": messages.Plan(0.05, random.normal(size=(51, 4)), random.normal(size=(51, 4)), 0.02, False, 2),
+        "Plan": messages.Plan(0.05, random.normal(size=(51, 4)), random.normal(size=(51, 4)), 0.02, False, (2, 3)),
         "Frame": messages.Frame(random.integers(0, 256, (960, 1280), np.uint8)),
     }
 

@@ -129,16 +129,20 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
             now_ns, told = (k + WARM_UP) * STEP_NS, list(plans)
             for i, robot in enumerate(robots):
                 measurement = _seen(states[i], now_ns, random.normal(size=5) * NOISE)
-                others = [Neighbour(j, now_ns - STEP_NS, p, True) for j, p in enumerate(told) if j != i and p is not None]
+                others = [
+                    Neighbour(j, now_ns - STEP_NS, p, True, hears_us=True)
+                    for j, p in enumerate(told)
+                    if j != i and p is not None
+                ]
                 goal = Follow(paths[i], (k + WARM_UP) * STEP_S)
                 begin_ns = clock()
                 output = robot.step(measurement, goal, others, now_ns)
                 if i == 0 and k >= 0:
                     took.append((clock() - begin_ns) * 1e-3)
                     errors.append(float(np.hypot(*(np.array(states[0][:2]) - paths[0].eta[k + WARM_UP, :2]))))
-                    changes.append(output.wrench_step / vehicle.limits.wrench_step)
+                    changes.append(output.wrench_step / experiment.wrench_step)
                     unsolved += output.solve is not Solve.SOLVED
-                plans[i] = Plan(STEP_S, output.plan_eta, output.plan_reference, output.tracking_error_m, False, count - 1)
+                plans[i] = Plan(STEP_S, output.plan_eta, output.plan_reference, output.tracking_error_m, False)
                 states[i] = model.advance(states[i], (0.01, 0.0, 0.0, 0.0), output.wrench_delivered.tolist(), STEP_S)
     finally:
         gc.enable()

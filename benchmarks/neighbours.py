@@ -32,7 +32,7 @@ def _plans(count: int, horizon: int, period_s: float) -> list[Plan]:
     """Of robots that stand in a row and tremble."""
     random, stand = np.random.default_rng(1), np.zeros((horizon + 1, 4))
     rows = [stand + np.array([0.7 * i - 3.0, 1.0, 0.5, 0.0]) for i in range(count)]
-    return [Plan(period_s, row + 0.01 * random.normal(size=row.shape), row, 0.01, False, count) for row in rows]
+    return [Plan(period_s, row + 0.01 * random.normal(size=row.shape), row, 0.01, False) for row in rows]
 
 
 def _feed(station: Bus, others: Sequence[Bus], plans: Sequence[Plan], period_s: float) -> None:

@@ -33,7 +33,7 @@ def task(flight: Flight) -> dict[str, object]:
         "linear": vehicle.drag_linear.tolist(),
         "quadratic": vehicle.drag_quadratic.tolist(),
         "limit": list(vehicle.limits.wrench),
-        "step": list(vehicle.limits.wrench_step),
+        "step": list(vehicle.limits.wrench_step(PERIOD_S)),
         "wave": list(plant.disturbance_wrench),
         "robots": [
             {"start": start.tolist(), "reference": trajectory.eta[: steps + 1].tolist(), "hz": float(hz[i])}

@@ -15,7 +15,7 @@ from wire.experiment import load_experiment
 
 BENCHMARK = "robustness"
 SEEDS = (1, 2, 3)
-OPEN = "sim.plant.walls=false"
+OPEN = "pool.walls=false"
 SHORT = "duration_s=70"
 STILL = "controller.estimator.current_rate_radps=0"
 ARTICLE = ("controller.estimator.sway=false", "safety.off_path_m=9")  # else it is soon stopped
@@ -56,7 +56,7 @@ def flight(name: str, settings: Sequence[str], seed: int) -> tuple[float, float]
         print(f"{name} {' '.join(settings)} seed={seed}: not flown to the end: {', '.join(stopped)}", file=sys.stderr)
     change = np.array([[state.wrench_step for state in states[flight.settled :]] for states in flight.states])
     rms = np.sqrt(np.mean(flight.error[flight.settled :, :, :3] ** 2, axis=0)).max()
-    smooth = (np.sqrt(np.mean(change**2, axis=1)) / experiment.vehicle.limits.wrench_step).max()
+    smooth = (np.sqrt(np.mean(change**2, axis=1)) / experiment.wrench_step).max()
     return 1e3 * float(rms), 100.0 * float(smooth)
 
 

@@ -22,7 +22,7 @@ def inputs(series: Series) -> Figure | None:
 
 def input_steps(series: Series) -> Figure | None:
     """How much each control step changed it: chatter is wear."""
-    bounds = series.experiment.vehicle.limits.wrench_step
+    bounds = series.experiment.wrench_step
     return _wrench(series, lambda r: r.states.wrench_step, bounds, "step of ")
 
 

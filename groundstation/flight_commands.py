@@ -23,6 +23,7 @@ from wire.options import (
     Settings,
     Verbose,
     WebAddress,
+    caution,
 )
 from wire.runtime import Stop, start_log
 from wire.toml_file import ConfigError, files_named
@@ -63,6 +64,7 @@ def run(
                groundstation run pool --auto --dry-run
     """
     loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
+    caution(loaded)
 
     from groundstation import station_process
     from groundstation.report import write_report
@@ -139,6 +141,7 @@ def plan(experiment: ExperimentName, settings: Settings = None) -> None:
     from groundstation import planner
 
     loaded = load_experiment(experiment, settings or ())
+    caution(loaded)
     trajectories = planner.plan(loaded)
     starts = planner.start_poses(loaded, trajectories)
     robots = {

@@ -75,7 +75,7 @@ def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
         rms = result.pose_error_m.rms if result.pose_error_m else None
         yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)
     if limits.wrench_step_rms is not None and settled(series.asked_s):
-        share = _shares(result.dtau_rms_after_20s, experiment.vehicle.limits.wrench_step)
+        share = _shares(result.dtau_rms_after_20s, experiment.wrench_step)
         where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
         yield _at_most(
             "rms of input steps after 20 s, fraction of bound", where, max(share, default=None), limits.wrench_step_rms

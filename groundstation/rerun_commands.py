@@ -27,7 +27,7 @@ def rerun(
     Exit code 1 if nothing was changed and something differs, or the log does not hold all that it takes.
 
     Examples:  groundstation rerun runs/pool-20260101-120000
-               groundstation rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=25 --figures figures
+               groundstation rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=60 --figures figures
     """
     from groundstation.again import draw
     from groundstation.report import write_pdf

@@ -125,9 +125,9 @@ class Series:
 
 def active_limits(series: Series, robot: RobotSeries) -> dict[str, Mask]:
     """Which limits held a robot's inputs back, (m,) each, by name; and where its plan entered another's space."""
-    bounds, states = series.experiment.vehicle.limits, robot.states
+    experiment, states = series.experiment, robot.states
     found = {}
     for k, axis in enumerate(("surge", "heave", "yaw")):
-        found[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * bounds.wrench[k])
-        found[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * bounds.wrench_step[k])
+        found[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * experiment.vehicle.limits.wrench[k])
+        found[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * experiment.wrench_step[k])
     return found | {"others' space": np.asarray(states.slack_m > SLACK_M)}

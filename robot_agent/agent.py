@@ -20,10 +20,10 @@ from robot_agent.course import Course
 from robot_agent.gains import Gains, Prepared
 from robot_agent.inputs import Inputs
 from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
-from robot_agent.obstacles import Thing, islands, things_seen
+from robot_agent.obstacles import Apart, Thing, islands, things_seen
 from robot_agent.orders import StationView, unacceptable
 from robot_agent.pulse_test import ThrusterTest
-from robot_agent.vitals import ARM_AGAIN_S, Vitals
+from robot_agent.vitals import Vitals
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
@@ -57,7 +57,7 @@ class Agent:
             experiment.safety,
             self._me.urgent,
             follows=leader is not None,
-            room_m=experiment.pool.size_m[:2],
+            room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
             islands=islands(experiment.islands, experiment.vehicle.radius_m),
         )
         self._gains = Gains(self._controller, experiment.controller)
@@ -67,6 +67,7 @@ class Agent:
         self._course = Course(experiment.pool.size_m)
         self._test: ThrusterTest | None = None
         self._vitals = Vitals(experiment)
+        self._apart = Apart(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
         self._inputs = Inputs()
@@ -139,8 +140,8 @@ class Agent:
         if mode is not self.mode:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
-        arming = health.board_disarmed_s >= ARM_AGAIN_S  # asked again: it arms on neutral pulses only
-        things, goal = self._things(inputs, now_ns), None if arming else self._goal(now_ns)
+        things = self._things(inputs, now_ns)
+        goal = self._goal(now_ns) if inputs.telemetry.armed else None  # a board arms on neutral pulses, and puts out no others
         self._gains.step(now_ns, self._course.reached_s)
         output = self._sound(self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things))
         self._last = output
@@ -148,7 +149,7 @@ class Agent:
         self._vitals.told(pulses, now_ns)
         self._vitals.flew(output, self.mode, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
-        plan = self._plan(output, len(heard)) if output.estimated else None
+        plan = self._plan(output, heard) if output.estimated else None
         return Outputs(
             pulses,
             self._vitals.arming(inputs.telemetry.armed, self.mode, now_ns),
@@ -218,7 +219,8 @@ class Agent:
         if self.mode is Mode.TRACKING:
             return self._course.goal(self._inputs.station, now_ns)
         if self.mode is Mode.HOLDING:
-            if self._hold is None and self._last is not None and self._last.estimated:
+            leapt = self._last is not None and self._last.leap != ""  # the place to hold was never the robot's
+            if (self._hold is None or leapt) and self._last is not None and self._last.estimated:
                 self._hold = Hold(self._last.eta)
             return self._hold
         return None
@@ -226,22 +228,25 @@ class Agent:
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
         limit_ns, formation = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with
         return tuple(
-            Neighbour(robot, heard.instant_ns, heard.plan, now_ns - heard.instant_ns <= limit_ns, robot in formation)
+            Neighbour(
+                robot, heard.instant_ns, heard.plan, now_ns - heard.instant_ns <= limit_ns, robot in formation,
+                self._me.id in heard.plan.heard,
+            )
             for robot, heard in sorted(inputs.plans.items())
-        )
+        )  # fmt: skip
 
     def _things(self, inputs: Inputs, now_ns: int) -> Sequence[Thing]:
         """Obstacles, as long as the localizer tells of them."""
-        watched, radius_m = inputs.watched, self._experiment.vehicle.radius_m
+        watched = inputs.watched
         if watched is None or not watched.obstacles.ids or now_ns - watched.instant_ns > OBSTACLES.max_age_s * 1e9:
             return ()
         seen = things_seen(watched.obstacles, watched.instant_ns, self._experiment.safety.radius_m)
-        if self._last is not None and self._last.estimated:
-            x, y, _, _ = self._last.eta.tolist()
-            seen = tuple(thing for thing in seen if not thing.overlaps(complex(x, y), radius_m, now_ns))
-        return seen
+        if self._last is None or not self._last.estimated:
+            return seen
+        x, y, _, _ = self._last.eta.tolist()
+        return self._apart.others(seen, complex(x, y), now_ns)
 
-    def _plan(self, output: ControlOutput, heard: int) -> Plan:
+    def _plan(self, output: ControlOutput, heard: tuple[int, ...]) -> Plan:
         return Plan(
             self._experiment.controller.period_s,
             output.plan_eta,

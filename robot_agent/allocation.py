@@ -53,7 +53,9 @@ class Allocator:
         self._between_n: list[float] = vehicle.thruster.force_n(pulses_us[:-1] + 0.5).tolist()
 
     def pulses(self, wrench: Array) -> tuple[int, ...]:
-        """Pulse widths in us for a wrench (3,), as much of it as the thrusters can give."""
+        """Pulse widths in us for a wrench (3,), as much of it as the thrusters can give; neutral for what is no number."""
+        if not math.isfinite(sum(wrench.tolist())):
+            return self.neutral_us
         force, ankle = self.forces(wrench)
         level_us, per_rad = self._ankle_level_us, self._ankle_us_per_rad
         return (*[self._pulse(f) for f in force], *[round(level_us + per_rad * angle) for angle in ankle])

@@ -41,6 +41,7 @@ from wire.vehicle import Vehicle
 __all__ = ["ControlOutput", "Controller", "Follow", "Goal", "Hold", "Measurement", "Neighbour", "Sighting"]
 
 NS = 1_000_000_000
+KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
 TURN = 2.0 * np.pi
 
 
@@ -60,12 +61,15 @@ class ControlOutput:
     eta_reference: Array  # (4,) the goal now: yaw is the path's tangent
     eta_command: Array  # (4,) what the controller was given: yaw with crab angle and correction
     plan_eta: Array  # (horizon + 1, 4) predicted poses at now + s * period_s; node 0 is `eta`
-    plan_reference: Array  # (horizon + 1, 4) the commands the plan is meant to follow, at the same instants
+    plan_reference: Array  # (horizon + 1, 4) the path that is meant to be flown, at the same instants, with the heading asked
     tracking_error_m: float  # distance from the goal's position
     solve: Solve
     iterations: int
     slack_m: float  # by how much the plan enters the space of another robot
     pose_age_s: float  # of the pose the estimate rests on
+    depth_age_s: float  # of the last depth that did not contradict the estimate
+    leap: str  # what was told and what had been believed, in a step that gave up the estimate's place for another one
+    depth_leap: str  # the same for the depth
     is_free: bool  # to go along the path: nobody and nothing leads it round, or pushes it aside
 
 
@@ -101,16 +105,17 @@ class Controller:
         nodes_s = vehicle.thruster.dead_time_s + steps_s
         self._sampler = Sampler(nodes_s)
         self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
-        self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s)
+        self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
         self._formation.weigh(self._formation_weight(config))
         self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
         self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
-        self._wrench = np.zeros(3)
-        self._rank = Rank(urgent, 0.0, 0)
+        self._wrench = np.zeros(3)  # asked for in the last step,
+        self._delivered = np.zeros(3)  # and what its pulses gave
+        self._rank = Rank(urgent, 0.0)
         self._goal: Goal | None = None
-        self._turns = 0.0
+        self._turns: int | None = None  # of the heading against the path's; None: not known yet
 
     def _formation_weight(self, config: ControllerConfig) -> tuple[float, float, float, float]:
         return (1.0, 1.0, 1.0, 1.0) if self._follows else config.mpc.q_formation
@@ -154,16 +159,17 @@ class Controller:
         expected = self._law.expected(estimate.action)
         keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns, (*self._islands, *things))
         plan = self._law.plan(
-            estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current
-        )
+            estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
+            self._delivered,
+        )  # fmt: skip
         is_free = lead is path and not keep_clear.bind(plan.eta)
-        return self._put_out(plan, estimate, path, command, company, is_free, now_ns)
+        return self._put_out(plan, estimate, path, lead, command, is_free, now_ns)
 
     def acted(self, wrench: Array, delivered: Array, now_ns: int) -> None:
         """These went out at `now_ns`, (3,) each, in the place of what the step of that instant came to."""
         surge, heave, yaw = delivered.tolist()
         self._estimator.applied((surge, heave, yaw), now_ns)
-        self._wrench = wrench
+        self._wrench, self._delivered = wrench, delivered
 
     def _take_up(self, goal: Goal) -> None:
         """A goal of another kind starts with a fresh heading memory."""
@@ -171,6 +177,7 @@ class Controller:
         if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
             self._guidance.reset()
             self._passing.reset()
+            self._turns = None
 
     def _lead(self, path: Path, company: Company, things: Sequence[Thing], estimate: Estimate, now_ns: int) -> Path:
         """The path itself, or one that leads round the others and round things."""
@@ -193,16 +200,18 @@ class Controller:
             if self._follows:  # own node + (leader - leader's node) = leader + offset
                 pull = company.pull / company.weight
             else:
-                weight = weight + company.weight
-                pull = company.pull / np.maximum(weight, 1e-12)
+                # Headings are not shared where guidance gives them: they are what a robot steers by, not a place in a shape.
+                shared = np.array((1.0, 1.0, 1.0, 0.0 if self._config.guidance.enabled else 1.0))
+                weight = weight + shared * company.weight
+                pull = shared * company.pull / np.maximum(weight, 1e-12)
             command[1:] += pull
             command[0] += pull[0]
         if self._config.guidance.enabled:
             lead = Path(command, path.velocity, path.acceleration)
             command[:, 3] = self._guidance.follow(lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
-        away = float(estimate.eta[3] - command[0, 3]) / TURN - self._turns
-        if abs(away) > 0.55:  # beyond half a turn by a margin, so that a robot facing backwards does not change its mind
-            self._turns += round(away)
+        away = float(estimate.eta[3] - command[0, 3]) / TURN
+        if self._turns is None or abs(away - self._turns) > KEEP_TURN:
+            self._turns = round(away)
         if self._turns:
             command[:, 3] += TURN * self._turns
         return weight, command
@@ -212,8 +221,8 @@ class Controller:
         plan: MpcPlan,
         estimate: Estimate,
         path: Path,
+        lead: Path,
         command: Array,
-        company: Company,
         is_free: bool,
         now_ns: int,
     ) -> ControlOutput:
@@ -221,18 +230,20 @@ class Controller:
         pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
         delivered = self._allocator.delivered(pulses)
         self._estimator.applied(delivered, now_ns)
-        wrench_step, self._wrench = plan.wrench - self._wrench, plan.wrench
+        wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, np.array(delivered)
         error_m = math.dist(path.eta[0, :3].tolist(), estimate.eta[:3].tolist())
-        told = np.empty((len(command), 8))  # from now on, at the command's instants: poses and commands
-        told[0, :4], told[1:, :4], told[:, 4:] = estimate.eta, plan.eta, command
+        # Told from now on, at the command's instants: poses, and where they are meant to be. That is without the formation's
+        # pull: neighbours who shared a deviation would else see less of it, and the less the more of them there are.
+        told = np.empty((len(command), 8))
+        told[0, :4], told[1:, :4], told[:, 4:7], told[:, 7] = estimate.eta, plan.eta, lead.eta[:, :3], command[:, 3]
         told = self._to_now @ told
-        self._rank = Rank(self._urgent, error_m, company.heard)
+        self._rank = Rank(self._urgent, error_m)
         return ControlOutput(
             pulse_us=pulses,
             wrench=plan.wrench,
             wrench_step=wrench_step,
             wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
-            wrench_delivered=np.array(delivered),
+            wrench_delivered=self._delivered,
             estimated=True,
             eta=estimate.eta,
             nu=estimate.nu,
@@ -246,6 +257,9 @@ class Controller:
             iterations=plan.iterations,
             slack_m=plan.slack_m,
             pose_age_s=estimate.pose_age_s,
+            depth_age_s=estimate.depth_age_s,
+            leap=estimate.leap,
+            depth_leap=estimate.depth_leap,
             is_free=is_free,
         )
 
@@ -255,9 +269,9 @@ class Controller:
         self._guidance.reset()
         self._passing.reset()
         self._goal = None
-        wrench_step, self._wrench = -self._wrench, np.zeros(3)
+        wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
         self._estimator.applied((0.0, 0.0, 0.0), now_ns)
-        self._rank = Rank(self._urgent, 0.0, 0)
+        self._rank = Rank(self._urgent, 0.0)
         eta = np.zeros(4) if estimate is None else estimate.eta
         stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))
         return ControlOutput(
@@ -278,7 +292,10 @@ class Controller:
             solve=Solve.NONE,
             iterations=0,
             slack_m=0.0,
-            pose_age_s=float("inf") if estimate is None else estimate.pose_age_s,
+            pose_age_s=math.inf if estimate is None else estimate.pose_age_s,
+            depth_age_s=math.inf if estimate is None else estimate.depth_age_s,
+            leap="" if estimate is None else estimate.leap,
+            depth_leap="" if estimate is None else estimate.depth_leap,
             is_free=False,
         )
 

@@ -23,6 +23,8 @@ NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the 
 LONGEST_PLAN = 1000  # rows of a plan that is resampled
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
+WALL_M = 0.05  # between a hull and a wall
+WALL_GIVES = 0.1  # of what a robot's lines give: 2R hold room enough that hulls do not touch, a wall holds none
 LEANS_M = 0.02  # a plan so near a half-space's border would be another one without it
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
 MOST_TURNED_RAD = 1e8  # a heading counts its turns: days of laps
@@ -40,22 +42,20 @@ class Neighbour:
     plan: Plan
     fresh: bool
     formation: bool = True  # False: only stay clear of it
+    hears_us: bool = False  # its plan says so; a robot that does not hear us cannot give way to us
 
 
 @dataclass(frozen=True)
 class Rank:
     """What the article ranks robots by (section 3.3): urgent task, then small tracking error. Higher goes first. Its third
-    mark, who hears others, comes first of all here and the other way round: one that hears nobody cannot yield."""
+    mark, who hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
 
     urgent: bool
     tracking_error_m: float
-    heard: int
 
     def above(self, other: "Rank", age_s: float = 0.0) -> bool:
         """True if the other, told so long ago, must yield to this one. Two robots never both are above one another, however
         late they hear of each other: what may have changed meanwhile does not count."""
-        if other.heard == 0:
-            return False
         if self.urgent != other.urgent:
             return self.urgent
         return other.tracking_error_m - self.tracking_error_m > SAME_ERROR_M + ERROR_RATE_MPS * max(age_s, 0.0)
@@ -63,11 +63,12 @@ class Rank:
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces:
-    """normal[i] . (x, y) of node[i] >= offset[i] - slack. Nodes count from 1."""
+    """normal[i] . (x, y) of node[i] >= offset[i] - give[i] slack. Nodes count from 1."""
 
     node: NDArray[np.intp]  # (rows,)
     normal: NDArray[np.complex128]  # (rows,) x + iy
     offset: Array  # (rows,)
+    give: Array | None = None  # (rows,); None: 1 in all
 
     def bind(self, eta: Array) -> bool:
         """Whether a plan (horizon + 1, 4) leans against any of them."""
@@ -76,8 +77,8 @@ class HalfSpaces:
 
 
 # What is to be kept clear of: places and directions away from it, how far beyond the distance to keep we are, all (nodes,),
-# and that distance
-Body = tuple[NDArray[np.complex128], NDArray[np.complex128], Array, float]
+# that distance, and how much its lines give when not all can be kept
+Body = tuple[NDArray[np.complex128], NDArray[np.complex128], Array, float, float]
 
 NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
 
@@ -99,8 +100,17 @@ class Company:
 class Formation:
     """Workspaces for one robot."""
 
-    def __init__(self, config: MpcConfig, safety: Safety, period_s: float, dead_s: float = 0.0) -> None:
-        """The horizon's node 0 lies `dead_s` ahead of now."""
+    def __init__(
+        self,
+        config: MpcConfig,
+        safety: Safety,
+        period_s: float,
+        dead_s: float = 0.0,
+        room_m: tuple[float, float] | None = None,
+        hull_m: float = 0.0,
+    ) -> None:
+        """The horizon's node 0 lies `dead_s` ahead of now. A hull of radius `hull_m` keeps off the walls of a pool of length
+        and width `room_m`; None: there are no walls."""
         self._safety, self._period_s, self._horizon = safety, period_s, config.horizon
         self.weigh(config.q_formation)
         self._ahead = np.arange(config.horizon + 2)
@@ -108,6 +118,9 @@ class Formation:
         self._nodes_ns = np.rint(NS * (dead_s + period_s * self._nodes)).astype(np.int64).tolist()
         self._around_nodes = np.concatenate([self._nodes, self._nodes + 1])
         self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
+        self._wall_m = hull_m + WALL_M
+        self._walls = [] if room_m is None else [(-way, 0.5 * size) for way, size in zip((1, 1j), room_m, strict=True)]
+        self._walls += [(-inwards, half_m) for inwards, half_m in self._walls]
         self._near_m = 2.0 * safety.radius_m + safety.margin_m
         self._dead_steps, self._meant = dead_s / period_s, max(round(MEANT_S / period_s), 1)
         none, nobody = np.zeros((0, len(self._nodes))), np.zeros((0, 4))
@@ -194,9 +207,10 @@ class Formation:
         return np.array([self.keep_m(neighbour, now_ns) for neighbour in company.others])
 
     def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
-        """The same, or None if that robot yields. Nobody yields that cannot be heard."""
+        """The same, or None if that robot yields. Only a robot that we hear and that hears us is taken to yield."""
         plan, age_s = neighbour.plan, (now_ns - neighbour.stamp_ns) / NS
-        if neighbour.fresh and own.above(Rank(plan.urgent, plan.tracking_error_m, plan.heard), age_s):
+        heard_both_ways = neighbour.fresh and neighbour.hears_us
+        if heard_both_ways and own.above(Rank(plan.urgent, plan.tracking_error_m), age_s):
             return None
         return self.keep_m(neighbour, now_ns)
 
@@ -210,8 +224,20 @@ class Formation:
         for thing in things:
             there, away, apart_m = border(thing, here, [now_ns + ns for ns in self._nodes_ns])
             if apart_m.min() < thing.keep_m + self._safety.margin_m:
-                bodies.append((there, away, apart_m - thing.keep_m, thing.keep_m))
-        return self._across(bodies) if bodies else NOWHERE
+                bodies.append((there, away, apart_m - thing.keep_m, thing.keep_m, 1.0))
+        return self._across(bodies + self._walls_near(here)) if bodies else NOWHERE
+
+    def _walls_near(self, here: NDArray[np.complex128]) -> list[Body]:
+        """The walls, where something else is to be kept clear of: its lines must not lead into one. Alone a robot needs none:
+        paths lie within the pool."""
+        found: list[Body] = []
+        for inwards, half_m in self._walls:
+            out = -(here * inwards.conjugate()).real  # towards the wall, from the pool's middle
+            if (half_m - out).min() < self._wall_m + self._safety.margin_m:
+                there = here + inwards * (out - half_m)
+                away = np.full(len(here), inwards, np.complex128)
+                found.append((there, away, half_m - out - self._wall_m, self._wall_m, WALL_GIVES))
+        return found
 
     def _robots_near(self, company: Company, own: Array, here: NDArray[np.complex128], rank: Rank, now_ns: int) -> list[Body]:
         """The robots to be kept clear of."""
@@ -228,15 +254,16 @@ class Formation:
                     if (level & (distance[i] < keep_m + self._safety.margin_m)).any():
                         away = apart[i] / np.maximum(distance[i], TOUCHING_M)
                         away[distance[i] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out
-                        kept.append((company.place[i], away, distance[i] - keep_m, keep_m))
+                        kept.append((company.place[i], away, distance[i] - keep_m, keep_m, 1.0))
         return kept
 
     def _across(self, bodies: list[Body]) -> HalfSpaces:
         """Half-spaces from the nearest bodies."""
         bodies = sorted(bodies, key=lambda body: float(body[2].min()))[:NEAREST]
         there, away = np.concatenate([body[0] for body in bodies]), np.concatenate([body[1] for body in bodies])
-        keep = np.repeat([body[3] for body in bodies], len(self._nodes))
-        return HalfSpaces(np.tile(self._nodes, len(bodies)), away, away.real * there.real + away.imag * there.imag + keep)
+        keep, give = np.repeat([body[3:] for body in bodies], len(self._nodes), axis=0).T
+        offset = away.real * there.real + away.imag * there.imag + keep
+        return HalfSpaces(np.tile(self._nodes, len(bodies)), away, offset, give)
 
 
 def _readable(plan: Plan) -> bool:

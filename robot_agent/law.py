@@ -37,10 +37,11 @@ class Law(Protocol):
         weight: Array,
         keep_clear: HalfSpaces,
         current: complex = 0j,
+        delivered: Array | None = None,
     ) -> MpcPlan:
         """One step. `state` when a command given now begins to act, its velocities through water that streams at `current`
-        (x + iy, m/s); Gamma (4,); `wrench` (3,) applied last; `reference` (horizon + 1, 4) from that instant on, its yaw near
-        the state's; `weight` W (4,)."""
+        (x + iy, m/s); Gamma (4,); `wrench` (3,) asked for last, `delivered` (3,) what the thrusters gave of it (None: all);
+        `reference` (horizon + 1, 4) from that instant on, its yaw near the state's; `weight` W (4,)."""
 
 
 def guidance_config(config: Config) -> GuidanceConfig:

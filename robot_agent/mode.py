@@ -62,6 +62,10 @@ class Health:
     thrusters_broken: bool = False  # they do not turn and push the robot as they should
     off_path: bool = False  # farther than it may be, and for no reason
     estimate_ended: bool = False  # while it had power: where it is was not known at a step since
+    off_depth: bool = False  # the same for its depth
+    depth_age_s: float = 0.0  # of the last depth that did not contradict the estimate
+    depth_leap: str = ""  # the depth that is told and the one that was believed, when one had to give way
+    leap: str = ""  # the same for the place
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ class Reaction:
     modes: frozenset[Mode]
     when: Callable[[Health, Safety], bool]
     to: Mode
+    detail: Callable[[Health], str] = lambda h: ""  # that belongs to the reason, if there is more to say
 
 
 REACTIONS: tuple[Reaction, ...] = (
@@ -81,6 +86,12 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("thruster board disobeys", POWERED, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
     Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
     Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT),
+    Reaction("off its depth", POWERED, lambda h, s: h.off_depth, Mode.FAULT),
+    Reaction("depth in doubt", POWERED, lambda h, s: h.depth_leap != "", Mode.FAULT, lambda h: h.depth_leap),
+    Reaction(
+        "no depth", POWERED, lambda h, s: h.depth_age_s > s.pose_neutral_s, Mode.FAULT,
+        lambda h: f"none that can be true for {h.depth_age_s:.2f} s",
+    ),
     Reaction("battery empty", LIVE, lambda h, s: h.battery_empty, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
     Reaction("no control solution", POWERED, lambda h, s: h.solver_failed, Mode.FAULT),
@@ -91,14 +102,16 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s: h.station_age_s > s.station_hold_s, Mode.HOLDING),
     Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
     Reaction("identity in doubt", frozenset({Mode.TRACKING}), lambda h, s: h.identity_age_s > DOUBT_S, Mode.HOLDING),
-)
+    Reaction("position leapt", frozenset({Mode.TRACKING}), lambda h, s: h.leap != "", Mode.HOLDING, lambda h: h.leap),
+)  # fmt: skip
 
 
 def react(mode: Mode, health: Health, safety: Safety) -> tuple[Mode, str]:
     """The mode after this step's reactions, and the reason if it changed (empty otherwise)."""
     for reaction in REACTIONS:
         if mode in reaction.modes and reaction.when(health, safety):
-            return reaction.to, reaction.reason
+            detail = reaction.detail(health)
+            return reaction.to, f"{reaction.reason}: {detail}" if detail else reaction.reason
     return mode, ""
 
 

@@ -24,7 +24,13 @@ from wire.vehicle import Vehicle
 
 CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave
 RIDGE = 1e-9  # per N^2: keeps the problem strictly convex when every weight of a channel is zero
-MAX_SHIFTED = 3  # control steps that the last good plan may bridge
+BRIDGED_S = 0.15  # that the last good plan may bridge: three poses of a camera at 20 Hz
+WEIGHED_S = 0.05  # control period for which `r` weighs changes against the errors at the nodes
+
+
+def bridged_steps(period_s: float) -> int:
+    """How many control steps in a row may do without a solution."""
+    return int(BRIDGED_S / period_s + 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,20 +54,21 @@ class Mpc:
 
     def __init__(self, vehicle: Vehicle, model: Model, config: MpcConfig, period_s: float, rows: int) -> None:
         self._config, self._n, self._h = config, len(config.blocks), config.horizon
-        self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step)
+        self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step(period_s))
         self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
         self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)  # the last good plan, and what it changes
-        self._shifted = 0
+        self._shifted, self._most_shifted = 0, bridged_steps(period_s)
         self._fresh = True
         n, size = self._n, 3 * self._n
         ends = np.cumsum(config.blocks)
-        first = np.minimum(np.searchsorted(ends, np.arange(MAX_SHIFTED + 1), side="right"), n - 1)
+        first = np.minimum(np.searchsorted(ends, np.arange(self._most_shifted + 1), side="right"), n - 1)
         self._unknowns = first[:, None] + n * np.array([0, 2, 1])  # (steps, 3) where each step's wrench is among the unknowns
         # What the errors at nodes 1..horizon depend on, weighted: x and y node by node, then yaw; z by itself
         self._planar, self._depth = np.zeros((2 * n + 1, 3 * self._h)), np.zeros((n + 1, self._h))
         self._root = np.zeros((self._h, 2))
         difference = np.eye(n) - np.eye(n, k=-1)
-        smooth = [config.r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
+        per_node = WEIGHED_S / period_s  # twice as many nodes a second count twice: so must a change between two blocks
+        smooth = [per_node * config.r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
         self._planar_cost, self._depth_cost = block_diag(*smooth[:2]), smooth[2]
         self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
         self._slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])
@@ -121,14 +128,16 @@ class Mpc:
         weight: Array,
         keep_clear: HalfSpaces,
         current: complex = 0j,
+        delivered: Array | None = None,
     ) -> MpcPlan:
         """One solve. Velocities of `state` are through water that streams at `current` (x + iy, m/s). `reference` (horizon +
-        1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last."""
+        1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last: bounds (39, 40) count from there. What
+        the thrusters gave of it is `delivered`: the model goes on from that, and takes what lacked for lacking on."""
         n, prediction = self._n, self._prediction
         if self._fresh or self._config.linearise == "point":
             prediction.restart(state)
             self._fresh = False
-        prediction.linearise(state, wrench, disturbance, current)
+        prediction.linearise(state, wrench if delivered is None else delivered, disturbance, current)
         self._objective(reference, weight)
         self._limits(wrench)
         solution = self._solve_alone() if len(keep_clear.node) == 0 else self._solve_beside(keep_clear)
@@ -184,6 +193,7 @@ class Mpc:
         along = responses.real * keep_clear.normal.real + responses.imag * keep_clear.normal.imag
         rows, lower = self._a_beside[2 * size :], self._lower[2 * size :]
         rows[:count, : 2 * n], rows[count:, : 2 * n] = along[:-1].T, 0.0
+        rows[:count, -1] = 1.0 if keep_clear.give is None else keep_clear.give
         lower[:count], lower[count:] = keep_clear.offset - along[-1], -NO_BOUND
         self._p_beside[:-1, :-1] = self._p
         return self._beside.solve(self._p_beside, self._q, self._a_beside, self._lower, self._upper)
@@ -201,9 +211,9 @@ class Mpc:
     def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
         """The last good plan, moved on by a step; nothing once it is used up."""
         eta = self._prediction.poses()
-        if self._shifted >= MAX_SHIFTED:
+        if self._shifted >= self._most_shifted:
             self.reset()
-            self._shifted = MAX_SHIFTED
+            self._shifted = self._most_shifted
             return MpcPlan(np.zeros(3), eta, Solve.FAILED, iterations, 0.0)
         self._shifted += 1
         self._prediction.shift()

@@ -25,6 +25,7 @@ MOST_PIECES = 200  # of one obstacle: an outline of 30 m
 class Thing:
     """One obstacle. Complex numbers are x + iy in the pool frame."""
 
+    id: int  # the localizer's number of it, or its place among the islands
     pieces: NDArray[np.complex128]  # (k,) places at `instant_ns`, m
     keep_m: float  # how far a robot's centre stays from each
     velocity: complex  # m/s
@@ -37,31 +38,49 @@ class Thing:
         return self.velocity * ((now_ns - self.instant_ns) * 1e-9)
 
     def overlaps(self, place: complex, radius_m: float, now_ns: int) -> bool:
-        """Whether it is where a hull is. Two bodies cannot be: what the camera took for an obstacle is the robot itself."""
+        """Whether it is where a hull is."""
         apart = place - self.ahead(now_ns) - self.pieces[None]
         return float(np.abs(apart).min()) < radius_m or bool(_inside(apart)[0])
+
+
+class Apart:
+    """Which obstacles are not the robot itself.
+
+    Two bodies cannot be in one place: an obstacle that the camera finds where the hull is, is the hull. One that was seen
+    clear of the hull before is another body, and stays one when it drifts against the hull.
+    """
+
+    def __init__(self, hull_m: float) -> None:
+        self._hull_m = hull_m
+        self._others: frozenset[int] = frozenset()  # ids of obstacles that have been clear of the hull
+
+    def others(self, things: Sequence[Thing], place: complex, now_ns: int) -> tuple[Thing, ...]:
+        """Those of the obstacles that are other bodies than the robot at `place`."""
+        found = tuple(t for t in things if t.id in self._others or not t.overlaps(place, self._hull_m, now_ns))
+        self._others = frozenset(thing.id for thing in found)
+        return found
 
 
 def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
     """The experiment's islands. Everyone knows where they are and routes are planned around them: like walls, they only stop
     a hull."""
     found = []
-    for island in known:
+    for i, island in enumerate(known):
         middle = complex(*island.position_m)
-        found.append(Thing(np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
+        found.append(Thing(i, np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
     return tuple(found)
 
 
 def things_seen(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Thing, ...]:
     """What the localizer reports of an instant on our clock. What cannot be an obstacle is left out."""
     found = []
-    for outline, velocity in zip(seen.outline, seen.velocity, strict=False):
+    for number, outline, velocity in zip(seen.ids, seen.outline, seen.velocity, strict=False):
         if not np.abs(outline).max() < ABSURD_M or not np.abs(velocity).max() < ABSURD_MPS:  # false for NaN too
             continue
         corners, speed = outline[:, 0] + 1j * outline[:, 1], complex(velocity[0], velocity[1])
         pieces = _along(corners)
         middle = complex(pieces.mean())
-        found.append(Thing(pieces, keep_m, speed, instant_ns, middle, float(np.abs(pieces - middle).max())))
+        found.append(Thing(number, pieces, keep_m, speed, instant_ns, middle, float(np.abs(pieces - middle).max())))
     return tuple(found)
 
 

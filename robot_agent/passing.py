@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.formation import MEANT_S, Company
+from robot_agent.formation import MEANT_S, WALL_M, Company
 from robot_agent.obstacles import Thing
 from robot_agent.reference import Path
 from wire.frames import Array, wrap
@@ -31,7 +31,8 @@ from wire.vehicle import Vehicle
 
 LOOK_AHEAD_S = 8.0  # two robots at 0.1 m/s begin to turn 1.6 m before they would touch
 LOOK_STEP_S = 0.5
-SURE_STEPS = 4  # before the reference is left: mates that start a step earlier than they tell are nobody to avoid
+SURE_S = 0.2  # somebody is in the way for so long before the reference is left,
+SURE_STEPS = 2  # and in so many steps at least: mates that start a step earlier than they tell are nobody to avoid
 ROOM_M = 0.15  # beyond what the half-spaces keep, so that these need not act: four robots in a bend lose 13 cm on each other
 SLIGHTEST_MPS = 0.01  # who closes in slower does not meet anybody: formations sway about so
 PARTING = 0.999  # of the distance there is: nearer than they should be, robots may go any way that leads no nearer
@@ -46,7 +47,6 @@ HOLD_COURSE_MPS = 0.02  # slower, a direction of motion means nothing
 TURN_RADPS = 0.8
 ARRIVED_M, ARRIVED_MPS, ARRIVED_RAD = 0.002, 0.004, 0.02
 WALL_S = 3.0  # a velocity is not taken if in this time it leads closer to a wall than WALL_M beyond the hull
-WALL_M = 0.05
 
 _STEPS_S = np.arange(1, round(LOOK_AHEAD_S / LOOK_STEP_S) + 1) * LOOK_STEP_S
 _ANGLES = np.radians(np.arange(-150.0, 151.0, 7.5))
@@ -88,7 +88,7 @@ def robots(company: Company, keep_m: Array, depth_m: float, urgent: bool) -> Tra
     others, there = company.others, company.now.view(np.complex128)
     count = np.abs(there[:, 1].real - depth_m) < keep_m
     if urgent:
-        count &= [not (other.fresh and not other.plan.urgent and other.plan.heard > 0) for other in others]
+        count &= [not (other.fresh and other.hears_us and not other.plan.urgent) for other in others]
     return Traffic(there[:, 0], company.meant, keep_m + ROOM_M, np.ones(len(others), bool)).only(count)
 
 
@@ -115,6 +115,7 @@ class Passing:
     ) -> None:
         """`times_s` (rows,) are the instants of a path's rows from now, `room_m` the pool's length and width."""
         self._times_s, self._period_s = times_s, period_s
+        self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
         self._fastest_mps = 0.8 * vehicle.limits.speed_mps
         self._steps_s = np.diff(times_s)
         self._steps = self._steps_s.tolist()
@@ -135,7 +136,7 @@ class Passing:
         """The path to follow instead of `path` by a robot at `place`; `path` itself if there is no reason to leave it."""
         if self._point is None:
             self._met = self._met + 1 if self._meets(path, place, traffic) else 0
-            if self._met < SURE_STEPS:
+            if self._met < self._sure_steps:
                 return path
         begin, speed = complex(path.eta[0, 0], path.eta[0, 1]), complex(path.velocity[0, 0], path.velocity[0, 1])
         on_path = self._point is None

@@ -15,6 +15,7 @@ from wire.messages import Mode, Track
 ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
 DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
 NEVER_S = float("inf")
+DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 
 
 class Vitals:
@@ -26,6 +27,8 @@ class Vitals:
         self._battery = Gauge(experiment.vehicle.battery)
         self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
         self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
+        self._depth, self._pool = PathWatch(experiment.safety.off_depth_m), experiment.pool
+        self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
         self._verified_ns: int | None = None  # and of the last one that is surely this robot
@@ -45,6 +48,7 @@ class Vitals:
                 self._verified_ns = seen.instant_ns
         if mode is not self._mode:
             self._path.reset()
+            self._depth.reset()
         self._mode = mode
         self._battery.note(telemetry, now_ns)
         self._echo.note(telemetry, now_ns)
@@ -65,6 +69,9 @@ class Vitals:
         self._estimated = output.estimated
         place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
         self._path.step(place_m, path_m, output.is_free, now_ns)
+        depth_m, path_depth_m = (complex(eta[2]) for eta in (output.eta, output.eta_reference))
+        self._depth.step(depth_m, path_depth_m, True, now_ns)  # nobody makes room by depth
+        self._output = output
 
     @property
     def neutral_us(self) -> tuple[int, ...]:
@@ -91,6 +98,10 @@ class Vitals:
             thrusters_broken=self._thrusters.broken,
             off_path=self._path.left,
             estimate_ended=self._estimate_ended,
+            off_depth=self._depth.left,
+            depth_age_s=self._output.depth_age_s if self._output is not None else NEVER_S,
+            depth_leap=self._output.depth_leap if self._output is not None else "",
+            leap=self._output.leap if self._output is not None else "",
         )
 
     def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
@@ -108,6 +119,12 @@ class Vitals:
             return f"the last pose is {health.pose_age_s:.2f} s old"
         if health.identity_age_s > limit_s:
             return "its identity is not verified: no marker was read"
+        depth_m = inputs.telemetry.depth_m
+        floor_m = self._pool.size_m[2]
+        if self._pool.walls and not -DEPTH_SLACK_M <= depth_m <= floor_m + DEPTH_SLACK_M:
+            return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"
+        if health.depth_age_s > self._safety.pose_neutral_s:
+            return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
         return self._battery.unfit(now_ns)
 
     def arming(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:

@@ -11,6 +11,7 @@ from sim_bridge import faults
 from sim_bridge.branch import Memory, branch, remember
 from sim_bridge.numeric_run import STATION, fly_and_report
 from wire.experiment import Experiment, dump_experiment, load_experiment
+from wire.options import caution
 from wire.pipe import read_pipe
 from wire.runtime import Stop
 from wire.toml_file import ConfigError
@@ -19,6 +20,7 @@ from wire.toml_file import ConfigError
 def experiment_of(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> Experiment:
     """What was flown, with changes. Raises ConfigError."""
     experiment = load_experiment(str(run / "experiment.toml"), settings, more_faults)
+    caution(experiment)
     faults.only(experiment, faults.NUMERIC, "from a logged moment on there is none")
     return experiment
 

@@ -8,7 +8,7 @@ import typer
 
 from sim_bridge.pool_commands import Poses
 from wire.experiment import Experiment, load_experiment
-from wire.options import ExperimentName, FaultLines, KeyRing, Settings, experiments
+from wire.options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
 from wire.runtime import Stop
 from wire.toml_file import files_named
 
@@ -62,7 +62,7 @@ def sil(
     Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
                sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
                sim-bridge sil pool --set path.lap_s=30 --dry-run
-               sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=25
+               sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
     """
     from rich.console import Console
 
@@ -150,7 +150,9 @@ def campaign(
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
 ) -> Experiment:
-    return load_experiment(name, _changes(seed, duration_s, settings), faults or ())
+    loaded = load_experiment(name, _changes(seed, duration_s, settings), faults or ())
+    caution(loaded)
+    return loaded
 
 
 def _changes(seed: int | None, duration_s: float | None, settings: list[str] | None) -> list[str]:

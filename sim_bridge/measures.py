@@ -36,7 +36,7 @@ def measures(fleet: AgentFleet) -> dict[str, float | None]:
     change = (
         np.array([[s.wrench_step for s in robot[-len(late[0]) :]] for robot in states]) if has_late else np.zeros((n, 1, 3))
     )
-    smooth = np.sqrt(np.mean(change**2, axis=1)) / fleet.experiment.vehicle.limits.wrench_step
+    smooth = np.sqrt(np.mean(change**2, axis=1)) / fleet.experiment.wrench_step
     flat = [s for robot in states for s in robot]
     found = {
         "rms_m": _rms(subjects)[:, :3].max(),

@@ -196,16 +196,22 @@ class AgentFleet:
         """Hold the robots where they are until their estimates stand, then let go at the instant at which the trajectories
         begin: time 0 of the scene. Raises RuntimeError if a robot refuses."""
         self.held = True
-        for _ in range(READY_NS // self.period_ns):
+        for _ in range(max(READY_NS // self.period_ns - 1, 1)):
             self.step()
-        for order in (Order.LOAD, Order.ARM, Order.START):
-            for i in range(len(self.robots)):
-                reply = self.order(order, i, start_in_s=self.period_ns / NS)
-                if not reply.accepted:
-                    raise RuntimeError(f"robot {reply.robot}: {order.name}: {reply.reason}")
+        for order in (Order.LOAD, Order.ARM):
+            self._all(order)
+        self.step()  # the boards arm meanwhile
+        self._all(Order.START)
         self._start_ns = self.now_ns + self.period_ns
         self.step()
         self.held, self.begin = False, len(self.truth)
+
+    def _all(self, order: Order) -> None:
+        """Give an order to every robot; START is for the next step. Raises RuntimeError if one refuses."""
+        for i in range(len(self.robots)):
+            reply = self.order(order, i, start_in_s=self.period_ns / NS)
+            if not reply.accepted:
+                raise RuntimeError(f"robot {reply.robot}: {order.name}: {reply.reason}")
 
     def step(self) -> None:
         """One control period of water, then one control step of every robot."""

@@ -81,10 +81,10 @@ def _figures(experiment: Experiment, states: list[list[RobotState]], truth: Arra
     distance = np.linalg.norm(error[:, :, :3], axis=2)
     formation, separation = _pairs(truth, error)
     wanted = _rows(states, "wrench_wanted") / np.array(limits.wrench)
-    quick = np.diff(wanted, axis=1) * np.array(limits.wrench) / np.array(limits.wrench_step)
+    quick = np.diff(wanted, axis=1) * np.array(limits.wrench) / experiment.wrench_step
     large = (np.abs(wanted) > 1.0 + 1e-9).any(axis=2)[:, 1:]
     fast = (np.abs(quick) > 1.0 + 1e-9).any(axis=2)
-    steps = _rows(states, "wrench_step") / np.array(limits.wrench_step)
+    steps = _rows(states, "wrench_step") / experiment.wrench_step
     return Figures(
         rms_m=_rms(distance),
         rms_after_20s_m=_rms(distance[settled:]),

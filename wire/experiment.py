@@ -29,6 +29,8 @@ from wire.tuning import Controller, Safety
 from wire.vehicle import Fraction, Positive, Vehicle, load_vehicle
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
+SHORTEST_HORIZON_S = 2.0  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
+MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
 class ArticleRow(Section):
@@ -128,6 +130,24 @@ class Experiment(Section):
         return self
 
     @property
+    def wrench_step(self) -> tuple[float, float, float]:
+        """The largest change of the wrench per control step: N, N, N m."""
+        return self.vehicle.limits.wrench_step(self.controller.period_s)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Settings that may be flown, and are known to go wrong somewhere: sentences for people."""
+        mpc, period_s = self.controller.mpc, self.controller.period_s
+        ahead_s = mpc.horizon * period_s
+        if self.controller.law != "eso-mpc" or ahead_s >= SHORTEST_HORIZON_S - 1e-9:
+            return ()
+        steps = math.ceil(SHORTEST_HORIZON_S / period_s - 1e-9)
+        return (
+            f"controller.mpc.horizon = {mpc.horizon} looks {ahead_s:.2f} s ahead: below {SHORTEST_HORIZON_S:g} s slow robots "
+            f"have left their paths (docs/control.md); use {steps} or more, or see it fly in simulation first",
+        )
+
+    @property
     def robot_ids(self) -> tuple[int, ...]:
         """Ids of all robots, in the file's order."""
         return tuple(robot.id for robot in self.robots)
@@ -185,6 +205,9 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Seq
     for setting in settings:
         apply_setting(table, setting)
         _insert_files(table, path)
+    _move_keys(table, path)
+    if _is_record(path):
+        _insert_rates(table)
     _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
     if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
@@ -208,6 +231,46 @@ def _insert_files(table: dict[str, Any], experiment: Path) -> None:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):
             _lay_over(table[key], {k: value for k, value in given.items() if k != "like"})
+
+
+def _move_keys(table: dict[str, Any], path: Path) -> None:
+    """Put keys of an earlier version where they stand now, in the record of a run: the file beside its log. In a file that a
+    person keeps an old key is refused, with its new name."""
+    for old, new in MOVED.items():
+        (holder, key), (target, name) = _holder(table, old), _holder(table, new)
+        if holder is None or key not in holder:
+            continue
+        if not _is_record(path):
+            raise ConfigError(f"{path}: {old}: this key is called {new} now (write {new} = {str(holder[key]).lower()})")
+        value = holder.pop(key)
+        if target is not None:
+            target.setdefault(name, value)
+
+
+def _holder(table: dict[str, Any], dotted: str) -> tuple[dict[str, Any] | None, str]:
+    """The table that a dotted key stands in, None if there is none, and the key's last part."""
+    where, _, key = dotted.rpartition(".")
+    node: Any = table
+    for name in where.split("."):
+        node = node.get(name) if isinstance(node, dict) else None
+    return (node if isinstance(node, dict) else None), key
+
+
+def _is_record(path: Path) -> bool:
+    """Whether a file is the record of a run: the copy beside its log."""
+    return path.name == "experiment.toml" and (path.parent / "run.mcap").is_file()
+
+
+def _insert_rates(table: dict[str, Any]) -> None:
+    """Read the copies of experiments beside older logs: they limit the wrench's change per control step, not per second."""
+    vehicle, controller = table.get("vehicle"), table.get("controller", {})
+    limits = vehicle.get("limits") if isinstance(vehicle, dict) else None
+    if not (isinstance(limits, dict) and isinstance(controller, dict)) or "wrench_rate_per_s" in limits:
+        return
+    steps, period_s = limits.get("wrench_step"), controller.get("period_s", Controller().period_s)
+    if isinstance(steps, list) and all(isinstance(value, int | float) and value > 0.0 for value in (*steps, period_s)):
+        limits["wrench_rate_per_s"] = [step * (1.0 / period_s) for step in steps]
+        del limits["wrench_step"]
 
 
 def _insert_nodes(table: dict[str, Any]) -> None:

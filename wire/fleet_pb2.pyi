@@ -187,8 +187,8 @@ class Plan(_message.Message):
     eta_reference: _containers.RepeatedScalarFieldContainer[float]
     tracking_error_m: float
     urgent: bool
-    heard: int
-    def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[int] = ...) -> None: ...
+    heard: _containers.RepeatedScalarFieldContainer[int]
+    def __init__(self, period_s: _Optional[float] = ..., eta: _Optional[_Iterable[float]] = ..., eta_reference: _Optional[_Iterable[float]] = ..., tracking_error_m: _Optional[float] = ..., urgent: _Optional[bool] = ..., heard: _Optional[_Iterable[int]] = ...) -> None: ...
 
 class RobotState(_message.Message):
     __slots__ = ("mode", "fault", "experiment_hash", "trajectory_s", "trajectory_id", "eta", "nu", "disturbance", "eta_reference", "eta_command", "wrench", "wrench_step", "wrench_delivered", "wrench_wanted", "pulse_us", "echo_us", "track", "pose_age_ms", "exposure_to_pwm_ms", "depth_m", "battery_v", "board_armed", "board_age_ms", "board_loss", "solve", "iterations", "step_us", "missed_deadlines", "slack_m", "heard", "tuning_id", "board_round_trip_ms", "board_clock_offset_s", "thruster_test", "planned")

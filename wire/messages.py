@@ -158,7 +158,7 @@ class Plan:
     eta_reference: Array = array(-1, 4)
     tracking_error_m: float = 0.0
     urgent: bool = False
-    heard: int = 0  # how many neighbours it hears
+    heard: tuple[int, ...] = ()  # robots whose plans it hears: only they may count on it to give way
 
 
 @dataclass(frozen=True, eq=False)

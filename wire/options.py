@@ -7,13 +7,19 @@ from typing import Annotated
 
 import typer
 
-from wire.experiment import EXPERIMENTS
+from wire.experiment import EXPERIMENTS, Experiment
 from wire.version import code
 
 DEFAULT_STATION = "tcp/127.0.0.1:7447"
 DEFAULT_FLEET = "shoal"
 DEFAULT_WEB = "127.0.0.1:8000"
 REPLAY_PREFIX = "replay/"  # of the fleet that a recorded run is put on the bus as: no program of ours can join it
+
+
+def caution(experiment: Experiment) -> None:
+    """Say on the standard error what of an experiment's settings is known to go wrong."""
+    for text in experiment.cautions:
+        typer.echo(f"warning: {text}", err=True)
 
 
 def fleet_name(fleet: str) -> str:

@@ -45,6 +45,8 @@ class Safety(Section):
         0.3  # neutral when farther off its path than this for 0.5 s, nothing being in the way; still water: 0.1
     )
 
+    off_depth_m: Positive = 0.15  # the same for its depth, whose errors are millimetres: a thruster or an ankle that is dead
+
     @model_validator(mode="after")
     def _worse_comes_later(self) -> Self:
         for earlier, later in (

@@ -2,7 +2,7 @@
 
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -37,13 +37,29 @@ class Drag(Section):
 
 
 class Limits(Section):
-    """What the controller may ask for. Wrenches are [surge N, heave N, yaw N m]."""
+    """What the controller may ask for. Wrenches are [surge N, heave N, yaw N m], their rates the same per second."""
 
     wrench: tuple[Positive, Positive, Positive]
-    wrench_step: tuple[Positive, Positive, Positive]
+    wrench_rate_per_s: tuple[Positive, Positive, Positive]
     speed_mps: Positive
     heave_mps: Positive
     yaw_rate_radps: Positive
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_change_per_step(cls, table: Any) -> Any:
+        if isinstance(table, dict) and "wrench_step" in table:
+            raise ValueError(
+                "wrench_step: the change per control step is now wrench_rate_per_s, in N/s and N m/s (for a control period of "
+                "0.05 s twenty times the numbers)"
+            )
+        return table
+
+    def wrench_step(self, period_s: float) -> tuple[float, float, float]:
+        """The largest change per control step, (40): N, N, N m."""
+        per_s = 1.0 / period_s  # 6 N/s over 20 Hz is 0.3 N to the last bit; 6 N/s times 0.05 s is not
+        surge, heave, yaw = self.wrench_rate_per_s
+        return surge / per_s, heave / per_s, yaw / per_s
 
 
 class Legs(Section):

@@ -29,7 +29,7 @@ class DoMpc:
         config, period_s = experiment.controller.mpc, experiment.controller.period_s
         self._horizon = config.horizon
         self._reference, self._gamma = np.zeros((config.horizon + 1, 4)), np.zeros(4)
-        self._limits = experiment.vehicle.limits
+        self._limits, self._step_limit = experiment.vehicle.limits, np.array(experiment.wrench_step)
         mpc = do_mpc.controller.MPC(self._model(experiment))
         mpc.settings.n_horizon, mpc.settings.t_step, mpc.settings.store_full_solution = config.horizon, period_s, False
         mpc.settings.supress_ipopt_output()
@@ -80,8 +80,8 @@ class DoMpc:
         error = model.x["eta"] - model.tvp["reference"]
         cost = ca.sum1(ca.DM(np.array(config.q)) * error**2)
         mpc.set_objective(mterm=cost, lterm=cost + ca.sum1(ca.DM(np.array(config.r)) * model.u["change"] ** 2))
-        mpc.bounds["lower", "_u", "change"] = -np.array(self._limits.wrench_step)
-        mpc.bounds["upper", "_u", "change"] = np.array(self._limits.wrench_step)
+        mpc.bounds["lower", "_u", "change"] = -self._step_limit
+        mpc.bounds["upper", "_u", "change"] = self._step_limit
         mpc.bounds["lower", "_x", "wrench"] = -np.array(self._limits.wrench)
         mpc.bounds["upper", "_x", "wrench"] = np.array(self._limits.wrench)
 
@@ -98,6 +98,7 @@ class DoMpc:
         weight: Array,
         keep_clear: object,
         current: complex = 0j,
+        delivered: Array | None = None,
     ) -> MpcPlan:
         """One solve. Weighted references of a formation are references like any other."""
         self._reference, self._gamma = reference, disturbance

@@ -43,7 +43,7 @@ class Feedback:
 
     def __init__(self, law: FeedbackLaw, vehicle: Vehicle, model: Model, period_s: float, horizon: int) -> None:
         self._law, self._model, self._period_s = law, model, period_s
-        self._limit, self._step_limit = vehicle.limits.wrench, vehicle.limits.wrench_step
+        self._limit, self._step_limit = vehicle.limits.wrench, vehicle.limits.wrench_step(period_s)
         self._eta = np.zeros((2, horizon + 1, 2))
         self._fresh = True
 
@@ -68,6 +68,7 @@ class Feedback:
         weight: Array,
         keep_clear: HalfSpaces,
         current: complex = 0j,
+        delivered: Array | None = None,
     ) -> MpcPlan:
         """One step of the law, see law.py. Weights and half-spaces are the MPC's business."""
         if not np.abs(reference).max() < ABSURD:

@@ -43,7 +43,7 @@ def test_the_pool_scene_is_flown_within_three_centimetres_and_smoothly(seed: int
     still = np.linalg.norm(pool.errors()[400:, :, :2] - settled[:, :, :2].mean(axis=(0, 1)), axis=2)
     assert still.max() < 0.08
     steps = np.array([[s.wrench_step for s in robot.states[-500:]] for robot in pool.robots])
-    bound = np.array(pool.experiment.vehicle.limits.wrench_step)
+    bound = np.array(pool.experiment.wrench_step)
     assert np.all(np.abs(steps) <= bound + 1e-9)
 
 

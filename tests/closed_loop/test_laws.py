@@ -25,7 +25,7 @@ def flight(law: str, *settings: str) -> Flight:
 def test_every_law_flies_the_scene_and_what_is_applied_keeps_its_limits(law: str) -> None:
     flown_ = flight(law)
     limits = flown_.experiment.vehicle.limits
-    limit, step = np.array(limits.wrench), np.array(limits.wrench_step)
+    limit, step = np.array(limits.wrench), np.array(limits.wrench_step(0.05))
     wrench, change, wanted = (_of(flown_, key) for key in ("wrench", "wrench_step", "wrench_wanted"))
     assert all(s.mode is Mode.TRACKING and s.solve is Solve.SOLVED for states in flown_.states for s in states)
     assert np.all(np.abs(wrench) <= limit) and np.all(np.abs(change) <= step + 1e-12)

@@ -139,3 +139,12 @@ def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) ->
 def test_neutral_delivers_nothing() -> None:
     assert ALLOCATOR.neutral_us == (1500,) * 8
     assert ALLOCATOR.delivered(ALLOCATOR.neutral_us) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_what_is_no_number_is_neutral(axis: int, poison: float) -> None:
+    wrench = np.zeros(3)
+    wrench[axis] = poison
+    allocator = Allocator(load_vehicle("spherical"))
+    assert allocator.pulses(wrench) == allocator.neutral_us

@@ -30,7 +30,7 @@ from wire.vehicle import Vehicle
 
 POOL = load_experiment("pool")
 VEHICLE = POOL.vehicle
-LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step)
+LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 MODEL = Model(VEHICLE, sway=False, lag=False)
 AXES = Axes(MODEL, VEHICLE.limits.wrench)
 LAWS = get_args(laws.LawName)
@@ -330,7 +330,7 @@ class Wanderer:
             return []
         start = np.array([*(self.pose[:2] + random.normal(size=2)), 0.3, 0.0])
         eta = start + np.arange(51)[:, None] * random.normal(size=4) * 0.01
-        plan = Plan(0.05, eta, eta + random.normal(size=4) * 0.1, abs(random.normal()), False, 1)
+        plan = Plan(0.05, eta, eta + random.normal(size=4) * 0.1, abs(random.normal()), False)
         return [Neighbour(2, now_ns - STEP_NS, plan, random.random() < 0.8)]
 
 

@@ -18,7 +18,7 @@ from wire.messages import Plan, Solve, Trajectory
 POOL = load_experiment("pool")
 VEHICLE = POOL.vehicle
 STEP_NS = 50_000_000
-LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step)
+LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 
 
 def controller(*settings_: str) -> Controller:
@@ -69,13 +69,13 @@ class Pool:
         outputs = []
         for i, goal in enumerate(goals):
             others = [
-                Neighbour(j, (self.k - 1) * STEP_NS, plan, True)
+                Neighbour(j, (self.k - 1) * STEP_NS, plan, True, hears_us=True)
                 for j, plan in enumerate(self.plans)
                 if j != i and plan is not None
             ]
             outputs.append(self.controllers[i].step(self.measure(i), goal, others, self.k * STEP_NS))
             check(outputs[-1])
-        self.plans = [Plan(0.05, o.plan_eta, o.plan_reference, o.tracking_error_m, False, 1) for o in outputs]
+        self.plans = [Plan(0.05, o.plan_eta, o.plan_reference, o.tracking_error_m, False) for o in outputs]
         pulses = np.array([o.pulse_us for o in outputs], dtype=np.float64)
         for _ in range(10):
             self.state = self.plant.step(self.state, pulses)
@@ -210,6 +210,41 @@ def test_whole_turns_between_path_and_camera_do_not_count() -> None:
     assert abs(output.eta_command[3] - output.eta[3]) < 0.6
 
 
+@pytest.mark.parametrize("count", [1, 20])
+def test_neighbours_are_told_the_path_without_the_formations_pull(count: int) -> None:
+    """What is told is what deviations are measured from: with the pull in it, a deviation that all share would look smaller
+    the more they are."""
+    eta = np.tile([9.0, 9.0, 0.3, 0.0], (51, 1))
+    off = eta - np.array([0.1, -0.2, 0.05, 0.4])
+    others = [Neighbour(j, 10 * STEP_NS, Plan(0.05, eta, off), True) for j in range(2, 2 + count)]
+    together, alone = controller(), controller()
+    for k in range(1, 11):
+        pulled, free = (c.step(at(k), GOAL, near, k * STEP_NS) for c, near in ((together, others), (alone, ())))
+    share = 0.15 * count / (1.0 + 0.15 * count)
+    assert pulled.eta_command[:3] - free.eta_command[:3] == pytest.approx(share * np.array([0.1, -0.2, 0.05]))
+    assert pulled.plan_reference[:, :3] == pytest.approx(free.plan_reference[:, :3])
+
+
+@pytest.mark.parametrize(("guided", "shared"), [("true", False), ("false", True)])
+def test_headings_are_shared_only_where_they_are_no_means_to_steer_by(guided: str, shared: bool) -> None:
+    eta, flown = np.tile([9.0, 9.0, 0.3, 0.0], (51, 1)), []
+    for turned in (0.0, 0.4):
+        one, off = controller(f"controller.guidance.enabled={guided}"), eta - np.array([0.1, 0.0, 0.0, turned])
+        for k in range(1, 11):
+            output = one.step(at(k), GOAL, [Neighbour(2, k * STEP_NS, Plan(0.05, eta, off), True)], k * STEP_NS)
+        flown.append(output)
+    assert np.array_equal(flown[0].wrench, flown[1].wrench) is not shared
+    assert np.array_equal(flown[0].plan_reference, flown[1].plan_reference) is not shared
+
+
+@pytest.mark.parametrize("turned", [0.48, 0.52])
+def test_a_robot_that_starts_facing_away_turns_the_shorter_way(turned: float) -> None:
+    one, path_yaw = controller(), float(GOAL.trajectory.eta[0, 3])
+    for k in range(1, 12):
+        output = one.step(at(k, yaw=path_yaw + 2.0 * math.pi * turned), GOAL, (), k * STEP_NS)
+        assert abs(output.eta_command[3] - output.eta[3]) < math.pi + 0.05
+
+
 def test_arrays_handed_out_are_never_written_again() -> None:
     one = controller()
     outputs, copies = [], []
@@ -252,7 +287,7 @@ measurements = st.builds(
 
 def some_plan(values: list[float], period_s: float) -> Plan:
     rows = np.array(values[: len(values) // 4 * 4]).reshape(-1, 4)
-    return Plan(period_s, rows, rows * 0.9, values[0], False, 1)
+    return Plan(period_s, rows, rows * 0.9, values[0], False)
 
 
 plans = st.builds(some_plan, st.lists(numbers, min_size=4, max_size=40), st.floats(-1, 1))

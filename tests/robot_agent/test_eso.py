@@ -195,6 +195,19 @@ def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
     assert max(abs(e.current) for e in found if e is not None) <= 0.05 + 1e-12
 
 
+def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> None:
+    """What no current can explain stays a side force, and leaves the velocity alone."""
+    observer = Estimator(Model(VEHICLE), EstimatorConfig(), DEAD_S, fastest_mps=0.05)
+    for turned in (0.5 * math.pi, 0.5 * math.pi + 0.7):  # from the current to where the side force points
+        observer._current = 0.05 * np.exp(1j * (0.7 + 0.5 * math.pi - turned + 0.5 * math.pi))
+        observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, *(0.0,) * 3), [0.0, 0.4, 0.0, 0.0]
+        before = np.array(observer._propagate(observer._state, 0, 100_000_000))
+        v = observer._put_down_to_current(0.15, 0.02, 0.4, 0.7, 0.05)
+        after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
+        assert abs(observer._current) <= 0.05 + 1e-12
+        assert after[:2] == pytest.approx(before[:2], abs=0.05 * 0.1 * 0.02)
+
+
 def test_without_sway_the_side_channel_stays_silent() -> None:
     observer = Estimator(Model(VEHICLE, sway=False), EstimatorConfig(sway=False), DEAD_S)
     estimates, _ = fly(weave, 4.0, observer)
@@ -280,6 +293,80 @@ def test_a_single_leap_is_ignored_however_often_it_is_handed_in() -> None:
         pose = Sighting(k * STEP_NS, 0.0, 0.0, 0.0) if k < 30 else Sighting(30 * STEP_NS, 1.0, 0.0, 0.0)
         estimate = observer.update(Measurement(pose), k * STEP_NS)
         assert estimate is not None and abs(estimate.eta[0]) < 1e-9
+
+
+def test_single_leaps_are_ignored_however_many_there_are() -> None:
+    """Five in a row count, not five in a flight."""
+    observer = estimator()
+    for k in range(1, 80):
+        leap = 1.0 if k % 4 == 0 else 0.0
+        estimate = observer.update(Measurement(Sighting(k * STEP_NS, leap, 0.0, 0.0)), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[0]) < 1e-9 and not estimate.leap
+
+
+def test_poses_that_contradict_the_estimate_and_one_another_are_not_believed() -> None:
+    observer, random = estimator(), np.random.default_rng(2)
+    for k in range(1, 60):
+        x, y = (0.0, 0.0) if k < 45 else (3.0 * k, float(random.uniform(-1.0, 1.0)))
+        estimate = observer.update(Measurement(Sighting(k * STEP_NS, x, y, 0.0)), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[0]) < 1e-9 and not estimate.leap
+
+
+def test_a_leap_that_is_believed_says_what_was_told_and_what_was_believed() -> None:
+    observer, said = estimator(), []
+    for k in range(1, 60):
+        pose = Sighting(k * STEP_NS, 1.0 if k >= 40 else 0.0, 0.0, 0.0)
+        estimate = observer.update(Measurement(pose, depth_m=0.3), k * STEP_NS)
+        assert estimate is not None and estimate.eta[2] == pytest.approx(0.3, abs=1e-6)  # no pose tells of the depth
+        said += [(k, estimate.leap)] if estimate.leap else []
+    assert said == [(44, "poses say (1.00 m, 0.00 m, 0.00 rad), (0.00 m, 0.00 m, 0.00 rad) was believed")]
+
+
+# --- depth and yaw rate that cannot be
+
+
+def sensing(told: Callable[[int], tuple[float | None, float | None]], steps: int = 60) -> list[Estimate]:
+    """A robot at rest at 0.3 m, whose board says this depth and yaw rate at each step."""
+    observer, found = estimator(), []
+    for k in range(1, steps + 1):
+        depth_m, rate = told(k)
+        late = Sighting(k * STEP_NS - 40_000_000, 0.0, 0.0, 0.0)
+        estimate = observer.update(Measurement(late, depth_m, rate, k * STEP_NS), k * STEP_NS)
+        assert estimate is not None
+        found.append(estimate)
+    return found
+
+
+@pytest.mark.parametrize("bad", [(10.0, 0.0), (-0.4, 0.0), (0.3, 50.0), (0.3, -1.5)])
+def test_one_bad_depth_or_yaw_rate_moves_nothing(bad: tuple[float, float]) -> None:
+    for spoilt, missing in zip(
+        sensing(lambda k: bad if k % 7 == 0 else (0.3, 0.0)),
+        sensing(lambda k: (0.3 if bad[0] == 0.3 else None, 0.0 if bad[1] == 0.0 else None) if k % 7 == 0 else (0.3, 0.0)),
+        strict=True,
+    ):
+        assert np.array_equal(spoilt.eta, missing.eta) and np.array_equal(spoilt.nu, missing.nu)
+        assert np.array_equal(spoilt.disturbance, missing.disturbance)
+        assert np.abs(spoilt.eta - [0.0, 0.0, 0.3, 0.0]).max() < 1e-9 and not spoilt.depth_leap
+
+
+def test_a_depth_that_lasts_against_the_estimate_is_believed_and_told() -> None:
+    found = sensing(lambda k: (0.3 if k < 40 else 10.0, 0.0))
+    said = [(k, e.depth_leap) for k, e in enumerate(found, 1) if e.depth_leap]
+    assert said == [(44, "the sensor says 10.00 m, 0.30 m was believed")]
+    assert found[42].eta[2] == pytest.approx(0.3) and found[-1].eta[2] == pytest.approx(10.0)
+    assert np.abs(found[-1].nu).max() < 1e-6 and np.abs(found[-1].disturbance).max() < 1e-6  # it leapt, it did not dive
+
+
+def test_depths_that_agree_with_nothing_age() -> None:
+    found = sensing(lambda k: (0.3 if k < 40 else 1.0 + 0.5 * k, 0.0))
+    assert not any(e.depth_leap for e in found) and found[-1].eta[2] == pytest.approx(0.3)
+    assert found[38].depth_age_s == 0.0 and found[-1].depth_age_s == pytest.approx(21 * STEP_S)
+
+
+def test_a_yaw_rate_that_lasts_is_believed() -> None:
+    """A robot that was hit."""
+    found = sensing(lambda k: (0.3, 0.0 if k < 40 else 2.0), 46)
+    assert abs(found[42].nu[3]) < 0.1 and found[45].nu[3] > 1.5
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.05, 0.1, 0.4])

@@ -16,7 +16,7 @@ from wire.tuning import Safety
 PERIOD_S, NS = 0.05, 1_000_000_000
 CONFIG, SAFETY = MpcConfig(), Safety()
 STEPS = CONFIG.horizon + 1
-EQUAL = Rank(False, 0.0, 1)
+EQUAL = Rank(False, 0.0)
 
 
 def plan(
@@ -27,12 +27,12 @@ def plan(
 ) -> Plan:
     eta = np.zeros((STEPS, 4))
     eta[:, :2] = np.array(start) + PERIOD_S * np.arange(STEPS)[:, None] * np.array(velocity)
-    fields = {"tracking_error_m": 0.0, "urgent": False, "heard": 1, **rank}
+    fields = {"tracking_error_m": 0.0, "urgent": False, **rank}
     return Plan(PERIOD_S, eta, eta - np.array(off), **fields)  # type: ignore[arg-type]
 
 
-def neighbour(p: Plan, stamp_ns: int = 0, fresh: bool = True, robot: int = 2) -> Neighbour:
-    return Neighbour(robot, stamp_ns, p, fresh)
+def neighbour(p: Plan, stamp_ns: int = 0, fresh: bool = True, robot: int = 2, hears_us: bool = True) -> Neighbour:
+    return Neighbour(robot, stamp_ns, p, fresh, hears_us=hears_us)
 
 
 def formation() -> Formation:
@@ -78,17 +78,20 @@ def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() ->
 @pytest.mark.parametrize(
     ("high", "low"),
     [
-        (Rank(True, 1.0, 0), Rank(False, 0.0, 3)),
-        (Rank(False, 0.1, 0), Rank(False, 0.2, 3)),
+        (Rank(True, 1.0), Rank(False, 0.0)),
+        (Rank(False, 0.1), Rank(False, 0.2)),
     ],
 )
 def test_ranks(high: Rank, low: Rank) -> None:
     assert high.above(low) and not low.above(high) and not high.above(high)
 
 
-@pytest.mark.parametrize("high", [Rank(True, 0.0, 3), Rank(False, 0.0, 3)])
-def test_nobody_is_above_a_robot_that_hears_nobody_and_so_cannot_yield(high: Rank) -> None:
-    assert not high.above(Rank(False, 1.0, 0))
+@pytest.mark.parametrize("own", [Rank(True, 0.0), Rank(False, 0.0)])
+def test_a_robot_that_does_not_hear_us_is_not_taken_to_yield(own: Rank) -> None:
+    """It may hear others: a number of neighbours would not tell."""
+    deaf = neighbour(plan((1, 0), tracking_error_m=9.0, heard=(3, 4)), hears_us=False)
+    assert formation().distance_m(deaf, own, 0) == pytest.approx(0.6)
+    assert formation().distance_m(dataclasses.replace(deaf, hears_us=True), own, 0) is None
 
 
 @settings(max_examples=300)
@@ -100,7 +103,7 @@ def test_two_robots_are_never_both_above_one_another(seed: int, age_a_s: float, 
     errors = np.abs(np.cumsum(random.choice([-1.0, 1.0], (2, 100)) * 0.5 * step_s, axis=1) + random.uniform(0.0, 0.2, (2, 1)))
 
     def rank(robot: int, age_s: float) -> Rank:
-        return Rank(False, float(errors[robot, 99 - int(age_s / step_s)]), 1)
+        return Rank(False, float(errors[robot, 99 - int(age_s / step_s)]))
 
     a_first = rank(0, 0.0).above(rank(1, age_b_s), age_b_s)
     b_first = rank(1, 0.0).above(rank(0, age_a_s), age_a_s)
@@ -109,14 +112,14 @@ def test_two_robots_are_never_both_above_one_another(seed: int, age_a_s: float, 
 
 def test_the_higher_ignores_the_lower_which_yields_and_equals_both_act() -> None:
     here = neighbour(plan((1, 0), tracking_error_m=0.2))
-    assert formation().distance_m(here, Rank(False, 0.05, 1), 0) is None
-    assert formation().distance_m(here, Rank(False, 0.5, 1), 0) == pytest.approx(0.6)
-    assert formation().distance_m(here, Rank(False, 0.2, 1), 0) == pytest.approx(0.6)
+    assert formation().distance_m(here, Rank(False, 0.05), 0) is None
+    assert formation().distance_m(here, Rank(False, 0.5), 0) == pytest.approx(0.6)
+    assert formation().distance_m(here, Rank(False, 0.2), 0) == pytest.approx(0.6)
 
 
 def test_nobody_is_above_a_silent_robot() -> None:
     silent = neighbour(plan((1, 0), tracking_error_m=9.0), fresh=False)
-    assert formation().distance_m(silent, Rank(True, 0.0, 1), 0) == pytest.approx(0.6)
+    assert formation().distance_m(silent, Rank(True, 0.0), 0) == pytest.approx(0.6)
 
 
 def expecting(x: float, y: float = 0.0, z: float = 0.0) -> Array:
@@ -143,7 +146,7 @@ def test_of_a_silent_robot_half_spaces_come_sooner() -> None:
 
 def test_who_ranks_higher_sees_no_half_spaces() -> None:
     here = [neighbour(plan((0, 0), tracking_error_m=0.2)), neighbour(plan((0.5, 1.0), tracking_error_m=0.0), robot=3)]
-    rows = half_spaces(here, expecting(0.5, 0.5), Rank(False, 0.1, 1))
+    rows = half_spaces(here, expecting(0.5, 0.5), Rank(False, 0.1))
     assert rows.offset == pytest.approx(np.full(5, -1.0 + 0.6)) and np.allclose(rows.normal, -1j)  # of the second one alone
 
 
@@ -216,3 +219,29 @@ def test_a_plan_leans_against_a_half_space_that_it_is_close_to_or_in(x_m: float,
     eta[2, :2] = x_m, 9.0
     assert HalfSpaces(np.array([2]), np.array([1 + 0j]), np.array([0.5])).bind(eta) is leans
     assert not NOWHERE.bind(eta)
+
+
+# --- walls
+
+
+def beside_a_wall(other: tuple[float, float], own: tuple[float, float]) -> HalfSpaces:
+    f = Formation(CONFIG, SAFETY, PERIOD_S, 0.0, (3.5, 2.5), 0.15)
+    return f.half_spaces(f.company([neighbour(plan(other))], 0), expecting(*own), EQUAL, 0)
+
+
+def test_next_to_a_wall_a_neighbours_lines_come_with_the_walls() -> None:
+    rows = beside_a_wall((1.0, 0.0), (1.54, 0.0))
+    towards = rows.normal == -1.0  # stay at -x >= -1.55: 5 cm beyond the hull of 15, in a pool that ends at 1.75
+    assert towards.sum() == 5 and rows.offset[towards] == pytest.approx(np.full(5, -1.55))
+    assert len(rows.node) == 10 and set(rows.node[towards]) == set(rows.node[~towards])
+
+
+@pytest.mark.parametrize(("own", "walls"), [((1.2, 0.0), set()), ((-1.52, -1.02), {1, 1j}), ((0.0, 1.02), {-1j})])
+def test_only_walls_that_are_near_get_lines(own: tuple[float, float], walls: set[complex]) -> None:
+    rows = beside_a_wall((own[0] - 0.4 if own[0] > 0 else own[0] + 0.4, own[1]), own)
+    assert {complex(n) for n in rows.normal[5:]} | {complex(n) for n in rows.normal[:5]} >= walls
+    assert len(rows.node) == 5 * (1 + len(walls))
+
+
+def test_a_robot_that_meets_nobody_has_no_walls() -> None:
+    assert len(beside_a_wall((-1.0, 0.0), (1.7, 0.0)).node) == 0

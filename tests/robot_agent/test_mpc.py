@@ -4,18 +4,20 @@ import numpy as np
 import pytest
 from scipy.optimize import Bounds, LinearConstraint, minimize
 
-from robot_agent.formation import NOWHERE, HalfSpaces
+from robot_agent.formation import NOWHERE, Formation, HalfSpaces, Neighbour, Rank
 from robot_agent.model import Model, State
-from robot_agent.mpc import MAX_SHIFTED, Mpc
+from robot_agent.mpc import Mpc, bridged_steps
 from robot_agent.qp import Solution
 from wire.frames import Array
-from wire.messages import Solve
+from wire.messages import Plan, Solve
 from wire.tuning import Mpc as MpcConfig
+from wire.tuning import Safety
 from wire.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("spherical")
 PERIOD_S, ROWS = 0.05, 20
-LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step)
+BRIDGED = bridged_steps(PERIOD_S)
+LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 WEIGHT = np.ones(4)
 START: State = (0.0,) * 11
 
@@ -139,12 +141,12 @@ def test_failures_are_bridged_by_the_last_plan_then_neutral() -> None:
     solver = Refusing(controller)
     wrench = controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE).wrench
     solver.refuse, seen = True, []
-    for _ in range(MAX_SHIFTED + 2):
+    for _ in range(BRIDGED + 2):
         plan = controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE)
         assert np.all(np.abs(plan.wrench - wrench) <= STEP + 1e-12) or plan.solve is Solve.FAILED
         wrench = plan.wrench
         seen.append(plan.solve)
-    assert seen == [Solve.SHIFTED] * MAX_SHIFTED + [Solve.FAILED] * 2 and not wrench.any()
+    assert seen == [Solve.SHIFTED] * BRIDGED + [Solve.FAILED] * 2 and not wrench.any()
     solver.refuse = False
     assert controller.plan(START, np.zeros(4), wrench, ahead(0.5), WEIGHT, NOWHERE).solve is Solve.SOLVED
 
@@ -164,8 +166,8 @@ def test_the_bridge_is_the_rest_of_the_plan() -> None:
 def test_nothing_solved_yet_means_neutral() -> None:
     controller = mpc()
     Refusing(controller).refuse = True
-    plans = [controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE) for _ in range(MAX_SHIFTED + 2)]
-    assert [plan.solve for plan in plans] == [Solve.SHIFTED] * MAX_SHIFTED + [Solve.FAILED] * 2
+    plans = [controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE) for _ in range(BRIDGED + 2)]
+    assert [plan.solve for plan in plans] == [Solve.SHIFTED] * BRIDGED + [Solve.FAILED] * 2
     assert not any(plan.wrench.any() for plan in plans)
 
 
@@ -194,3 +196,44 @@ def test_after_a_reset_it_expects_to_stay_where_it_is_now() -> None:
     assert np.array_equal(expected[0], np.tile([1.0, 2.0], (51, 1))) and np.array_equal(
         expected[1], np.tile([0.3, 0.5], (51, 1))
     )
+
+
+@pytest.mark.parametrize("period_s", [0.025, 0.05, 0.1])
+def test_the_wrench_grows_as_fast_per_second_at_every_control_period(period_s: float) -> None:
+    controller, wrench = Mpc(VEHICLE, Model(VEHICLE), MpcConfig(), period_s, ROWS), np.zeros(3)
+    for _ in range(round(0.4 / period_s)):
+        wrench = controller.plan(START, np.zeros(4), wrench, ahead(50.0, z=50.0), WEIGHT, NOWHERE).wrench
+    assert wrench[:2] == pytest.approx([0.4 * 6.0, 0.4 * 6.0], rel=1e-3)
+
+
+def test_what_the_thrusters_could_not_give_is_not_expected_of_them() -> None:
+    """2 N were asked for and 1 N came: the plan goes on from 1 N, the limits of what is asked from 2 N."""
+    asked, delivered = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
+    controller = mpc(blocks=(10, 10))
+    start: State = (*START[:8], 1.0, 0.0, 0.0)
+    plan = controller.plan(start, np.zeros(4), asked, ahead(0.5), WEIGHT, NOWHERE, 0j, delivered)
+    assert abs(plan.wrench[0] - asked[0]) <= STEP[0] + 1e-12
+    state = start
+    for _ in range(10):
+        state = Model(VEHICLE).advance(state, (0.0,) * 4, tuple(delivered + plan.wrench - asked), PERIOD_S)
+    assert plan.eta[10, 0] == pytest.approx(state[0], abs=2e-3)
+
+
+def test_a_plan_is_bridged_as_long_at_every_control_period() -> None:
+    assert [bridged_steps(period_s) for period_s in (0.025, 0.05, 0.075, 0.1, 0.2)] == [6, 3, 2, 1, 0]
+
+
+def test_a_neighbour_does_not_push_a_robot_into_a_wall() -> None:
+    """The other comes nearer from behind, the wall is ahead, and there is not room for all that should be kept."""
+    pushed = {}
+    for walls in (None, (3.5, 2.5)):
+        near = Formation(MpcConfig(), Safety(), PERIOD_S, 0.0, walls, VEHICLE.radius_m)
+        controller, model, wrench, state = mpc(), Model(VEHICLE), np.zeros(3), (1.5, *START[1:])
+        for k in range(60):
+            eta = np.tile([0.95 + 0.0025 * k, 0.0, 0.0, 0.0], (51, 1))
+            company = near.company([Neighbour(2, 0, Plan(PERIOD_S, eta, eta), True)], 0)
+            lines = near.half_spaces(company, controller.expected(state), Rank(False, 0.0), 0)
+            wrench = controller.plan(state, np.zeros(4), wrench, ahead(1.5), WEIGHT, lines).wrench
+            state = model.advance(state, (0.0,) * 4, tuple(wrench), PERIOD_S)
+        pushed[walls] = state[0] + VEHICLE.radius_m - 1.75
+    assert pushed[None] > -0.01 and pushed[3.5, 2.5] < -0.03  # m beyond the wall

@@ -6,12 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from robot_agent.formation import Formation, Rank
-from robot_agent.obstacles import SPACING_M, border, islands, things_seen
+from robot_agent.obstacles import SPACING_M, Apart, border, islands, things_seen
 from tests.robot_agent.test_formation import CONFIG, NS, PERIOD_S, SAFETY, expecting
 from wire.messages import Obstacles
 from wire.scene import Island
 
-ALONE = Rank(False, 0.0, 0)
+ALONE = Rank(False, 0.0)
 
 
 def box(x: float, y: float, half_x: float, half_y: float, velocity: tuple[float, float] = (0.0, 0.0)) -> Obstacles:
@@ -91,3 +91,23 @@ def test_robots_and_things_share_the_rows_there_are() -> None:
     crowd = [things_seen(box(0.2 + 0.02 * i, 0.0, 0.01, 0.01), 0, 0.3)[0] for i in range(6)]
     rows = formation.half_spaces(formation.company([], 0), expecting(0.0), ALONE, 0, crowd)
     assert len(rows.node) == formation.rows
+
+
+def test_an_obstacle_that_drifts_against_the_hull_stays_one() -> None:
+    """It was seen beside the robot before; one that never was is the robot itself."""
+    apart = Apart(0.15)
+    square = np.array([[x, y] for x in (-0.1, 0.1) for y in (-0.1, 0.1)] * 3)
+    looks = []
+    for k, ball_x in enumerate((0.5, 0.3, 0.1, 0.0, 0.1, 0.5)):
+        outlines = np.array([square + np.array([ball_x, 0.0]), square])
+        seen = things_seen(Obstacles((7, 8), outlines, np.zeros((2, 2))), k, 0.3)
+        looks.append([thing.id for thing in apart.others(seen, 0j, k)])
+    assert looks == [[7]] * 6
+
+
+def test_an_obstacle_that_went_away_is_judged_anew() -> None:
+    apart, square = Apart(0.15), np.array([[x, y] for x in (-0.1, 0.1) for y in (-0.1, 0.1)] * 3)
+    beside, on_top = (
+        things_seen(Obstacles((7,), square[None] + np.array([x, 0.0]), np.zeros((1, 2))), 0, 0.3) for x in (0.5, 0.0)
+    )
+    assert [len(apart.others(seen, 0j, 0)) for seen in (beside, on_top, (), on_top)] == [1, 1, 0, 0]

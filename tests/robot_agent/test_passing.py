@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.formation import Formation, Neighbour
-from robot_agent.passing import NOBODY, ROOM_M, SURE_STEPS, Passing, Traffic, robots
+from robot_agent.passing import NOBODY, ROOM_M, SURE_S, Passing, Traffic, robots
 from robot_agent.reference import Path
 from wire.experiment import load_experiment
 from wire.messages import Plan
@@ -83,7 +83,7 @@ def test_whoever_is_in_the_way_is_seen_whatever_the_horizon(seconds: float) -> N
             whole = point.path(k * PERIOD_S)
             path = Path(whole.eta[: len(times_s)], whole.velocity[: len(times_s)], whole.acceleration[: len(times_s)])
             left.append(point.passing.lead(path, 0j, one(ahead_m + 0j, -0.1 + 0j, KEEP_M, True)) is not path)
-        assert left == [leaves and k >= SURE_STEPS - 1 for k in range(6)]
+        assert left == [leaves and k >= round(SURE_S / PERIOD_S) - 1 for k in range(6)]
 
 
 def arrived(points: list[Point]) -> bool:
@@ -169,10 +169,10 @@ def test_round_an_obstacle_the_shorter_way_counts(way: complex) -> None:
     assert max(side, key=abs) * way.imag < 0.0
 
 
-def plan(urgent: bool = False, heard: int = 1, depth_m: float = 0.3) -> Plan:
+def plan(urgent: bool = False, depth_m: float = 0.3) -> Plan:
     eta = np.zeros((51, 4))
     eta[:, 0], eta[:, 2] = 1.0 - 0.1 * 0.05 * np.arange(51), depth_m
-    return Plan(0.05, eta, eta + np.array([0.0, 0.2, 0.0, 0.0]), urgent=urgent, heard=heard)
+    return Plan(0.05, eta, eta + np.array([0.0, 0.2, 0.0, 0.0]), urgent=urgent)
 
 
 def met(neighbour: Neighbour, now_ns: int = 0, urgent: bool = False) -> Traffic:
@@ -201,12 +201,12 @@ def test_only_who_is_deep_below_is_out_of_the_way() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mine", "theirs", "heard", "fresh", "yields"),
-    [(True, False, 1, True, True), (True, True, 1, True, False), (True, False, 0, True, False),
-     (True, False, 1, False, False), (False, False, 1, True, False)],
+    ("mine", "theirs", "hears_us", "fresh", "yields"),
+    [(True, False, True, True, True), (True, True, True, True, False), (True, False, False, True, False),
+     (True, False, True, False, False), (False, False, True, True, False)],
 )  # fmt: skip
-def test_only_who_hears_and_is_heard_yields_to_the_urgent(
-    mine: bool, theirs: bool, heard: int, fresh: bool, yields: bool
+def test_only_a_robot_that_hears_us_and_is_heard_yields_to_the_urgent(
+    mine: bool, theirs: bool, hears_us: bool, fresh: bool, yields: bool
 ) -> None:
-    found = met(Neighbour(2, 0, plan(theirs, heard), fresh), urgent=mine)
+    found = met(Neighbour(2, 0, plan(theirs), fresh, hears_us=hears_us), urgent=mine)
     assert len(found.place) == (0 if yields else 1)

@@ -2,6 +2,7 @@
 
 import copy
 import math
+import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 import tomli_w
 
 from wire.experiment import EXPERIMENTS, Experiment, dump_experiment, experiment_path, load_experiment
+from wire.options import caution
 from wire.toml_file import ConfigError, apply_setting, check
 from wire.vehicle import Vehicle
 
@@ -405,3 +407,44 @@ def test_a_marker_is_the_robots_number_unless_told_otherwise() -> None:
     robots = load_experiment("pool", ["robots.0.marker_id=9", "formation.scale=2"])
     assert [robot.marker for robot in robots.robots] == [9, 2]
     assert robots.nodes_m().tolist() == [[0.8, 0.0, 0.0], [-0.8, 0.0, 0.0]]
+
+
+def test_the_change_per_step_in_a_runs_record_is_read_as_the_rate_it_was(tmp_path: Path) -> None:
+    """Runs of before limits were per second. A file that a person keeps is refused, with what to write."""
+    text = dump_experiment(load_experiment("pool", ["controller.period_s=0.1"]))
+    older = re.sub(r"wrench_rate_per_s = \[[^]]*\]", "wrench_step = [0.3, 0.3, 0.1]", text)
+    assert older != text
+    (tmp_path / "experiment.toml").write_text(older)
+    with pytest.raises(ConfigError, match=r"vehicle.limits: wrench_step: .* wrench_rate_per_s, in N/s"):
+        load_experiment(str(tmp_path / "experiment.toml"))
+    (tmp_path / "run.mcap").touch()
+    experiment = load_experiment(str(tmp_path / "experiment.toml"))
+    assert experiment.vehicle.limits.wrench_rate_per_s == (3.0, 3.0, 1.0)
+    assert experiment.wrench_step == pytest.approx((0.3, 0.3, 0.1))
+
+
+def test_the_shipped_rates_are_the_articles_steps_to_the_last_bit() -> None:
+    assert load_experiment("pool").wrench_step == (0.3, 0.3, 0.1)
+
+
+def test_a_horizon_that_is_too_short_for_slow_robots_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    for settings, told in (
+        ((), ""),
+        (("controller.mpc.horizon=40",), ""),
+        (("controller.mpc.horizon=25", 'controller.law="pid"'), ""),
+        (("controller.mpc.horizon=25",), "controller.mpc.horizon = 25 looks 1.25 s ahead: below 2 s"),
+        (("controller.mpc.horizon=25", "controller.period_s=0.1"), ""),
+        (("controller.mpc.horizon=19", "controller.period_s=0.1"), "use 20 or more"),
+    ):
+        caution(load_experiment("pool", settings))
+        said = capsys.readouterr().err
+        assert (told in said and said.startswith("warning: ")) if told else not said
+
+
+def test_no_shipped_experiment_and_no_example_has_a_horizon_that_is_too_short() -> None:
+    root = EXPERIMENTS.parents[1]
+    pages = [root / "README.md", *(root / "docs").glob("*.md"), *root.glob("*/*commands.py")]
+    found = [int(steps) for page in pages for steps in re.findall(r"--set controller.mpc.horizon=(\d+)", page.read_text())]
+    assert len(found) >= 4
+    for name, settings in [*((path.stem, ()) for path in EXPERIMENTS.glob("*.toml")), *(("pool", (n,)) for n in found)]:
+        assert not load_experiment(name, [f"controller.mpc.horizon={n}" for n in settings]).cautions
