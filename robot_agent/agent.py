@@ -17,7 +17,7 @@ from robot_agent.gains import Gains
 from robot_agent.inputs import Inputs
 from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Thing, islands, things_seen
-from robot_agent.orders import StationView, unacceptable
+from robot_agent.orders import StationView, begins_ns, unacceptable
 from robot_agent.pulse_test import ThrusterTest
 from robot_agent.vitals import ARM_AGAIN_S, Vitals
 from wire.codec import Header
@@ -59,7 +59,7 @@ class Agent:
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
         self._fault = ""
-        self._course = Course(experiment.pool.size_m)
+        self._course = Course(experiment, robot)
         self._test: ThrusterTest | None = None
         self._vitals = Vitals(experiment)
         self._hold: Hold | None = None
@@ -73,26 +73,28 @@ class Agent:
         reason = unacceptable(self._me.id, self._experiment.hash, header, command, station)
         if reason:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
-        reason = refusal(command.order, self.mode) or self._objection(command, station, now_ns)
+        # Both counted on the station's clock: robots that got an order at different instants still follow it together.
+        ours_ahead_ns = now_ns - station.clock_ns
+        begin_ns, given_ns = begins_ns(header, command) + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
+        reason = refusal(command.order, self.mode) or self._objection(command, station, begin_ns, now_ns)
         if not reason:
-            # Counted from when the order was given: robots that got it at different instants still start together.
-            self._follow(command, station, now_ns - (station.clock_ns - header.stamp_ns))
+            self._follow(command, station, begin_ns, given_ns)
         return Reply(self._me.id, not reason, reason, self.mode)
 
-    def _objection(self, command: Command, station: StationView, now_ns: int) -> str:
-        reason = self._course.objection(command, self.mode is Mode.TRACKING)
+    def _objection(self, command: Command, station: StationView, begin_ns: int, now_ns: int) -> str:
+        eta = self._last.eta if self._last is not None and self._last.estimated else None
+        reason = self._course.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta)
         if reason:
             return reason
         if command.order is Order.ARM:
             return self._vitals.unfit(self._inputs, station, now_ns)
-        if command.order in (Order.START, Order.RESUME) and not self._located:
-            return "the robot does not know where it is"
         return self._gains.objection(command)
 
-    def _follow(self, command: Command, station: StationView, given_ns: int) -> None:
-        """Carry out an order that is accepted, given at that instant on our clock."""
+    def _follow(self, command: Command, station: StationView, begin_ns: int, given_ns: int) -> None:
+        """Carry out an order that is accepted. It was given at one instant, and START and RESUME begin at the other, both on
+        our clock."""
         self._gains.follow(command, given_ns)
-        self._course.follow(command, self.mode is Mode.TRACKING, station, given_ns)
+        self._course.follow(command, self.mode is Mode.TRACKING, station, begin_ns)
         if command.order is Order.TEST:
             neutral_us = self._last.pulse_us if self._last is not None else ()
             self._test = ThrusterTest(self._experiment.vehicle, neutral_us)
@@ -170,10 +172,6 @@ class Agent:
         """Whether a pose can be one of this pool."""
         length_m, width_m, _ = self._experiment.pool.size_m
         return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
-
-    @property
-    def _located(self) -> bool:
-        return self._last is not None and self._last.estimated
 
     def _goal(self, now_ns: int) -> Goal | None:
         """What the mode asks the controller for; None is neutral."""
