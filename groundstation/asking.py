@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from groundstation.crew import Crew
 from groundstation.itinerary import Itinerary
+from groundstation.timetable import Timetable
 from wire.messages import Command, Order, Reply
 
 RETRY_S = 0.25
@@ -48,21 +49,21 @@ class Asking:
         return refusal
 
     def orders(
-        self, order: Order, robots: Sequence[int], now_ns: int, start_in_s: float = 0.0, trajectory_s: float = 0.0
+        self, order: Order, robots: Sequence[int], now_ns: int, timetable: Timetable | None = None
     ) -> tuple[Command, ...]:
-        """For those robots that have not been asked within RETRY_S."""
+        """For those robots that have not been asked within RETRY_S. START and RESUME say by which timetable."""
         due = [r for r in robots if now_ns - self._asked_ns.get(r, -(10**18)) >= RETRY_S * 1e9]
         self._asked_ns |= dict.fromkeys(due, now_ns)
-        return tuple(self._command(order, robot, start_in_s, trajectory_s) for robot in due)
+        return tuple(self._command(order, robot, timetable) for robot in due)
 
-    def _command(self, order: Order, robot: int, start_in_s: float, trajectory_s: float) -> Command:
+    def _command(self, order: Order, robot: int, timetable: Timetable | None) -> Command:
         trajectory = self._itinerary.about(order, robot)
         return Command(
             order,
             robot,
             experiment_hash=self._hash,
             trajectory_id=trajectory.id if trajectory is not None else "",
-            start_in_s=start_in_s,
-            trajectory_s=trajectory_s,
+            trajectory_s=timetable.from_s if timetable is not None else 0.0,
             trajectory=trajectory if order is Order.LOAD else None,
+            start_ns=timetable.start_ns if timetable is not None else 0,
         )

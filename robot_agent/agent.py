@@ -128,9 +128,9 @@ class Agent:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
         arming = health.board_disarmed_s >= ARM_AGAIN_S  # asked again: it arms on neutral pulses only
-        things, goal = self._things(inputs, now_ns), None if arming else self._goal(now_ns)
+        things, goal = self._things(inputs, now_ns), self._goal(now_ns)  # time goes on along the path while the board arms
         self._gains.step(now_ns, self._course.reached_s)
-        output = self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things)
+        output = self._controller.step(_measurement(inputs), None if arming else goal, neighbours, now_ns, things)
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
         self._vitals.told(pulses, now_ns)

@@ -83,7 +83,7 @@ def _too_much(trajectory: Trajectory, vehicle: Vehicle) -> str:
 
 def _first(fine: Array) -> tuple[int, int] | None:
     """Row and column of the first entry that is not fine."""
-    bad = np.argwhere(~fine)
+    bad = np.argwhere(np.logical_not(fine))
     return (int(bad[0, 0]), int(bad[0, 1])) if len(bad) else None
 
 

@@ -79,7 +79,8 @@ def interpolate(table: Array, place: Array) -> Array:
 
 def pose_at(trajectory: Trajectory, time_s: float) -> Array:
     """The pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
-    return interpolate(trajectory.eta, np.array([_row(trajectory, time_s)]))[0]
+    pose: Array = interpolate(trajectory.eta, np.array([_row(trajectory, time_s)]))[0]
+    return pose
 
 
 SEAM_M, SEAM_MPS, SEAM_MPS2 = 1e-6, 1e-6, 1e-6  # and radians: the station continues the very samples that the robot has

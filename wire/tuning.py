@@ -41,8 +41,8 @@ class Safety(Section):
         0.3  # neutral when farther off its path than this for 0.5 s, nothing being in the way; still water: 0.1
     )
 
-    # a robot refuses to begin on a path, or to go on along it, when it is farther from where the path has it than its experiment
-    # plans, by more than this
+    # a robot refuses to begin on its path, or to go on along it, when it is farther away from it than this and than the way
+    # from its planned start to the path's first pose together
     join_within_m: Positive = 1.0
 
     @model_validator(mode="after")

@@ -100,9 +100,9 @@ class CrewedPool(DryPool):
         if self.mission.wanted is not None:
             wanted = self.mission.wanted
             try:
-                self.mission.planned(wanted.plan(), self.now_ns)
+                self.mission.planned(wanted.plan(), fleet, self.now_ns)
             except PlanError as error:
-                self.mission.planned(error, self.now_ns)
+                self.mission.planned(error, fleet, self.now_ns)
         self._answers = []
         for command in commands:
             i = self.experiment.robot_ids.index(command.robot)
