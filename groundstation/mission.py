@@ -1,8 +1,9 @@
 """READ FIRST. The mission: from robots lying in the water to a run that is over, along the table in groundstation/phases.py.
 
 Pure: `step(fleet, answers, now_ns, around)` returns the orders to send; groundstation/station.py sends them. An order that is
-refused or unanswered is sent again (asking.py) until a robot has been waited for PATIENCE_S. What is flown, now and next, is in
-itinerary.py, since when, in timetable.py. Plans take time: the mission says which one it wants (`wanted`) and is told what came of it (`planned`).
+refused or unanswered is sent again (asking.py) until a robot has been waited for PATIENCE_S. What is flown, now and next, is
+in itinerary.py, since when, in timetable.py. Plans take time: the mission says which one it wants (`wanted`) and is told what
+came of it (`planned`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -34,6 +35,8 @@ REST_WITHIN_S = 8.0  # robots that hold against waves never quite rest
 OUT_FOR_S = 0.3  # a robot is out of step for that long before all hold: states that come late count with their age, but jitter
 
 GETTING_READY = frozenset({Phase.ARMING, Phase.STARTING})
+# where the last refusal is what people wait for; elsewhere the reason why it came to this is not lost for it
+TELLS_REFUSALS = frozenset(STAGES) - {Phase.ENDING, Phase.ABORTING}
 
 
 class Mission:
@@ -125,7 +128,9 @@ class Mission:
         """One cycle: the orders to send now."""
         elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
         self._cycle_ns = now_ns
-        self.reason = self._asking.listen(answers) or self.reason
+        refused = self._asking.listen(answers)
+        if refused and (not self.reason or self.phase in TELLS_REFUSALS):
+            self.reason = refused
         self.itinerary.lookout.see(around, now_ns)
         if self.phase is Phase.WAITING:
             return self._wait(fleet, now_ns)
@@ -159,7 +164,7 @@ class Mission:
         return ()
 
     def behind_s(self, robot: RobotView, now_ns: int) -> float:
-        """How far a robot is behind the fleet's timetable, by its own account; negative: ahead of it. 0 where there is none."""
+        """How far a robot is behind the fleet's timetable, by its own account; negative: ahead. 0 where there is none."""
         flown = self._timetable if self.phase in FLYING | JOINING else None
         return flown.behind_s(robot, self.pace, now_ns) if flown is not None else 0.0
 
@@ -186,9 +191,12 @@ class Mission:
     def _watch(self, fleet: Fleet, now_ns: int) -> None:
         """Look for the end of the run, for robots that hold or lag, for what lies in the way."""
         plans = self.itinerary
-        plans.reached_s = min(fleet[r].trajectory_s for r in self.crew.active)
-        if self.phase is Phase.PAUSED:
+        in_step = [r for r in self.crew.active if abs(self.behind_s(fleet[r], now_ns)) <= OUT_OF_STEP_S]
+        reached_s = min((fleet[r].trajectory_s for r in in_step), default=plans.reached_s)
+        if self.phase is Phase.PAUSED:  # all go on from where the last was, but not from where one was that fell out of step
+            plans.reached_s = max(plans.reached_s, reached_s)
             return
+        plans.reached_s = reached_s
         fresh, slowed = now_ns - self._since_ns <= topics.STATE.max_age_s * 1e9, self.pace.slowed
         notice = noticed(
             self.phase, fleet, self.crew, plans.leg, plans.reached_s, fresh, slowed, lambda: plans.blocked(fleet, now_ns)
@@ -420,9 +428,7 @@ class Mission:
             self.reason = ""
         if phase is Phase.HALTING and self.phase not in PLANNING and isinstance(cause, Event):
             self._lying = frozenset()  # who flew just now, and is disarmed, is lost
-        if (
-            phase in JOINING
-        ):  # all at one instant, the same in every order: who takes it late joins them where they are by then
+        if phase in JOINING:  # one instant for all, the same in every order: who takes it late joins them where they are
             from_s = self.itinerary.reached_s if phase is Phase.RESUMING else self.leg.centre.begin_s
             self._timetable = Timetable(now_ns + round(START_IN_S * 1e9), from_s + self.pace.lag_s)
         if phase is not Phase.SWITCHING:

@@ -221,7 +221,7 @@ def mission(data: bytes) -> None:
             decode(Command, encode(command), "station", "command")
         if flight.wanted is not None:
             with contextlib.suppress(PlanError):
-                flight.planned(flight.wanted.plan(), now_ns)
+                flight.planned(flight.wanted.plan(), fleet, now_ns)
         now_ns += PERIOD_NS * (1 + bites.byte())
 
 

@@ -46,8 +46,8 @@ class Robot:
             self.loaded = command.trajectory.id
         self.mode = leads.get(command.order, self.mode)
         if command.order in (Order.START, Order.RESUME):
-            self.trajectory_s = command.trajectory_s
-            self.starts_at_ns = now_ns + round(command.start_in_s * 1e9)
+            self.trajectory_s = command.trajectory_s + max(now_ns - command.start_ns, 0) * 1e-9
+            self.starts_at_ns = command.start_ns
         return Reply(command.robot, True)
 
     def view(self) -> RobotView:
