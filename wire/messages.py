@@ -256,7 +256,7 @@ class Command:
     tuning: Tuning | None = None
     recipient: int = 0  # session of the process that it is for, as its replies tell it: an earlier life's orders are void
     via: Array = array(-1, 2)  # GO: places for the formation's centre, x, y
-    start_ns: int = 0  # START, RESUME: when, on the station's clock; 0 (logs of before): start_in_s after the header's stamp
+    start_ns: int = 0  # START, RESUME: when, on the station's clock; 0 (older logs): start_in_s after the header's stamp
 
 
 @dataclass(frozen=True, eq=False)
