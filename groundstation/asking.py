@@ -24,7 +24,7 @@ class Asking:
 
     def __init__(self, experiment_hash: str, itinerary: Itinerary, crew: Crew) -> None:
         self.accepted: set[int] = set()  # robots that hold the next leg's trajectory
-        self.tested: set[int] = set()
+        self.tested: dict[int, int] = {}  # robots that have taken a TEST, and when we heard of it
         self._hash, self._itinerary, self._crew = experiment_hash, itinerary, crew
         self._asked_ns: dict[int, int] = {}
 
@@ -32,7 +32,7 @@ class Asking:
         """Another phase begins: nobody has been asked."""
         self._asked_ns.clear()
 
-    def listen(self, answers: Sequence[Answer]) -> str:
+    def listen(self, answers: Sequence[Answer], now_ns: int) -> str:
         """Take answers in. Returns the last refusal with its reason, empty if there is none."""
         refusal = ""
         for answer in answers:
@@ -45,7 +45,7 @@ class Asking:
             elif command.order is Order.LOAD and held is not None and command.trajectory_id == held.id:
                 self.accepted.add(command.robot)
             elif command.order is Order.TEST:
-                self.tested.add(command.robot)
+                self.tested[command.robot] = now_ns
         return refusal
 
     def orders(

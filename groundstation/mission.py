@@ -6,14 +6,16 @@ in itinerary.py, since when, in timetable.py. Plans take time: the mission says 
 came of it (`planned`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
 
 from groundstation.asking import Answer, Asking
 from groundstation.checks import PlanError
 from groundstation.crew import Crew
 from groundstation.fleet import OUT_OF_STEP_S, Fleet, RobotView, casualty, preflight
 from groundstation.itinerary import Itinerary, Wanted
-from groundstation.legs import Leg
+from groundstation.legs import Leg, at
 from groundstation.lookout import Surroundings
 from groundstation.pacing import Pace
 from groundstation.phases import FLYING, JOINING, OVER, PLANNING, UNDER_WAY, Event, Phase, after, refusal
@@ -28,6 +30,7 @@ from wire.messages import Command, Mode, Order
 
 START_IN_S = 0.5  # from the order to the first step along the trajectory, so that all have heard it
 PATIENCE_S = 10.0  # with a robot that does not do as told
+JOIN_WITHIN_S = 3.5  # with a robot that does not begin to fly with the others, who fly already: as long as without a station
 TEST_PATIENCE_S = 12.0
 SETTLE_S = 1.0  # an automatic mission goes on this long after everybody holds and is well again
 AT_REST_MPS = 0.03
@@ -128,7 +131,7 @@ class Mission:
         """One cycle: the orders to send now."""
         elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
         self._cycle_ns = now_ns
-        refused = self._asking.listen(answers)
+        refused = self._asking.listen(answers, now_ns)
         if refused and (not self.reason or self.phase in TELLS_REFUSALS):
             self.reason = refused
         self.itinerary.lookout.see(around, now_ns)
@@ -268,7 +271,8 @@ class Mission:
             self._unheeded(f"robot {fallen[0]}: {fallen[1]}", now_ns)
             return ()
         self._waited_ns = {r: self._waited_ns.get(r, now_ns) for r in waiting}
-        late = [r for r in waiting if now_ns - self._waited_ns[r] > PATIENCE_S * 1e9]
+        patience_s = JOIN_WITHIN_S if self.phase in JOINING else PATIENCE_S
+        late = [r for r in waiting if now_ns - self._waited_ns[r] > patience_s * 1e9]
         if late:
             who = ", ".join(map(str, late))
             self._unheeded(f"robot {who} does not follow {stage.order.name}: {self.reason or 'no answer'}", now_ns)
@@ -276,9 +280,11 @@ class Mission:
         return self._ask(stage.order, waiting, now_ns)
 
     def _has_obeyed(self, robot: int, stage: Stage, fleet: Fleet, now_ns: int) -> bool:
-        """By what a robot has told lately, or since it was first asked: what it told before says nothing."""
+        """By what a robot has told lately, or since it was asked: what it told before that says nothing. That it is disarmed
+        counts only if told since: an ARM may have been on its way."""
         seen = fleet[robot]
-        told = seen.heard or seen.state_age_s * 1e9 <= now_ns - self._since_ns
+        told_since = seen.state_age_s * 1e9 <= now_ns - self._since_ns
+        told = told_since or (seen.heard and stage.order is not Order.DISARM)
         return told and stage.obeyed(seen.mode, self.crew.is_on(self.leg, fleet, robot))
 
     @property
@@ -321,19 +327,29 @@ class Mission:
         return bool(self.crew.out) or self.leg.apart(self.itinerary.reached_s)
 
     def _resume_anew(self, fleet: Fleet, now_ns: int) -> None:
-        """Where those who held cannot just go on, they get a new plan from rest: where some have gone over to another path and
-        some have not; where a gap came while a person had them hold, which closes; where robots that are out, and coasted on,
-        lie beside somebody's place: all go on from the next places on their way that are free."""
-        divided = [r for r in self.crew.active if not self.crew.is_on(self.leg, fleet, r)]
-        if divided:
+        """Where those who held cannot just go on, they get a new plan from rest. Either some have gone over to another path
+        and some have not; or one was carried farther off than it would go on from; or a gap came while a person had them hold,
+        which closes now; or something lies on their way, a robot that is out and coasted on, say: all go on from the next
+        places on their way that are free."""
+        astray = [f"robot {r} has another plan" for r in self.crew.active if not self.crew.is_on(self.leg, fleet, r)]
+        astray = astray or [f"robot {r} is {away_m:.2f} m from its place" for r, away_m in self._carried_off(fleet)]
+        if astray:
             self.itinerary.plan_anew()
-            self._go(Event.DIVIDED, now_ns)
-            self.reason = f"robot {', '.join(map(str, divided))} has another plan than the others"
+            self._go(Event.ASTRAY, now_ns)
+            self.reason = "; ".join(astray)
         elif self._gap and self.crew.out and not self.leg.home:
             self._close_up(fleet, now_ns)
         elif self._may_plan_anew and self.itinerary.blocked(fleet):
             self.itinerary.plan_anew()
             self._go(Event.BESIDE_LOST if self.crew.out else Event.IN_OWN_WAY, now_ns)
+
+    def _carried_off(self, fleet: Fleet) -> Iterator[tuple[int, float]]:
+        """Robots that are too far from their places to go on from, and how far."""
+        now = np.array([self.itinerary.reached_s])
+        for robot, trajectory in self.crew.flown(self.leg).items():
+            away_m = float(np.linalg.norm(at(trajectory, now).eta[0, :3] - fleet[robot].eta[:3]))
+            if away_m > self._experiment.safety.join_within_m:
+                yield robot, away_m
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         """Bring everybody who moves to rest, then ask for the plan."""
@@ -350,8 +366,7 @@ class Mission:
         return ()
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        states = {r: fleet[r].state for r in self.crew.active}
-        results = {r: s.thruster_test if s is not None and r in self._asking.tested else "" for r, s in states.items()}
+        results = {r: self._test_result(r, fleet[r], now_ns) for r in self.crew.active}
         if all(result not in ("", "running") for result in results.values()):
             self._go(Event.OBEYED, now_ns)
             failed = [f"robot {r}: {result}" for r, result in results.items() if result != "passed"]
@@ -361,6 +376,13 @@ class Mission:
             self._unheeded(f"the thruster test does not end: {results}", now_ns)
             return ()
         return self._ask(Order.TEST, [r for r in self.crew.active if r not in self._asking.tested], now_ns)
+
+    def _test_result(self, robot: int, seen: RobotView, now_ns: int) -> str:
+        """As told since the robot took the order: what it told before is of another test."""
+        taken_ns = self._asking.tested.get(robot)
+        if seen.state is None or taken_ns is None or seen.state_age_s * 1e9 > now_ns - taken_ns:
+            return ""
+        return seen.state.thruster_test
 
     # --- another path under way
 
@@ -435,7 +457,7 @@ class Mission:
             self.itinerary.next = None
         self.itinerary.wanted = None  # a plan for what went before would be taken for the one that comes next
         if phase is Phase.TEST_ARMING:
-            self._asking.tested = set()
+            self._asking.tested = {}
         self.phase, self._since_ns, self._out_of_step_ns = phase, now_ns, None
         self._waited_ns.clear()
         self._asking.anew()

@@ -65,7 +65,7 @@ class Event(Enum):
     NO_PLAN = "there is no plan to be found"
     WELL = "everybody holds and is well again (automatic missions)"
     BESIDE_LOST = "somebody's place is beside a robot that is out"
-    DIVIDED = "not all have the same plan"
+    ASTRAY = "a robot has another plan, or is far from its place"
     IN_OWN_WAY = "something lies on a robot's own way"
     ARRIVED = "the end of the trajectories is reached"
 
@@ -135,7 +135,7 @@ TABLE: tuple[Row, ...] = (
     _row(Phase.PAUSED, Event.WELL, Phase.RESUMING),
     _row(Phase.RESUMING, Event.OBEYED, Phase.RUNNING),
     _row(Phase.RESUMING, Event.BESIDE_LOST, Phase.HALTING),
-    _row(Phase.RESUMING, Event.DIVIDED, Phase.HALTING),
+    _row(Phase.RESUMING, Event.ASTRAY, Phase.HALTING),
     # a new plan from rest: home, into place again, or closing up
     _row(UNDER_WAY, Event.LOST_CLOSE_UP, Phase.HALTING),
     _row(UNDER_WAY - {Phase.PAUSED}, Event.LOST_HOLD, Phase.PAUSED),

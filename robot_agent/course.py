@@ -15,7 +15,7 @@ from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Command, Order, Trajectory
 
-SOONEST_S = 60.0  # a start may lie ahead by this much; the station names one half a second ahead
+FARTHEST_S = 60.0  # a start may lie ahead, or be over, by this much; the station names one half a second ahead
 FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with what the station says does so by this much more
 BEGINS = frozenset({Order.START, Order.RESUME})
 
@@ -71,8 +71,8 @@ class Course:
         if command.trajectory_id != self.id:
             return f"names trajectory {command.trajectory_id or '(none)'}, this robot has {self.id}"
         ahead_s = (begins_ns - now_ns) * 1e-9
-        if ahead_s > SOONEST_S:
-            return f"begins in {ahead_s:.1f} s, at most {SOONEST_S:g} s are allowed"
+        if abs(ahead_s) > FARTHEST_S:
+            return f"begins {ahead_s:.1f} s from now, allowed are -{FARTHEST_S:g} to {FARTHEST_S:g} s"
         if eta is None:
             return "the robot does not know where it is"
         reached_s = command.trajectory_s + max(-ahead_s, 0.0) - self._told(station)[0]

@@ -32,6 +32,8 @@ class Robot:
     silent: bool = False
     unknown: bool = False
     test: str = ""
+    eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    age_s: float = 0.02
     fault: str = ""
     trajectory_s: float = 0.0
     starts_at_ns: int = 0
@@ -65,10 +67,11 @@ class Robot:
         state = RobotState(
             mode=self.mode, fault=self.fault, experiment_hash=self.experiment.hash, trajectory_id=self.loaded,
             trajectory_s=self.trajectory_s, battery_v=self.battery_v, thruster_test=self.test,
+            eta=np.array(self.eta),
         )  # fmt: skip
         if self.unknown:
             return RobotView()
-        return RobotView(state, 9.0 if self.silent else 0.02, pose, 0.02)
+        return RobotView(state, 9.0 if self.silent else self.age_s, pose, 0.02)
 
 
 class Run:
@@ -792,3 +795,60 @@ def test_what_a_robot_told_before_it_was_asked_says_nothing() -> None:
     run.robots[2].silent = False
     run.step(0.2)
     assert run.at(Phase.CANCELLED)
+
+
+def test_a_robot_that_takes_an_arm_after_it_was_last_heard_is_disarmed_all_the_same() -> None:
+    """Its last state is from before; whoever took that for done would leave an armed robot behind."""
+    run = Run(automatic=False)
+    assert run.mission.wish(Order.ARM, run.fleet(), run.now_ns) == ""
+    while not run.in_mode(2, Mode.ARMED):
+        run.step()
+    before = run.fleet()
+    assert run.in_mode(2, Mode.ARMED) and run.mission.wish(Order.DISARM, before, run.now_ns) == ""
+    disarmed = {r: replace(seen, state=replace(seen.state, mode=Mode.DISARMED)) for r, seen in before.items() if seen.state}
+    orders = run.mission.step(disarmed, (), run.now_ns + 10_000_000)
+    assert [(c.order, c.robot) for c in orders] == [(Order.DISARM, 1), (Order.DISARM, 2)]
+    assert run.at(Phase.ENDING)
+
+
+def test_what_a_robot_tells_of_an_earlier_thruster_test_is_not_the_result_of_this_one() -> None:
+    run = Run(automatic=False)
+    for robot in run.robots.values():
+        robot.test, robot.age_s = "passed", 0.2
+    assert run.mission.wish(Order.TEST, run.fleet(), run.now_ns) == ""
+    while not run.at(Phase.TESTING):
+        run.step()
+    run.step(0.2)
+    assert run.at(Phase.TESTING)
+    for robot in run.robots.values():
+        robot.test, robot.age_s = "thruster 3 does not turn", 0.02
+    while not run.at(Phase.TEST_ENDING):
+        run.step()
+    assert run.mission.reason.startswith("robot 1: thruster 3 does not turn")
+
+
+@pytest.mark.parametrize("order", [Order.START, Order.RESUME])
+def test_who_does_not_begin_to_fly_with_the_others_is_waited_for_only_briefly(order: Order) -> None:
+    run = running(automatic=False) if order is Order.RESUME else Run(automatic=False, settings=["duration_s=60"])
+    if order is Order.RESUME:
+        assert run.mission.wish(Order.HOLD, run.fleet(), run.now_ns) == ""
+        run.step(0.5)
+    run.robots[2].refuses = frozenset({order})
+    assert run.mission.wish(order, run.fleet(), run.now_ns) == ""
+    while not run.in_mode(1, Mode.TRACKING):
+        run.step()
+    run.step(3.0)
+    assert run.mission.phase in (Phase.STARTING, Phase.RESUMING)
+    run.step(1.0)
+    assert Phase.ABORTING in run.phases and f"robot 2 refuses {order.name}: I refuse" in run.mission.reason
+    assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_a_robot_that_was_carried_off_while_it_held_is_led_back_before_all_go_on() -> None:
+    run = running(automatic=False)
+    assert run.mission.wish(Order.HOLD, run.fleet(), run.now_ns) == ""
+    run.robots[2].eta = (0.0, 1.1, 0.0, 0.0)
+    run.step(0.5)
+    assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.at(Phase.HALTING) and run.mission.reason == "robot 2 is 1.10 m from its place"
+    assert all(Order.RESUME not in [c.order for c in robot.got] for robot in run.robots.values())

@@ -191,9 +191,10 @@ def test_a_start_is_for_the_trajectory_that_is_loaded(order: Order) -> None:
     assert robot.start(order=order) == ""
 
 
-def test_a_start_an_hour_ahead_is_refused() -> None:
+def test_a_start_an_hour_ahead_or_over_is_refused() -> None:
     robot = Robot(straight())
-    assert robot.start(in_s=3600.0) == "begins in 3600.0 s, at most 60 s are allowed"
+    assert robot.start(in_s=3600.0) == "begins 3600.0 s from now, allowed are -60 to 60 s"
+    assert robot.start(in_s=-3600.0) == "begins -3600.0 s from now, allowed are -60 to 60 s"
     assert robot.start(in_s=59.0) == ""
 
 
