@@ -144,6 +144,9 @@ class Mission:
         if self.phase in FLYING | {Phase.PAUSED} and self.crew.active:
             self._watch(fleet, now_ns)
         self._keep_pace(fleet, elapsed_s)
+        return self._orders(fleet, now_ns) + self._hold_lost(fleet, now_ns)
+
+    def _orders(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         if self.phase in STAGES:
             return self._drive(STAGES[self.phase], fleet, now_ns)
         if self.phase is Phase.SWITCHING:
@@ -157,6 +160,12 @@ class Mission:
         if self.phase is Phase.STOPPED:
             return self._ask(Order.STOP, self._not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
+
+    def _hold_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """A robot that was silent for a while may fly on by a plan that the others have no longer."""
+        if self.phase not in UNDER_WAY:
+            return ()
+        return self._ask(Order.HOLD, [r for r in self.crew.out if fleet[r].heard and fleet[r].mode is Mode.TRACKING], now_ns)
 
     def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         reasons = preflight(self._experiment, fleet, self._starts)

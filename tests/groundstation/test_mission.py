@@ -286,6 +286,18 @@ def test_with_policy_hold_a_robot_lost_while_all_resume_makes_the_others_hold_ag
     assert {run.robots[r].mode for r in (1, 3)} == {Mode.HOLDING}
 
 
+@pytest.mark.parametrize("policy", ["hold", "go-on", "close-up"])
+def test_a_robot_that_was_silent_and_flies_on_is_held(policy: str) -> None:
+    run = three_running(policy)
+    run.robots[2].silent = True
+    run.step(0.2)
+    assert run.mission.crew.out == {2: "silent"}
+    run.robots[2].silent = False
+    assert run.in_mode(2, Mode.TRACKING)
+    run.step(0.2)
+    assert run.in_mode(2, Mode.HOLDING)
+
+
 def test_a_gap_closes_only_when_those_whom_a_person_holds_may_go_on() -> None:
     run = three_running("close-up")
     run.mission.wish(Order.HOLD, run.fleet(), run.now_ns)
