@@ -142,7 +142,7 @@ TABLE: tuple[Row, ...] = (
     _row(PLANNING | {Phase.RELEASING}, Event.LOST_ANEW, Phase.HALTING),
     _row(UNDER_WAY, Event.LOST, Phase.ABORTING),
     _row(PLANNING, Event.LOST_ALL, Phase.ABORTING),
-    _row(ON_COURSE | {Phase.RETURNING}, Event.IN_OWN_WAY, Phase.HALTING),
+    _row(ON_COURSE | {Phase.RETURNING, Phase.RESUMING}, Event.IN_OWN_WAY, Phase.HALTING),
     _row(Phase.HALTING, Event.PLANNED, Phase.RELOADING),
     _row(Phase.HALTING, Event.NO_PLAN, Phase.PAUSED),
     _row(Phase.RELOADING, Event.OBEYED, Phase.REARMING),

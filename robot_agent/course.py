@@ -101,7 +101,8 @@ class Course:
 
     def _take(self, trajectory: Trajectory) -> None:
         self.trajectory, self.reached_s = trajectory, trajectory.begin_s
-        if trajectory.begin_s == 0.0:  # the run's own; later ones are for robots that are under way or rest at their beginning
+        self._planned_m = 0.0
+        if trajectory.begin_s == 0.0:  # the run's own; later ones are made for robots that rest at their beginning
             put = self._me.start if self._me.start is not None else trajectory.eta[0] + np.array(self._me.start_offset)
             self._planned_m = float(np.linalg.norm(np.array(put)[:3] - trajectory.eta[0, :3]))
 

@@ -11,6 +11,7 @@ from groundstation.checks import PlanError
 from groundstation.crew import Crew
 from groundstation.fleet import RobotView, casualty, preflight
 from groundstation.legs import Leg
+from groundstation.lookout import Surroundings
 from groundstation.mission import PATIENCE_S, TEST_PATIENCE_S, Mission
 from groundstation.phases import Phase
 from groundstation.wishes import objection
@@ -470,6 +471,38 @@ def test_a_robot_a_little_out_of_step_flies_on(by_s: float) -> None:
     assert run.at(Phase.RUNNING)
 
 
+def test_a_robot_that_is_out_of_step_for_a_moment_now_and_then_flies_on() -> None:
+    """States that jump about are no reason to hold; nor is what was seen before a hold one after it."""
+    run = running()
+    for _ in range(4):
+        run.robots[2].trajectory_s -= 0.8
+        run.step(0.2)
+        run.robots[2].trajectory_s += 0.8
+        run.step(0.1)
+    assert run.at(Phase.RUNNING)
+    run.robots[2].trajectory_s -= 0.8
+    run.step(0.2)
+    assert run.mission.wish(Order.HOLD, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    run.robots[2].trajectory_s -= 0.8
+    run.step(0.2)
+    assert run.at(Phase.RUNNING)
+
+
+def test_nobody_goes_back_to_where_one_fell_far_behind() -> None:
+    run = running(automatic=False)
+    run.step(10.0)
+    run.robots[2].trajectory_s = 0.0
+    run.step(1.0)
+    assert run.at(Phase.PAUSED)
+    assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert {r.got[-1].order for r in run.robots.values()} == {Order.RESUME}
+    assert {r.got[-1].trajectory_s > 10.0 for r in run.robots.values()} == {True}
+
+
 def test_a_robot_that_starts_at_another_instant_than_it_was_told_makes_all_hold() -> None:
     run = Run(settings=["duration_s=60"])
     run.robots[1].refuses = frozenset({Order.START})
@@ -854,6 +887,38 @@ def test_who_does_not_begin_to_fly_with_the_others_is_waited_for_only_briefly(or
     run.step(1.0)
     assert Phase.ABORTING in run.phases and f"robot 2 refuses {order.name}: I refuse" in run.mission.reason
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_a_formation_on_its_way_home_is_not_sent_elsewhere() -> None:
+    run = on_the_way_to_a_plan("abort", Phase.RELEASING)
+    for robot in run.robots.values():
+        robot.refuses = frozenset()
+    while not run.at(Phase.RUNNING):
+        run.step()
+    assert "on their way back" in run.mission.wish(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
+
+
+def test_who_held_on_a_way_of_their_own_that_is_blocked_now_get_another_one() -> None:
+    run = running([STRAIGHT, "duration_s=20"], automatic=False)
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    eta = np.zeros((200, 4))
+    eta[:, 0] = np.linspace(-1.0, 1.0, 200)
+    leg = next_leg(run, 3.0)
+    run.mission.planned(
+        replace(leg, trajectories={r: replace(t, eta=eta) for r, t in leg.trajectories.items()}, home=True, end_s=13.0),
+        run.fleet(),
+        run.now_ns,
+    )
+    for robot in run.robots.values():
+        robot.eta = (-1.0, 0.0, 0.0, 0.0)
+    run.step(2.0)
+    assert run.at(Phase.RETURNING)
+    assert run.mission.wish(Order.HOLD, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    run.mission.itinerary.lookout.see(Surroundings((1,), np.array([[0.5, 0.0, 0.1]])), run.now_ns)
+    assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
+    assert run.at(Phase.HALTING) and run.mission.itinerary.heads_home
 
 
 def test_a_robot_that_was_carried_off_while_it_held_is_led_back_before_all_go_on() -> None:

@@ -267,6 +267,34 @@ def test_the_lag_of_the_formation_counts_from_the_start_on() -> None:
     assert robot.reaches(1.0) == pytest.approx(4.0)
 
 
+def test_a_second_start_begins_with_the_lag_that_the_station_tells_then() -> None:
+    """The lag of a run that is over is not caught up with slowly in the next one."""
+    robot = Robot(straight())
+    robot.lag_s = 2.0
+    assert robot.start(at_s=5.0) == ""
+    robot.reaches(1.0)
+    robot.lag_s = 0.0
+    assert robot.start(at_s=0.0) == ""
+    assert robot.reaches(1.0) == pytest.approx(1.0)
+
+
+def test_a_later_trajectory_is_not_begun_from_as_far_as_the_runs_own() -> None:
+    """Robots that get a new plan rest at its beginning, however far from its path the run's start was."""
+    experiment = load_experiment("islands")
+    robot, trajectory = 1, planner.plan(experiment)[1]
+    start = planner.start_poses(experiment, {1: trajectory, 2: trajectory, 3: trajectory})[robot]
+    far_m = float(np.linalg.norm(start[:3] - trajectory.eta[0, :3]))
+    assert far_m > 1.1
+    course, view = Course(experiment, robot), StationView(STATION, NS, 0.0)
+    course.follow(Command(Order.LOAD, robot, trajectory=trajectory), False, view, NS)
+    later = replace(trajectory, id="later", begin_s=30.0, eta=trajectory.eta + (start - trajectory.eta[0]) * [1, 1, 1, 0])
+    course.follow(Command(Order.LOAD, robot, trajectory=later), False, view, NS)
+    begin = Command(Order.START, robot, trajectory_id="later", trajectory_s=30.0)
+    assert course.objection(begin, False, view, NS, NS, start) == ""
+    beside = start + np.array([0.0, 1.1, 0.0, 0.0])
+    assert "allowed are 1.00 m (safety.join_within_m)" in course.objection(begin, False, view, NS, NS, beside)
+
+
 # --- heartbeats that cannot be true
 
 
