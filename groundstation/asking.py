@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from groundstation.crew import Crew
 from groundstation.itinerary import Itinerary
+from groundstation.timetable import Timetable
 from wire.messages import Command, Order, Reply
 
 RETRY_S = 0.25
@@ -23,7 +24,7 @@ class Asking:
 
     def __init__(self, experiment_hash: str, itinerary: Itinerary, crew: Crew) -> None:
         self.accepted: set[int] = set()  # robots that hold the next leg's trajectory
-        self.tested: set[int] = set()
+        self.tested: dict[int, int] = {}  # robots that have taken a TEST, and when we heard of it
         self._hash, self._itinerary, self._crew = experiment_hash, itinerary, crew
         self._asked_ns: dict[int, int] = {}
 
@@ -31,7 +32,7 @@ class Asking:
         """Another phase begins: nobody has been asked."""
         self._asked_ns.clear()
 
-    def listen(self, answers: Sequence[Answer]) -> str:
+    def listen(self, answers: Sequence[Answer], now_ns: int) -> str:
         """Take answers in. Returns the last refusal with its reason, empty if there is none."""
         refusal = ""
         for answer in answers:
@@ -44,25 +45,25 @@ class Asking:
             elif command.order is Order.LOAD and held is not None and command.trajectory_id == held.id:
                 self.accepted.add(command.robot)
             elif command.order is Order.TEST:
-                self.tested.add(command.robot)
+                self.tested[command.robot] = now_ns
         return refusal
 
     def orders(
-        self, order: Order, robots: Sequence[int], now_ns: int, start_in_s: float = 0.0, trajectory_s: float = 0.0
+        self, order: Order, robots: Sequence[int], now_ns: int, timetable: Timetable | None = None
     ) -> tuple[Command, ...]:
-        """For those robots that have not been asked within RETRY_S."""
+        """For those robots that have not been asked within RETRY_S. START and RESUME say by which timetable."""
         due = [r for r in robots if now_ns - self._asked_ns.get(r, -(10**18)) >= RETRY_S * 1e9]
         self._asked_ns |= dict.fromkeys(due, now_ns)
-        return tuple(self._command(order, robot, start_in_s, trajectory_s) for robot in due)
+        return tuple(self._command(order, robot, timetable) for robot in due)
 
-    def _command(self, order: Order, robot: int, start_in_s: float, trajectory_s: float) -> Command:
+    def _command(self, order: Order, robot: int, timetable: Timetable | None) -> Command:
         trajectory = self._itinerary.about(order, robot)
         return Command(
             order,
             robot,
             experiment_hash=self._hash,
             trajectory_id=trajectory.id if trajectory is not None else "",
-            start_in_s=start_in_s,
-            trajectory_s=trajectory_s,
+            trajectory_s=timetable.from_s if timetable is not None else 0.0,
             trajectory=trajectory if order is Order.LOAD else None,
+            start_ns=timetable.start_ns if timetable is not None else 0,
         )

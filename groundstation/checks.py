@@ -10,7 +10,6 @@ from groundstation.formation import NodeMotion
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.toml_file import ConfigError
-from wire.vehicle import Vehicle
 
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
 
@@ -27,25 +26,9 @@ class _Worst:
     value: float
 
 
-def _limited(vehicle: Vehicle, motion: NodeMotion) -> Iterator[tuple[str, str, int, float, Array]]:
-    """What a motion takes and what there is: name, unit, power of the pace it grows with, limit, values (n,)."""
-    limits, v = vehicle.limits, motion.velocity
-    speed = np.hypot(v[:, 0], v[:, 1])
-    yield "speed", "m/s", 1, limits.speed_mps, speed
-    yield "heave", "m/s", 1, limits.heave_mps, np.abs(v[:, 2])
-    yield "yaw rate", "rad/s", 1, limits.yaw_rate_radps, np.abs(v[:, 3])
-    flow = np.column_stack([speed, speed, np.abs(v[:, 2]), np.abs(v[:, 3])])
-    force = vehicle.inertia * motion.acceleration + (vehicle.drag_linear + vehicle.drag_quadratic * flow) * v
-    surge_n, heave_n, yaw_nm = limits.wrench
-    # no side thruster: in a bend the robot turns inwards until surge gives the side force too
-    yield "thrust", "N", 2, surge_n, np.hypot(force[:, 0], force[:, 1])
-    yield "heave thrust", "N", 2, heave_n, np.abs(force[:, 2])
-    yield "yaw moment", "N m", 2, yaw_nm, np.abs(force[:, 3])
-
-
 def too_fast(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
     """By what factor the worst robot should be slower, at each sample (n,); 1 is at its limit."""
-    limited = (entry for motion in motions.values() for entry in _limited(experiment.vehicle, motion))
+    limited = (entry for m in motions.values() for entry in experiment.vehicle.demands(m.velocity, m.acceleration))
     return np.asarray(np.max([(value / limit) ** (1.0 / power) for _, _, power, limit, value in limited], axis=0))
 
 
@@ -55,7 +38,7 @@ def robot_problems(
     """What each robot could not fly of its first `flown` samples, the first of them at `begin_s`: one line for each kind."""
     for robot, motion in motions.items():
         eta = motion.eta[:flown]
-        for what, unit, _, limit, values in _limited(experiment.vehicle, motion):
+        for what, unit, _, limit, values in experiment.vehicle.demands(motion.velocity, motion.acceleration):
             worst = _worst(values[:flown], limit)
             if worst is not None:
                 over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"

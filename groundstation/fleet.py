@@ -4,7 +4,7 @@ messages with their ages are arguments.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ NEVER_S = 1000.0  # old is what an agent says that it never heard
 LOSSY = 0.2  # share of messages: above it echoes, batteries and poses are old
 LATE_SHARE = 0.5  # of the control period: the budget of a step
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the basin is wrong
+OUT_OF_STEP_S = 0.5  # from the fleet's timetable: at 0.25 m/s a robot is then 0.13 m from its place among the others
 CLOSE_M = 0.01  # of slack: less than this inside another robot's space is nothing
 LINK_WINDOW = 100  # messages: 5 s at 20 Hz
 
@@ -36,11 +37,12 @@ class RobotView:
     plan_age_s: float = float("inf")
     clock_offset_s: float = 0.0  # of the robot's clock from the station's
     loss: float = 0.0  # share of its messages that did not arrive lately
+    behind_s: float = 0.0  # the fleet's timetable, by its own account (groundstation/timetable.py)
 
     @property
-    def mode(self) -> Mode:
-        """The robot's mode as last heard."""
-        return self.state.mode if self.state is not None else Mode.DISARMED
+    def mode(self) -> Mode | None:
+        """The robot's mode as last heard; None: unknown, it was never heard."""
+        return self.state.mode if self.state is not None else None
 
     @property
     def heard(self) -> bool:
@@ -230,6 +232,13 @@ def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
         yield "thrusters", "notice", True, text, "groundstation order test"
 
 
+def _step(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    if abs(seen.behind_s) > OUT_OF_STEP_S:
+        how = "behind" if seen.behind_s > 0.0 else "ahead of"
+        text = f"is {abs(seen.behind_s):.1f} s {how} the others"
+        yield "step", "critical", False, text, "all hold, and go on together when resumed; is its clock steady?"
+
+
 def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
     if state.solve is Solve.FAILED:
         yield "solve", "critical", False, "the solver failed: neutral", ""
@@ -242,7 +251,7 @@ def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> Chec
 
 
 CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], Check], ...] = (
-    _mode, _experiment, _board, _pose, _link, _control,
+    _mode, _experiment, _board, _pose, _link, _step, _control,
 )  # fmt: skip
 
 
@@ -267,13 +276,13 @@ def preflight(
     )
 
 
-def casualty(robots: Sequence[int], fleet: Fleet, disarmed_counts: bool = True) -> tuple[int, str] | None:
-    """The first of these robots that fell out of a running mission, and why; None while all fly."""
-    fallen = {Mode.STOPPED, Mode.FAULT} | ({Mode.DISARMED} if disarmed_counts else set())
+def casualty(robots: Sequence[int], fleet: Fleet, lying: Container[int] = ()) -> tuple[int, str] | None:
+    """The first of these robots that fell out of a running mission, and why; None while all fly. Those that are `lying` may be
+    disarmed: they are still to be armed."""
     for robot in robots:
-        if not fleet[robot].heard:
+        mode, state = fleet[robot].mode, fleet[robot].state
+        if not fleet[robot].heard or state is None or mode is None:
             return robot, "silent"
-        state = fleet[robot].state
-        if state is not None and state.mode in fallen:
-            return robot, f"{state.mode.name.lower()}{f' ({state.fault})' if state.fault else ''}"
+        if mode in (Mode.STOPPED, Mode.FAULT) or (mode is Mode.DISARMED and robot not in lying):
+            return robot, f"{mode.name.lower()}{f' ({state.fault})' if state.fault else ''}"
     return None

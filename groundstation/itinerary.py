@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from groundstation.crew import Crew
 from groundstation.detour import detour
-from groundstation.fleet import Fleet
+from groundstation.fleet import Fleet, RobotView
 from groundstation.from_rest import gathered, homeward
 from groundstation.legs import Leg, on_grid
 from groundstation.lookout import Lookout
@@ -42,7 +42,7 @@ class Itinerary:
         self.by_person = False  # the other path was asked for by one
         self.lookout = Lookout(experiment)
         self._experiment, self._first, self._starts, self._crew = experiment, first, dict(starts), crew
-        self._purpose: Callable[[Fleet, float], Leg] | None = None  # of coming to rest
+        self._purpose: Callable[[Fleet, float], Callable[[], Leg]] | None = None  # of coming to rest
 
     def begin_anew(self) -> None:
         """From the first leg's beginning, with everybody."""
@@ -63,39 +63,56 @@ class Itinerary:
 
     def head_home(self) -> None:
         """Once all rest, the way leads back to the starts."""
-        self._purpose = lambda fleet, begin_s: homeward(
-            self._experiment, begin_s, self._crew.rests(fleet), self._starts, self.in_the_way(fleet)
-        )
+        self._purpose = self._homeward
 
     def take_places(self) -> None:
         """Once all rest, the way leads into the places of the leg, and on along it."""
         self._purpose = self._into_place
 
-    def _into_place(self, fleet: Fleet, begin_s: float) -> Leg:
+    def plan_anew(self) -> None:
+        """Once all rest, the way leads to where the leg does."""
+        self._purpose = self._homeward if self.leg.home else self._into_place
+
+    @property
+    def heads_home(self) -> bool:
+        """Whether robots that come to rest do so for the way back."""
+        return self._purpose == self._homeward
+
+    def _homeward(self, fleet: Fleet, begin_s: float) -> Callable[[], Leg]:
+        experiment, starts = self._experiment, self._starts
+        rests, things = self._crew.rests(fleet), self.in_the_way(fleet)
+        return lambda: homeward(experiment, begin_s, rests, starts, things)
+
+    def _into_place(self, fleet: Fleet, begin_s: float) -> Callable[[], Leg]:
+        experiment, leg, reached_s = self._experiment, self.leg, self.reached_s
         rests, slots, things = self._crew.rests(fleet), self._crew.active_slots(), self.in_the_way(fleet)
-        return gathered(self._experiment, self.leg, begin_s, self.reached_s, rests, slots, things)
+        return lambda: gathered(experiment, leg, begin_s, reached_s, rests, slots, things)
 
     def want_way(self, fleet: Fleet) -> None:
-        """Now that all rest: a plan for what they came to rest for."""
+        """Now that all rest: a plan for what they came to rest for, made of what is known now. It is computed in another
+        thread, while the mission goes on."""
         if self.wanted is None and self._purpose is not None:
             period_s = self._experiment.controller.period_s
-            begin_s, purpose, seen = on_grid(self.reached_s + period_s, period_s), self._purpose, dict(fleet)
-            self.wanted = Wanted("a way for everybody from rest", lambda: purpose(seen, begin_s))
+            begin_s = on_grid(self.reached_s + period_s, period_s)
+            self.wanted = Wanted("a way for everybody from rest", self._purpose(fleet, begin_s))
 
     def want_detour(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...] = ()) -> None:
         """Round what lies there, or by way of a person's places."""
         begin_s = on_grid(self.reached_s + AHEAD_S, self._experiment.controller.period_s)
-        leg, things = self.leg, self.in_the_way(fleet, now_ns)
+        experiment, leg, things = self._experiment, self.leg, self.in_the_way(fleet, now_ns)
         self.deadline_s, self.by_person = begin_s - LAST_CALL_S, bool(via)
-        self.wanted = Wanted("another path", lambda: detour(self._experiment, leg, begin_s, things, via))
+        self.wanted = Wanted("another path", lambda: detour(experiment, leg, begin_s, things, via))
 
     # --- what lies there
 
-    def in_the_way(self, fleet: Fleet, now_ns: int | None = None, room_m: float | None = None) -> Array:
+    def in_the_way(self, fleet: Fleet, now_ns: int | None = None) -> Array:
         """Things and robots that are out, (k, 3: x, y, radius), as the lookout knows them."""
-        return self.lookout.in_the_way([fleet[r] for r in self._crew.out], now_ns, room_m)
+        return self.lookout.in_the_way(self._lost(fleet), now_ns)
 
     def blocked(self, fleet: Fleet, now_ns: int | None = None) -> str:
-        """Where the formation would touch something; empty if nowhere."""
+        """Where the robots would touch something; empty if nowhere."""
         leg = replace(self.leg, trajectories=self._crew.flown(self.leg))
-        return self.lookout.contact(leg, self.reached_s, self.in_the_way(fleet, now_ns, 0.0))
+        return self.lookout.contact(leg, self.reached_s, self._lost(fleet), now_ns)
+
+    def _lost(self, fleet: Fleet) -> list[RobotView]:
+        return [fleet[r] for r in self._crew.out]

@@ -18,6 +18,7 @@ from wire.frames import Array
 from wire.messages import Trajectory
 
 NOTHING = np.zeros((0, 3))  # no things: (k, 3), each x, y, radius
+BESIDE_M = 0.01  # nearer than at the ends of its way: less is rounding and what the localizer makes of a thing's outline
 LONGEST_WAIT = 36_000  # samples: half an hour at 20 Hz
 
 
@@ -31,6 +32,10 @@ class Leg:
     home: bool = False
     via: tuple[tuple[float, float], ...] = ()  # places that a person asked for instead of the path's
     own_ways_until_s: float = 0.0  # before it robots go into their places, each on its own way; the centre stands
+
+    def apart(self, reached_s: float) -> bool:
+        """Whether robots are then on ways of their own, not in formation."""
+        return self.home or reached_s < self.own_ways_until_s
 
 
 def first_leg(experiment: Experiment) -> Leg:
@@ -73,15 +78,24 @@ def on_grid(time_s: float, period_s: float) -> float:
 
 
 def first_contact(experiment: Experiment, leg: Leg, from_s: float, until_s: float, things: Array) -> str:
-    """Which robot would come nearer than safety.radius_m to which thing (k, 3), when and where; empty if none does."""
+    """Which robot would come nearer than safety.radius_m to which thing (k, 3), when and where; empty if none does.
+
+    On ways of their own robots may begin and end beside things (groundstation/trip.py): there only who would come nearer than
+    at both ends of its way counts.
+    """
     if len(things) == 0:
         return ""
-    time_s = np.arange(from_s, min(until_s, leg.end_s), leg.centre.period_s)
+    apart = leg.apart(from_s)
+    ends_s = leg.end_s if leg.home or not apart else leg.own_ways_until_s
+    time_s = np.arange(from_s, min(until_s, ends_s), leg.centre.period_s)
     found = []
     for slot, trajectory in leg.trajectories.items():
-        eta = at(trajectory, time_s).eta
-        short = things[:, 2] + experiment.safety.radius_m - np.hypot(*(eta[:, None, :2] - things[:, :2]).transpose(2, 0, 1))
-        meets = np.flatnonzero(short.max(axis=1) > 0.0)
+        short = _short_m(experiment, trajectory, time_s, things)
+        if apart:
+            short -= (
+                np.maximum(_short_m(experiment, trajectory, np.array([from_s, ends_s]), things).max(axis=0), 0.0) + BESIDE_M
+            )
+        meets = np.flatnonzero(short.max(axis=1, initial=-np.inf) > 0.0)
         if len(meets):
             first = int(meets[0])
             x, y, _ = things[int(np.argmax(short[first]))]
@@ -89,3 +103,10 @@ def first_contact(experiment: Experiment, leg: Leg, from_s: float, until_s: floa
                 (first, f"at ({x:.2f}, {y:.2f}) m, on the path of robot {slot}, in {first * leg.centre.period_s:.1f} s")
             )
     return min(found)[1] if found else ""
+
+
+def _short_m(experiment: Experiment, trajectory: Trajectory, time_s: Array, things: Array) -> Array:
+    """By how much a robot is too near to things (k, 3) at instants (n,): (n, k)."""
+    eta = at(trajectory, time_s).eta
+    apart_m = np.hypot(*(eta[:, None, :2] - things[:, :2]).transpose(2, 0, 1))
+    return np.asarray(things[:, 2] + experiment.safety.radius_m - apart_m)

@@ -48,20 +48,24 @@ class Lookout:
         self._around = around if around is not None else self._around
         self._since_ns = {i: self._since_ns.get(i, now_ns) for i in self._around.ids}
 
-    def in_the_way(self, lost: Iterable[RobotView], now_ns: int | None = None, room_m: float | None = None) -> Array:
-        """Things (with `now_ns`: that have lain there for a while), and robots that are out: they lie where they were last
-        seen, and as robots keep a growing bubble around one that is silent, plans leave room for it."""
+    def in_the_way(
+        self, lost: Iterable[RobotView], now_ns: int | None = None, room_m: float | None = None, things: bool = True
+    ) -> Array:
+        """Things (if `things`; with `now_ns`: that have lain there for a while), and robots that are out: they lie where they
+        were last seen, and as robots keep a growing bubble around one that is silent, plans leave room for it."""
         safety = self._experiment.safety
         wide_m = safety.radius_m + (safety.bubble_max_m if room_m is None else room_m)
         robots = [(*robot.eta[:2], wide_m) for robot in lost if robot.pose or robot.state]
-        return np.vstack([self._things(now_ns), np.array(robots).reshape(-1, 3)])
+        return np.vstack([self._things(now_ns) if things else NOTHING, np.array(robots).reshape(-1, 3)])
 
-    def contact(self, leg: Leg, reached_s: float, things: Array) -> str:
-        """Where a formation in its shape, `reached_s` along a leg, would touch something; empty if nowhere, or if paths are
-        not to be changed under way."""
-        in_shape = not leg.home and reached_s >= leg.own_ways_until_s
-        if not (self._experiment.mission.detours and can_detour(self._experiment) and in_shape):
+    def contact(self, leg: Leg, reached_s: float, lost: Iterable[RobotView], now_ns: int | None) -> str:
+        """Where robots, `reached_s` along a leg, would touch something; empty if nowhere, or if the path is not to be changed
+        for it. In formation a path is changed under way, if it can be. On ways of their own robots come to rest for another
+        way, and robots that are out always count: they were to be gone when the others come by."""
+        detours, apart = self._experiment.mission.detours, leg.apart(reached_s)
+        if not apart and not (detours and can_detour(self._experiment)):
             return ""
+        things = self.in_the_way(lost, now_ns, room_m=0.0, things=detours)
         return first_contact(self._experiment, leg, reached_s, reached_s + AHEAD_S, things)
 
     def _things(self, now_ns: int | None) -> Array:

@@ -8,6 +8,7 @@ change.
 from wire.conduct import Conduct
 
 ANSWER_S = 0.7  # time constant: slower than a robot's own tracking (0.3 s), or the two chase one another
+STEADY_S = 0.1  # longest step of the pace: after a stall of the station it goes on from where it was, with no leap
 ON_TIME = 1e-4  # of the pace: nearer than this it is 1
 NOTICED = 0.95  # of the timetable's pace: below it the mission says that it waits
 
@@ -35,15 +36,19 @@ class Pace:
         """Whether it is worth telling people."""
         return self.rate < NOTICED
 
-    def step(self, worst_error_m: float, period_s: float) -> None:
-        """One control period on."""
-        self.lag_s += (1.0 - self.rate) * period_s
-        goal = self._goal(worst_error_m)
+    def step(self, worst_error_m: float | None, elapsed_s: float) -> None:
+        """`elapsed_s` later, with this tracking error; None: nobody is waited for. The lag grows as robots were told that it
+        would, however late this step comes; the pace changes by no more than in STEADY_S."""
+        self.lag_s += (1.0 - self.rate) * elapsed_s
+        if worst_error_m is None:
+            self.reset()
+            return
+        goal, step_s = self._goal(worst_error_m), min(elapsed_s, STEADY_S)
         if goal == self.rate == 1.0 and self._change_per_s == 0.0:
             return  # exactly on time stays exactly so
         pull = (goal - self.rate) / ANSWER_S**2 - 2.0 / ANSWER_S * self._change_per_s
-        self._change_per_s += pull * period_s
-        self.rate = min(max(self.rate + self._change_per_s * period_s, self._conduct.slowest), 1.0)
+        self._change_per_s += pull * step_s
+        self.rate = min(max(self.rate + self._change_per_s * step_s, self._conduct.slowest), 1.0)
         if goal == 1.0 and 1.0 - self.rate < ON_TIME and abs(self._change_per_s) < ON_TIME:
             self.reset()
 

@@ -30,6 +30,7 @@ class Phase(Enum):
     RELEASING = "starting on a new plan"
     ENDING = "disarming"
     DONE = "done"
+    CANCELLED = "ended by a person"
     ABORTING = "aborting"
     FAILED = "failed"
     STOPPED = "emergency stop"
@@ -44,28 +45,37 @@ class Event(Enum):
 
     FIT = "every robot is fit (automatic missions)"
     OBEYED = "every robot has done as told"
+    DISARMED_FAILED = "every robot is disarmed, of a run that had failed"
+    DISARMED_CANCELLED = "every robot is disarmed, of a run that a person ended"
     UNHEEDED = "a robot has not done as told in time"
     HOMEWARD = "the plan leads back to the start"
     MISSING = "a robot is out, the others go on"
     LAGGING = "a robot lags behind"
     CAUGHT_UP = "nobody lags any more"
     HELD = "a robot holds by itself"
+    OUT_OF_STEP = "a robot is out of step with the others"
     OBSTACLE = "something lies on the path"
     BLOCKED = "there is no way round it"
     LOST = "a robot is lost: policy abort"
     LOST_HOLD = "a robot is lost: policy hold"
     LOST_CLOSE_UP = "a robot is lost: policy close-up"
+    LOST_ANEW = "a robot is lost that the plan counts on: policy go-on"
+    LOST_ALL = "nobody is left who could hold"
     PLANNED = "all are at rest, and there is a new plan"
     NO_PLAN = "there is no plan to be found"
     WELL = "everybody holds and is well again (automatic missions)"
     BESIDE_LOST = "somebody's place is beside a robot that is out"
+    ASTRAY = "a robot has another plan, or is far from its place"
+    IN_OWN_WAY = "something lies on a robot's own way"
     ARRIVED = "the end of the trajectories is reached"
 
 
 ON_COURSE = frozenset({Phase.RUNNING, Phase.SLOWED, Phase.DEGRADED})
 FLYING = ON_COURSE | {Phase.SWITCHING, Phase.RETURNING}
-OVER = frozenset({Phase.DONE, Phase.FAILED})
-UNDER_WAY = FLYING | {Phase.PAUSED, Phase.RESUMING, Phase.RELEASING}  # whoever falls out is lost to the others
+OVER = frozenset({Phase.DONE, Phase.CANCELLED, Phase.FAILED})
+JOINING = frozenset({Phase.STARTING, Phase.RESUMING, Phase.RELEASING})  # robots begin to fly, all at one instant
+PLANNING = frozenset({Phase.HALTING, Phase.RELOADING, Phase.REARMING})  # on the way to a new plan from rest
+UNDER_WAY = FLYING | PLANNING | {Phase.PAUSED, Phase.RESUMING, Phase.RELEASING}  # whoever falls out is lost to the others
 ANY = frozenset(Phase)
 
 
@@ -93,7 +103,7 @@ TABLE: tuple[Row, ...] = (
     _row(frozenset({Phase.WAITING, Phase.LOADING}), Order.ARM, Phase.LOADING),
     _row(frozenset({Phase.WAITING, Phase.LOADING, Phase.ARMING}), Order.START, Phase.LOADING),
     _row(frozenset({Phase.WAITING}) | OVER, Order.TEST, Phase.TEST_ARMING),
-    _row(FLYING | {Phase.STARTING, Phase.RESUMING, Phase.RELEASING, Phase.PAUSED}, Order.HOLD, Phase.PAUSED),
+    _row(FLYING | JOINING | PLANNING | {Phase.PAUSED}, Order.HOLD, Phase.PAUSED),
     _row(Phase.PAUSED, Order.RESUME, Phase.RESUMING),
     _row(ON_COURSE, Order.GO, Phase.SWITCHING),
     _row(ON_COURSE | {Phase.SWITCHING, Phase.PAUSED, Phase.WAITING} | OVER, Order.RETURN, Phase.HALTING),
@@ -108,6 +118,8 @@ TABLE: tuple[Row, ...] = (
     _row(Phase.STARTING, Event.OBEYED, Phase.RUNNING),
     _row(FLYING, Event.ARRIVED, Phase.ENDING),
     _row(Phase.ENDING, Event.OBEYED, Phase.DONE),
+    _row(Phase.ENDING, Event.DISARMED_FAILED, Phase.FAILED),
+    _row(Phase.ENDING, Event.DISARMED_CANCELLED, Phase.CANCELLED),
     # under way
     _row(frozenset({Phase.RUNNING, Phase.DEGRADED}), Event.LAGGING, Phase.SLOWED),
     _row(Phase.SLOWED, Event.CAUGHT_UP, Phase.RUNNING),
@@ -119,13 +131,18 @@ TABLE: tuple[Row, ...] = (
     _row(Phase.SWITCHING, Event.UNHEEDED, Phase.PAUSED),
     _row(Phase.SWITCHING, Event.BLOCKED, Phase.PAUSED),
     _row(FLYING, Event.HELD, Phase.PAUSED),
+    _row(FLYING | JOINING, Event.OUT_OF_STEP, Phase.PAUSED),
     _row(Phase.PAUSED, Event.WELL, Phase.RESUMING),
     _row(Phase.RESUMING, Event.OBEYED, Phase.RUNNING),
     _row(Phase.RESUMING, Event.BESIDE_LOST, Phase.HALTING),
+    _row(Phase.RESUMING, Event.ASTRAY, Phase.HALTING),
     # a new plan from rest: home, into place again, or closing up
     _row(UNDER_WAY, Event.LOST_CLOSE_UP, Phase.HALTING),
     _row(UNDER_WAY - {Phase.PAUSED}, Event.LOST_HOLD, Phase.PAUSED),
-    _row(FLYING | {Phase.PAUSED}, Event.LOST, Phase.ABORTING),
+    _row(PLANNING | {Phase.RELEASING}, Event.LOST_ANEW, Phase.HALTING),
+    _row(UNDER_WAY, Event.LOST, Phase.ABORTING),
+    _row(PLANNING, Event.LOST_ALL, Phase.ABORTING),
+    _row(ON_COURSE | {Phase.RETURNING, Phase.RESUMING}, Event.IN_OWN_WAY, Phase.HALTING),
     _row(Phase.HALTING, Event.PLANNED, Phase.RELOADING),
     _row(Phase.HALTING, Event.NO_PLAN, Phase.PAUSED),
     _row(Phase.RELOADING, Event.OBEYED, Phase.REARMING),

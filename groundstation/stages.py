@@ -15,7 +15,7 @@ class Stage:
     """What is asked for, and when a robot has done it."""
 
     order: Order
-    obeyed: Callable[[Mode, bool], bool]  # (mode, trajectory loaded) -> done
+    obeyed: Callable[[Mode | None, bool], bool]  # (mode, None if not known; trajectory loaded) -> done
 
 
 STAGES: dict[Phase, Stage] = {
@@ -27,8 +27,8 @@ STAGES: dict[Phase, Stage] = {
     Phase.REARMING: Stage(Order.ARM, lambda mode, loaded: mode in ARMED),
     Phase.RELEASING: Stage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
     Phase.ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
-    Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode is not Mode.STOPPED),
-    Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode not in LIVE),
+    Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode not in (None, Mode.STOPPED)),
+    Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode is not None and mode not in LIVE),
     Phase.TEST_ARMING: Stage(Order.ARM, lambda mode, loaded: mode is Mode.ARMED),
     Phase.TEST_ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
 }

@@ -105,7 +105,8 @@ class Station:
             state, ear = self.heard.states[robot].newest(), self.ears.setdefault(robot, Ear())
             if state is not None:
                 ear.hear(self.heard.states[robot].headers(), state.header, self.clock.instant_ns(state))
-            found[robot] = view(state, self.heard.poses[robot].newest(), self.clock, self.heard.plans[robot].newest(), ear)
+            seen = view(state, self.heard.poses[robot].newest(), self.clock, self.heard.plans[robot].newest(), ear)
+            found[robot] = replace(seen, behind_s=self.mission.behind_s(seen, self.clock.now_ns()))
         return found
 
     def _around(self) -> Surroundings:
@@ -124,7 +125,7 @@ class Station:
         if self.planning is not None and (lockstep or self.planning[1].done()):
             (asked, outcome), self.planning = self.planning, None
             if asked is wanted:
-                self.mission.planned(outcome.result(), now_ns)
+                self.mission.planned(outcome.result(), self.seen, now_ns)
 
     def publish_paths(self, now_ns: int) -> None:
         """Tell who shows or records it what is flown from now on: each robot's whole run, with what was flown before."""

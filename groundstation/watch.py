@@ -35,11 +35,13 @@ def noticed(
         return Notice(Event.HOMEWARD)
     if phase is Phase.RUNNING and crew.out:
         return Notice(Event.MISSING, "; ".join(f"robot {robot}: {why}" for robot, why in crew.out.items()))
-    if phase not in ON_COURSE:
+    if phase not in ON_COURSE | {Phase.RETURNING}:
         return None
     touched = contact()
     if touched:
-        return Notice(Event.OBSTACLE, f"something lies {touched}")
+        return Notice(Event.IN_OWN_WAY if leg.apart(reached_s) else Event.OBSTACLE, f"something lies {touched}")
+    if phase is Phase.RETURNING:
+        return None
     if slowed and phase is not Phase.SLOWED:
         worst = max(crew.active, key=lambda robot: fleet[robot].error_m)
         return Notice(Event.LAGGING, f"robot {worst} is {fleet[worst].error_m:.2f} m from its place")

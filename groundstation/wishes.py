@@ -27,6 +27,13 @@ def objection(
         return "; ".join(preflight(experiment, fleet, starts))
     if order is Order.TEST:
         return "; ".join(preflight(experiment, fleet, but=("thrusters",)))
+    if order is Order.RESUME:
+        moving = [f"robot {r} does not hold yet ({_name(fleet[r])})" for r in crew.active if fleet[r].mode is not Mode.HOLDING]
+        return "; ".join(moving)
+    if order is Order.HOLD and all(fleet[r].mode is Mode.DISARMED for r in crew.active):
+        return "no robot is armed"
+    if order is Order.GO and leg.home:
+        return "the robots are on their way back to the start, each on its own"
     if order is Order.GO and not via:
         return "where to? (places for the formation's centre, x and y in m)"
     if order is Order.GO and not can_detour(experiment):
@@ -48,6 +55,10 @@ def _inside(experiment: Experiment, x: float, y: float) -> bool:
     """Where a robot accepts a path to: also in open water, which has no walls."""
     length, width, _ = experiment.pool.size_m
     return abs(x) <= length / 2.0 and abs(y) <= width / 2.0
+
+
+def _name(robot: RobotView) -> str:
+    return robot.mode.name if robot.mode is not None else "never heard"
 
 
 def can_move(robot: RobotView) -> bool:

@@ -21,7 +21,7 @@ from robot_agent.gains import Gains, Prepared
 from robot_agent.inputs import Inputs
 from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
 from robot_agent.obstacles import Apart, Thing, islands, things_seen
-from robot_agent.orders import StationView, unacceptable
+from robot_agent.orders import StationView, begins_ns, unacceptable
 from robot_agent.pulse_test import ThrusterTest
 from robot_agent.vitals import Vitals
 from wire.codec import Header
@@ -64,7 +64,7 @@ class Agent:
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
         self._fault = ""
-        self._course = Course(experiment.pool.size_m)
+        self._course = Course(experiment, robot)
         self._test: ThrusterTest | None = None
         self._vitals = Vitals(experiment)
         self._apart = Apart(experiment.vehicle.radius_m)
@@ -85,29 +85,31 @@ class Agent:
         reason = unacceptable(self._me.id, self._experiment.hash, header, command, station)
         if reason:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
+        # Both counted on the station's clock: robots that got an order at different instants still follow it together.
+        ours_ahead_ns = now_ns - station.clock_ns
+        begin_ns, given_ns = begins_ns(header, command) + ours_ahead_ns, header.stamp_ns + ours_ahead_ns
         reason = refusal(command.order, self.mode)
         if not reason:
             prepared = self.prepare(command) if prepared is None else prepared
-            reason = self._objection(command, prepared, station, now_ns)
+            reason = self._objection(command, prepared, station, begin_ns, now_ns)
         if not reason and prepared is not None:
-            # Counted from when the order was given: robots that got it at different instants still start together.
-            self._follow(command, prepared, station, now_ns - (station.clock_ns - header.stamp_ns))
+            self._follow(command, prepared, station, begin_ns, given_ns)
         return Reply(self._me.id, not reason, reason, self.mode)
 
-    def _objection(self, command: Command, prepared: Prepared, station: StationView, now_ns: int) -> str:
-        reason = self._course.objection(command, self.mode is Mode.TRACKING)
+    def _objection(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, now_ns: int) -> str:
+        eta = self._last.eta if self._last is not None and self._last.estimated else None
+        reason = self._course.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta)
         if reason:
             return reason
         if command.order is Order.ARM:
             return self._vitals.unfit(self._inputs, station, now_ns)
-        if command.order in (Order.START, Order.RESUME) and not self._located:
-            return "the robot does not know where it is"
         return self._gains.objection(command, prepared)
 
-    def _follow(self, command: Command, prepared: Prepared, station: StationView, given_ns: int) -> None:
-        """Carry out an order that is accepted, given at that instant on our clock."""
+    def _follow(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int) -> None:
+        """Carry out an order that is accepted. It was given at one instant, and START and RESUME begin at the other, both on
+        our clock."""
         self._gains.follow(command, prepared, given_ns)
-        self._course.follow(command, self.mode is Mode.TRACKING, station, given_ns)
+        self._course.follow(command, self.mode is Mode.TRACKING, station, begin_ns)
         if command.order is Order.TEST:
             neutral_us = self._last.pulse_us if self._last is not None else ()
             self._test = ThrusterTest(self._experiment.vehicle, neutral_us)
@@ -140,8 +142,9 @@ class Agent:
         if mode is not self.mode:
             self._enter(mode, reason)
         neighbours = self._neighbours(inputs, now_ns)
-        things = self._things(inputs, now_ns)
-        goal = self._goal(now_ns) if inputs.telemetry.armed else None  # a board arms on neutral pulses, and puts out no others
+        things, goal = self._things(inputs, now_ns), self._goal(now_ns)  # time goes on along the path while the board arms
+        if not inputs.telemetry.armed:
+            goal = None  # a board arms on neutral pulses, and puts out no others
         self._gains.step(now_ns, self._course.reached_s)
         output = self._sound(self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things))
         self._last = output
@@ -209,10 +212,6 @@ class Agent:
         """Whether a pose can be one of this pool."""
         length_m, width_m, _ = self._experiment.pool.size_m
         return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
-
-    @property
-    def _located(self) -> bool:
-        return self._last is not None and self._last.estimated
 
     def _goal(self, now_ns: int) -> Goal | None:
         """What the mode asks the controller for; None is neutral."""

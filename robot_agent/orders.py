@@ -27,6 +27,11 @@ class StationView:
     slowing: float = 0.0
 
 
+def begins_ns(header: Header, command: Command) -> int:
+    """When a START or RESUME counts, on the station's clock: the instant that it names, the same however late it comes."""
+    return command.start_ns or header.stamp_ns + round(command.start_in_s * 1e9)
+
+
 def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:
     """Why an order to that robot, which holds that experiment, is not taken; empty if it is."""
     if command.robot != robot:

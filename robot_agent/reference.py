@@ -77,6 +77,12 @@ def interpolate(table: Array, place: Array) -> Array:
     return first + share * (table.take(low + 1, axis=0, mode="clip") - first)
 
 
+def pose_at(trajectory: Trajectory, time_s: float) -> Array:
+    """The pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
+    pose: Array = interpolate(trajectory.eta, np.array([_row(trajectory, time_s)]))[0]
+    return pose
+
+
 SEAM_M, SEAM_MPS, SEAM_MPS2 = 1e-6, 1e-6, 1e-6  # and radians: the station continues the very samples that the robot has
 ON_GRID = 1e-6  # of a period
 

@@ -47,7 +47,14 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
         if k == ARM_AFTER:
             given_ns = now_ns - period_ns  # as the last step ends: what that went by is still fresh
             for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
-                command = Command(order, robot, 1.0, experiment.hash, start_in_s=period_s, trajectory=trajectory)
+                command = Command(
+                    order,
+                    robot,
+                    experiment_hash=experiment.hash,
+                    trajectory_id=trajectory.id,
+                    trajectory=trajectory if order is Order.LOAD else None,
+                    start_ns=given_ns + period_ns,
+                )
                 agent.order(Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns)
         yield agent, Inputs(Seen(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
         k += 1

@@ -184,9 +184,10 @@ class AgentFleet:
             order,
             robot,
             experiment_hash=self.experiment.hash,
-            start_in_s=start_in_s,
+            trajectory_id=self.trajectories[robot].id,
             trajectory_s=trajectory_s,
             trajectory=self.trajectories[robot] if order is Order.LOAD else None,
+            start_ns=self.now_ns + round(start_in_s * NS),
         )
         return self.robots[i].agent.order(
             Header(STATION_SESSION, self._orders, self.now_ns), command, self.station(), self.now_ns

@@ -307,7 +307,7 @@ class Tuning(_message.Message):
     def __init__(self, id: _Optional[str] = ..., keys: _Optional[_Iterable[str]] = ..., values: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -320,6 +320,7 @@ class Command(_message.Message):
     TUNING_FIELD_NUMBER: _ClassVar[int]
     RECIPIENT_FIELD_NUMBER: _ClassVar[int]
     VIA_FIELD_NUMBER: _ClassVar[int]
+    START_NS_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -332,7 +333,8 @@ class Command(_message.Message):
     tuning: Tuning
     recipient: int
     via: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ...) -> None: ...
+    start_ns: int
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ...) -> None: ...
 
 class Reply(_message.Message):
     __slots__ = ("robot", "accepted", "reason", "mode", "session")

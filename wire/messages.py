@@ -247,13 +247,16 @@ class Command:
     time_to_live_s: float = 1.0
     experiment_hash: str = ""
     trajectory_id: str = ""
-    start_in_s: float = 0.0  # START, RESUME, ADOPT: when, from now
-    trajectory_s: float = 0.0  # START, RESUME: the timetable then (less the station's lag, where to be); ADOPT: not before
+    start_in_s: float = 0.0  # ADOPT: when, counted from the header's stamp
+    trajectory_s: float = (
+        0.0  # START, RESUME: the timetable at start_ns (less the station's lag, where to be); ADOPT: not before
+    )
     trajectory: Trajectory | None = None
     tuning_id: str = ""  # ADOPT: which
     tuning: Tuning | None = None
     recipient: int = 0  # session of the process that it is for, as its replies tell it: an earlier life's orders are void
     via: Array = array(-1, 2)  # GO: places for the formation's centre, x, y
+    start_ns: int = 0  # START, RESUME: when, on the station's clock; 0 (older logs): start_in_s after the header's stamp
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,6 +46,9 @@ class Safety(Section):
     )
 
     off_depth_m: Positive = 0.15  # the same for its depth, whose errors are millimetres: a thruster or an ankle that is dead
+    # a robot refuses to begin on its path, or to go on along it, when it is farther away from it than this and than the way
+    # from its planned start to the path's first pose together
+    join_within_m: Positive = 1.0
 
     @model_validator(mode="after")
     def _worse_comes_later(self) -> Self:

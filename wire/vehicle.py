@@ -1,5 +1,6 @@
 """SHELL: a vehicle: inertia, drag, limits, legs, thrust curve. Loaded from a TOML file that is checked key by key."""
 
+from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -193,6 +194,23 @@ class Vehicle(Section):
     def drag_quadratic(self) -> Array:
         """Quadratic drag of nu = [surge, sway, heave, yaw], shape (4,): kg/m, and N m s^2 for yaw."""
         return np.array(self.drag.quadratic)
+
+    def demands(self, velocity: Array, acceleration: Array) -> Iterator[tuple[str, str, int, float, Array]]:
+        """What a motion takes and what there is: name, unit, power of the pace it grows with, limit, values (n,).
+
+        `velocity` and `acceleration` are those of the pose in the pool frame, (n, 4).
+        """
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        yield "speed", "m/s", 1, self.limits.speed_mps, speed
+        yield "heave", "m/s", 1, self.limits.heave_mps, np.abs(velocity[:, 2])
+        yield "yaw rate", "rad/s", 1, self.limits.yaw_rate_radps, np.abs(velocity[:, 3])
+        flow = np.column_stack([speed, speed, np.abs(velocity[:, 2]), np.abs(velocity[:, 3])])
+        force = self.inertia * acceleration + (self.drag_linear + self.drag_quadratic * flow) * velocity
+        surge_n, heave_n, yaw_nm = self.limits.wrench
+        # no side thruster: in a bend the robot turns inwards until surge gives the side force too
+        yield "thrust", "N", 2, surge_n, np.hypot(force[:, 0], force[:, 1])
+        yield "heave thrust", "N", 2, heave_n, np.abs(force[:, 2])
+        yield "yaw moment", "N m", 2, yaw_nm, np.abs(force[:, 3])
 
 
 def load_vehicle(name_or_path: str, relative_to: Path | None = None) -> Vehicle:

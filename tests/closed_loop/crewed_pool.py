@@ -1,6 +1,6 @@
 """The dry pool with the station's mission in command: orders, plans, pace, answers go their real ways, without a network."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from tests.closed_loop.dry_pool import DryPool
 from wire.codec import Header
 from wire.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Order
+from wire.messages import Command, Order, Reply
 
 NS = 1_000_000_000
 
@@ -34,6 +34,7 @@ class CrewedPool(DryPool):
         self.mission = Mission(self.experiment, leg, starts, automatic)
         self.starts = starts
         self.things = np.zeros((0, 3))
+        self.loses: Callable[[Command], bool] = lambda command: False  # orders that do not arrive
         self.references: list[Array] = []  # (robots, 12) at each step: pose, velocity, acceleration of the goal now
         self.phases: list[Phase] = []
         self.reasons: list[str] = []
@@ -100,16 +101,18 @@ class CrewedPool(DryPool):
         if self.mission.wanted is not None:
             wanted = self.mission.wanted
             try:
-                self.mission.planned(wanted.plan(), self.now_ns)
+                self.mission.planned(wanted.plan(), fleet, self.now_ns)
             except PlanError as error:
-                self.mission.planned(error, self.now_ns)
+                self.mission.planned(error, fleet, self.now_ns)
         self._answers = []
         for command in commands:
             i = self.experiment.robot_ids.index(command.robot)
-            if self.agents_work[i]:
+            if self.loses(command):
+                self._answers.append(Answer(command, Reply(command.robot, False, "no answer")))
+            elif self.agents_work[i]:
                 self._sent += 1
                 header = Header(STATION_SESSION, self._sent, self.now_ns)
-                reply = self.robots[i].agent.order(header, command, self.station(), self.now_ns)
+                reply = self.robots[i].agent.order(header, command, self.station(), self.now_ns + self.ahead_ns[i])
                 self._answers.append(Answer(command, reply))
         if not self.phases or self.phases[-1] is not self.mission.phase:
             self.phases.append(self.mission.phase)

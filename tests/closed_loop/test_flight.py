@@ -246,7 +246,7 @@ def test_a_trajectory_that_leaves_the_pool_is_not_loaded() -> None:
     eta[:-1] = eta[-1]
     pool.trajectories = {**pool.trajectories, 1: replace(good, eta=eta)}
     reply = pool.order(Order.LOAD, 0)
-    assert (reply.accepted, reply.reason) == (False, "trajectory.eta leaves the pool")
+    assert (reply.accepted, reply.reason) == (False, "trajectory.eta leaves the pool at 0.00 s")
 
 
 def test_a_lost_station_means_hold_then_neutral_then_disarmed_and_no_way_back_by_itself() -> None:

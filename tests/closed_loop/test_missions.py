@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from groundstation.legs import at
+from groundstation.mission import START_IN_S
 from groundstation.phases import Phase
 from sim_bridge.dynamics import Harm
 from tests.closed_loop.crewed_pool import CrewedPool
@@ -39,7 +41,8 @@ def test_who_was_stopped_comes_home_later() -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(8.0)
     assert pool.wish(Order.DISARM) == ""
-    pool.until(Phase.DONE, within_s=3.0)
+    pool.until(Phase.CANCELLED, within_s=3.0)
+    assert pool.mission.reason == "a person asked for DISARM when RUNNING"
     pool.run(2.0)
     assert pool.wish(Order.RETURN) == ""
     pool.until(Phase.RETURNING, within_s=5.0)
@@ -60,6 +63,79 @@ def test_on_the_way_home_one_can_hold_and_stop(order: Order) -> None:
     if order is Order.HOLD:
         assert pool.wish(Order.RESUME) == ""
         pool.until(Phase.DONE, within_s=60.0)
+
+
+def test_a_start_that_one_robot_takes_late_keeps_it_in_step() -> None:
+    """Half a second after the first order all set off; robot 2 gets its own 1.2 s after that order."""
+    pool = CrewedPool(load_experiment("figure-eight"))
+    pool.run(0.5)
+    assert pool.wish(Order.START) == ""
+    pool.until(Phase.STARTING, within_s=3.0)
+    first_ns = pool.now_ns
+    pool.loses = lambda command: command.robot == 2 and command.order is Order.START and pool.now_ns < first_ns + 1_200_000_000
+    pool.until(Phase.RUNNING, within_s=3.0)
+    assert pool.now_ns >= first_ns + 1_200_000_000
+    pool.run(2.0)
+    assert pool.mission.phase is Phase.RUNNING and pool.mission.reason == ""
+    reached = [robot.states[-1].trajectory_s for robot in pool.robots]
+    assert np.ptp(reached) < 1e-9 and reached[0] == pytest.approx((pool.now_ns - first_ns) * 1e-9 - START_IN_S)
+
+
+def test_a_robot_whose_clock_leaps_makes_all_hold_and_they_go_on_in_step() -> None:
+    pool = CrewedPool(load_experiment("figure-eight"), automatic=True)
+    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.run(4.0)
+    reached_s = pool.mission.itinerary.reached_s
+    pool.ahead_ns[1] += 800_000_000
+    pool.until(Phase.PAUSED, within_s=1.0)
+    assert pool.mission.reason == "robot 2 is 0.8 s ahead of the others"
+    pool.until(Phase.RUNNING, within_s=4.0)
+    reached = [robot.states[-1].trajectory_s for robot in pool.robots]
+    assert np.ptp(reached) < 1e-9 and abs(reached[0] - reached_s) < 1.0
+    pool.run(1.0)
+    assert pool.mission.phase is Phase.RUNNING
+
+
+def test_when_one_robot_misses_a_switch_all_get_one_new_plan_before_they_go_on() -> None:
+    pool = flying("blocked-path", "sim.drifters=[]")
+    pool.run(4.0)
+    pool.loses = lambda command: command.robot == 2 and command.order is Order.SWITCH
+    assert pool.wish(Order.GO, [(-2.0, 1.0)]) == ""
+    pool.until(Phase.PAUSED, within_s=4.0)
+    assert "robot 2 has not gone over in time" in pool.mission.reason
+    pool.run(1.0)
+    assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING}
+    assert pool.wish(Order.RESUME) == ""
+    assert "has another plan" in pool.mission.reason
+    while pool.mission.phase is not Phase.RUNNING:
+        pool.run(0.05)
+        ids = {robot.states[-1].trajectory_id for robot in pool.robots if robot.states[-1].mode is Mode.TRACKING}
+        assert ids <= {t.id for t in pool.mission.leg.trajectories.values()}  # nobody moves on what the others do not fly
+    leg = pool.mission.leg
+    assert {robot.states[-1].trajectory_id for robot in pool.robots} == {t.id for t in leg.trajectories.values()}
+    later = [at(t, np.array([leg.own_ways_until_s + 5.0])).eta[0, :2] for t in leg.trajectories.values()]
+    apart = [float(np.linalg.norm(later[a] - later[b])) for a, b in ((0, 1), (0, 2), (1, 2))]
+    assert apart == pytest.approx([0.9] * 3, abs=0.01)  # one triangle, on one path
+
+
+@pytest.mark.slow
+def test_what_comes_to_lie_on_a_robots_way_home_is_gone_round() -> None:
+    pool = flying("blocked-path", "sim.drifters=[]")
+    pool.run(10.0)
+    assert pool.wish(Order.RETURN) == ""
+    pool.until(Phase.RETURNING, within_s=15.0)
+    home = pool.mission.leg
+    half_way = home.trajectories[1].eta[len(home.trajectories[1].eta) // 2, :2]
+    pool.things = np.array([[*half_way, 0.05]])
+    pool.until(Phase.HALTING, within_s=2.0)
+    assert "something lies at" in pool.mission.reason
+    pool.until(Phase.RETURNING, within_s=15.0)
+    assert pool.mission.leg is not home
+    for anew in pool.mission.leg.trajectories.values():
+        away_m = np.hypot(*(anew.eta[:, :2] - half_way).T)
+        assert away_m.min() > min(0.05 + pool.experiment.safety.radius_m, away_m[0]) - 0.001
+    pool.run(3.0)
+    assert pool.mission.phase is Phase.RETURNING  # and not to rest once more
 
 
 BALL = np.array([[1.0, 0.1, 0.2]])  # where blocked-path's own ball comes to lie

@@ -95,7 +95,15 @@ class Lab:
             for robot, trajectory in self.pool.trajectories.items():
                 loaded = trajectory if order is Order.LOAD else None
                 reply = self.send(
-                    Command(order, robot, experiment_hash=self.pool.experiment.hash, start_in_s=0.2, trajectory=loaded)
+                    Command(
+                        order,
+                        robot,
+                        1.0,
+                        self.pool.experiment.hash,
+                        trajectory.id,
+                        trajectory=loaded,
+                        start_ns=self.pool.now_ns + 200_000_000,
+                    )
                 )
                 assert reply.accepted, reply.reason
 

@@ -151,7 +151,13 @@ class Rig(Onlooker):
     def fly(self) -> None:
         """From anywhere to all robots tracking, thrusters running."""
         deadline = time.monotonic() + (PATIENCE_S if len(self.robots) <= MANY else MANY_PATIENCE_S)
-        steps = {"STOPPED": Order.CLEAR_STOP, "DONE": Order.LOAD, "FAILED": Order.LOAD, "RUNNING": Order.DISARM}
+        steps = {
+            "STOPPED": Order.CLEAR_STOP,
+            "DONE": Order.LOAD,
+            "CANCELLED": Order.LOAD,
+            "FAILED": Order.LOAD,
+            "RUNNING": Order.DISARM,
+        }
         steps |= {"PAUSED": Order.DISARM}
         reply, astray = Reply(0, False), False  # adrift for minutes, between two attempts
         while not self.flying:
@@ -160,7 +166,7 @@ class Rig(Onlooker):
             if self.mission == "RUNNING" and self._comes_up():
                 break
             astray |= "from its start" in reply.reason
-            if astray and self.mission in ("WAITING", "DONE", "FAILED"):
+            if astray and self.mission in ("WAITING", "DONE", "CANCELLED", "FAILED"):
                 reply = self.order(Order.RETURN)
                 astray = not reply.accepted
             elif astray and self.mission == "LOADING":

@@ -119,7 +119,10 @@ def agent(data: bytes) -> None:
         pose = Pose(0.5, 0.1, 0.2, np.eye(3) * 1e-6, Track.MARKER, True, 1.0, 0.3)
         telemetry = Telemetry(board_ms=number, arrival_ns=now_ns, battery_v=12.0, armed=number > 2)
         robot.step(Inputs(Seen(pose, now_ns), telemetry, station), now_ns)
-        command = Command(order, 1, experiment_hash=_pool().hash, trajectory=_trajectory() if order is Order.LOAD else None)
+        path = _trajectory()
+        command = Command(
+            order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None
+        )
         robot.order(Header(1, number, now_ns), command, station, now_ns)
         now_ns += PERIOD_NS
     while bites.left:
@@ -218,7 +221,7 @@ def mission(data: bytes) -> None:
             decode(Command, encode(command), "station", "command")
         if flight.wanted is not None:
             with contextlib.suppress(PlanError):
-                flight.planned(flight.wanted.plan(), now_ns)
+                flight.planned(flight.wanted.plan(), fleet, now_ns)
         now_ns += PERIOD_NS * (1 + bites.byte())
 
 

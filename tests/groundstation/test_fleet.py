@@ -1,5 +1,7 @@
 """What headers tell of a robot's link and clock, and what is found amiss."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,3 +54,17 @@ def test_a_battery_of_which_nothing_was_heard_is_not_called_empty() -> None:
 def test_a_board_that_was_never_heard_has_not_been_silent_for_so_long(age_ms: float, text: str) -> None:
     seen = RobotView(RobotState(board_age_ms=age_ms), 0.02, None, 0.02)
     assert text in [finding.text for finding in findings(load_experiment("pool"), 1, seen)]
+
+
+def test_a_robot_that_was_never_heard_has_no_mode() -> None:
+    assert RobotView().mode is None
+    assert RobotView(RobotState()).mode is Mode.DISARMED
+
+
+@pytest.mark.parametrize(("behind_s", "text"), [(0.8, "is 0.8 s behind the others"), (-0.6, "is 0.6 s ahead of the others")])
+def test_a_robot_out_of_step_is_an_alarm_but_does_not_keep_it_from_going_on(behind_s: float, text: str) -> None:
+    experiment = load_experiment("pool")
+    seen = RobotView(RobotState(mode=Mode.TRACKING), 0.02, None, 0.02, behind_s=behind_s)
+    (found,) = [f for f in findings(experiment, 1, seen) if f.key == "step"]
+    assert (found.level, found.bars, found.text) == ("critical", False, text)
+    assert not [f for f in findings(experiment, 1, replace(seen, behind_s=0.4)) if f.key == "step"]

@@ -7,12 +7,14 @@ import pytest
 
 from groundstation.checks import PlanError
 from groundstation.detour import detour
+from groundstation.fleet import RobotView
 from groundstation.from_rest import assigned, gathered
 from groundstation.legs import NOTHING, Leg, at, continued, first_contact, first_leg
+from groundstation.lookout import Lookout, Surroundings
 from robot_agent.reference import Follow, Sampler, seam_trouble, spliced
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
-from wire.messages import Trajectory
+from wire.messages import RobotState, Trajectory
 
 PERIOD_S = 0.05
 BLOCKED = load_experiment("blocked-path")
@@ -121,6 +123,42 @@ def test_what_lies_on_the_path_is_told_with_robot_place_and_time() -> None:
     assert first_contact(BLOCKED, leg, 14.0, 20.0, BALL) == ""  # later
     assert first_contact(BLOCKED, leg, 60.0, 75.0, BALL) == ""  # behind
     assert first_contact(BLOCKED, leg, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
+
+
+def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: float = 20.0) -> Trajectory:
+    """Straight from one place to another, at constant speed."""
+    share = np.linspace(0.0, 1.0, round(seconds / PERIOD_S) + 1)[:, None]
+    eta, velocity = np.zeros((len(share), 4)), np.zeros((len(share), 4))
+    eta[:, :2] = np.array(from_m) + share * (np.array(to_m) - np.array(from_m))
+    velocity[:, :2] = (np.array(to_m) - np.array(from_m)) / seconds
+    return Trajectory("glides", PERIOD_S, eta, velocity, np.zeros_like(eta))
+
+
+def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_come_nearer_to_it() -> None:
+    way = glides((0.0, 0.0), (2.0, 0.0))
+    home = Leg({1: way}, way, 20.0, home=True)
+    into_place = Leg({1: way}, way, 60.0, own_ways_until_s=20.0)
+    for leg in (home, into_place):
+        assert "on the path of robot 1, in 5.6 s" in first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[1.0, 0.0, 0.15]]))
+        assert first_contact(BLOCKED, leg, 15.0, 40.0, np.array([[1.0, 0.0, 0.15]])) == ""  # gone by
+        for x in (-0.3, 2.3):  # behind its start, and behind its goal
+            assert first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[x, 0.0, 0.15]])) == ""
+        assert first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[0.3, 0.0, 0.15]])) != ""  # it would run through it
+        assert first_contact(BLOCKED, leg, 0.0, 25.0, NOTHING) == ""
+
+
+def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_changed_for_things() -> None:
+    way = glides((0.0, 0.0), (2.0, 0.0))
+    lost = RobotView(RobotState(eta=np.array([1.0, 0.0, 0.0, 0.0])), 9.0)
+    seen = Surroundings((1,), np.array([[1.5, 0.0, 0.1]]))
+    for settings, sees_things in ((["mission.detours=true"], True), (["mission.detours=false"], False)):
+        lookout = Lookout(load_experiment("pool", settings))
+        lookout.see(seen, 0)
+        home = Leg({1: way}, way, 20.0, home=True)
+        assert "at (1.00, 0.00) m" in lookout.contact(home, 0.0, [lost], 1_000_000_000)
+        assert ("at (1.50, 0.00) m" in lookout.contact(home, 0.0, [], 1_000_000_000)) == sees_things
+        in_formation = Leg({1: way}, way, 20.0)
+        assert lookout.contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
 
 
 def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:

@@ -53,3 +53,25 @@ def test_a_start_is_on_time_again() -> None:
     assert pace.rate == 1.0 and pace.lag_s > 0.0
     pace.start()
     assert pace.lag_s == 0.0
+
+
+def test_after_a_stall_the_lag_is_what_the_last_heartbeat_foretold_and_the_pace_does_not_leap() -> None:
+    pace = Pace(Conduct(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
+    driven(pace, np.full(200, 1.0))
+    lag_s, rate = pace.lag_s, pace.rate
+    pace.step(0.0, 0.5)
+    assert pace.lag_s - lag_s == pytest.approx((1.0 - rate) * 0.5)  # robots counted on with 1 - rate for that long
+    assert pace.rate - rate < 0.04
+    lag_s, rate = pace.lag_s, pace.rate
+    pace.step(0.0, 0.001)  # a cycle that comes early
+    assert pace.lag_s - lag_s == pytest.approx((1.0 - rate) * 0.001)
+    assert pace.rate - rate < 0.001
+
+
+def test_the_lag_grows_up_to_the_moment_from_which_nobody_is_waited_for() -> None:
+    pace = Pace(Conduct(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
+    driven(pace, np.full(200, 1.0))
+    lag_s, rate = pace.lag_s, pace.rate
+    pace.step(None, PERIOD_S)
+    assert pace.rate == 1.0
+    assert pace.lag_s - lag_s == pytest.approx((1.0 - rate) * PERIOD_S)

@@ -81,6 +81,7 @@ def test_a_plan_that_comes_when_another_is_wanted_counts_for_nothing(tmp_path: P
 def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         mission = station.mission
+        station.seen = station.fleet()
         mission.phase, mission.itinerary.wanted = Phase.HALTING, Wanted("another path", lambda: dict[str, Leg]()["robot 3"])
         station._plan(True, 0)
         assert mission.phase is Phase.PAUSED

@@ -80,8 +80,9 @@ class Pond:
 
     def order(self, order: Order) -> Reply:
         command = Command(
-            order, ME, 1e6, self.experiment.hash, trajectory=self.trajectory if order is Order.LOAD else None, start_in_s=0.1
-        )
+            order, ME, 1e6, self.experiment.hash, self.trajectory.id,
+            trajectory=self.trajectory if order is Order.LOAD else None, start_ns=self.sent_ns + 100_000_000,
+        )  # fmt: skip
         return self.station.order(command, self.sent_ns, 1.0)
 
     def step(self, count: int = 1) -> None:
