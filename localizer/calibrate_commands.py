@@ -91,7 +91,7 @@ def check(
     start_log("localizer", False)
     stop = Stop()
     with ExitStack() as stack:
-        page = stack.enter_context(closing(Page(show_port))) if show else None
+        page = stack.enter_context(closing(Page(show_port, stop))) if show else None
         typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
         where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
         pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(where, stop), fleet)))

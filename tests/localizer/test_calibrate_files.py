@@ -329,7 +329,11 @@ def test_no_frame_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_live_grid_follows_the_camera_until_stopped_and_complains_of_another_size() -> None:
     experiment, hub, stop, said = load_experiment("pool"), MemoryHub(), Stop(install=False), []
     width, height = experiment.camera.size_px
-    with Bus(MemoryTransport(hub)) as camera, Bus(MemoryTransport(hub)) as viewer, closing(Page(0)) as page:
+    with (
+        Bus(MemoryTransport(hub)) as camera,
+        Bus(MemoryTransport(hub)) as viewer,
+        closing(Page(0, Stop(install=False))) as page,
+    ):
         pictures, seen = LivePictures(viewer), 0
 
         def show() -> None:
