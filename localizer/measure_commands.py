@@ -36,6 +36,8 @@ def latency(
 
     Example:  localizer latency lab.toml --source v4l2:/dev/video0
     """
+    import cv2
+
     from localizer.latency import judge, measure
     from localizer.locate import Locator
     from localizer.sources import BUS, open_bus, open_own
@@ -46,6 +48,7 @@ def latency(
     from wire.transport import ZenohTransport
 
     start_log("localizer")
+    cv2.setNumThreads(1)  # as `run`
     loaded, clock = load_experiment(experiment, settings or ()), WallClock()
     locator, stop = Locator(loaded), Stop()
     with ExitStack() as stack:
@@ -89,7 +92,11 @@ def evaluate(
     localizer evaluate mouse.mp4 --truth mouse_idtracked.txt --frames 3000
     localizer evaluate pool.mkv --truth poses.csv --experiment lab.toml --no-marker
     """
+    import cv2
+
     from localizer import evaluate_shell
+
+    cv2.setNumThreads(1)  # as `run`
 
     if recording.suffix == ".mcap":
         rows: evaluate_shell.Rows = evaluate_shell.evaluate_log(recording)
