@@ -94,8 +94,8 @@ class LeanLaw:
     def covariance(self, course: Course | None, down: Array) -> Array:
         """What an unknown lean does to a measured [x, y, yaw], (3, 3); without a course, of a robot at rest.
 
-        `down` (2,) is d(x, y) / d depth of the line of sight: a leaning plate's corners lie at other depths than its middle, and
-        seen askew that looks like a turn by half of lean times slope."""
+        `down` (2,) is d(x, y) / d depth of the line of sight: a leaning plate's corners lie at other depths than its middle,
+        and seen askew that looks like a turn by half of lean times slope."""
         lean2 = self.standing_rad**2 + (0.0 if course is None else course.swung_rad**2)
         aside_m2, turn2 = self.height_m**2 * lean2, 0.25 * lean2 * float(down @ down)
         return np.diag([aside_m2, aside_m2, turn2])

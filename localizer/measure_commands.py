@@ -1,6 +1,7 @@
 """SHELL: the command line of `localizer latency` and `localizer evaluate`."""
 
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -38,8 +39,7 @@ def latency(
     """
     import cv2
 
-    from localizer.latency import judge, measure
-    from localizer.locate import Locator
+    from localizer.latency import in_this_process, judge, measure
     from localizer.sources import BUS, open_bus, open_own
     from wire.bus import Bus
     from wire.network import endpoint
@@ -50,7 +50,7 @@ def latency(
     start_log("localizer")
     cv2.setNumThreads(1)  # as `run`
     loaded, clock = load_experiment(experiment, settings or ()), WallClock()
-    locator, stop = Locator(loaded), Stop()
+    stop = Stop()
     with ExitStack() as stack:
         if source == BUS:
             where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
@@ -59,7 +59,7 @@ def latency(
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))
-        timings, dropped = measure(pictures, lambda frame, at_ns: locator.step(frame, at_ns, {}), clock, stop, seconds)
+        timings, dropped = measure(pictures, partial(in_this_process, loaded, clock, stop), clock, seconds)
         trouble = pictures.trouble
     result = judge(timings, dropped, loaded.camera.rate_hz)
     if result is None:
