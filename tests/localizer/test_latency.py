@@ -131,8 +131,8 @@ def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_command_measures_a_source_and_says_what_is_wrong(tmp_path: Path) -> None:
-    """A video at 20 Hz where the experiment has 100: that must be noticed, however busy this machine is: each picture comes, with
-    a stamp 50 ms after the last."""
+    """A video at 20 Hz where the experiment has 100: that must be noticed, however busy this machine is: each picture
+    comes, with a stamp 50 ms after the last."""
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (1280, 960))
     random = np.random.default_rng(1)
     for _ in range(20):
