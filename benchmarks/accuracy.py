@@ -1,12 +1,13 @@
 """How far the localizer is off, in rendered frames whose truth is known: waves, glare, caustics, refraction, motion blur,
-sensor noise, imperfect depth sensors. Errors of position are distances in the plane.
+sensor noise, imperfect depth sensors. Errors of position are distances in the plane. Robots on prescribed courses are level;
+in the flights they lean as the plant's do.
 
 A sample is the RMS over a run, runs differ by seed (water, paint, courses): `max` is the worst of the seeds. Beside ours, in
 the same frames: OpenCV's markers with its default settings through our optics, the pose that `solvePnP` makes of them in a
 camera that knows nothing of water, and a correlation filter over the picture as it is, not turned with the robot.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
@@ -17,14 +18,16 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.harness import Row
+from groundstation import planner
 from localizer.calibration import PoolView
 from localizer.kcf import CorrelationFilter, FilterShape
 from localizer.locate import Locator
 from sim_bridge.camera import Renderer
+from sim_bridge.numeric import AgentFleet, BareWater
 from sim_bridge.optics import project
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array, pool_to_body, wrap
-from wire.messages import Pose, Track
+from wire.messages import Pose, Track, Trajectory
 from wire.scene import Robot
 
 SEEDS = range(1, 6)
@@ -36,6 +39,7 @@ NO_MARKERS = "localizer.markers=false"
 HALL = ("pool.size_m=[16, 16, 1]", "camera.position_m=[0, 0, -16.75]", "camera.distortion=[0, 0, 0, 0, 0]", NO_MARKERS)
 SENSOR_BIAS_M, SENSOR_NOISE_M = 0.003, 0.002  # of depth, as in the experiment's [sim.sensors]
 CONFIDENCE = 0.95
+FLIGHT_SEEDS, FLIGHT_S = range(1, 4), 20.0
 AWAY_M = 50.0
 UNDETECTED_S = 0.3  # a swap not flagged by then is not detected
 
@@ -144,6 +148,59 @@ def _consistency(case: str, nees: Array) -> Iterator[Row]:
     yield Row("accuracy", case, "ours", "% in own 95 % ellipsoid", share, share, share, nees.size)
 
 
+# --- robots that lean
+
+
+class _SeenFleet(AgentFleet):
+    """A flight of the plant, and what two localizers make of it: one sees the robots as they lean, the other one level."""
+
+    def __init__(self, experiment: Experiment, trajectories: Mapping[int, Trajectory], water: BareWater, seed: int) -> None:
+        super().__init__(experiment, trajectories, water, seed)
+        self.runs = {"leaning": Run(), "level": Run()}
+        self.lean_rad: list[float] = []
+        self._flown, self._renderer, self._frames = water, Renderer(experiment, seed), 0
+        self._locators = {how: Locator(experiment) for how in self.runs}
+
+    def expose(self, stamp_ns: int) -> None:
+        super().expose(stamp_ns)
+        water, ids = self._flown, self.experiment.robot_ids
+        depths = {i: robot.states[-1].depth_m for i, robot in zip(ids, self.robots, strict=True) if robot.states}
+        self._frames += 1
+        self.lean_rad += np.hypot(*water.tilt[:, :2].T).tolist()
+        for how, run in self.runs.items():
+            tilt = water.tilt if how == "leaning" else None
+            frame = self._renderer.render(water.eta, water.nu, self._frames * PERIOD_S, self._frames, tilt)
+            poses = dict(self._locators[how].step(frame, stamp_ns, depths).poses)
+            if len(poses) < len(ids):
+                continue
+            run.add(
+                "ours", {k: np.array([poses[i].x_m, poses[i].y_m, poses[i].yaw_rad]) for k, i in enumerate(ids)}, water.eta
+            )
+            run.nees.append(np.array([_nees(poses[i], eta) for i, eta in zip(ids, water.eta, strict=True)]))
+
+
+def _leaning(case: str, name: str, settings: Sequence[str]) -> Iterator[Row]:
+    """Robots flown by their controllers, whose tilt is the plant's: the same flight rendered with it, and level."""
+    figures: dict[str, list[tuple[float, float, float]]] = {"leaning": [], "level": []}
+    leans = []
+    for seed in FLIGHT_SEEDS:
+        experiment = load_experiment(name, [*settings, f"seed={seed}"])
+        trajectories = planner.plan(experiment)
+        starts = planner.start_poses(experiment, trajectories)
+        water = BareWater(experiment, seed, np.array([starts[i] for i in experiment.robot_ids]))
+        fleet = _SeenFleet(experiment, trajectories, water, seed)
+        fleet.start()
+        while fleet.time_s < FLIGHT_S:
+            fleet.step()
+        leans.append(float(np.degrees(np.sqrt(np.mean(np.square(fleet.lean_rad))))))
+        for how, run in fleet.runs.items():
+            figures[how].append((*run.rms("ours"), float(np.mean(run.nees))))
+    yield Row.of("accuracy", case, "the plant", "deg of lean, RMS", leans)
+    for how, found in figures.items():
+        for unit, values in zip(("mm RMS", "deg RMS", "NEES, mean"), np.array(found).T, strict=True):
+            yield Row.of("accuracy", case, f"ours, {how}", unit, values.tolist())
+
+
 # --- what others would do
 
 
@@ -244,9 +301,13 @@ def _reacquisition() -> Iterator[Row]:
                     eta[0, :2] = place if k >= back else AWAY_M
                 frame = renderer.render(eta, np.zeros((2, 4)), k * PERIOD_S, k)
                 depths = dict(zip(experiment.robot_ids, eta[:, 2].tolist(), strict=True))
-                pose = dict(locator.step(frame, round(k * PERIOD_S * 1e9), depths).poses)[experiment.robot_ids[0]]
-                right = np.hypot(pose.x_m - eta[0, 0], pose.y_m - eta[0, 1]) < 0.01 and pose.identity_verified
-                found, k = k >= back and bool(right), k + 1
+                pose = dict(locator.step(frame, round(k * PERIOD_S * 1e9), depths).poses).get(experiment.robot_ids[0])
+                right = (
+                    pose is not None
+                    and pose.identity_verified
+                    and bool(np.hypot(pose.x_m - eta[0, 0], pose.y_m - eta[0, 1]) < 0.01)
+                )
+                found, k = k >= back and right, k + 1
             samples.append((k - 1 - back) * PERIOD_S)
     yield Row.of("accuracy", "lost for 3 s, back elsewhere", "ours", "s until found", samples)
 
@@ -306,5 +367,8 @@ def run() -> Iterator[Row]:
     yield from _accuracy("pool, looks only", pool, (NO_MARKERS,), _plain_kcf)
     yield from _accuracy("16 x 16 m, robots 18 px, looks only", hall, HALL, _plain_kcf)
     yield from _accuracy("pool, markers, depth 2 cm wrong", pool, (), _aruco_alone, depth_error_m=0.02)
+    yield from _leaning("flight, pool scene, 0.014 m/s", "pool", ())
+    yield from _leaning("flight, figure of eight, 0.1 m/s", "figure-eight", ())
+    yield from _leaning("flight, circle, 0.3 m/s", "pool", ("path.lap_s=10", "path.diameter_m=1.0"))
     yield from _reacquisition()
     yield from _identity()

@@ -54,11 +54,16 @@ def run(
 
     Examples:  localizer run pool --show          localizer run lab.toml --source v4l2:/dev/video0 --publish-frames
     """
+    import cv2
+
     from localizer import shell
     from wire.network import endpoint
     from wire.topics import Role, process_name
 
     start_log("localizer", verbose)
+    cv2.setNumThreads(
+        1
+    )  # of this process: regions are small, and with the fleet's others on the machine more threads only fight
     loaded = load_experiment(experiment, settings or ())
     options = shell.Options(source, publish_frames, show_port if show else None)
     where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)

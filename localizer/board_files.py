@@ -7,22 +7,25 @@ import cv2
 import numpy as np
 
 from localizer.patch import Pixels
+from localizer.shot import SUFFIXES, as_colour
 from wire.outputs import replacing
 from wire.toml_file import ConfigError
 
-SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
-
-def read_picture(path: Path) -> Pixels:
-    """A picture file as BGR (height, width, 3). Raises ConfigError."""
+def read_picture(path: Path, grey: bool = False) -> Pixels:
+    """A picture file as BGR (height, width, 3); one channel is raw Bayer RGGB, or (`grey`) grey. Raises
+    ConfigError."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
-    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) if data else None
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     if picture is None:
         raise ConfigError(f"{path}: not a picture that OpenCV reads (allowed: {', '.join(s[1:] for s in SUFFIXES)})")
-    return np.asarray(picture, dtype=np.uint8)
+    colour = as_colour(picture, grey)
+    if colour is None:
+        raise ConfigError(f"{path}: {picture.dtype}, must be a picture of 8 bits a channel")
+    return colour
 
 
 def write_picture(path: Path, picture: Pixels) -> None:
@@ -38,11 +41,11 @@ def write_picture(path: Path, picture: Pixels) -> None:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def pictures(sources: Sequence[Path], every: int) -> Iterator[tuple[str, Pixels]]:
+def pictures(sources: Sequence[Path], every: int, grey: bool = False) -> Iterator[tuple[str, Pixels]]:
     """(name, BGR picture) of files, of all picture files in folders (by name), and of videos the sharpest of every `every`
     frames. Raises ConfigError for what is neither, and for pictures of different sizes."""
     first: tuple[str, Pixels] | None = None
-    for name, picture in _all(sources, every):
+    for name, picture in _all(sources, every, grey):
         first = first or (name, picture)
         if picture.shape != first[1].shape:
             sizes = [f"{p.shape[1]}x{p.shape[0]}" for p in (picture, first[1])]
@@ -50,15 +53,15 @@ def pictures(sources: Sequence[Path], every: int) -> Iterator[tuple[str, Pixels]
         yield name, picture
 
 
-def _all(sources: Sequence[Path], every: int) -> Iterator[tuple[str, Pixels]]:
+def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str, Pixels]]:
     for source in sources:
         if source.is_dir():
             files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES)
             if not files:
                 raise ConfigError(f"{source}: no pictures in this folder (looked for: {', '.join(SUFFIXES)})")
-            yield from ((str(path), read_picture(path)) for path in files)
+            yield from ((str(path), read_picture(path, grey)) for path in files)
         elif not source.is_file() or source.suffix.lower() in SUFFIXES:
-            yield str(source), read_picture(source)
+            yield str(source), read_picture(source, grey)
         else:
             yield from _sharp_frames(source, every)
 

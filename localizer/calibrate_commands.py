@@ -10,6 +10,8 @@ from wire.experiment import experiment_path, load_experiment
 from wire.options import DEFAULT_FLEET, DEFAULT_STATION, ExperimentName, FleetName, Insecure, KeyRing, Settings, StationAddress
 from wire.outputs import check_output
 
+Grey = Annotated[bool, typer.Option("--grey", help="Pictures of one channel are grey; otherwise they are raw Bayer RGGB.")]
+
 
 def calibrate(
     sources: Annotated[
@@ -37,6 +39,7 @@ def calibrate(
     water_index: Annotated[
         float | None, typer.Option(min=1, max=2, help="Refractive index: 1.333 in fresh water (default), 1.34 in sea water.")
     ] = None,
+    grey: Grey = False,
     out: Annotated[Path, typer.Option(help="The camera file; a picture goes beside it.")] = Path("camera.toml"),
 ) -> None:
     """Find lens and pose of a camera from pictures of a board and points of the pool (docs/calibration.md).
@@ -50,7 +53,7 @@ def calibrate(
     files = tuple(sources or ())
     request = Request(
         files, board, every, lens, pool_points, pool_points_image, out,
-        rate_hz=rate, exposure_s=exposure, water_index=water_index,
+        rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey,
     )  # fmt: skip
     typer.echo("\n".join(run(request)))
 
@@ -58,6 +61,7 @@ def calibrate(
 def check(
     experiment: ExperimentName,
     image: Annotated[Path | None, typer.Option(metavar="FILE", help="A picture of the experiment's camera.")] = None,
+    grey: Grey = False,
     live: Annotated[bool, typer.Option("--live", help="Take the newest frame from the bus instead.")] = False,
     show: Annotated[bool, typer.Option("--show", help="Every new frame, in a browser of this machine, until Ctrl-C.")] = False,
     show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8091,
@@ -87,13 +91,13 @@ def check(
     if image is not None and (live or show):
         raise typer.BadParameter("give --image, or --live or --show, not both")
     if not (live or show):
-        picture = None if image is None else read_picture(image)
+        picture = None if image is None else read_picture(image, grey)
         typer.echo("\n".join(check_camera(loaded, picture, str(image), depth, out)))
         return
     start_log("localizer", False)
     stop = Stop()
     with ExitStack() as stack:
-        page = stack.enter_context(closing(Page(show_port))) if show else None
+        page = stack.enter_context(closing(Page(show_port, stop))) if show else None
         typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
         where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
         pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(where, stop), fleet)))

@@ -45,6 +45,7 @@ class Request:
     rate_hz: float | None = None  # these three cannot be found: asked for, or as in `lens`, or default
     exposure_s: float | None = None
     water_index: float | None = None
+    grey: bool = False  # pictures of one channel are grey, not raw Bayer RGGB
 
 
 def calibrate(request: Request) -> list[str]:
@@ -104,7 +105,7 @@ def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
         raise ConfigError(f"--board: which board do the pictures show? (allowed: {EXAMPLES})")
     board = parse_board(request.board)
     views, missing, backdrop = list[BoardView](), list[str](), np.empty((0, 0, 3), np.uint8)
-    for name, picture in pictures(request.sources, request.every):
+    for name, picture in pictures(request.sources, request.every, request.grey):
         view = board.find(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8), name)
         if view is None:
             missing.append(name)
@@ -122,7 +123,7 @@ def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[Pos
     """The pose, and the picture it was found in, black if there was none."""
     image = _points_image(request, points)
     width, height = camera.size_px
-    picture = None if image is None else read_picture(image)
+    picture = None if image is None else read_picture(image, request.grey)
     if picture is not None and picture.shape[:2] != (height, width):
         raise ConfigError(f"{image}: {picture.shape[1]}x{picture.shape[0]}, but the lens was found at {width}x{height}")
     grey = None if picture is None else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

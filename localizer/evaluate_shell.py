@@ -119,29 +119,50 @@ def pictures(path: Path, limit: int | None) -> Iterator[Pixels]:
         capture.release()
 
 
+class _Target:
+    """One target of a plain video, with its true places (frames, 2) px, and what came of following it."""
+
+    def __init__(self, number: int, places_px: Array, box_px: float) -> None:
+        self.number = number
+        self._places_px, self._box_px = places_px, box_px
+        self._follower: Follower | None = None
+        self._errors_px: list[float] = []
+        self._times_ms: list[float] = []
+        self._failures = 0
+
+    def see(self, frame: int, picture: Pixels) -> None:
+        """Follow it into the next picture. Farther off than half the box it is shown again, and that is a failure."""
+        place = self._places_px[frame]
+        known = bool(np.all(np.isfinite(place)))
+        if self._follower is None:
+            self._follower = Follower(picture, place, self._box_px) if known else None
+            return
+        started = time.perf_counter()
+        found, _ = self._follower.step(picture)
+        self._times_ms.append(1e3 * (time.perf_counter() - started))
+        if not known:
+            return
+        self._errors_px.append(float(np.linalg.norm(found - place)))
+        if self._errors_px[-1] > self._box_px / 2.0:
+            self._failures += 1
+            self._follower = Follower(picture, place, self._box_px)
+
+    def row(self, truth: Path) -> PixelRow:
+        """The figures. Raises ConfigError if it was never seen twice."""
+        if not self._errors_px:
+            raise ConfigError(f"{truth}: target {self.number} is nowhere in the video")
+        return pixel_row(f"target {self.number}", self._errors_px, self._failures, self._times_ms)
+
+
 def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) -> list[PixelRow]:
-    """Follow each target of an idTracker file from its first known place on. A target farther off than half the box is shown
-    again, and counts as a failure."""
-    rows = []
-    for number, places in enumerate(read_idtracker(truth), start=1):
-        follower: Follower | None = None
-        errors, times, failures = [], [], 0
-        for picture, place in zip(pictures(path, limit), places, strict=False):
-            known = bool(np.all(np.isfinite(place)))
-            if follower is None:
-                follower = Follower(picture, place, box_px) if known else None
-                continue
-            started = time.perf_counter()
-            found, _ = follower.step(picture)
-            times.append(1e3 * (time.perf_counter() - started))
-            errors += [float(np.linalg.norm(found - place))] if known else []
-            if known and errors[-1] > box_px / 2.0:
-                failures += 1
-                follower = Follower(picture, place, box_px)
-        if not errors:
-            raise ConfigError(f"{truth}: target {number} is nowhere in the video")
-        rows.append(pixel_row(f"target {number}", errors, failures, times))
-    return rows
+    """Follow each target of an idTracker file from its first known place on, all in one pass through the video."""
+    places = read_idtracker(truth)
+    targets = [_Target(number, places_px, box_px) for number, places_px in enumerate(places, start=1)]
+    frames = min(len(places[0]), limit) if limit is not None else len(places[0])
+    for frame, picture in enumerate(pictures(path, frames)):
+        for target in targets:
+            target.see(frame, picture)
+    return [target.row(truth) for target in targets]
 
 
 def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> list[PoseRow]:

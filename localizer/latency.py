@@ -1,20 +1,26 @@
-"""SHELL: how old a pose is when it is ready, and how even the pictures come: a self-test of camera and computer.
+"""SHELL: how old a pose is when it is out, and how even the pictures come: a self-test of camera and computer.
+
+What is measured is the localizer as `run` runs it, with its obstacles, previews and film, on a bus of this process alone:
+nobody else hears the poses. Left out is what Zenoh needs to send them, the page of `--show`, and what robots report.
 
 What it cannot see is how far a driver's stamp is from the light: a constant of the camera, some milliseconds with USB
 cameras, that only a clock in the picture would show.
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from localizer.locate import Located
-from localizer.patch import Pixels
+from localizer.shell import Shell
 from localizer.shot import Shot, Source
+from wire import topics
+from wire.bus import Bus
+from wire.experiment import Experiment
 from wire.frames import Array
 from wire.runtime import Clock, Stop
+from wire.transport import MemoryHub, MemoryTransport
 
 WARM_UP = 5  # pictures: caches, exposure control, a backlog from before
 _LARGEST_JITTER = 0.25  # of a period, p99: more, and the motion between pictures is no longer what the filter thinks
@@ -73,27 +79,61 @@ class Latency:
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
+Told = Callable[[int], None]  # the poses of the picture with this stamp are out
+
+
+class _Watched:
+    """A source that notes its pictures, and ends after `seconds`."""
+
+    def __init__(self, source: Source, clock: Clock, seconds: float) -> None:
+        self.pictures: list[Shot] = []
+        self.ready_ns: dict[int, int] = {}  # by stamp
+        self._source, self._clock, self._seconds = source, clock, seconds
+
+    @property
+    def silent_after_s(self) -> float:
+        return self._source.silent_after_s
+
+    @property
+    def trouble(self) -> str:
+        return self._source.trouble
+
+    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        end_ns = self._clock.now_ns() + round(self._seconds * 1e9)
+        for shot in self._source.shots(stop):
+            self.pictures += [shot] if shot is not None else []
+            yield shot
+            if self._clock.now_ns() >= end_ns:
+                return
+
+    def told(self, stamp_ns: int) -> None:
+        self.ready_ns.setdefault(stamp_ns, self._clock.now_ns())
+
+    def close(self) -> None:
+        """The source is the caller's."""
+
+
 def measure(
-    source: Source, step: Callable[[Pixels, int], Located], clock: Clock, stop: Stop, seconds: float
+    source: Source, localize: Callable[[Source, Told], None], clock: Clock, seconds: float
 ) -> tuple[list[Timing], int]:
-    """Localize for a while. Returns the pictures after WARM_UP and how many were dropped meanwhile."""
-    timings: list[Timing] = []
-    dropped, dropped_before, seen = 0, 0, 0
-    end_ns = clock.now_ns() + round(seconds * 1e9)
-    for shot in source.shots(stop):
-        if shot is not None:
-            seen += 1
-            dropped, dropped_before = shot.dropped, shot.dropped if seen <= WARM_UP else dropped_before
-            timing = _time(shot, step, clock)
-            timings += [timing] if seen > WARM_UP else []
-        if clock.now_ns() >= end_ns:
-            break
-    return timings, dropped - dropped_before
+    """Localize for a while. Returns the pictures after WARM_UP and how many were dropped meanwhile.
+
+    `localize` works through a source until it ends, and tells when the poses of a picture are out."""
+    watched = _Watched(source, clock, seconds)
+    localize(watched, watched.told)
+    before, counted = watched.pictures[:WARM_UP], watched.pictures[WARM_UP:]
+    ready = [(shot, watched.ready_ns[shot.stamp_ns]) for shot in counted if shot.stamp_ns in watched.ready_ns]
+    timings = [Timing(shot.instant_ns, shot.arrived_ns, ready_ns, shot.stamped) for shot, ready_ns in ready]
+    return timings, counted[-1].dropped - before[-1].dropped if counted else 0
 
 
-def _time(shot: Shot, step: Callable[[Pixels, int], Located], clock: Clock) -> Timing:
-    step(shot.pixels, shot.instant_ns)
-    return Timing(shot.instant_ns, shot.arrived_ns, clock.now_ns(), shot.stamped)
+def in_this_process(experiment: Experiment, clock: Clock, stop: Stop, source: Source, told: Told) -> None:
+    """Run the localizer on a source, with a bus that nobody else is on."""
+    hub = MemoryHub()
+    witness, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    witness.subscribe(topics.LOCALIZER, None, lambda topic, key, header, payload: told(header.stamp_ns))
+    Shell(experiment, own, stop, clock, source).run()
+    stop.raise_failure()
 
 
 def judge(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | None:

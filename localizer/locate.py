@@ -2,27 +2,27 @@
 
     frame -> is the camera well? -> where does it hang? (landmarks, if it moves) -> predict each robot -> cut a region around
     it -> read its marker there (all markers of the whole picture while one is lost) -> find its look (KCF) -> gates ->
-    filter -> learn its look -> poses
+    filter -> learn its look -> by how much it may lean -> poses
 
 A marker gives identity, place and heading; the correlation filters follow a robot whose marker is washed out by glare or
 covered. Pixels become metres at the depth the robot itself reports: an error of 1 cm there moves a robot 1 m off the
 camera's foot by 2.5 mm.
 
-Deterministic: no clock, one OpenCV thread, robots always in the experiment's order.
+Deterministic: no clock, robots always in the experiment's order. How many threads OpenCV may use is the process's affair.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from localizer.appearance import Appearance
 from localizer.calibration import PoolView
 from localizer.health import CameraWatch
 from localizer.landmarks import LandmarkCamera, StillCamera
+from localizer.lean import Course, LeanLaw
 from localizer.marker import MarkerPose, MarkerReader
-from localizer.patch import Hull, Pixels, cut, whole
+from localizer.patch import Hull, Pixels, Region, cut, whole
 from localizer.sight import KCF_NOISE, MARKER_NOISE, Depth, Sight, depths_of
 from localizer.start import start_poses
 from localizer.tracks import RobotTrack, near_pairs
@@ -55,7 +55,6 @@ class Locator:
     """The localizer's core: `step` once per frame, in order. Robots go by index, in the experiment's order."""
 
     def __init__(self, experiment: Experiment) -> None:
-        cv2.setNumThreads(1)
         vehicle, settings = experiment.vehicle, experiment.localizer
         camera, landmarks = experiment.camera, experiment.landmarks
         self._eye = LandmarkCamera(camera, landmarks) if landmarks else StillCamera(camera)
@@ -73,6 +72,8 @@ class Locator:
         self._landmark_ids = {landmark.id for landmark in landmarks}
         self._strangers: dict[int, int] = {}  # markers of nobody here -> in how many scans running
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.placed(s[[0, 1, 3]]) for s in self._start]
+        self._courses: list[Course | None] = [None] * len(self._ids)  # of the tracks, as far as they were measured
+        self._lean = LeanLaw.of(vehicle, settings.tilt_sigma_rad, settings.tilt_rad_per_n)
         self._stamp_ns: int | None = None
         self._frames = 0
 
@@ -85,6 +86,7 @@ class Locator:
         camera = self._watch.judge(frame)
         depths = depths_of(self._experiment, self._start[:, 2].tolist(), depths_m)
         self._predict(stamp_ns)
+        sights: dict[int, Sight] = {}
         if camera is CameraHealth.OK and not self._watch.repeated:
             self._eye.look(frame)
         if camera is CameraHealth.OK and not self._watch.repeated and self._eye.usable:
@@ -95,7 +97,8 @@ class Locator:
             if self._eye.fresh:
                 self._learn_looks(sights)
         self._tracks = [track.settled(self._settings.lost_after_s) for track in self._tracks]
-        poses = self._poses(depths) if camera is CameraHealth.OK else ()
+        self._judge_courses()
+        poses = self._poses(depths, sights) if camera is CameraHealth.OK else ()
         return Located(poses, LocalizerStatus(camera=camera, frames=self._frames, message=self._trouble(camera)), self.view)
 
     # --- in the order of `step`
@@ -106,6 +109,7 @@ class Locator:
         step_s = min(max(elapsed_s, 0.0), _LONGEST_STEP_S)
         self._eye.wait(step_s)
         self._tracks = [track.advanced(step_s) for track in self._tracks]
+        self._courses = [None if course is None else course.advanced(step_s) for course in self._courses]
 
     def _look(self, frame: Pixels, depths: Sequence[Depth]) -> dict[int, Sight]:
         """A sight of each robot seen before and expected in the picture."""
@@ -132,7 +136,9 @@ class Locator:
         if not self._settings.markers:
             return
         scan = self._frames % _SCAN_EVERY == 1 and any(track.state is Track.LOST for track in self._tracks)
-        regions = [whole(frame)] if scan else [sight.region for sight in sights.values()]
+        regions = (
+            [whole(frame)] if scan else [sight.region for sight in sights.values()] + self._claimed(frame, depths, sights)
+        )
         readings = self._reader.read(self.view, regions, np.array([depth.plate_m for depth in depths]))
         if scan:
             strangers = sorted(self._reader.strangers - self._landmark_ids)
@@ -145,6 +151,12 @@ class Locator:
                 self._tracks[i] = track.read(sights[i].measurement(readings[i].pose, MARKER_NOISE), self.radius_m)
             elif track.motion is not None and self._taken_place(track.motion.position_m, i, readings):
                 self._tracks[i] = track.contradicted()
+
+    def _claimed(self, frame: Pixels, depths: Sequence[Depth], sights: Mapping[int, Sight]) -> list[Region]:
+        """Regions where markers were read that wait for a second reading, as far as no robot is expected there."""
+        claims = {i: track.claim for i, track in enumerate(self._tracks) if track.claim is not None}
+        away = {i: c.pose[:2] for i, c in claims.items() if i not in sights or sights[i].distance_m(c.pose) > self.radius_m}
+        return [sight.region for sight in self._sights(frame, depths, away, dict.fromkeys(away, _WIDEST_SIGMA_M)).values()]
 
     def _taken_place(self, position_m: Array, robot: int, readings: Mapping[int, MarkerPose]) -> bool:
         """Another robot's marker was read here: the two would be inside each other."""
@@ -174,9 +186,25 @@ class Locator:
         certain = [s for s in due if self._certain(s.robot) and self._clearance_m(s.robot, self._believed(s.robot)) > apart_m]
         self._looks.learn(certain, [self._believed(sight.robot) for sight in certain], _LEARNING_RATE)
 
-    def _poses(self, depths: Sequence[Depth]) -> tuple[tuple[int, Pose], ...]:
-        messages = ((i, t.message(d.centre_m)) for i, t, d in zip(self._ids, self._tracks, depths, strict=True))
-        return tuple((i, pose) for i, pose in messages if pose is not None)
+    def _judge_courses(self) -> None:
+        """How the robots move, for their lean."""
+        for i, track in enumerate(self._tracks):
+            if track.measured is None:
+                continue
+            place_m, course = track.measured.pose[:2], self._courses[i]
+            if course is None:
+                self._courses[i] = Course.begin(place_m, 0.0)
+            elif np.linalg.norm(place_m - course.position_m) > self.radius_m:  # it was carried, or was somebody else
+                self._courses[i] = Course.begin(place_m, course.swung_rad)
+            else:
+                self._courses[i] = course.measured(place_m, self._lean)
+
+    def _poses(self, depths: Sequence[Depth], sights: Mapping[int, Sight]) -> tuple[tuple[int, Pose], ...]:
+        messages = []
+        for i, (robot, track, depth) in enumerate(zip(self._ids, self._tracks, depths, strict=True)):
+            down = sights[i].tangent.jacobian[:, 2] if i in sights else np.zeros(2)
+            messages.append((robot, track.message(depth.centre_m, self._lean.covariance(self._courses[i], down))))
+        return tuple((robot, pose) for robot, pose in messages if pose is not None)
 
     def _trouble(self, camera: CameraHealth) -> str:
         """One line for the operator; empty when all is well."""
@@ -211,7 +239,7 @@ class Locator:
     def _certain(self, robot: int) -> bool:
         track = self._tracks[robot]
         if self._settings.markers:
-            return track.state is Track.MARKER and track.measured is not None
+            return track.state is Track.MARKER and track.measured is not None and track.verified
         return not self._looks.knows(robot) or (track.measured is not None and track.peak > _SURE_PEAK)
 
     def _clearance_m(self, robot: int, pose: Array) -> float:

@@ -1,6 +1,7 @@
 """SHELL: the command line of `localizer latency` and `localizer evaluate`."""
 
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -37,8 +38,9 @@ def latency(
 
     Example:  localizer latency lab.toml --source v4l2:/dev/video0
     """
-    from localizer.latency import judge, measure
-    from localizer.locate import Locator
+    import cv2
+
+    from localizer.latency import in_this_process, judge, measure
     from localizer.sources import BUS, open_bus, open_own
     from wire.bus import Bus
     from wire.network import endpoint
@@ -49,8 +51,9 @@ def latency(
     start_log("localizer")
     if json is not None:
         check_output(json, [experiment_path(experiment), *([Path(source.split(":")[1])] if ":" in source else [])])
+    cv2.setNumThreads(1)  # as `run`
     loaded, clock = load_experiment(experiment, settings or ()), WallClock()
-    locator, stop = Locator(loaded), Stop()
+    stop = Stop()
     with ExitStack() as stack:
         if source == BUS:
             where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
@@ -59,7 +62,7 @@ def latency(
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))
-        timings, dropped = measure(pictures, lambda frame, at_ns: locator.step(frame, at_ns, {}), clock, stop, seconds)
+        timings, dropped = measure(pictures, partial(in_this_process, loaded, clock, stop), clock, seconds)
         trouble = pictures.trouble
     result = judge(timings, dropped, loaded.camera.rate_hz)
     if result is None:
@@ -92,11 +95,15 @@ def evaluate(
     localizer evaluate mouse.mp4 --truth mouse_idtracked.txt --frames 3000
     localizer evaluate pool.mkv --truth poses.csv --experiment lab.toml --no-marker
     """
+    import cv2
+
     from localizer import evaluate_shell
 
     if json is not None:
         read = [recording, *([truth] if truth is not None else [])]
         check_output(json, [*read, *([experiment_path(experiment)] if experiment is not None else [])])
+    cv2.setNumThreads(1)  # as `run`
+
     if recording.suffix == ".mcap":
         rows: evaluate_shell.Rows = evaluate_shell.evaluate_log(recording)
     elif truth is None:

@@ -44,7 +44,6 @@ class ObstacleWatch:
     """`step` once per frame, in order, with robots where the localizer sees them."""
 
     def __init__(self, experiment: Experiment) -> None:
-        cv2.setNumThreads(1)
         self._view = PoolView(experiment.camera)
         self._shape_px = experiment.camera.size_px[::-1]
         self._reduction = Reduction(experiment.camera.size_px)

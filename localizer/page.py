@@ -11,7 +11,7 @@ import threading
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
-from wire.runtime import log
+from wire.runtime import Stop, guarded_thread, log
 from wire.toml_file import ConfigError
 
 MAX_VIEWERS = 4
@@ -27,7 +27,7 @@ _HTML = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>localize
 class Page:
     """Serves what `show` was given last, from http://127.0.0.1:port/."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, stop: Stop) -> None:
         """Raises ConfigError if the port is taken. Port 0: any that is free."""
         self._news = threading.Condition()
         self._number, self._jpeg, self._closed = 0, b"", False
@@ -39,7 +39,7 @@ class Page:
             taken = isinstance(error, OSError) and error.errno == errno.EADDRINUSE
             raise ConfigError(f"--show-port {port}: {'in use; choose another one' if taken else error}") from None
         self._server.daemon_threads = True  # a viewer that stopped reading must not keep the process
-        self._thread = threading.Thread(target=self._server.serve_forever, args=(0.1,), name="page", daemon=True)
+        self._thread = guarded_thread(stop, "page", lambda: self._server.serve_forever(0.1), daemon=True)
         self._thread.start()
         log.info("what the camera sees: %s", self.address)
 

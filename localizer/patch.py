@@ -79,7 +79,10 @@ def whole(frame: Pixels) -> Region:
 
 
 def cut(frame: Pixels, centre_px: Array, half_px: float) -> Region | None:
-    """The region of `frame` (height, width) around a point, clipped to the picture; None if hardly any of it is left."""
+    """The region of `frame` (height, width) around a point, clipped to the picture; None if hardly any of it is left, or the
+    point is nowhere (NaN)."""
+    if not (np.isfinite(centre_px).all() and np.isfinite(half_px)):
+        return None
     height, width = frame.shape
     left, top = (2 * int(np.floor((c - half_px) / 2.0)) for c in centre_px)
     right, bottom = (2 * int(np.ceil((c + half_px) / 2.0)) + 2 for c in centre_px)

@@ -2,22 +2,21 @@
 `--show`, and for a camera at this machine the raw frames on the bus. The newest wins; who looks on never slows the poses.
 """
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
-from localizer.latest import Latest
 from localizer.locate import Located
 from localizer.page import Page
 from localizer.patch import Pixels
 from localizer.shot import Shot
+from localizer.worker import Worker
 from wire import topics
 from wire.bus import Bus
 from wire.messages import Frame, Obstacles, Preview
-from wire.runtime import SLICE_S, Clock, log
+from wire.runtime import Clock, Stop
 
 PAGE_RATE_HZ = 15.0  # smooth enough to wave at; a picture takes 5 ms of one core
 _JPEG_QUALITY = 70  # about 40 kB at 640 x 480
@@ -62,57 +61,60 @@ class Previews:
         draw: Callable[[Pixels, Located, Obstacles], Pixels],
         bus: Bus,
         clock: Clock,
+        stop: Stop,
         preview_rate_hz: float,
         page: Page | None = None,
         publish_frames: bool = False,
     ) -> None:
         self._draw, self._bus, self._clock, self._page, self._publish_frames = draw, bus, clock, page, publish_frames
         self._preview, self._paging = Rate(preview_rate_hz), Rate(PAGE_RATE_HZ if page is not None else 0.0)
-        self._newest: Latest[_Sight] = Latest()
-        self._closing = False
-        self._thread = threading.Thread(target=self._work, name="previews")
-        self._thread.start()
+        self._worker: Worker[_Sight] = Worker("previews", self._make, stop)
 
     def offer(self, shot: Shot, located: Located, obstacles: Obstacles) -> None:
         """A picture and what was found in it. Never waits."""
-        self._newest.put(_Sight(shot, located, shot.stamp_ns, obstacles))
+        self._worker.offer(_Sight(shot, located, shot.stamp_ns, obstacles))
 
     def offer_nothing(self, message: str, stamp_ns: int) -> None:
         """There is no picture: what people see must not look as if there were."""
-        self._newest.put(_Sight(None, None, stamp_ns, Obstacles(), message))
+        self._worker.offer(_Sight(None, None, stamp_ns, Obstacles(), message))
 
     def close(self) -> None:
         """Finish the last one."""
-        self._closing = True
-        self._thread.join()
-
-    def _work(self) -> None:
-        while not self._closing:
-            sight = self._newest.take(SLICE_S)
-            if sight is None:
-                continue
-            try:
-                self._make(sight)
-            except cv2.error as error:  # a picture of a size that cannot be drawn on; the localizer says so itself
-                log.debug("no preview: %s", error)
+        self._worker.close()
 
     def _make(self, sight: _Sight) -> None:
+        try:
+            self._publish_raw(sight)
+        finally:
+            on_bus, on_page = self._preview.due(sight.stamp_ns), self._paging.due(sight.stamp_ns)
+            if on_bus or on_page:
+                self._draw_and_show(sight, on_bus, on_page)
+
+    def _publish_raw(self, sight: _Sight) -> None:
         shot = sight.shot
         if shot is not None and self._publish_frames:
             age_ns = max(self._clock.now_ns() - shot.instant_ns, 0)
             self._bus.publish(topics.FRAME, Frame(shot.pixels), shot.stamp_ns, age_ns=age_ns)
-        on_bus, on_page = self._preview.due(sight.stamp_ns), self._paging.due(sight.stamp_ns)
-        if not (on_bus or on_page):
-            return
-        if shot is not None and sight.located is not None:
-            picture = self._draw(shot.pixels, sight.located, sight.obstacles)
-        else:
-            picture = _blank(sight.message)
-        good, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-        jpeg = encoded.tobytes() if good else b""
-        if on_bus and good:
-            self._bus.publish(topics.PREVIEW, Preview(jpeg), sight.stamp_ns)
-        if on_page and good and self._page is not None:
+
+    def _draw_and_show(self, sight: _Sight, on_bus: bool, on_page: bool) -> None:
+        try:
+            picture = self._picture(sight)
+        except Exception as error:
+            self._show(_blank(f"no preview: {error}"), sight.stamp_ns, on_bus, on_page)  # the picture before would look live
+            raise
+        self._show(picture, sight.stamp_ns, on_bus, on_page)
+
+    def _picture(self, sight: _Sight) -> Pixels:
+        if sight.shot is not None and sight.located is not None:
+            return self._draw(sight.shot.pixels, sight.located, sight.obstacles)
+        return _blank(sight.message)
+
+    def _show(self, picture: Pixels, stamp_ns: int, on_bus: bool, on_page: bool) -> None:
+        _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+        jpeg = encoded.tobytes()
+        if on_bus:
+            self._bus.publish(topics.PREVIEW, Preview(jpeg), stamp_ns)
+        if on_page and self._page is not None:
             self._page.show(jpeg)
 
 

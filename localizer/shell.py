@@ -27,6 +27,8 @@ from wire.runtime import Clock, LockstepClock, Stop, WallClock, age_s, log, log_
 from wire.toml_file import ConfigError
 from wire.transport import Endpoint, ZenohTransport
 
+FAILURES_IN_A_ROW = 10  # pictures, 0.5 s at 20 Hz: after that the localizer ends, to be started anew by who watches it
+
 
 @dataclass(frozen=True)
 class Options:
@@ -39,7 +41,7 @@ class Options:
 
 def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lockstep: bool, options: Options) -> None:
     """Open everything, localize, close everything. Raises ConfigError for what cannot be opened, before it waits for a
-    station."""
+    station; Failed if a part of it could not go on."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
     if options.source == BUS and options.publish_frames:
         raise ConfigError(f"--publish-frames: the frames of --source {BUS} are on the bus already")
@@ -48,9 +50,10 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
         if options.source != BUS:
             own = stack.enter_context(closing(open_own(options.source, experiment.camera, clock)))
         if options.page_port is not None:
-            page = stack.enter_context(closing(Page(options.page_port)))
+            page = stack.enter_context(closing(Page(options.page_port, stop)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet))
         Shell(experiment, bus, stop, clock, own, page, options.publish_frames).run()
+    stop.raise_failure()
 
 
 class Shell:
@@ -75,6 +78,7 @@ class Shell:
         self._obstacles, self._obstacles_ns = Obstacles(), -1  # the newest, and the stamp of the newest that was told
         self._status = LocalizerStatus()
         self._told = CameraHealth.OK
+        self._failed, self._failed_in_a_row = 0, 0  # pictures
         self._video: VideoMaker | None = None
 
     def run(self) -> None:
@@ -83,8 +87,8 @@ class Shell:
         show = partial(draw, self._locator)
         with ExitStack() as stack:
             if self._experiment.recording.video != "none":
-                self._video = stack.enter_context(closing(VideoMaker(self._experiment, self._bus)))
-            previews = Previews(show, self._bus, self._clock, rate_hz, self._page, self._publish_frames)
+                self._video = stack.enter_context(closing(VideoMaker(self._experiment, self._bus, self._stop)))
+            previews = Previews(show, self._bus, self._clock, self._stop, rate_hz, self._page, self._publish_frames)
             stack.enter_context(closing(previews))
             log_to_bus(self._bus, self._clock, "localizer")
             self._bus.announce("localizer")
@@ -96,22 +100,48 @@ class Shell:
                     self._handle(shot, previews)
 
     def _handle(self, shot: Shot, previews: Previews) -> None:
+        """One picture. An exception costs this picture, FAILURES_IN_A_ROW of them the process."""
         started_ns = time.perf_counter_ns()
-        located = self._locator.step(shot.pixels, shot.instant_ns, self._depths(shot.inputs_up_to_ns))
-        age_ns = max(self._clock.now_ns() - shot.instant_ns, 0)
-        for robot, pose in located.poses:
-            self._bus.publish(topics.POSE, pose, shot.stamp_ns, robot, age_ns=age_ns)
+        try:
+            located = self._locator.step(shot.pixels, shot.instant_ns, self._depths(shot.inputs_up_to_ns))
+            age_ns = max(self._clock.now_ns() - shot.instant_ns, 0)
+            for robot, pose in located.poses:
+                self._bus.publish(topics.POSE, pose, shot.stamp_ns, robot, age_ns=age_ns)
+        except Exception as error:
+            self._skip(shot, error, previews)
+            return
+        self._failed_in_a_row = 0
         frame_ms = (time.perf_counter_ns() - started_ns) * 1e-6
         found = located.status
         told = tuple(robot for robot, _ in located.poses)
         status = LocalizerStatus(
-            found.camera, found.frames, shot.dropped, frame_ms, age_ns * 1e-6, found.message, told, self._obstacles_ns
+            found.camera,
+            found.frames,
+            shot.dropped,
+            frame_ms,
+            age_ns * 1e-6,
+            found.message,
+            told,
+            self._obstacles_ns,
+            self._failed,
         )
         self._publish_status(status, shot.stamp_ns)
         self._look_for_obstacles(shot, located)
         previews.offer(shot, located, self._obstacles)
         if self._video is not None:
             self._video.offer(shot)
+
+    def _skip(self, shot: Shot, error: Exception, previews: Previews) -> None:
+        """No poses of this picture: the status says why, so that in lockstep nobody waits for them."""
+        self._failed, self._failed_in_a_row = self._failed + 1, self._failed_in_a_row + 1
+        why = f"picture skipped: {type(error).__name__}: {error}"
+        if self._failed_in_a_row == 1:
+            log.error("%s", why, exc_info=error)
+        status = replace(self._status, message=why, robots=(), obstacles_ns=self._obstacles_ns, failed=self._failed)
+        self._publish_status(status, shot.stamp_ns)
+        previews.offer_nothing(why, shot.stamp_ns)
+        if self._failed_in_a_row >= FAILURES_IN_A_ROW:
+            self._stop.fail(f"{self._failed_in_a_row} pictures in a row could not be localized in: {error}")
 
     def _look_for_obstacles(self, shot: Shot, located: Located) -> None:
         if self._watch is None:
@@ -120,7 +150,11 @@ class Shell:
             self._obstacles = Obstacles()
             return
         seen = [[pose.x_m, pose.y_m, pose.depth_m] for _, pose in located.poses if pose.track is not Track.LOST]
-        found = self._watch.step(shot.pixels, shot.instant_ns, np.array(seen).reshape(-1, 3))
+        try:
+            found = self._watch.step(shot.pixels, shot.instant_ns, np.array(seen).reshape(-1, 3))
+        except Exception as error:
+            log.error("obstacles: %s: %s; the water is learnt anew", type(error).__name__, error, exc_info=error)
+            self._watch, found = ObstacleWatch(self._experiment), Obstacles()  # nothing is watched, and that is told
         if found is not None:
             self._obstacles, self._obstacles_ns = found, shot.stamp_ns
             self._bus.publish(topics.OBSTACLES, found, shot.stamp_ns, age_ns=max(self._clock.now_ns() - shot.instant_ns, 0))

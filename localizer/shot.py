@@ -9,10 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localizer.patch import Pixels
+from localizer.patch import BAYER_TO_BGR, Pixels
 from wire.runtime import Stop
 
 SILENT_FRAMES = 5  # periods without a picture: then the camera is absent, and that is said again and again
@@ -56,12 +57,16 @@ def silent_after_s(rate_hz: float) -> float:
     return max(SILENT_FRAMES / rate_hz, _HICCUP_S)
 
 
+# Files that count as pictures, wherever pictures are read from files.
+SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+
+
 def as_bayer(picture: NDArray[Any]) -> Pixels | None:
     """A picture as OpenCV reads it, as the RGGB mosaic (height, width) that BAYER_TO_BGR turns back into it.
 
-    One channel is taken to be raw already (a grey picture is its own mosaic); BGR and BGRA lose two colours of three per
-    pixel, as in the camera. None for anything that is not 8 bits deep.
-    """
+    One channel is taken to be raw already, as everywhere (a grey picture is its own mosaic, a little softer when it is turned
+    into colours); BGR and BGRA lose two colours of three per pixel, as in the camera. None for anything that is not 8 bits
+    deep."""
     if picture.dtype != np.uint8:
         return None
     if picture.ndim == 2:
@@ -74,3 +79,15 @@ def as_bayer(picture: NDArray[Any]) -> Pixels | None:
     mosaic[1::2, 0::2] = picture[1::2, 0::2, 1]
     mosaic[1::2, 1::2] = picture[1::2, 1::2, 0]
     return mosaic
+
+
+def as_colour(picture: NDArray[Any], grey: bool = False) -> Pixels | None:
+    """A picture as OpenCV reads it, as BGR (height, width, 3). One channel is taken to be raw Bayer RGGB, as in `as_bayer`, or
+    (`grey`) to be grey. None for anything that is not 8 bits deep."""
+    if picture.dtype != np.uint8:
+        return None
+    if picture.ndim == 2:
+        return np.asarray(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR if grey else BAYER_TO_BGR), dtype=np.uint8)
+    if picture.ndim != 3 or picture.shape[2] not in (3, 4):
+        return None
+    return np.ascontiguousarray(picture[..., :3])

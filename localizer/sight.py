@@ -41,6 +41,11 @@ class Measurement:
     covariance: Array
     peak: float = 0.0
 
+    @property
+    def finite(self) -> bool:
+        """False for what a solver made of nothing: such a measurement is no measurement."""
+        return bool(np.isfinite(self.pose).all() and np.isfinite(self.covariance).all() and np.isfinite(self.peak))
+
 
 @dataclass(frozen=True)
 class Depth:

@@ -15,11 +15,10 @@ import cv2
 import numpy as np
 
 from localizer.patch import Pixels
-from localizer.shot import Shot, as_bayer, silent_after_s
+from localizer.shot import SUFFIXES, Shot, as_bayer, silent_after_s
 from wire.runtime import SLICE_S, Clock, Stop, log
 from wire.toml_file import ConfigError
 
-IMAGES = frozenset({".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff"})
 _POLL_NS = 10_000_000  # how often a folder is looked at for new images
 _SETTLED_NS = 100_000_000  # file systems stamp in steps of 4 ms (or more): a change this young may not be the last of its step
 
@@ -162,7 +161,7 @@ class FolderSource:
             changed_ns = self._path.stat().st_mtime_ns
             if changed_ns == self._looked_at_ns:
                 return []
-            found = {p: p.stat().st_mtime_ns for p in self._path.iterdir() if p.suffix.lower() in IMAGES}
+            found = {p: p.stat().st_mtime_ns for p in self._path.iterdir() if p.suffix.lower() in SUFFIXES}
         except OSError as error:  # the folder, or a file of it, is being taken away
             self.trouble, self._looked_at_ns = str(error), None
             return []

@@ -15,15 +15,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import cv2
 
 from localizer.latest import Latest
 from localizer.shot import Shot, as_bayer, silent_after_s
-from wire.runtime import SLICE_S, Clock, Stop, log
+from wire.runtime import SLICE_S, Clock, Stop, guarded_thread, log
 from wire.sight import Camera
+from wire.toml_file import ConfigError
 
+DEVICES = Path("/dev")
 RETRY_S = 1.0  # between attempts to open a camera that is gone
 OLDEST_STAMP_NS = 1_000_000_000  # a stamp farther in the past is of another clock
 LONGEST_EXPOSURE_S = 0.010  # a robot at 0.3 m/s smears over 3 mm in that time
@@ -51,6 +54,19 @@ def open_capture(device: str) -> Capture:
     """The device by OpenCV; whether it worked is `isOpened`."""
     os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(_SELECT_TIMEOUT_S))
     return cv2.VideoCapture(device, cv2.CAP_V4L2)
+
+
+def check_device(device: str, open_device: Callable[[str], Capture] = open_capture, folder: Path = DEVICES) -> None:
+    """Raises ConfigError, naming the devices that there are in `folder`, if the device cannot be opened as a camera now."""
+    capture = open_device(device) if Path(device).exists() else None
+    if capture is not None:
+        opened = capture.isOpened()
+        capture.release()
+        if opened:
+            return
+    reason = "no such device" if capture is None else "cannot be opened as a camera (in use, not permitted, or none)"
+    there = ", ".join(sorted(str(path) for path in folder.glob("video*"))) or f"none ({folder}/video*)"
+    raise ConfigError(f"camera {device}: {reason}; there are: {there}")
 
 
 def middle_of_exposure_ns(
@@ -108,15 +124,15 @@ class V4l2Source:
         self._exposure_ns = round(camera.exposure_s * 1e9)
         self._newest: Latest[Shot] = Latest()
         self._closing = threading.Event()
-        # a daemon: `grab` on a camera that hangs returns late, and must not keep the process
-        self._thread = threading.Thread(target=self._keep_grabbing, name="camera", daemon=True)
+        self._thread: threading.Thread | None = None
         if camera.exposure_s > LONGEST_EXPOSURE_S:
             log.warning("camera.exposure_s = %g: more than %g s smears moving robots", camera.exposure_s, LONGEST_EXPOSURE_S)
 
     def shots(self, stop: Stop) -> Iterator[Shot | None]:
         """See Source."""
-        if not self._thread.is_alive():
-            self._thread.start()
+        # a daemon: `grab` on a camera that hangs returns late, and must not keep the process
+        self._thread = guarded_thread(stop, "camera", self._keep_grabbing, daemon=True)
+        self._thread.start()
         silent_since = time.monotonic()
         while not stop.requested:
             left_s = self.silent_after_s - (time.monotonic() - silent_since)
@@ -132,25 +148,30 @@ class V4l2Source:
     def close(self) -> None:
         """Stop grabbing."""
         self._closing.set()
-        if self._thread.is_alive():
+        if self._thread is not None:
             self._thread.join(JOIN_S)
 
     # --- the grabbing thread
 
     def _keep_grabbing(self) -> None:
         while not self._closing.is_set():
-            capture = self._open(self._device)
             try:
-                if capture.isOpened():
-                    self._configure(capture)
-                    self._stream(capture)
-                else:
-                    self._tell("cannot be opened")
-            except cv2.error as error:  # a driver's surprise must cost one attempt, not the camera
-                self._tell(f"failed: {error}")
-            finally:
-                capture.release()
+                self._attempt()
+            except Exception as error:  # a driver's surprise must cost one attempt, not the camera
+                self._tell(f"failed: {type(error).__name__}: {error}")
             self._closing.wait(RETRY_S)
+
+    def _attempt(self) -> None:
+        """Open the device and take its pictures until it fails, or is closed."""
+        capture = self._open(self._device)
+        try:
+            if capture.isOpened():
+                self._configure(capture)
+                self._stream(capture)
+            else:
+                self._tell("cannot be opened")
+        finally:
+            capture.release()
 
     def _stream(self, capture: Capture) -> None:
         while not self._closing.is_set():

@@ -7,7 +7,7 @@ from pathlib import Path
 from localizer.shot import Source
 from localizer.source_bus import BusSource, LockstepSource
 from localizer.source_files import FolderSource, VideoSource
-from localizer.source_v4l2 import V4l2Source
+from localizer.source_v4l2 import V4l2Source, check_device
 from wire.bus import Bus, Inbox
 from wire.messages import RobotState
 from wire.runtime import Clock, LockstepClock, Stop
@@ -32,6 +32,7 @@ def open_own(name: str, camera: Camera, clock: Clock) -> Source:
     if not where:
         raise ConfigError(f"--source {name}: unknown (allowed: {ALLOWED})")
     if kind == "v4l2":
+        check_device(where)
         return V4l2Source(where, camera, clock)
     path, rate_hz = _with_rate(where)
     fastest = rate_hz == FASTEST

@@ -13,16 +13,16 @@ from typing import Any
 import cv2
 import numpy as np
 
-from localizer.latest import Latest
 from localizer.patch import BAYER_TO_BGR, Pixels
 from localizer.previews import Rate
 from localizer.shot import Shot
+from localizer.worker import Worker
 from wire import topics
 from wire.bus import Bus
 from wire.experiment import Experiment
 from wire.messages import Picture, Video
 from wire.recording import Recording
-from wire.runtime import SLICE_S, log
+from wire.runtime import Stop
 from wire.toml_file import ConfigError
 
 NICENESS = 15
@@ -31,43 +31,39 @@ CLOCK_HZ = 1000  # of the film's own time stamps
 
 
 class VideoMaker:
-    """The thread. Closed by `close`."""
+    """The thread. Closed by `close`. A picture that cannot be packed is left out, and the packer is made anew."""
 
-    def __init__(self, experiment: Experiment, bus: Bus) -> None:
+    def __init__(self, experiment: Experiment, bus: Bus, stop: Stop) -> None:
         """Raises ConfigError if what it takes is not installed."""
-        self._pack = packer(experiment.recording, experiment.camera.size_px)
+        self._recording, self._size_px = experiment.recording, experiment.camera.size_px
+        self._pack = packer(self._recording, self._size_px)
         self._due, self._bus = Rate(experiment.recording.video_rate_hz), bus
         self._topic = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
-        self._newest: Latest[Shot] = Latest()
-        self._closing = False
-        self._thread = threading.Thread(target=self._work, name="video")
-        self._thread.start()
+        self._worker: Worker[Shot] = Worker("video", self._send, stop, _give_way)
 
     def offer(self, shot: Shot) -> None:
         """A picture. Never waits."""
         if self._due.due(shot.stamp_ns):
-            self._newest.put(shot)
+            self._worker.offer(shot)
 
     def close(self) -> None:
         """Finish the last one."""
-        self._closing = True
-        self._thread.join()
+        self._worker.close()
 
-    def _work(self) -> None:
-        if hasattr(os, "setpriority"):
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)  # of this thread alone (Linux)
-        while not self._closing:
-            shot = self._newest.take(SLICE_S)
-            if shot is None:
-                continue
-            try:
-                packed = self._pack(shot.pixels, shot.stamp_ns)
-            except cv2.error as error:  # a picture of a size that is none; the localizer says so itself
-                log.debug("no video: %s", error)
-                continue
-            if packed:
-                message = Video(packed) if self._topic is topics.VIDEO else Picture(packed)
-                self._bus.publish(self._topic, message, shot.stamp_ns)
+    def _send(self, shot: Shot) -> None:
+        try:
+            packed = self._pack(shot.pixels, shot.stamp_ns)
+        except Exception:
+            self._pack = packer(self._recording, self._size_px)  # a codec that has failed is in no known state
+            raise
+        if packed:
+            message = Video(packed) if self._topic is topics.VIDEO else Picture(packed)
+            self._bus.publish(self._topic, message, shot.stamp_ns)
+
+
+def _give_way() -> None:
+    if hasattr(os, "setpriority"):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)  # of this thread alone (Linux)
 
 
 Pack = Callable[[Pixels, int], bytes]

@@ -1,6 +1,7 @@
 """What can go wrong with a camera, done to its raw pictures."""
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +37,12 @@ class CameraTrouble:
         return raw
 
 
+@lru_cache(maxsize=4)  # the same for every picture of a fault: making one takes as long as a period of a fast camera
 def _glare(shape: tuple[int, ...], fraction: float) -> Raw:
     """A lamp's reflection: a disc in the middle, of this fraction of the picture, as bright as it gets."""
     rows, columns = np.ogrid[: shape[0], : shape[1]]
     radius = max(np.sqrt(fraction * shape[0] * shape[1] / np.pi), 1.0)
     distance = np.hypot(rows - shape[0] / 2, columns - shape[1] / 2) / radius
-    return np.asarray(255.0 * np.clip((1.0 + SOFT_EDGE - distance) / SOFT_EDGE, 0.0, 1.0), dtype=np.uint8)
+    glare = np.asarray(255.0 * np.clip((1.0 + SOFT_EDGE - distance) / SOFT_EDGE, 0.0, 1.0), dtype=np.uint8)
+    glare.setflags(write=False)
+    return glare

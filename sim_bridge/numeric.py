@@ -97,6 +97,16 @@ class BareWater:
         """Poses now, (n, 4)."""
         return self._state.eta
 
+    @property
+    def nu(self) -> Array:
+        """Velocities now, (n, 4)."""
+        return self._state.nu
+
+    @property
+    def tilt(self) -> Array:
+        """Roll, pitch and their rates now, (n, 4)."""
+        return self._state.tilt
+
     def truth(self) -> Truth:
         """The state now, for the log."""
         return self._plant.truth(self._state)

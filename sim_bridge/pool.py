@@ -4,13 +4,13 @@ By the wall clock the plant keeps up with time and pictures are rendered in a th
 lockstep the simulator owns time: it stops at every control step until each robot's pulses have arrived.
 """
 
+import contextlib
 import queue
 import threading
 import time
 from collections import deque
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +27,19 @@ from wire.experiment import Experiment
 from wire.faults import Break
 from wire.frames import Array
 from wire.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
-from wire.runtime import LOCKSTEP_SAYS_S, SLICE_S, Clock, LockstepClock, Reminder, Stop, WallClock, log, log_to_bus, wait
+from wire.runtime import (
+    LOCKSTEP_SAYS_S,
+    SLICE_S,
+    Clock,
+    LockstepClock,
+    Reminder,
+    Stop,
+    WallClock,
+    guarded_thread,
+    log,
+    log_to_bus,
+    wait,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +77,6 @@ class Pool:
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = sockets
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids if experiment.sim.faults else ())
-        cv2.setNumThreads(1)  # two cores, five processes: more threads only fight
         self._eye: Renderer | Located = (
             Located(experiment, experiment.seed) if poses else Renderer(experiment, experiment.seed)
         )
@@ -78,7 +89,8 @@ class Pool:
         self._neutral = dict.fromkeys(experiment.robot_ids, True)
 
     def run(self) -> None:
-        """Simulate until told to stop. Robots are put into the water when their trajectories are known."""
+        """Simulate until told to stop, or until the camera's thread has failed (Stop.raise_failure says so). Robots are put
+        into the water when their trajectories are known."""
         try:
             self._bus.watch_presence()
             log_to_bus(self._bus, self._clock, "sim-bridge")
@@ -142,7 +154,7 @@ class Pool:
 
     def _run_wall(self, world: World) -> None:
         shots: queue.Queue[Shot | None] = queue.Queue(1 if isinstance(self._eye, Renderer) else 0)  # poses only wait there
-        camera = threading.Thread(target=self._camera, args=(shots,), name="camera")
+        camera = guarded_thread(self._stop, "camera", lambda: self._camera(shots))
         camera.start()
         begin_ns = self._clock.now_ns()
         try:
@@ -159,8 +171,7 @@ class Pool:
                     log.warning("simulation was %.2f s late; time skipped", -ahead_s)
                     begin_ns -= round(ahead_s * 1e9)
         finally:
-            shots.put(None)
-            camera.join()
+            _end(camera, shots)
 
     def _expose(self, world: World, begin_ns: int, shots: "queue.Queue[Shot | None]") -> None:
         stamp_ns = begin_ns + world.now_ns
@@ -322,3 +333,11 @@ class Pool:
                     "lockstep: at %.3f s waiting for the pulses of robot %s", tick_ns * 1e-9, ", ".join(map(str, late))
                 )
             self._sockets.wait(SLICE_S)
+
+
+def _end(camera: threading.Thread, shots: "queue.Queue[Shot | None]") -> None:
+    """Have the camera's thread see what waits, and end. One that has failed takes nothing any more: nobody waits for it."""
+    while camera.is_alive():
+        with contextlib.suppress(queue.Full):
+            shots.put(None, timeout=SLICE_S)
+            camera.join()

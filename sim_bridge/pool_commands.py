@@ -50,6 +50,8 @@ def pool(
 
     Example:  sim-bridge pool pool --station tls/192.168.1.10:7447 --keys keys
     """
+    import cv2
+
     from sim_bridge.board import Board
     from sim_bridge.board_memory import boards_in
     from sim_bridge.pool import Pool
@@ -60,6 +62,7 @@ def pool(
     from wire.transport import ZenohTransport
 
     start_log("sim-bridge", verbose)
+    cv2.setNumThreads(1)  # of this process: with the fleet's others on the machine, more threads only fight
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
     where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
@@ -67,6 +70,7 @@ def pool(
     sockets = Sockets(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         Pool(loaded, bus, sockets, stop, lockstep, poses, make).run()
+    stop.raise_failure()
 
 
 def board(

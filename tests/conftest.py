@@ -1,4 +1,4 @@
-"""One thread for the matrices, so that results do not depend on the machine; the same examples in every run."""
+"""One thread for the matrices and for OpenCV, so that results do not depend on the machine; the same examples in every run."""
 
 import os
 
@@ -6,6 +6,7 @@ from hypothesis import HealthCheck, settings
 
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
+os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
 # A test suite that judges by the clock fails on a busy machine; one that draws new examples each time fails on a stranger's.
 # HYPOTHESIS_PROFILE=explore looks for new examples, and keeps the bad ones in .hypothesis/.

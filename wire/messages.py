@@ -132,6 +132,7 @@ class LocalizerStatus:
     message: str = ""
     robots: tuple[int, ...] = ()  # whose poses in this picture are told
     obstacles_ns: int = -1  # stamp of the newest Obstacles told before them; -1: none yet
+    failed: int = 0  # pictures skipped since the start, because localizing in them raised an error
 
 
 @dataclass(frozen=True, eq=False)

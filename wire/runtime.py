@@ -71,12 +71,20 @@ def age_s(clock: Clock, received: Received[Any]) -> float:
     return (clock.now_ns() - clock.instant_ns(received)) * 1e-9
 
 
+class Failed(Exception):
+    """A part of this process cannot go on, so the process has ended itself: exit code 1, the text is the reason."""
+
+
 class Stop:
-    """Set by SIGINT, SIGTERM or a call; every loop looks at it. A second signal ends the process at once."""
+    """Set by SIGINT, SIGTERM or a call; every loop looks at it. A second signal ends the process at once.
+
+    A part of the process that cannot go on calls `fail`; all loops then end as for a signal, within SLICE_S, and who has
+    closed everything calls `raise_failure`, so that the process does not end as if all were well."""
 
     def __init__(self, install: bool = True) -> None:
         self.requested = False
         self._wakes: list[Callable[[], None]] = []
+        self.failure = ""  # why the process ends itself; empty: nothing has failed
         if install:
             signal.signal(signal.SIGINT, self._on_signal)
             signal.signal(signal.SIGTERM, self._on_signal)
@@ -100,6 +108,32 @@ class Stop:
         """Have `wake` called when a stop is asked for, for a loop that sleeps too long to look. On a thread of its own: a
         signal may come while the loop holds a lock that `wake` needs."""
         self._wakes.append(wake)
+
+    def fail(self, reason: str) -> None:
+        """Ask for a stop because a part of the process cannot go on. From any thread; the first reason counts."""
+        if not self.failure:
+            self.failure = reason
+            log.critical("%s", reason)
+        self.request()
+
+    def raise_failure(self) -> None:
+        """Raises Failed if a part of the process has failed."""
+        if self.failure:
+            raise Failed(self.failure)
+
+
+def guarded_thread(stop: Stop, name: str, work: Callable[[], object], daemon: bool = False) -> threading.Thread:
+    """A thread, not started yet, that the process cannot do without: an exception that leaves `work` ends the process with
+    the reason. `work` itself survives what it can."""
+
+    def run() -> None:
+        try:
+            work()
+        except BaseException as error:  # SystemExit too would end a thread without a word
+            log.debug("thread %s", name, exc_info=True)
+            stop.fail(f"thread {name} ended: {type(error).__name__}: {error}")
+
+    return threading.Thread(target=run, name=name, daemon=daemon)
 
 
 def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:
@@ -215,7 +249,8 @@ def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
 
 def run_app(app: Callable[[], None]) -> None:
     """Run a command line. A configuration that cannot be used, or a file that cannot be read or written, is one message and
-    exit code 2, a station that cannot be reached one message and exit code 1; never a traceback."""
+    exit code 2, a station that cannot be reached, or a part of the process that has failed, one message and exit code 1;
+    never a traceback."""
     try:
         app()
     except ConfigError as error:
@@ -226,6 +261,6 @@ def run_app(app: Callable[[], None]) -> None:
             raise
         print(f"{error.filename2 or error.filename}: {error.strerror}", file=sys.stderr)
         sys.exit(2)
-    except Unreached as error:
+    except (Unreached, Failed) as error:
         print(error, file=sys.stderr)
         sys.exit(1)

@@ -63,5 +63,10 @@ class Localizer(Section):
     lost_after_s: Positive = 0.7
     frozen_frames: Annotated[int, Field(ge=2)] = 5
     depth_sigma_m: Positive = 0.015  # of reported depths: mostly their zero. 1 hPa of air pressure and 5 deg of trim are 1 cm
+    # One standard deviation of an unknown roll and of pitch, which move the plate over the centre: at rest, and per newton of
+    # the thrust that the robot's motion takes. The latter is the thrusters' distance below the centre over the righting moment
+    # per sine, here 0.05 m / 1.9 N m.
+    tilt_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.002
+    tilt_rad_per_n: Annotated[float, Field(ge=0, le=1)] = 0.026
     preview_rate_hz: NotNegative = 5.0
     obstacle_min_m: NotNegative = 0.08  # what covers less than a square of this side is no obstacle; 0: none are looked for

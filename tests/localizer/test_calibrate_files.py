@@ -15,6 +15,9 @@ from localizer.__main__ import app
 from localizer.board_files import pictures, read_picture
 from localizer.check_shell import LivePictures, show_live
 from localizer.page import Page
+from localizer.patch import BAYER_TO_BGR
+from localizer.shot import SUFFIXES
+from localizer.source_files import FolderSource
 from sim_bridge.optics import project, rays
 from tests.localizer.board_scene import Bench, charuco, marks
 from tests.localizer.scene import bayer
@@ -24,7 +27,7 @@ from wire.bus import Bus
 from wire.experiment import EXPERIMENTS, load_experiment
 from wire.frames import Array
 from wire.messages import Frame
-from wire.runtime import Stop
+from wire.runtime import Stop, WallClock
 from wire.sight import Camera
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
@@ -76,7 +79,7 @@ def _run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
 
 
 def _calibrate(monkeypatch: pytest.MonkeyPatch, lab: Path, out: Path, *more: object) -> int:
-    return _run(monkeypatch, "calibrate", lab / "board", "--board", BOARD, "--out", out, *more)
+    return _run(monkeypatch, "calibrate", lab / "board", "--board", BOARD, "--grey", "--out", out, *more)  # as drawn
 
 
 def _experiment(folder: Path) -> Path:
@@ -128,11 +131,11 @@ def test_a_hung_up_camera_keeps_its_lens(
     assert f"--lens {lens} --pool-points FILE" in capsys.readouterr().out
     table = tomllib.loads(lens.read_text(encoding="utf-8"))["camera"]
     assert "position_m" not in table
-    assert _run(monkeypatch, "calibrate", "--lens", lens, "--pool-points", lab / "points.toml", "--out", out) == 0
+    assert _run(monkeypatch, "calibrate", "--grey", "--lens", lens, "--pool-points", lab / "points.toml", "--out", out) == 0
     camera = load_experiment(str(_experiment(tmp_path))).camera
     assert list(camera.focal_px) == table["focal_px"]
     assert _places_off_m(camera, 0.3).max() < 0.002
-    again, arguments = tmp_path / "again.toml", ("calibrate", "--pool-points", lab / "points.toml")
+    again, arguments = tmp_path / "again.toml", ("calibrate", "--grey", "--pool-points", lab / "points.toml")
     assert _run(monkeypatch, *arguments, "--lens", out, "--rate", 30, "--out", again) == 0
     before, after = (tomllib.loads(path.read_text(encoding="utf-8"))["camera"] for path in (out, again))
     assert after == before | {"rate_hz": 30.0}
@@ -160,6 +163,43 @@ def test_points_by_hand_need_no_picture(lab: Path, tmp_path: Path, monkeypatch: 
     camera = load_experiment(str(_experiment(tmp_path))).camera
     assert camera.position_m == pytest.approx(TRUTH.position_m, abs=1e-3)
     assert camera.rotation_rad == pytest.approx(TRUTH.rotation_rad, abs=3e-4)
+
+
+# --- what one channel means
+
+
+@pytest.mark.parametrize("suffix", sorted({*SUFFIXES} - {".jpg", ".jpeg", ".ppm", ".webp"}))
+def test_pictures_of_one_channel_mean_the_same_to_a_source_and_to_the_calibration(tmp_path: Path, suffix: str) -> None:
+    """A raw Bayer frame in every kind of file that can hold one: in the localizer's colours, a red floor is red."""
+    raw = np.full((64, 80), 20, np.uint8)
+    raw[0::2, 0::2] = 200  # red in RGGB
+    (tmp_path / "frames").mkdir()
+    path = tmp_path / "frames" / f"frame{suffix}"
+    assert cv2.imwrite(str(path), raw)
+    source = FolderSource(tmp_path / "frames", 20.0, WallClock())
+    shot = next(source.shots(Stop(install=False)))
+    assert shot is not None
+    colours = read_picture(path)
+    assert colours == pytest.approx(cv2.cvtColor(shot.pixels, BAYER_TO_BGR), abs=3)
+    assert colours[20:40, 20:40].mean(axis=(0, 1)) == pytest.approx([20, 20, 200], abs=6)
+    grey = read_picture(path, grey=True)
+    assert np.ptp(grey, axis=2).max() <= 3
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_file_that_one_takes_for_a_picture_the_other_takes_too(tmp_path: Path, suffix: str) -> None:
+    shape = (64, 80) if suffix == ".pgm" else (64, 80, 3)
+    assert cv2.imwrite(str(tmp_path / f"frame{suffix}"), np.full(shape, 90, np.uint8))
+    shot = next(FolderSource(tmp_path, 20.0, WallClock()).shots(Stop(install=False)))
+    assert shot is not None and shot.pixels.mean() == pytest.approx(90, abs=2)
+    ((name, picture),) = pictures([tmp_path], every=1)
+    assert name.endswith(suffix) and picture.mean() == pytest.approx(90, abs=2)
+
+
+def test_a_picture_of_16_bits_is_refused(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "deep.png"), np.full((64, 80), 40000, np.uint16))
+    with pytest.raises(ConfigError, match=r"deep\.png: uint16, must be a picture of 8 bits a channel"):
+        read_picture(tmp_path / "deep.png")
 
 
 # --- videos
@@ -332,7 +372,11 @@ def test_no_frame_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_the_live_grid_follows_the_camera_until_stopped_and_complains_of_another_size() -> None:
     experiment, hub, stop, said = load_experiment("pool"), MemoryHub(), Stop(install=False), []
     width, height = experiment.camera.size_px
-    with Bus(MemoryTransport(hub)) as camera, Bus(MemoryTransport(hub)) as viewer, closing(Page(0)) as page:
+    with (
+        Bus(MemoryTransport(hub)) as camera,
+        Bus(MemoryTransport(hub)) as viewer,
+        closing(Page(0, Stop(install=False))) as page,
+    ):
         pictures, seen = LivePictures(viewer), 0
 
         def show() -> None:

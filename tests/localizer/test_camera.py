@@ -13,10 +13,11 @@ import cv2
 import pytest
 
 from localizer import source_v4l2
-from localizer.source_v4l2 import V4l2Source, configure, middle_of_exposure_ns
+from localizer.source_v4l2 import V4l2Source, check_device, configure, middle_of_exposure_ns
 from tests.localizer.stand_ins import MS, HandClock, eventually, flat, level
 from wire.experiment import load_experiment
 from wire.runtime import Stop, WallClock
+from wire.toml_file import ConfigError
 
 CAMERA = load_experiment("pool").camera
 
@@ -164,6 +165,42 @@ def test_a_camera_that_is_not_there_yet_is_waited_for(plug: Plug) -> None:
         pass
     source.close()
     assert level(shot) == 1
+
+
+def test_a_drivers_error_costs_one_attempt_and_not_the_camera(plug: Plug) -> None:
+    """The first opening raises what nobody expects; the second one works."""
+    errors: list[Exception] = [OSError("bus error")]
+
+    def open_device(device: str) -> StandIn:
+        if errors:
+            raise errors.pop()
+        return plug.open(device)
+
+    stop = Stop(install=False)
+    source = V4l2Source("/dev/video7", CAMERA, WallClock(), open_device)
+    plug.expose(1)
+    shots = source.shots(stop)
+    while (shot := next(shots)) is None:
+        pass
+    source.close()
+    assert level(shot) == 1 and not stop.requested
+
+
+def test_a_camera_that_is_not_there_is_refused_with_those_that_are(plug: Plug, tmp_path: Path) -> None:
+    for name in ("video0", "video2", "vbi0"):
+        (tmp_path / name).touch()
+    here = f"{tmp_path}/video0, {tmp_path}/video2"
+    with pytest.raises(ConfigError, match=f"camera {tmp_path}/video9: no such device; there are: {here}$"):
+        check_device(f"{tmp_path}/video9", folder=tmp_path)
+    with pytest.raises(ConfigError, match=r"video2: cannot be opened as a camera \(in use"):
+        check_device(f"{tmp_path}/video2", folder=tmp_path)  # OpenCV itself: an empty file is no camera
+    plug.plugged = True
+    opened = StandIn(plug)
+    check_device(f"{tmp_path}/video0", lambda device: opened, tmp_path)
+    assert not opened.isOpened(), "let go of again"
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ConfigError, match="there are: none"):
+        check_device("/dev/video9", folder=tmp_path / "empty")
 
 
 def test_everything_automatic_is_off_and_the_exposure_is_the_experiments(plug: Plug) -> None:

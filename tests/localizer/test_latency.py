@@ -10,14 +10,15 @@ import pytest
 from typer.testing import CliRunner
 
 from localizer.__main__ import cli
-from localizer.calibration import PoolView
-from localizer.latency import WARM_UP, Latency, Timing, judge, measure
-from localizer.locate import Located
-from localizer.shot import Shot
+from localizer.latency import WARM_UP, Latency, Timing, Told, in_this_process, judge, measure
+from localizer.obstacles import ObstacleWatch
+from localizer.patch import Pixels
+from localizer.shot import Shot, Source
 from tests.localizer.stand_ins import MS, HandClock
 from wire.experiment import load_experiment
-from wire.messages import LocalizerStatus
-from wire.runtime import Stop
+from wire.frames import Array
+from wire.messages import Obstacles
+from wire.runtime import Stop, WallClock
 
 
 def timings(count: int = 101, period_ms: float = 50.0, transfer_ms: float = 12.0, work_ms: float = 5.0) -> list[Timing]:
@@ -74,8 +75,7 @@ def test_one_picture_is_no_measurement() -> None:
 
 
 def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
-    clock = HandClock()
-    none = Located((), LocalizerStatus(), PoolView(load_experiment("pool").camera))
+    clock, stop = HandClock(), Stop(install=False)
 
     class Camera:
         trouble, silent_after_s = "", 0.25
@@ -83,36 +83,70 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
         def shots(self, stop: Stop) -> Iterator[Shot | None]:
             for k in range(100):
                 clock.sleep(0.05)
-                yield None if k == 7 else Shot(np.zeros((4, 4), np.uint8), 0, clock.ns - 9 * MS, clock.ns, 10 + k)
+                yield None if k == 7 else Shot(np.zeros((4, 4), np.uint8), k, clock.ns - 9 * MS, clock.ns, 10 + k)
 
         def close(self) -> None:
             """Nothing to do."""
 
-    def step(pixels: np.ndarray, instant_ns: int) -> Located:
-        clock.sleep(0.002)
-        return none
+    def localize(source: Source, told: Told) -> None:
+        """Poses are out after 2 ms, previews after 3 more."""
+        for shot in source.shots(stop):
+            clock.sleep(0.002)
+            if shot is not None:
+                told(shot.stamp_ns)
+                clock.sleep(0.003)
 
-    found, dropped = measure(Camera(), step, clock, Stop(install=False), 1.0)
-    assert len(found) == 20 - WARM_UP - 1
-    assert dropped == 10 + 19 - (10 + WARM_UP - 1)
+    found, dropped = measure(Camera(), localize, clock, 1.0)
+    assert len(found) == 19 - WARM_UP - 1
+    assert dropped == 10 + 18 - (10 + WARM_UP - 1)
     assert {(t.arrived_ns - t.instant_ns, t.ready_ns - t.arrived_ns) for t in found} == {(9 * MS, 2 * MS)}
 
 
+def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each picture is told of once, before the obstacles of the picture are looked for."""
+    order: list[str] = []
+
+    def look(watch: ObstacleWatch, frame: Pixels, stamp_ns: int, robots_m: Array) -> Obstacles | None:
+        order.append(f"obstacles {stamp_ns}")
+        return None
+
+    monkeypatch.setattr(ObstacleWatch, "step", look)
+
+    class Camera:
+        trouble, silent_after_s = "", 0.25
+
+        def shots(self, stop: Stop) -> Iterator[Shot | None]:
+            random = np.random.default_rng(1)
+            for k in (1, 2, 3):
+                yield Shot(random.integers(60, 120, (960, 1280), np.uint8), k, k, k)
+
+        def close(self) -> None:
+            """Nothing to do."""
+
+    def told(stamp_ns: int) -> None:
+        order.append(f"told {stamp_ns}")
+
+    in_this_process(load_experiment("pool"), WallClock(), Stop(install=False), Camera(), told)
+    assert order == ["told 1", "obstacles 1", "told 2", "obstacles 2", "told 3", "obstacles 3"]
+
+
 def test_the_command_measures_a_source_and_says_what_is_wrong(tmp_path: Path) -> None:
-    """A video at 20 Hz where the experiment has 100: that must be noticed, however busy this machine is."""
+    """A video at 20 Hz where the experiment has 100: that must be noticed, however busy this machine is: each picture
+    comes, with a stamp 50 ms after the last."""
     writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (1280, 960))
     random = np.random.default_rng(1)
     for _ in range(20):
         writer.write(np.repeat(np.repeat(random.integers(60, 120, (60, 80, 3), dtype=np.uint8), 16, axis=0), 16, axis=1))
     writer.release()
     out = tmp_path / "latency.json"
-    command = ["latency", "pool", "--source", f"video:{tmp_path / 'v.avi'}", "--seconds", "0.8", "--json", str(out)]
+    command = ["latency", "pool", "--source", f"video:{tmp_path / 'v.avi'}:max", "--seconds", "60", "--json", str(out)]
     done = CliRunner().invoke(cli, [*command, "--set", "camera.rate_hz=100"])
     assert done.exit_code == 1
     assert "exposure to pose" in done.output and "the experiment says 10.0" in done.output
     figures = json.loads(out.read_text())
     assert figures["unstamped"] == 0
-    assert figures["exposure_to_pose_ms"]["p50"] >= figures["exposure_to_arrival_ms"]["p50"] >= 0.0
+    assert figures["pictures"] == 20 - WARM_UP
+    assert figures["exposure_to_pose_ms"]["p50"] >= figures["exposure_to_arrival_ms"]["p50"]
 
 
 def test_a_source_without_pictures_is_a_failure(tmp_path: Path) -> None:

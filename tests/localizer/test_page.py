@@ -9,13 +9,14 @@ import pytest
 from localizer import page as page_module
 from localizer.page import MAX_VIEWERS, Page
 from tests.localizer.stand_ins import eventually
+from wire.runtime import Stop
 from wire.toml_file import ConfigError
 
 
 @pytest.fixture
 def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
     monkeypatch.setattr(page_module, "_WAIT_S", 0.05)
-    opened = Page(0)
+    opened = Page(0, Stop(install=False))
     yield opened
     opened.close()
 
@@ -92,11 +93,11 @@ def test_only_this_machine_is_served(page: Page) -> None:
 def test_a_port_in_use_is_explained(page: Page) -> None:
     port = int(page.address.rstrip("/").rpartition(":")[2])
     with pytest.raises(ConfigError, match=f"--show-port {port}: in use"):
-        Page(port)
+        Page(port, Stop(install=False))
 
 
 def test_closing_ends_the_streams(monkeypatch: pytest.MonkeyPatch) -> None:
-    page = Page(0)
+    page = Page(0, Stop(install=False))
     page.show(b"x")
     stream = ask(page, "/stream")
     assert picture(stream) == b"x"

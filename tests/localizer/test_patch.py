@@ -113,3 +113,10 @@ def test_fine_detail_has_no_false_colour() -> None:
         fine = region.colour(1).bgr.astype(float)
         chroma = [np.ptp(picture[8:-8, 8:-8], axis=2).mean() for picture in (plain, fine)]
         assert chroma[1] < 0.35 * chroma[0]
+
+
+@pytest.mark.parametrize(
+    ("centre_px", "half_px"), [((np.nan, 50.0), 20.0), ((50.0, np.inf), 20.0), ((50.0, 50.0), np.nan), ((-1e9, 50.0), 20.0)]
+)
+def test_a_place_that_is_nowhere_has_no_region(centre_px: tuple[float, float], half_px: float) -> None:
+    assert cut(np.zeros((96, 128), np.uint8), np.array(centre_px), half_px) is None

@@ -19,6 +19,7 @@ from wire.messages import Track
 
 PERIOD_S = 0.05
 SEED = 1
+LEVEL = ("localizer.tilt_sigma_rad=0", "localizer.tilt_rad_per_n=0")  # as these robots are drawn
 DEPTH_BIAS_M = np.array([0.003, -0.004, 0.002])
 
 
@@ -29,7 +30,7 @@ def _renderer(markers: bool) -> Renderer:
 
 def _experiment(markers: bool) -> Experiment:
     start = [f"robots.{i}.start={list(eta)}" for i, eta in enumerate(_eta(0.0)[:2].tolist())]
-    return load_experiment("pool", [f"localizer.markers={str(markers).lower()}", *start])
+    return load_experiment("pool", [f"localizer.markers={str(markers).lower()}", *LEVEL, *start])
 
 
 def _eta(t_s: float) -> Array:

@@ -10,20 +10,25 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+from localizer.calibration import PoolView
+from localizer.locate import Located, Locator
+from localizer.obstacles import ObstacleWatch
 from localizer.patch import Pixels
-from localizer.previews import Rate
+from localizer.previews import Previews, Rate
 from localizer.shell import Options, Shell, run
+from localizer.shot import Shot
 from sim_bridge.camera import Renderer
 from sim_bridge.ports import free_port
 from tests.localizer.scene import Scene
 from tests.localizer.stand_ins import MS, eventually
 from wire import topics
-from wire.bus import Bus
+from wire.bus import Bus, Inbox
 from wire.codec import Header, decode
 from wire.experiment import Experiment, load_experiment
 from wire.messages import (
@@ -37,7 +42,7 @@ from wire.messages import (
     Tick,
     Track,
 )
-from wire.runtime import Clock, LockstepClock, Stop, WallClock, log
+from wire.runtime import Clock, Failed, LockstepClock, Stop, WallClock, log
 from wire.toml_file import ConfigError
 from wire.topics import Topic
 from wire.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
@@ -57,6 +62,8 @@ class Localizer:
     process: subprocess.Popen[str]
     written: int = 0
     statuses: list[LocalizerStatus] = field(default_factory=list)
+    stamps_ns: list[int] = field(default_factory=list)  # of the statuses
+    posed_ns: list[int] = field(default_factory=list)  # stamps of robot 1's poses
 
     def feed(self, *pictures: Pixels) -> None:
         """Complete before they have their names."""
@@ -97,9 +104,11 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Localizer]]:
         running.append(localizer)
 
         def note(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+            localizer.stamps_ns.append(header.stamp_ns)
             localizer.statuses.append(decode(LocalizerStatus, payload, "localizer", topic.name))
 
         bus.subscribe(topics.LOCALIZER, None, note)
+        bus.subscribe(topics.POSE, 1, lambda topic, key, header, payload: localizer.posed_ns.append(header.stamp_ns))
         return localizer
 
     yield run
@@ -118,6 +127,14 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
         return [scene.frame(ETA) for _ in range(count)]
 
     def located() -> None:
+        """A status may overtake the poses of its picture: they travel on another topic."""
+        stamp_ns = localizer.stamps_ns[-1]
+
+        def here() -> bool:
+            headers = [inbox.newest_header() for inbox in poses.values()]
+            return all(header is not None and header.stamp_ns >= stamp_ns for header in headers)
+
+        assert eventually(here, PATIENCE_S)
         for robot, inbox in poses.items():
             received = inbox.newest()
             assert received is not None and received.message.track is Track.MARKER
@@ -132,14 +149,18 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
     localizer.feed(*[stuck] * (FROZEN_FRAMES + 2))
     localizer.until(CameraHealth.FROZEN)
     assert localizer.first(CameraHealth.FROZEN) == 6 + FROZEN_FRAMES
-    newest = poses[1].newest_header()
-    localizer.feed(stuck, stuck)
-    localizer.until(CameraHealth.FROZEN)
-    assert poses[1].newest_header() is newest, "no poses from a frozen camera"
 
     localizer.feed(*well(6))
     localizer.until(CameraHealth.OK)
     located()
+    frozen_ns = [
+        stamp
+        for stamp, said in zip(localizer.stamps_ns, localizer.statuses, strict=False)
+        if said.camera is CameraHealth.FROZEN
+    ]
+    assert len(frozen_ns) == 3
+    assert not any(frozen_ns[0] <= stamp <= frozen_ns[-1] for stamp in localizer.posed_ns), "no poses from a frozen camera"
+    assert any(stamp < frozen_ns[0] for stamp in localizer.posed_ns) and localizer.posed_ns[-1] > frozen_ns[-1]
 
     before = localizer.written
     localizer.feed(*[frame // 64 for frame in well(3)])
@@ -184,14 +205,17 @@ def test_an_own_camera_is_shared_and_shown(start: Callable[..., Localizer]) -> N
 
 def test_what_cannot_be_is_said_without_waiting_for_a_station() -> None:
     command = [sys.executable, "-m", "localizer", "run", "pool", "--station", f"tcp/127.0.0.1:{free_port()}"]
-    done = subprocess.run([*command, "--source", "webcam"], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
-    assert done.returncode == 2 and "allowed: bus" in done.stderr
+    source = ["--source", "v4l2:/dev/video-nobody-has"]
+    done = subprocess.run([*command, *source], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 2
+    assert done.stderr.startswith("camera /dev/video-nobody-has: no such device; there are: ")
     assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize(
     ("lockstep", "options", "complaint"),
     [
+        (False, Options(source="webcam"), "allowed: bus"),
         (False, Options(source="video:/nowhere.mp4"), "no such file"),
         (False, Options(publish_frames=True), "on the bus already"),
         (True, Options(source="folder:/tmp"), "the simulator is the camera"),
@@ -208,15 +232,16 @@ def test_options_that_cannot_be_are_explained(lockstep: bool, options: Options, 
 
 
 @pytest.fixture
-def hub() -> Iterator[tuple[Bus, Callable[..., None]]]:
+def hub() -> Iterator[tuple[Bus, Callable[..., Shell]]]:
     """A bus for the test, and a way to have the localizer run on another one, by a clock."""
     network, stop, handlers = MemoryHub(), Stop(install=False), list(log.handlers)
     ours, threads = Bus(MemoryTransport(network)), []
 
-    def localize(clock: Clock, experiment: Experiment = EXPERIMENT) -> None:
+    def localize(clock: Clock, experiment: Experiment = EXPERIMENT) -> Shell:
         shell = Shell(experiment, Bus(MemoryTransport(network)), stop, clock)
         threads.append(threading.Thread(target=shell.run))
         threads[-1].start()
+        return shell
 
     ours.watch_presence()
     yield ours, localize
@@ -226,22 +251,25 @@ def hub() -> Iterator[tuple[Bus, Callable[..., None]]]:
     log.handlers[:] = handlers
 
 
-def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callable[..., None]]) -> None:
+def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callable[..., Shell]]) -> None:
     """The camera's clock is an hour ahead: its stamp is passed on for the logs, ages are measured."""
     bus, localize = hub
     poses, statuses = bus.inbox(topics.POSE, Pose, 1), bus.inbox(topics.LOCALIZER, LocalizerStatus)
     localize(WallClock())
     assert eventually(lambda: "localizer" in bus.present)
-    stamp_ns, before_ns = time.time_ns() + 3_600_000_000_000, time.monotonic_ns()
-    bus.publish(topics.FRAME, Frame(Scene(EXPERIMENT).frame(ETA)), stamp_ns, age_ns=40 * MS)
-    assert eventually(lambda: (received := statuses.newest()) is not None and received.message.camera is CameraHealth.OK)
+    scene = Scene(EXPERIMENT)
+    for _ in range(2):
+        pixels = scene.frame(ETA)
+        stamp_ns, before_ns = time.time_ns() + 3_600_000_000_000, time.monotonic_ns()
+        bus.publish(topics.FRAME, Frame(pixels), stamp_ns, age_ns=40 * MS)
+        assert eventually(lambda at=stamp_ns: (h := statuses.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
     elapsed_ns = time.monotonic_ns() - before_ns
     received = poses.newest()
     assert received is not None and received.header.stamp_ns == stamp_ns
     assert 40 * MS <= received.header.age_ns <= 40 * MS + elapsed_ns
 
 
-def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[..., None]]) -> None:
+def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[..., Shell]]) -> None:
     """A robot that is already a step ahead has reported a depth that does not count yet."""
     bus, localize = hub
     pose = bus.inbox(topics.POSE, Pose, 1)
@@ -251,17 +279,18 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[.
     for stamp_ns, depth_m in ((80 * MS, 0.31), (130 * MS, 0.35)):
         for robot in ETA:
             bus.publish(topics.STATE, RobotState(depth_m=depth_m), stamp_ns, robot)
+    statuses = bus.inbox(topics.LOCALIZER, LocalizerStatus)
     for frame_ns in (0, 100 * MS):
         bus.publish(topics.FRAME, Frame(scene.frame(ETA)), frame_ns)
         bus.publish(topics.EXPOSED, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, (1, 2)), frame_ns + 30 * MS)
-        assert eventually(lambda at=frame_ns: (h := pose.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
+        assert eventually(lambda at=frame_ns: (h := statuses.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
     received = pose.newest()
     assert received is not None
     assert received.message.depth_m == pytest.approx(0.31)
     assert received.header.age_ns == 30 * MS
 
 
-def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, Callable[..., None]]) -> None:
+def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, Callable[..., Shell]]) -> None:
     """A ball comes after 5 s, at the robots' depth: outlined ten times a second, with its speed; robots never are. A black
     camera has nothing to say."""
     ball = "sim.drifters=[{start_m=[-1.1, 0.5, 0.3], velocity_mps=[0.1, 0.0, 0.0], from_s=5.0}]"
@@ -294,6 +323,99 @@ def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, 
         assert len(said.ids) == 1
         assert np.linalg.norm(said.outline[0].mean(axis=0) - [-1.1 + 0.1 * (t_s - 5.0), 0.5]) < 0.04
     assert np.linalg.norm(looks[-1][1].velocity[0] - [0.1, 0.0]) < 0.03
+
+
+def expose(bus: Bus, statuses: Inbox[LocalizerStatus], pixels: Pixels, frame_ns: int) -> LocalizerStatus:
+    """Have the localizer look at a picture, in lockstep; what it says of it."""
+    bus.publish(topics.FRAME, Frame(pixels), frame_ns)
+    bus.publish(topics.EXPOSED, Tick(frame_ns + 30 * MS, frame_ns - 20 * MS, frame_ns, ()), frame_ns + 30 * MS)
+    assert eventually(lambda: (h := statuses.newest_header()) is not None and h.stamp_ns == frame_ns)
+    received = statuses.newest()
+    assert received is not None
+    return received.message
+
+
+def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
+    hub: tuple[Bus, Callable[..., Shell]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nine errors, a good picture, then ten: only these end it. The status of a skipped picture names no robots, so that
+    nobody waits for their poses."""
+    bus, localize = hub
+    statuses, scene, wrong = bus.inbox(topics.LOCALIZER, LocalizerStatus), Scene(EXPERIMENT), [False]
+    shell = localize(LockstepClock())
+    step = Locator.step
+
+    def sometimes(*args: Any) -> Located:
+        if wrong[0]:
+            raise np.linalg.LinAlgError("Singular matrix")
+        return step(*args)
+
+    monkeypatch.setattr(Locator, "step", sometimes)
+    assert eventually(lambda: "localizer" in bus.present)
+    failed = 0
+    for k in range(22):
+        wrong[0] = 2 <= k < 11 or k >= 12
+        failed += wrong[0]
+        said = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
+        assert said.failed == failed
+        if wrong[0]:
+            assert said.robots == () and said.message == "picture skipped: LinAlgError: Singular matrix"
+        elif k > 0:
+            assert said.robots == (1, 2) and said.message == ""
+        if k < 21:
+            assert not shell._stop.requested
+    assert eventually(lambda: shell._stop.requested)
+    with pytest.raises(Failed, match="10 pictures in a row could not be localized in: Singular matrix"):
+        shell._stop.raise_failure()
+
+
+def test_an_obstacle_watch_that_fails_says_that_it_watches_nothing(
+    hub: tuple[Bus, Callable[..., Shell]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Poses go on."""
+    bus, localize = hub
+    statuses, scene = bus.inbox(topics.LOCALIZER, LocalizerStatus), Scene(EXPERIMENT)
+    obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
+
+    def fails(*args: Any) -> None:
+        raise cv2.error("no memory")
+
+    monkeypatch.setattr(ObstacleWatch, "step", fails)
+    shell = localize(LockstepClock())
+    assert eventually(lambda: "localizer" in bus.present)
+    for k in range(3):
+        said = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
+    assert said.robots == (1, 2) and said.obstacles_ns == 50 * MS
+    assert eventually(lambda: (h := obstacles.newest_header()) is not None and h.stamp_ns == 100 * MS)
+    received = obstacles.newest()
+    assert received is not None and received.message.watched == 0.0
+    assert not shell._stop.requested
+
+
+def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() -> None:
+    hub, stop, wrong = MemoryHub(), Stop(install=False), [False]
+    previews = Bus(MemoryTransport(hub)).inbox(topics.PREVIEW, Preview)
+
+    def draw(pixels: Pixels, located: Located, obstacles: Obstacles) -> Pixels:
+        if wrong[0]:
+            raise ValueError("cannot convert float NaN to integer")
+        return np.full((480, 640, 3), 200, np.uint8)
+
+    made = Previews(draw, Bus(MemoryTransport(hub)), WallClock(), stop, 5.0)
+    located = Located((), LocalizerStatus(), PoolView(EXPERIMENT.camera))
+    shown = []
+    for k in range(3):
+        wrong[0], stamp_ns = k == 1, 10**9 * (k + 1)
+        made.offer(Shot(np.zeros((8, 8), np.uint8), stamp_ns, stamp_ns, stamp_ns), located, Obstacles())
+        assert eventually(lambda at=stamp_ns: (h := previews.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
+        received = previews.newest()
+        assert received is not None
+        picture = cv2.imdecode(np.frombuffer(received.message.jpeg, np.uint8), cv2.IMREAD_COLOR)
+        assert picture is not None
+        shown.append(round(float(picture.mean()), -2))
+    made.close()
+    assert shown == [200.0, 0.0, 200.0]
+    assert not stop.requested
 
 
 @pytest.mark.parametrize(("scene", "settings"), [("pool", ["localizer.obstacle_min_m=0"]), ("drone", [])])

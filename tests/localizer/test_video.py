@@ -18,6 +18,7 @@ from wire.bus import Bus
 from wire.codec import Header, decode
 from wire.experiment import Experiment, load_experiment
 from wire.messages import Picture, Video
+from wire.runtime import Stop
 from wire.topics import Topic
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -115,7 +116,7 @@ def test_it_goes_out_on_its_topic_with_the_pictures_stamp(
         enough.set()
 
     Bus(MemoryTransport(hub)).subscribe(topic, None, hear)
-    maker = VideoMaker(experiment(video, video_rate_hz=10), Bus(MemoryTransport(hub)))
+    maker = VideoMaker(experiment(video, video_rate_hz=10), Bus(MemoryTransport(hub)), Stop(install=False))
     for k, pixels in enumerate(pictures[:6]):
         enough.clear()
         maker.offer(shot(pixels, k))
@@ -136,7 +137,7 @@ def test_offering_never_waits_and_the_newest_counts(pictures: list[Pixels], monk
         return b""
 
     monkeypatch.setattr("localizer.video.packer", lambda recording, size_px: slow)
-    maker = VideoMaker(experiment("jpeg"), Bus(MemoryTransport(MemoryHub())))
+    maker = VideoMaker(experiment("jpeg"), Bus(MemoryTransport(MemoryHub())), Stop(install=False))
     maker.offer(shot(pictures[0], 0))
     assert busy.wait(10.0)
     for k in range(1, 12):
@@ -145,3 +146,37 @@ def test_offering_never_waits_and_the_newest_counts(pictures: list[Pixels], monk
     assert again.wait(10.0)
     maker.close()
     assert packed == [SECOND, shot(pictures[0], 11).stamp_ns]
+
+
+@pytest.mark.parametrize("error", [RuntimeError("the codec is broken"), cv2.error("another size"), MemoryError()])
+def test_a_picture_that_cannot_be_packed_costs_that_picture_and_the_packer(
+    pictures: list[Pixels], monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    """The third goes out, packed by a packer made anew; the process goes on."""
+    made, done = [0], threading.Semaphore(0)
+    heard: list[bytes] = []
+
+    def make(recording: object, size_px: object) -> Any:
+        made[0] += 1
+        number = made[0]
+
+        def pack(pixels: Pixels, stamp_ns: int) -> bytes:
+            done.release()
+            if number == 1 and stamp_ns > SECOND:
+                raise error
+            return b"%d" % number
+
+        return pack
+
+    monkeypatch.setattr("localizer.video.packer", make)
+    hub, stop = MemoryHub(), Stop(install=False)
+    Bus(MemoryTransport(hub)).subscribe(
+        topics.PICTURE, None, lambda topic, key, header, payload: heard.append(decode(Picture, payload, "", "").jpeg)
+    )
+    maker = VideoMaker(experiment("jpeg"), Bus(MemoryTransport(hub)), stop)
+    for k in range(3):
+        maker.offer(shot(pictures[k], 4 * k))
+        assert done.acquire(timeout=10.0)
+    maker.close()
+    assert heard == [b"1", b"2"]
+    assert not stop.requested

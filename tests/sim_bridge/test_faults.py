@@ -6,6 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from sim_bridge import camera_faults
 from sim_bridge.camera import Renderer
 from sim_bridge.camera_faults import CameraTrouble
 from sim_bridge.dynamics import Plant
@@ -102,6 +103,15 @@ def test_dark_occluded_and_dazzled() -> None:
     assert (hidden[:, :150] == 12).all() and (hidden[:, 150:] == 96).all()
     assert 0.19 < np.mean(dazzled == 255) < 0.22 and dazzled[0, 0] == 96
     assert (picture == 96).all()
+
+
+def test_a_glare_is_made_once_for_all_pictures_of_a_size() -> None:
+    camera, glare = CameraTrouble(), (read_what("camera glare 0.3"),)
+    before = camera_faults._glare.cache_info().misses
+    pictures = [camera.apply(np.full((96, 128), level, np.uint8), glare) for level in (10, 20, 30)]
+    assert camera_faults._glare.cache_info().misses == before + 1
+    assert [int(picture[0, 0]) for picture in pictures] == [10, 20, 30]
+    assert all(picture[48, 64] == 255 and picture.flags.writeable for picture in pictures)
 
 
 def test_a_lost_marker_is_not_in_the_picture() -> None:

@@ -1,5 +1,11 @@
 """The pool on the wires, by the wall clock: what comes of every exposure."""
 
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_bridge.camera import Renderer
 from sim_bridge.pool import Pool
 from sim_bridge.ports import free_base_port
 from sim_bridge.sockets import Sockets
@@ -7,7 +13,7 @@ from wire import topics
 from wire.bus import Bus
 from wire.codec import Header
 from wire.experiment import load_experiment
-from wire.runtime import Stop
+from wire.runtime import Failed, Stop
 from wire.topics import Topic
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -34,3 +40,21 @@ def test_of_every_exposure_there_is_a_pose_however_old_poses_are() -> None:
     Pool(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
     assert [header.stamp_ns for header in told] == exposed
     assert min(header.age_ns for header in told) >= 200_000_000
+
+
+def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At its third picture. The run ends by itself, although nobody takes pictures any more, and says why."""
+    experiment, seen = load_experiment("pool", [ROBOT]), [0]
+
+    def render(*args: Any) -> Any:
+        seen[0] += 1
+        if seen[0] == 3:
+            raise ValueError("robot 1: eta = nan must be finite")
+        return np.zeros((960, 1280), np.uint8)
+
+    monkeypatch.setattr(Renderer, "render", render)
+    sockets, stop = Sockets(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
+    Pool(experiment, Bus(MemoryTransport(MemoryHub())), sockets, stop, lockstep=False).run()
+    assert seen[0] == 3
+    with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
+        stop.raise_failure()

@@ -9,7 +9,19 @@ import pytest
 from wire import runtime, topics
 from wire.bus import Bus
 from wire.messages import CameraHealth, Event, LocalizerStatus, Obstacles, Pose, StationHeartbeat, Tick
-from wire.runtime import Lockstep, LockstepClock, Stop, WallClock, age_s, log, log_to_bus, wait
+from wire.runtime import (
+    Failed,
+    Lockstep,
+    LockstepClock,
+    Stop,
+    WallClock,
+    age_s,
+    guarded_thread,
+    log,
+    log_to_bus,
+    run_app,
+    wait,
+)
 from wire.transport import MemoryHub, MemoryTransport
 
 
@@ -129,3 +141,48 @@ def test_the_logs_lines_travel_as_events_debug_ones_do_not() -> None:
     received = inbox.newest()
     assert received is not None
     assert (received.message.level, received.message.source, received.message.message) == (3, "tester", "water in the boat")
+
+
+@pytest.mark.parametrize("error", [ValueError("no picture"), SystemExit(0), KeyboardInterrupt()])
+def test_a_thread_that_ends_by_an_exception_stops_the_process_with_the_reason(error: BaseException) -> None:
+    stop = Stop(install=False)
+
+    def work() -> None:
+        raise error
+
+    thread = guarded_thread(stop, "camera", work)
+    thread.start()
+    thread.join()
+    assert stop.requested
+    with pytest.raises(Failed, match=f"thread camera ended: {type(error).__name__}"):
+        stop.raise_failure()
+
+
+def test_a_thread_that_ends_its_work_stops_nobody() -> None:
+    stop = Stop(install=False)
+    thread = guarded_thread(stop, "camera", lambda: None)
+    thread.start()
+    thread.join()
+    assert not stop.requested
+    stop.raise_failure()
+
+
+def test_the_first_failure_counts_and_a_plain_stop_is_none() -> None:
+    stop = Stop(install=False)
+    stop.request()
+    stop.raise_failure()
+    stop.fail("the camera is gone")
+    stop.fail("so is the film")
+    assert stop.failure == "the camera is gone"
+
+
+def test_a_process_that_failed_says_why_and_exits_with_1(capsys: pytest.CaptureFixture[str]) -> None:
+    def app() -> None:
+        stop = Stop(install=False)
+        stop.fail("the camera is gone")
+        stop.raise_failure()
+
+    with pytest.raises(SystemExit) as ended:
+        run_app(app)
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "the camera is gone\n"
