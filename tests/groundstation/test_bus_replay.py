@@ -100,6 +100,7 @@ def test_nothing_that_moves_a_robot_ever_leaves(tmp_path: Path) -> None:
         topics.TRAJECTORY: topics.TRAJECTORY.type("t", 0.05),
     }
     experiment = write_run(tmp_path, Script(duration_s=1.0))
+    (tmp_path / "run.mcap").unlink()
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     for k, (topic, message) in enumerate([*moving.items(), (topics.PLAN, Plan(0.05)), (topics.POSE, Pose(0.0, 0.0, 0.0))]):
         recorder.put(topic, f"shoal/{topic.key(1)}", Header(9, 1, k), encode(message), k)  # type: ignore[arg-type]
