@@ -246,7 +246,7 @@ class Bus:
         header = self._next_header(key, stamp_ns)
         answer = self._transport.ask(key, encode(command), header.encode(), timeout_s)
         if answer is None:
-            return Reply(command.robot, False, f"no answer within {timeout_s:g} s")
+            return Reply(command.robot, False, f"no answer within {timeout_s:g} s", silent=True)
         try:
             return decode(Reply, answer, f"robot {command.robot}", key)
         except DecodeError as error:

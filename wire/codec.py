@@ -23,12 +23,18 @@ from google.protobuf.descriptor import Descriptor
 from google.protobuf.message import DecodeError as ProtobufError
 
 from wire import fleet_pb2
-from wire.messages import Event, Frame, Message, Picture, Preview, Video
+from wire.messages import Event, Frame, LocalizerStatus, Message, Picture, Pose, Preview, RobotState, StationHeartbeat, Video
 from wire.protobuf_packed import DOUBLE, packed_classes
 from wire.protobuf_tail import joined, parted
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
+MAX_STATUS_BYTES = (
+    64 * 1024
+)  # of a message that tells how somebody is: fifty robots' are 2 kB; longer ones drown who shows them
+MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
+LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
+LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
@@ -108,6 +114,8 @@ def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
         return _read_positive if metadata.get("positive") else _read_float
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return lambda value, name: _read_enum(value, name, hint)
+    if hint is str:
+        return _read_text
     if get_origin(hint) is tuple:
         return lambda value, name: tuple(value)
     nested = _optional_message(hint)
@@ -134,6 +142,17 @@ def _read_positive(value: float, name: str) -> float:
     if _read_float(value, name) <= 0.0:
         raise _Invalid(name, f"{value} is not more than 0")
     return value
+
+
+def _read_text(value: str, name: str) -> str:
+    if len(value) > LONGEST_TEXT:
+        raise _Invalid(name, f"{len(value)} characters, more than the allowed {LONGEST_TEXT}")
+    return value
+
+
+def _cut(text: str, longest: int) -> str:
+    """A text, shortened where it is too long to be shown to people."""
+    return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
 def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
@@ -180,7 +199,7 @@ def _to_protobuf(message: Any, target: Any) -> Any:
         elif isinstance(value, tuple):
             getattr(target, name).extend(value)
         elif not is_message:
-            setattr(target, name, value)
+            setattr(target, name, _cut(value, LONGEST_TEXT) if type(value) is str else value)
         elif value is not None:
             _to_protobuf(value, getattr(target, name))
     return target
@@ -230,7 +249,7 @@ def _image(cls: Any, schema: Any, form: str) -> tuple[Any, Callable[[Any, int], 
 
 
 def _encode_event(event: Event, stamp_ns: int) -> bytes:
-    log = Log(name=event.source, message=event.message)
+    log = Log(name=_cut(event.source, LONGEST_LINE), message=_cut(event.message, LONGEST_LINE))
     log.level = cast(Log.Level.ValueType, event.level)
     _stamp(log, stamp_ns)
     return log.SerializeToString()
@@ -239,7 +258,7 @@ def _encode_event(event: Event, stamp_ns: int) -> bytes:
 def _event_from_protobuf(log: Any) -> Event:
     if not 1 <= log.level <= 5:
         raise _Invalid("level", f"{log.level} is not allowed (allowed: 1 to 5)")
-    return Event(level=log.level, source=log.name, message=log.message)
+    return Event(log.level, _cut(log.name, LONGEST_LINE), _cut(log.message, LONGEST_LINE))
 
 
 _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]] = {
@@ -248,6 +267,13 @@ _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], An
     Picture: _image(Picture, CompressedImage, "jpeg"),
     Video: _image(Video, CompressedVideo, "h264"),
     Event: (Log, _encode_event, _event_from_protobuf),
+}
+
+
+_LIMITS: dict[type, int] = {
+    Frame: MAX_FRAME_BYTES,
+    Event: MAX_EVENT_BYTES,
+    **dict.fromkeys((Pose, LocalizerStatus, RobotState, StationHeartbeat), MAX_STATUS_BYTES),
 }
 
 
@@ -281,7 +307,7 @@ def encode(message: Message, stamp_ns: int = 0) -> bytes:
 
 def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:
     """A checked message of class `cls` from its wire form. Raises DecodeError, and nothing else, for any bytes."""
-    limit = MAX_FRAME_BYTES if cls is Frame else MAX_MESSAGE_BYTES
+    limit = _LIMITS.get(cls, MAX_MESSAGE_BYTES)
     if len(data) > limit:
         raise DecodeError(peer, topic, "(size)", f"{len(data)} bytes, more than the allowed {limit}")
     message = _carrier(cast(Any, cls))()
