@@ -110,7 +110,7 @@ class Desk:
     def scene(self) -> dict[str, Any]:
         """What does not change while the station runs, and the paths that are flown now."""
         run = str(self._station.run) if self._station.run is not None else ""
-        found = scene(self._experiment, self._trajectories, self._mode) | {"run": run}
+        found = scene(self._experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
         return found if self._drawn is None else found | {"paths": flown_paths(*self._drawn)}
 
     def paths(self) -> list[dict[str, Any]] | None:

@@ -159,6 +159,7 @@ class Hub:
             watcher.window.offer("picture", self._picture)
         self._replace(watcher)
         self._watchers[watcher.id] = watcher
+        self._tell_now()
         sender = asyncio.create_task(_send(websocket, watcher))
         try:
             await self._listen(websocket, watcher)
@@ -212,10 +213,10 @@ class Hub:
             watcher.wake.set()
         elif isinstance(request, requests.Take):
             self._lease.ask(watcher.id, now_s, request.over)
-            self.tell()
+            self._tell_now()
         elif isinstance(request, requests.Release):
             self._lease.leave(watcher.id)
-            self.tell()
+            self._tell_now()
         elif isinstance(request, requests.Wish):
             self._spawn(self._order(watcher, request))
         elif isinstance(request, requests.Tune):
@@ -265,6 +266,10 @@ class Hub:
 
     def _answer(self, watcher: Watcher, n: int, order: str, reason: str, number: int) -> None:
         watcher.note({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
+        self._tell_now()
+
+    def _tell_now(self) -> None:
+        """As `tell`, where a state that cannot be told must end nothing else."""
         try:
             self.tell()
         except Exception as error:

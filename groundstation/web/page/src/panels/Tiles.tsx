@@ -10,7 +10,7 @@ const WEIGHT = { critical: 100, warning: 10, notice: 1 };
 
 function badness(robot: RobotNews): number {
   const stale = isStale(robot, live.arrivedMs) ? 1000 : 0;
-  const own = alarms.value.filter((alarm) => alarm.key.startsWith(`${robot.id}:`));
+  const own = alarms.value.filter((alarm) => alarm.robot === robot.id);
   return stale + own.reduce((sum, alarm) => sum + WEIGHT[alarm.level], 0);
 }
 
@@ -40,7 +40,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
   const mm = errorMm(robot.id);
   const chosen = selected.value === robot.id;
   const battery = s.limits.battery_v;
-  const own = alarms.value.filter((alarm) => alarm.key.startsWith(`${robot.id}:`));
+  const own = alarms.value.filter((alarm) => alarm.robot === robot.id);
   const worst = own[0]?.level ?? "";
   return (
     <li
@@ -77,7 +77,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
       )}
       {own.slice(0, 2).map((alarm) => (
         <p key={alarm.key} class={`fault ${alarm.level}`}>
-          {alarm.text.replace(/^robot \d+: /, "")}
+          {alarm.text}
         </p>
       ))}
     </li>
