@@ -52,6 +52,7 @@ class Tape:
         self.legs = self._legs()
         self.trajectories = {robot: told[-1][1] for robot, told in self.legs.items()}
         self.flown_ns = self._first_flown_ns()
+        self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
         for line in self._log.lines(lambda t, r: t is topic and robot in (None, r)):
@@ -65,6 +66,16 @@ class Tape:
         for robot, at_ns, trajectory in self._each(topics.TRAJECTORY, Trajectory):
             found.setdefault(robot, []).append((at_ns, trajectory))
         return {robot: found[robot] for robot in self.experiment.robot_ids if robot in found}
+
+    def _first_ns(self, topic: Topic, robot: int) -> float:
+        line = next(self._log.lines(lambda t, r: t is topic and r == robot), None)
+        return math.inf if line is None else line.arrived_ns - self.start_ns
+
+    def plan_age_s(self, plan: Aged, robot: int, at_ns: int) -> float:
+        """Of a robot's newest plan, as `Aged` has it: of one that is beyond LOOK_BACK, so long; infinite before the first."""
+        if plan.message is not None:
+            return plan.age_ms * 1e-3
+        return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf
 
     def _first_flown_ns(self) -> int:
         """When the first robot set off along its trajectory; if it never did, when it first said anything."""
@@ -217,7 +228,8 @@ class Replay:
         return snapshot(news) | {"replay": {"time_s": now * 1e-9, "rate": self._rate}, "ghosts": self._ghosts(now)}
 
     def _view(self, robot: int, news: RobotNews, now_ns: int) -> RobotView:
-        ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose, news.plan)]
+        ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose)]
+        ages_s.append(self._tape.plan_age_s(news.plan, robot, now_ns))
         ear = self._tape.ear(robot, now_ns)
         return RobotView(news.state.message, ages_s[0], news.pose.message, ages_s[1], ages_s[2], ear.clock_offset_s, ear.loss)
 

@@ -38,7 +38,7 @@ class Robot:
     def obey(self, command: Command, now_ns: int) -> Reply:
         self.got.append(command)
         if self.silent or command.order in self.refuses:
-            return Reply(command.robot, False, "no answer" if self.silent else "I refuse")
+            return Reply(command.robot, False, "no answer" if self.silent else "I refuse", silent=self.silent)
         leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
                  Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED}  # fmt: skip
         if command.order is Order.LOAD:

@@ -8,13 +8,27 @@ from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.wire.strategies import CLASSES, FOREIGN, OWN, damaged, example, nested, same, valid
-from wire import codec
+from wire import codec, fleet_pb2
 from wire.codec import DecodeError, Header, decode, encode
-from wire.messages import Command, Event, Frame, Order, Plan, Pose, Preview, RobotState, Trajectory
+from wire.messages import (
+    Command,
+    Event,
+    Frame,
+    LocalizerStatus,
+    Order,
+    Plan,
+    Pose,
+    Preview,
+    Reply,
+    RobotState,
+    StationHeartbeat,
+    Trajectory,
+)  # fmt: skip
 
 each_class = pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 
@@ -318,6 +332,28 @@ def test_a_message_of_another_type_is_a_message_or_a_decode_error(cls: Any) -> N
 def test_an_oversized_payload_is_refused_before_it_is_parsed(cls: Any) -> None:
     limit = codec.MAX_FRAME_BYTES if cls is Frame else codec.MAX_MESSAGE_BYTES
     assert _refused(cls, bytes(limit + 1)).field == "(size)"
+
+
+@pytest.mark.parametrize("cls", [Pose, LocalizerStatus, RobotState, StationHeartbeat])
+def test_a_status_of_megabytes_is_none(cls: Any) -> None:
+    assert _refused(cls, bytes(codec.MAX_STATUS_BYTES + 1)).field == "(size)"
+
+
+def test_a_line_of_the_log_is_cut_where_people_stop_reading() -> None:
+    """By the sender, and again by who hears it: a sender may be anybody with a robot's certificate."""
+    sent = encode(Event(2, "me", "x" * 100_000))
+    assert len(sent) < 1100
+    long = Log(level=Log.Level.INFO, name="n" * 5000, message="x" * 5000).SerializeToString()
+    event = _decode(Event, long)
+    assert (len(event.source), len(event.message), event.message[-1]) == (codec.LONGEST_LINE, codec.LONGEST_LINE, "…")
+    assert _refused(Event, Log(level=Log.Level.INFO, message="x" * 20_000).SerializeToString()).field == "(size)"
+
+
+def test_a_text_that_nobody_would_read_is_cut_by_its_sender_and_refused_from_others() -> None:
+    sent = _decode(Reply, encode(Reply(1, False, "x" * 100_000)))
+    assert len(sent.reason) == codec.LONGEST_TEXT
+    foreign = fleet_pb2.Reply(robot=1, reason="x" * (codec.LONGEST_TEXT + 1)).SerializeToString()
+    assert _refused(Reply, foreign).field == "reason"
 
 
 def test_deep_nesting_is_refused() -> None:
