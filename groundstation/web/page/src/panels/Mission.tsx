@@ -85,17 +85,17 @@ function Given() {
         const [text, look] = standing(g);
         return (
           <li key={g.n} class={look}>
-            <b>{g.order}</b> {text}
+            <b>{g.order}</b> {text}{" "}
             {g.outcome !== null && (
               <span class="answers">
                 {g.outcome.confirmed.map((robot) => (
                   <span key={robot} class="yes">
-                    ✓ {robot}
+                    ✓ {robot}{" "}
                   </span>
                 ))}
                 {g.outcome.waiting.map(({ robot, why }) => (
                   <span key={robot} class="no" title={why}>
-                    {g.outcome?.progress === "UNDER_WAY" ? "…" : "✕"} {robot} {why}
+                    {g.outcome?.progress === "UNDER_WAY" ? "…" : "✕"} {robot} {why}{" "}
                   </span>
                 ))}
               </span>
