@@ -243,7 +243,7 @@ class _Told:
             return
         if outcome.mission != self._mission:
             self._mission = outcome.mission
-            typer.echo(f"{self._what}: {outcome.mission.lower().replace('_', ' ')}")
+            typer.echo(f"  mission: {outcome.mission.lower().replace('_', ' ')}")
         for robot in outcome.confirmed:
             if self._robots.get(robot) != "confirmed":
                 self._robots[robot] = "confirmed"

@@ -52,7 +52,8 @@ export const editing = signal(false);
 export const inControl = computed(() => connected.value && shown.value !== null && me.value !== 0 && shown.value.holder === me.value);
 export const alarms = computed<Alarm[]>(() => {
   const known = shown.value?.alarms ?? [];
-  if (connected.value || scene.value === null || shown.value?.ended) return known;
+  if (connected.value || scene.value === null) return known;
+  if (shown.value?.ended) return []; // of a run that is over
   return [{ level: "critical", key: "page", robot: 0, text: "no connection to the station: what you see is old" }, ...known];
 });
 

@@ -121,7 +121,7 @@ function Unheard() {
 /** After a stop: who has confirmed, by name. Stays until the stop is cleared. */
 function Stopped({ state }: { state: Snapshot }) {
   now.value; // who is no longer heard confirms nothing
-  if (!state.stop) return null;
+  if (!state.stop || (state.ended && !connected.value)) return null;
   const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.arrivedMs);
   const waiting = state.robots.filter((robot) => !stopped(robot));
   return (
