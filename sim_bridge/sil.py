@@ -58,7 +58,7 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         started = programs(experiment.robot_ids, way, run_dir, address, ports, boards)
         console.print(
-            f"station: {address} (groundstation stop, order, set, go and end find it)", soft_wrap=True, highlight=False
+            f"station: {address} (groundstation stop, order, set, go, return and end find it)", soft_wrap=True, highlight=False
         )
         station, came_up = _start_all(children, started, address, stop)
         if came_up:
