@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -140,7 +139,7 @@ def lab(robots: int) -> Iterator[str]:
     experiment = fleet(robots)
     address, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
-        post = Post(lambda: Status(Phase.RUNNING, ""), lambda order: "", deque())
+        post = Post(lambda: Status(Phase.RUNNING, ""), lambda order: ("", 0))
         desk = Desk(
             experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
         )

@@ -5,7 +5,7 @@ import typer
 from groundstation.deploy_commands import deploy
 from groundstation.flight_commands import plan, run
 from groundstation.keys_commands import keys_cli
-from groundstation.order_commands import come_back, go, order, phases, stop, tune
+from groundstation.order_commands import come_back, end, go, order, phases, stop, tune
 from groundstation.replay_commands import replay
 from groundstation.rerun_commands import moment, rerun
 from groundstation.run_commands import compare, comparison, export, record, recover, report
@@ -26,7 +26,23 @@ def main(version: Version = False) -> None:
     """Ground station: plans trajectories, commands the fleet, records everything, writes the report."""
 
 
-for command in (run, plan, order, stop, phases, replay, rerun, report, compare, comparison, export, recover, record, deploy):
+for command in (
+    run,
+    plan,
+    order,
+    stop,
+    end,
+    phases,
+    replay,
+    rerun,
+    report,
+    compare,
+    comparison,
+    export,
+    recover,
+    record,
+    deploy,
+):
     cli.command()(command)
 cli.command("return")(come_back)
 cli.command("set")(tune)

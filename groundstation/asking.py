@@ -41,7 +41,8 @@ class Asking:
                 continue
             held = self._crew.trajectory(self._itinerary.next, command.robot)
             if not answer.reply.accepted:
-                refusal = f"robot {command.robot} refuses {command.order.name}: {answer.reply.reason}"
+                how = "has not answered" if answer.reply.silent else "refuses"
+                refusal = f"robot {command.robot} {how} {command.order.name}: {answer.reply.reason}"
             elif command.order is Order.LOAD and held is not None and command.trajectory_id == held.id:
                 self.accepted.add(command.robot)
             elif command.order is Order.TEST:

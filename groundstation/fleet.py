@@ -144,6 +144,11 @@ class Finding:
     text: str
     remedy: str
 
+    @property
+    def told(self) -> str:
+        """What is amiss, and what to do about it."""
+        return f"{self.text} ({self.remedy})" if self.remedy else self.text
+
 
 def findings(experiment: Experiment, robot: int, seen: RobotView, start: Array | None = None) -> tuple[Finding, ...]:
     """Everything amiss with one robot. `start`: the pose (4,) in which it should begin; None once it has begun."""
@@ -262,18 +267,25 @@ def _start(experiment: Experiment, state: RobotState, start: Array) -> Check:
         yield "start", "notice", True, text, "bring it there, or: groundstation return"
 
 
-def preflight(
+def barred(
     experiment: Experiment, fleet: Fleet, starts: Mapping[int, Array] | None = None, but: Sequence[str] = ()
-) -> tuple[str, ...]:
-    """Every reason not to arm the robots in `fleet`, with what to do about it, but for findings of these keys; empty when they
-    are ready."""
+) -> tuple[Finding, ...]:
+    """Everything that keeps the robots in `fleet` from being armed, but for findings of these keys; empty when
+    they are ready."""
     return tuple(
-        f"robot {robot}: {finding.text} ({finding.remedy})"
+        finding
         for robot in experiment.robot_ids
         if robot in fleet
         for finding in findings(experiment, robot, fleet[robot], starts[robot] if starts is not None else None)
         if finding.bars and finding.key not in but
     )
+
+
+def preflight(
+    experiment: Experiment, fleet: Fleet, starts: Mapping[int, Array] | None = None, but: Sequence[str] = ()
+) -> tuple[str, ...]:
+    """The same as `barred`, told to people."""
+    return tuple(f"robot {finding.robot}: {finding.told}" for finding in barred(experiment, fleet, starts, but))
 
 
 def casualty(robots: Sequence[int], fleet: Fleet, lying: Container[int] = ()) -> tuple[int, str] | None:

@@ -57,7 +57,7 @@ def run(
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
     Without --auto the station waits for orders: from the operator's page, or from another terminal
-    (`groundstation order start`).
+    (`groundstation order start`), until somebody ends the run (`groundstation end`, or Ctrl-C).
     Exit code 0 if the mission succeeded, 1 if not.
 
     Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
@@ -69,6 +69,7 @@ def run(
     from groundstation import station_process
     from groundstation.report import write_report
     from groundstation.web.guard import web_options
+    from groundstation.whereabouts import announced
     from wire.bus import Bus
     from wire.network import endpoint
     from wire.topics import Role, process_name
@@ -88,7 +89,7 @@ def run(
     text = dump_experiment(loaded)
     if (folder / "run.mcap").exists():
         raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
-    with Bus(ZenohTransport(where, stop), fleet) as bus:
+    with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
         succeeded = station_process.run(
             loaded,
             text,

@@ -6,7 +6,6 @@ when all that counts at it has come.
 
 import contextlib
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from groundstation import planner
@@ -16,7 +15,7 @@ from groundstation.legs import first_leg
 from groundstation.mission import Mission
 from groundstation.phases import OVER, Phase
 from groundstation.recorder import Recorder, check_room, run_metadata
-from groundstation.station import Station
+from groundstation.station import Station, workers
 from groundstation.tuner import Tuner
 from groundstation.viewer_live import ViewerServer
 from groundstation.web.desk import Desk, Post
@@ -31,6 +30,8 @@ from wire.outputs import replace_text
 from wire.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus
 from wire.toml_file import ConfigError, files_named
 from wire.topics import WHOLE_FLEET
+
+FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
 
 
 def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
@@ -72,11 +73,13 @@ def run(
     recorder.whole_until_ns = -1 if lockstep else None
     try:
         record_everything(bus, recorder, clock)
-        with ThreadPoolExecutor(max(4, len(trajectories)), "order") as pool, contextlib.ExitStack() as served:
+        with workers(len(trajectories)) as threads, contextlib.ExitStack() as served:
             mission = Mission(experiment, leg, starts, automatic)
             heard, tuner = listen(bus, experiment.robot_ids), Tuner(experiment)
             laps = Laps(tuner.lap_s)
-            station = Station(experiment, bus, clock, recorder, mission, tuner, laps, heard, pool, starts, insecure=insecure)
+            station = Station(
+                experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure
+            )
             station.seen = station.fleet()
             bus.serve(WHOLE_FLEET, station.wish)
             log_to_bus(bus, clock, "groundstation")
@@ -85,7 +88,7 @@ def run(
             station.publish_paths(clock.now_ns())
             bus.watch_presence()
             if web is not None:
-                post = Post(station.status, station.ask, station.answers, station.tune)
+                post = Post(station.status, station.ask, station.tune, run_dir.resolve())
                 served.enter_context(WebServer(Desk(experiment, trajectories, bus, heard, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
             if viewer is not None:
@@ -113,17 +116,31 @@ def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
         raise ConfigError(f"{file}: is there already, is another experiment, and would be lost (allowed: a new folder)")
 
 
-def _over(station: Station) -> bool:
-    return station.mission.phase in OVER
+class _End:
+    """When the run is over: an automatic mission by itself, any other when a person says so; then pages and terminals are told
+    for FAREWELL_S."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._since_s = 0.0
+
+    def reached(self) -> bool:
+        """Whether to leave the loop."""
+        station, now_s = self._station, time.monotonic()
+        if station.ended and not self._since_s:
+            self._since_s = now_s
+        if station.ended:
+            return now_s - self._since_s > FAREWELL_S
+        return station.mission.automatic and station.mission.phase in OVER
 
 
 def _wall_loop(station: Station, stop: Stop) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
-    due_ns = time.monotonic_ns()
+    due_ns, end = time.monotonic_ns(), _End(station)
     while not stop.requested:
         station.hurry.clear()
         station.cycle(station.clock.now_ns(), lockstep=False)
-        if _over(station) and station.mission.automatic:
+        if end.reached():
             return
         now_ns = time.monotonic_ns()
         if now_ns >= due_ns:
@@ -132,7 +149,7 @@ def _wall_loop(station: Station, stop: Stop) -> None:
 
 
 def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
-    heard = station.heard
+    heard, end = station.heard, _End(station)
     while (tick := lockstep.next()) is not None:
         # What the robots found in the step before, and where the picture shows them.
         up_to_ns = lockstep.await_sight(tick, heard.localizer, heard.poses, heard.obstacles)
@@ -141,5 +158,5 @@ def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
         station.recorder.whole_until_ns = tick.previous_ns  # whenever it ends: no step of which some robots are missing
         station.obstacles_up_to_ns = up_to_ns
         station.cycle(tick.now_ns, lockstep=True)
-        if _over(station) and station.mission.automatic:
+        if end.reached():
             return

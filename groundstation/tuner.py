@@ -158,7 +158,7 @@ class Tuner:
         wanted = Order.TUNE if self._stage is Stage.ASKING else Order.ADOPT
         for answer in answers:
             if answer.command.order is wanted and answer.command.robot in change.robots and _is_of(answer, change):
-                if not answer.reply.accepted and "no answer" not in answer.reply.reason:
+                if not answer.reply.accepted and not answer.reply.silent:
                     return self._give_up(f"robot {answer.reply.robot} refuses: {answer.reply.reason}", fleet, now_ns)
                 if answer.reply.accepted:
                     change.accepted.add(answer.command.robot)

@@ -57,6 +57,9 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
         started = programs(experiment.robot_ids, way, run_dir, address, ports, boards)
+        console.print(
+            f"station: {address} (groundstation stop, order, set, go, return and end find it)", soft_wrap=True, highlight=False
+        )
         station, came_up = _start_all(children, started, address, stop)
         if came_up:
             with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), way.keys, lossless=way.lockstep))) as bus:
@@ -72,6 +75,9 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
             secrets.cleanup()
     if stop.requested:
         console.print("interrupted: every process is stopped")
+        if came_up:
+            report(run_dir, console)
+            console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
         return 130
     passed = came_up and report(run_dir, console) and not mission_failed and not trouble
     if came_up:

@@ -1,12 +1,17 @@
-"""One thread for the matrices and for OpenCV, so that results do not depend on the machine; the same examples in every run."""
+"""One thread for the matrices and for OpenCV, so that results do not depend on the machine; the same examples in every run; and
+no station that runs here for other reasons is found by a test's terminal."""
 
 import os
+import tempfile
 
 from hypothesis import HealthCheck, settings
 
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
+
+_runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
+os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
 # A test suite that judges by the clock fails on a busy machine; one that draws new examples each time fails on a stranger's.
 # HYPOTHESIS_PROFILE=explore looks for new examples, and keeps the bad ones in .hypothesis/.

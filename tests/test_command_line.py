@@ -21,7 +21,7 @@ from groundstation.__main__ import cli as groundstation
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.ports import free_port
 from wire.bus import Bus
-from wire.messages import Order, Reply
+from wire.messages import Order, Outcome, Progress, Reply
 from wire.options import experiments
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
@@ -228,16 +228,24 @@ def test_what_recover_and_export_did_is_json_for_a_script(tmp_path: Path) -> Non
 
 
 def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The answer of a station that refuses, and of one that does not."""
+    """What became of it, by a station that refuses, and by one that does not."""
     hub = MemoryHub()
     station = Bus(MemoryTransport(hub))
-    station.serve(
-        0, lambda header, command: Reply(0, command.order is Order.START, "" if command.order is Order.START else "no")
-    )
+    done_by_one = Outcome(1, Order.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
+    replies = {Order.START: Reply(0, True, outcome=done_by_one), Order.HOLD: Reply(0, False, "no")}
+    station.serve(0, lambda header, command: replies[command.order])
     monkeypatch.setattr("wire.transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):
         done = CliRunner().invoke(groundstation, ["order", order, "--json"])
-        assert json.loads(done.stdout) == {"order": order, "accepted": accepted, "reason": "" if accepted else "no"}
+        robots = {"1": "confirmed", "2": "not heard"} if accepted else {}
+        assert json.loads(done.stdout) == {
+            "order": order,
+            "accepted": accepted,
+            "done": accepted,
+            "text": "done" if accepted else "refused: no",
+            "reason": "" if accepted else "no",
+            "robots": robots,
+        }
         assert done.exit_code == (0 if accepted else 1)
 
 

@@ -272,7 +272,7 @@ class Bus:
 
     def _read(self, command: Command, key: str, answer: bytes | None, timeout_s: float) -> Reply:
         if answer is None:
-            return Reply(command.robot, False, f"no answer within {timeout_s:g} s")
+            return Reply(command.robot, False, f"no answer within {timeout_s:g} s", silent=True)
         try:
             return decode(Reply, answer, f"robot {command.robot}", key)
         except DecodeError as error:

@@ -30,6 +30,9 @@ from wire.protobuf_tail import joined, parted
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
 MAX_SMALL_BYTES = 64 * 1024  # what holds neither a path nor a picture: 200 nodes of a plan take 13 kB, 290 obstacles the whole
+MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
+LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
+LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
 LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
 
 M = TypeVar("M")
@@ -109,6 +112,8 @@ def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
         return _read_positive if metadata.get("positive") else _read_float
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return lambda value, name: _read_enum(value, name, hint)
+    if hint is str:
+        return _read_text
     if get_origin(hint) is tuple:
         return lambda value, name: tuple(value)
     nested = _optional_message(hint)
@@ -135,6 +140,17 @@ def _read_positive(value: float, name: str) -> float:
     if _read_float(value, name) <= 0.0:
         raise _Invalid(name, f"{value} is not more than 0")
     return value
+
+
+def _read_text(value: str, name: str) -> str:
+    if len(value) > LONGEST_TEXT:
+        raise _Invalid(name, f"{len(value)} characters, more than the allowed {LONGEST_TEXT}")
+    return value
+
+
+def _cut(text: str, longest: int) -> str:
+    """A text, shortened where it is too long to be shown to people."""
+    return text if len(text) <= longest else text[: longest - 1] + "…"
 
 
 def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
@@ -181,7 +197,7 @@ def _to_protobuf(message: Any, target: Any) -> Any:
         elif isinstance(value, tuple):
             getattr(target, name).extend(value)
         elif not is_message:
-            setattr(target, name, value)
+            setattr(target, name, _cut(value, LONGEST_TEXT) if type(value) is str else value)
         elif value is not None:
             _to_protobuf(value, getattr(target, name))
     return target
@@ -231,7 +247,7 @@ def _image(cls: Any, schema: Any, form: str) -> tuple[Any, Callable[[Any, int], 
 
 
 def _encode_event(event: Event, stamp_ns: int) -> bytes:
-    log = Log(name=event.source, message=event.message)
+    log = Log(name=_cut(event.source, LONGEST_LINE), message=_cut(event.message, LONGEST_LINE))
     log.level = cast(Log.Level.ValueType, event.level)
     _stamp(log, stamp_ns)
     return log.SerializeToString()
@@ -240,7 +256,7 @@ def _encode_event(event: Event, stamp_ns: int) -> bytes:
 def _event_from_protobuf(log: Any) -> Event:
     if not 1 <= log.level <= 5:
         raise _Invalid("level", f"{log.level} is not allowed (allowed: 1 to 5)")
-    return Event(level=log.level, source=log.name, message=log.message)
+    return Event(log.level, _cut(log.name, LONGEST_LINE), _cut(log.message, LONGEST_LINE))
 
 
 _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]] = {
@@ -285,7 +301,9 @@ _LARGE = {Trajectory, Command, OrderTaken, Preview, Picture, Video}  # with a pa
 
 def max_bytes(cls: type) -> int:
     """The most bytes that a message of a class may have: what any member can send must not fill another's memory."""
-    return MAX_FRAME_BYTES if cls is Frame else MAX_MESSAGE_BYTES if cls in _LARGE else MAX_SMALL_BYTES
+    if cls in (Frame, Event):
+        return MAX_FRAME_BYTES if cls is Frame else MAX_EVENT_BYTES
+    return MAX_MESSAGE_BYTES if cls in _LARGE else MAX_SMALL_BYTES
 
 
 def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:

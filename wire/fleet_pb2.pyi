@@ -48,6 +48,13 @@ class Order(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     ORDER_GO: _ClassVar[Order]
     ORDER_SWITCH: _ClassVar[Order]
     ORDER_TEST: _ClassVar[Order]
+    ORDER_END: _ClassVar[Order]
+
+class Progress(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    PROGRESS_UNDER_WAY: _ClassVar[Progress]
+    PROGRESS_DONE: _ClassVar[Progress]
+    PROGRESS_FAILED: _ClassVar[Progress]
 
 class CameraHealth(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -86,6 +93,10 @@ ORDER_REJOIN: Order
 ORDER_GO: Order
 ORDER_SWITCH: Order
 ORDER_TEST: Order
+ORDER_END: Order
+PROGRESS_UNDER_WAY: Progress
+PROGRESS_DONE: Progress
+PROGRESS_FAILED: Progress
 CAMERA_ABSENT: CameraHealth
 CAMERA_OK: CameraHealth
 CAMERA_FROZEN: CameraHealth
@@ -309,7 +320,7 @@ class Tuning(_message.Message):
     def __init__(self, id: _Optional[str] = ..., keys: _Optional[_Iterable[str]] = ..., values: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Command(_message.Message):
-    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns")
+    __slots__ = ("order", "robot", "time_to_live_s", "experiment_hash", "trajectory_id", "start_in_s", "trajectory", "trajectory_s", "tuning_id", "tuning", "recipient", "via", "start_ns", "about")
     ORDER_FIELD_NUMBER: _ClassVar[int]
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     TIME_TO_LIVE_S_FIELD_NUMBER: _ClassVar[int]
@@ -323,6 +334,7 @@ class Command(_message.Message):
     RECIPIENT_FIELD_NUMBER: _ClassVar[int]
     VIA_FIELD_NUMBER: _ClassVar[int]
     START_NS_FIELD_NUMBER: _ClassVar[int]
+    ABOUT_FIELD_NUMBER: _ClassVar[int]
     order: Order
     robot: int
     time_to_live_s: float
@@ -336,21 +348,46 @@ class Command(_message.Message):
     recipient: int
     via: _containers.RepeatedScalarFieldContainer[float]
     start_ns: int
-    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ...) -> None: ...
+    about: int
+    def __init__(self, order: _Optional[_Union[Order, str]] = ..., robot: _Optional[int] = ..., time_to_live_s: _Optional[float] = ..., experiment_hash: _Optional[str] = ..., trajectory_id: _Optional[str] = ..., start_in_s: _Optional[float] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., trajectory_s: _Optional[float] = ..., tuning_id: _Optional[str] = ..., tuning: _Optional[_Union[Tuning, _Mapping]] = ..., recipient: _Optional[int] = ..., via: _Optional[_Iterable[float]] = ..., start_ns: _Optional[int] = ..., about: _Optional[int] = ...) -> None: ...
+
+class Outcome(_message.Message):
+    __slots__ = ("request", "order", "progress", "reason", "mission", "confirmed", "waiting", "why")
+    REQUEST_FIELD_NUMBER: _ClassVar[int]
+    ORDER_FIELD_NUMBER: _ClassVar[int]
+    PROGRESS_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    MISSION_FIELD_NUMBER: _ClassVar[int]
+    CONFIRMED_FIELD_NUMBER: _ClassVar[int]
+    WAITING_FIELD_NUMBER: _ClassVar[int]
+    WHY_FIELD_NUMBER: _ClassVar[int]
+    request: int
+    order: Order
+    progress: Progress
+    reason: str
+    mission: str
+    confirmed: _containers.RepeatedScalarFieldContainer[int]
+    waiting: _containers.RepeatedScalarFieldContainer[int]
+    why: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, request: _Optional[int] = ..., order: _Optional[_Union[Order, str]] = ..., progress: _Optional[_Union[Progress, str]] = ..., reason: _Optional[str] = ..., mission: _Optional[str] = ..., confirmed: _Optional[_Iterable[int]] = ..., waiting: _Optional[_Iterable[int]] = ..., why: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Reply(_message.Message):
-    __slots__ = ("robot", "accepted", "reason", "mode", "session")
+    __slots__ = ("robot", "accepted", "reason", "mode", "session", "silent", "outcome")
     ROBOT_FIELD_NUMBER: _ClassVar[int]
     ACCEPTED_FIELD_NUMBER: _ClassVar[int]
     REASON_FIELD_NUMBER: _ClassVar[int]
     MODE_FIELD_NUMBER: _ClassVar[int]
     SESSION_FIELD_NUMBER: _ClassVar[int]
+    SILENT_FIELD_NUMBER: _ClassVar[int]
+    OUTCOME_FIELD_NUMBER: _ClassVar[int]
     robot: int
     accepted: bool
     reason: str
     mode: Mode
     session: int
-    def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ..., session: _Optional[int] = ...) -> None: ...
+    silent: bool
+    outcome: Outcome
+    def __init__(self, robot: _Optional[int] = ..., accepted: _Optional[bool] = ..., reason: _Optional[str] = ..., mode: _Optional[_Union[Mode, str]] = ..., session: _Optional[int] = ..., silent: _Optional[bool] = ..., outcome: _Optional[_Union[Outcome, _Mapping]] = ...) -> None: ...
 
 class BoardReading(_message.Message):
     __slots__ = ("board_ms", "arrival_ns", "heading_rad", "yaw_rate_radps", "acceleration_mps2", "depth_m", "battery_v", "armed", "echo_us", "loss", "charge", "battery_reports")

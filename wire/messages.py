@@ -72,6 +72,15 @@ class Order(IntEnum):
     GO = 13  # to the station only: on to other places than planned
     SWITCH = 14  # go over to the trajectory loaded under way, where that begins
     TEST = 15  # pulse each thruster, and watch what the board says it put out
+    END = 20  # to the station only: disarm everybody, then end the run
+
+
+class Progress(IntEnum):
+    """How far a person's request has come."""
+
+    UNDER_WAY = 0
+    DONE = 1
+    FAILED = 2
 
 
 class CameraHealth(IntEnum):
@@ -258,17 +267,34 @@ class Command:
     recipient: int = 0  # session of the process that it is for, as its replies tell it: an earlier life's orders are void
     via: Array = array(-1, 2)  # GO: places for the formation's centre, x, y
     start_ns: int = 0  # START, RESUME: when, on the station's clock; 0 (older logs): start_in_s after the header's stamp
+    about: int = 0  # to the station, with NONE: the number of the request whose outcome is asked for
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What has become of a person's request so far, by the station's account (groundstation/outcomes.py)."""
+
+    request: int  # its number in the station's life, from 1
+    order: Order = Order.NONE
+    progress: Progress = Progress.UNDER_WAY
+    reason: str = ""  # why it failed, or what it led to
+    mission: str = ""  # the mission's state
+    confirmed: tuple[int, ...] = ()  # robots that are where the request wants them
+    waiting: tuple[int, ...] = ()  # robots that are not
+    why: tuple[str, ...] = ()  # the k-th belongs to the k-th of `waiting`
 
 
 @dataclass(frozen=True, eq=False)
 class Reply:
-    """A robot's answer to a command."""
+    """A robot's answer to a command; the station's to a person's request."""
 
     robot: int
     accepted: bool
     reason: str = ""  # why not
     mode: Mode = Mode.DISARMED
     session: int = 0  # of the process that answers
+    silent: bool = False  # nobody answered in time: made by whoever asked
+    outcome: Outcome | None = None  # of a person's request, from the station
 
 
 @dataclass(frozen=True, eq=False)

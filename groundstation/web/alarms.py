@@ -23,6 +23,12 @@ class Alarm:
     level: str
     key: str
     text: str
+    robot: int = 0  # whose it is; 0: of the whole system
+
+    @property
+    def told(self) -> str:
+        """The line as people read it."""
+        return f"robot {self.robot}: {self.text}" if self.robot else self.text
 
 
 def alarms(
@@ -32,14 +38,17 @@ def alarms(
     localizer_age_s: float,
     recorder_error: str,
     insecure: bool = False,
+    stuck_s: float = 0.0,
 ) -> list[Alarm]:
-    """All that is amiss, critical first."""
+    """All that is amiss, critical first. `stuck_s`: for how long the station's cycle has not run, if that is too long."""
     found = [*_system(experiment, fleet, localizer, localizer_age_s, recorder_error)]
+    if stuck_s > 0.0:
+        found.append(Alarm("critical", "stuck", f"the station has sent no heartbeat for {stuck_s:.0f} s: robots hold"))
     if insecure:
         found.append(Alarm("warning", "insecure", INSECURE))
     for robot in experiment.robot_ids:
         found += [
-            Alarm(finding.level, f"{robot}:{finding.key}", f"robot {robot}: {finding.text}")
+            Alarm(finding.level, f"{robot}:{finding.key}", finding.text, robot)
             for finding in findings(experiment, robot, fleet[robot])
         ]
     return sorted(found, key=lambda alarm: LEVELS.index(alarm.level))

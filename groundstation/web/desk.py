@@ -6,11 +6,11 @@ Nothing here waits for the station's cycle, and the cycle never waits for anythi
 import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Protocol
 
-from groundstation.asking import Answer
-from groundstation.fleet import preflight, view
+from groundstation.fleet import Finding, Fleet, RobotView, barred, view
 from groundstation.inboxes import Inboxes
 from groundstation.laps import Lap
 from groundstation.phases import Phase, allowed
@@ -18,30 +18,32 @@ from groundstation.tuner import TuningStatus
 from groundstation.web import editor
 from groundstation.web.alarms import alarms
 from groundstation.web.requests import Edit
-from groundstation.web.scene import scene
-from groundstation.web.snapshot import NEVER_MS, Aged, FleetNews, RobotNews, snapshot
+from groundstation.web.scene import flown_paths, scene
+from groundstation.web.snapshot import NEVER_MS, Aged, FleetNews, RobotNews, order_name, snapshot
 from wire import topics
 from wire.bus import Bus, Inbox, Received
 from wire.codec import DecodeError, Header, decode
 from wire.experiment import Experiment
-from wire.messages import Event, Order, Preview, Trajectory
+from wire.messages import Event, Order, Outcome, Preview, Trajectory
 from wire.runtime import Clock
 from wire.topics import Topic
 
 MOST_EVENTS = 256  # between two looks
+STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
 class Source(Protocol):
     """Where the page's server gets everything from: the live fleet, or a recorded run. Used from one thread, but for `order`,
-    `tune`, `attempt` and `save`, which may take their time in another."""
+    `tune`, `attempt` and `save`, which may take their time in others."""
 
     def scene(self) -> dict[str, Any]: ...
     def changed(self) -> bool: ...
     def snapshot(self) -> dict[str, Any]: ...
     def picture(self) -> dict[str, Any] | None: ...
+    def paths(self) -> list[dict[str, Any]] | None: ...
     def notes(self) -> list[dict[str, Any]]: ...
-    def order(self, order: Order) -> str: ...
-    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> str: ...
+    def order(self, order: Order) -> tuple[str, int]: ...
+    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]: ...
     def attempt(self, edit: Edit) -> dict[str, Any]: ...
     def save(self, edit: Edit, name: str) -> dict[str, Any]: ...
     def seek(self, time_s: float | None, rate: float | None) -> None: ...
@@ -57,17 +59,26 @@ class Status:
     insecure: bool = False  # the network is open, as was asked for
     tuning: TuningStatus | None = None
     laps: Sequence[Lap] = ()
-    preflight: tuple[str, ...] | None = None  # why not to arm; None: whoever asks looks for himself
+    preflight: tuple[Finding, ...] | None = None  # why not to arm; None: whoever asks looks for himself
+    seen: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
+    paths: tuple[Mapping[int, Trajectory], float] | None = None  # what is flown now, until when [s]; None: as before the run
+    requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
+    ended: bool = False  # a person has ended the run
+    beat_age_s: float = 0.0  # since the station's last cycle
+
+
+def _nobody_tunes(values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+    return "gains cannot be changed here", 0
 
 
 @dataclass(frozen=True, eq=False)
 class Post:
-    """What the desk needs of the station."""
+    """What the desk needs of the station. Requests are answered with why not, or nothing, and their number."""
 
     status: Callable[[], Status]
-    order: Callable[[Order], str]  # what a person wishes for the whole fleet; why not, or nothing
-    answers: deque[Answer]  # what became of orders to single robots; taken from its left
-    tune: Callable[[Mapping[str, float] | None, bool], str] = lambda values, next_lap: "gains cannot be changed here"
+    order: Callable[[Order], tuple[str, int]]
+    tune: Callable[[Mapping[str, float] | None, bool], tuple[str, int]] = _nobody_tunes
+    run: Path | None = None  # the run's folder
 
 
 class Desk:
@@ -90,14 +101,25 @@ class Desk:
         self._events: deque[tuple[Header, bytes]] = deque(maxlen=MOST_EVENTS)
         self._seen: list[Header | None] = []
         self._shown: Header | None = None
+        self._drawn: tuple[Mapping[int, Trajectory], float] | None = None
         bus.subscribe(topics.EVENT, None, self._event)
 
     def _event(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         self._events.append((header, payload))
 
     def scene(self) -> dict[str, Any]:
-        """What does not change while the station runs."""
-        return scene(self._experiment, self._trajectories, self._mode)
+        """What does not change while the station runs, and the paths that are flown now."""
+        run = str(self._station.run) if self._station.run is not None else ""
+        found = scene(self._experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
+        return found if self._drawn is None else found | {"paths": flown_paths(*self._drawn)}
+
+    def paths(self) -> list[dict[str, Any]] | None:
+        """What is flown from now on, once when it changes."""
+        flown = self._station.status().paths
+        if flown is None or flown is self._drawn:
+            return None
+        self._drawn = flown
+        return flown_paths(*flown)
 
     def changed(self) -> bool:
         """Whether any robot has said something since the last call."""
@@ -110,19 +132,21 @@ class Desk:
         status = self._station.status()
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
-        fleet = {r: view(states[r], poses[r], self._clock) for r in states}
+        plans = {r: inbox.newest() for r, inbox in self._heard.plans.items()}
+        fleet = {r: _linked(view(states[r], poses[r], self._clock, plans[r]), status.seen.get(r)) for r in states}
+        why_not = barred(self._experiment, fleet) if status.preflight is None else status.preflight
         localizer = _aged(self._heard.localizer)
         return snapshot(
             FleetNews(
                 time_s=self._clock.now_ns() * 1e-9,
-                robots={r: RobotNews(_age(states[r]), _age(poses[r]), _aged(self._heard.plans[r])) for r in states},
+                robots={r: RobotNews(_age(states[r]), _age(poses[r]), _age(plans[r])) for r in states},
                 localizer=localizer,
                 obstacles=_aged(self._heard.obstacles),
                 phase=status.phase.name,
-                phase_text=status.phase.value,
+                phase_text="ready" if status.phase is Phase.WAITING and not why_not else status.phase.value,
                 reason=status.reason,
-                allowed=[order.name.lower().replace("_", "-") for order in Order if status.phase in allowed(order)],
-                preflight=preflight(self._experiment, fleet) if status.preflight is None else status.preflight,
+                allowed=[order_name(order) for order in Order if order is Order.END or status.phase in allowed(order)],
+                preflight=why_not,
                 emergency_stop=status.phase is Phase.STOPPED,
                 alarms=alarms(
                     self._experiment,
@@ -131,10 +155,13 @@ class Desk:
                     self._localizer_age_s(localizer),
                     status.recorder_error,
                     status.insecure,
+                    status.beat_age_s if self._mode == "real-time" and status.beat_age_s > STUCK_S else 0.0,
                 ),
                 present=sorted(self._bus.present),
                 tuning=status.tuning,
                 laps=status.laps,
+                requests=status.requests,
+                ended=status.ended,
             )
         )
 
@@ -169,26 +196,14 @@ class Desk:
                     "text": event.message,
                 }
             )
-        while self._station.answers:
-            answer = self._station.answers.popleft()
-            found.append(
-                {
-                    "k": "answer",
-                    "robot": answer.command.robot,
-                    "order": answer.command.order.name.lower().replace("_", "-"),
-                    "ok": answer.reply.accepted,
-                    "reason": answer.reply.reason,
-                    "mode": answer.reply.mode.name,
-                }
-            )
         return found
 
-    def order(self, order: Order) -> str:
-        """Why not, or nothing when it is under way."""
+    def order(self, order: Order) -> tuple[str, int]:
+        """Why not, or nothing when it is under way; and the request's number."""
         return self._station.order(order)
 
-    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> str:
-        """Other gains, or those before. Why not, or nothing when it is under way."""
+    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+        """Other gains, or those before. As `order`."""
         return self._station.tune(values, next_lap)
 
     def attempt(self, edit: Edit) -> dict[str, Any]:
@@ -201,6 +216,11 @@ class Desk:
 
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Only a recorded run can be at another time."""
+
+
+def _linked(seen: RobotView, known: RobotView | None) -> RobotView:
+    """A view with what only the station's cycle knows: it counts every message of a robot, here some are passed over."""
+    return seen if known is None else replace(seen, clock_offset_s=known.clock_offset_s, loss=known.loss)
 
 
 def _aged(inbox: Inbox[Any]) -> Aged:

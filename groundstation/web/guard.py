@@ -6,6 +6,7 @@ token are then not optional.
 """
 
 import hmac
+import re
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
@@ -14,6 +15,7 @@ from wire.toml_file import ConfigError
 
 SHORTEST_TOKEN = 16
 _LOCAL_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
+_HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]{2,45})\]|([A-Za-z0-9.-]{1,253}))(?::([0-9]{1,5}))?")  # of a Host header: name, port
 
 HEADERS = {
     "content-security-policy": "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
@@ -73,10 +75,11 @@ def _is_loopback(host: str) -> bool:
 
 def host_allowed(options: WebOptions, host: str) -> bool:
     """Whether a request's Host header may be answered."""
-    if not options.local:
-        return bool(host)
-    name = host[1:].partition("]")[0] if host.startswith("[") else host.partition(":")[0]
-    return name in _LOCAL_NAMES or name == options.host
+    found = _HOST.fullmatch(host)
+    if found is None:
+        return False
+    name = found[1] or found[2]
+    return not options.local or name.lower() in _LOCAL_NAMES or name == options.host
 
 
 def origin_allowed(options: WebOptions, host: str, origin: str) -> bool:

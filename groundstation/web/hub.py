@@ -10,8 +10,9 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
@@ -29,10 +30,16 @@ MOST_SHARE = 0.25  # of the interpreter, which the control cycle needs too: larg
 AT_LEAST_S = 0.25  # ages go on also when nothing comes
 MOST_WATCHERS = 16
 HELLO_WITHIN_S = 5.0
-KEPT_EVENTS = 200  # of the log, for a watcher who comes late
+MOST_STRANGERS = 32  # connections that have not said who they are: one more ends the oldest
+KEPT_EVENTS = 60  # of the log, for a watcher who comes late: as many as the page shows
+ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
+COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
 HEAD = struct.Struct("<If")
 
-TOO_MANY, NOT_ALLOWED, BAD_REQUEST = 4001, 4003, 4000  # WebSocket close codes of our own
+# WebSocket close codes of our own
+TOO_MANY, ELSEWHERE, NOT_ALLOWED, BAD_REQUEST = 4001, 4002, 4003, 4000
+
+T = TypeVar("T")
 
 
 @dataclass(eq=False)
@@ -40,6 +47,8 @@ class Watcher:
     """One open page."""
 
     id: int
+    websocket: WebSocket
+    page: str = ""  # by which it is known when it comes back
     window: Window = field(default_factory=Window)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     busy: bool = False  # an edit of this watcher is being planned
@@ -61,31 +70,64 @@ class Hub:
         self._picture = b""
         self._count = 0
         self._tasks: set[asyncio.Task[None]] = set()
+        self._strangers: deque[asyncio.Task[requests.Request]] = deque()
+        self._complained_s = -COMPLAIN_EVERY_S
+        # The emergency stop has a thread of its own: nothing else that a page may ask for ever keeps it waiting.
+        self._stops = ThreadPoolExecutor(1, "page-stop")
+        self._orders = ThreadPoolExecutor(2, "page-order")
+        self._plans = ThreadPoolExecutor(2, "page-plan")
+
+    def close(self) -> None:
+        """Wait for nothing that is still at work."""
+        for threads in (self._stops, self._orders, self._plans):
+            threads.shutdown(wait=False, cancel_futures=True)
 
     async def pump(self) -> None:
-        """Look at the source for ever, and offer what is new to every watcher."""
+        """Look at the source for ever, and offer what is new to every watcher. Whatever goes wrong is told in the log, and
+        tried again at the next look: pages that hear nothing say so."""
         told_s, took_s = 0.0, 0.0
         while True:
             await asyncio.sleep(LOOK_S if self._watchers else AT_LEAST_S)
-            for note in self._source.notes():
-                self._history.append(msgspec.msgpack.encode(note))
-                self._each(lambda w: w.window.note(self._history[-1]))
-            if not self._watchers:
-                continue
-            picture = self._source.picture()
-            if picture is not None:
-                self._picture = msgspec.msgpack.encode({"k": "picture", "stamp_ms": time.time() * 1e3, **picture})
-                self._each(lambda w: w.window.offer("picture", self._picture))
-            now_s = time.monotonic()
-            rested = now_s - told_s >= took_s / MOST_SHARE
-            if rested and (self._source.changed() or now_s - told_s >= AT_LEAST_S):
-                self.tell()
-                told_s, took_s = now_s, time.monotonic() - now_s
+            try:
+                self._look()
+                now_s = time.monotonic()
+                rested = now_s - told_s >= took_s / MOST_SHARE
+                if self._watchers and rested and (self._source.changed() or now_s - told_s >= AT_LEAST_S):
+                    told_s = now_s
+                    self.tell()
+                    took_s = time.monotonic() - now_s
+            except Exception as error:
+                self._complain(error)
+
+    def _complain(self, error: Exception) -> None:
+        now_s = time.monotonic()
+        if now_s - self._complained_s >= COMPLAIN_EVERY_S:
+            self._complained_s = now_s
+            log.error("page: nothing new is shown: %s: %s", type(error).__name__, error)
+
+    def _look(self) -> None:
+        for note in self._source.notes():
+            self._history.append(msgspec.msgpack.encode(note))
+            self._each(lambda w: w.window.note(self._history[-1]))
+        paths = self._source.paths()
+        if paths is not None:
+            body = msgspec.msgpack.encode({"k": "paths", "paths": paths})
+            self._each(lambda w: w.window.offer("paths", body))
+        picture = self._source.picture() if self._watchers else None
+        if picture is not None:
+            self._picture = msgspec.msgpack.encode({"k": "picture", "stamp_ms": time.time() * 1e3, **picture})
+            self._each(lambda w: w.window.offer("picture", self._picture))
 
     def tell(self) -> None:
         """Offer the present state to everyone."""
         self._lease.free(time.monotonic())  # a silent holder loses it
-        head = {"k": "state", "stamp_ms": time.time() * 1e3, "holder": self._lease.holder, "watchers": len(self._watchers)}
+        head: dict[str, Any] = {
+            "k": "state",
+            "stamp_ms": time.time() * 1e3,
+            "holder": self._lease.holder,
+            "watchers": len(self._watchers),
+        }
+        head["clock_ms"] = int(time.monotonic() * 1e3)  # comes back with orders
         body = msgspec.msgpack.encode(head | self._source.snapshot())
         self._each(lambda w: w.window.offer("state", body))
 
@@ -104,22 +146,20 @@ class Hub:
         if len(self._watchers) >= MOST_WATCHERS:
             await websocket.close(TOO_MANY, f"{MOST_WATCHERS} pages are open already")
             return
-        try:
-            hello = await asyncio.wait_for(_receive(websocket), HELLO_WITHIN_S)
-        except (requests.BadRequest, TimeoutError, WebSocketDisconnect):
-            hello = None
-        if not isinstance(hello, requests.Hello) or not token_allowed(self._options, hello.token):
+        hello = await self._introduced(websocket)
+        if hello is None or not token_allowed(self._options, hello.token):
             with contextlib.suppress(RuntimeError, WebSocketDisconnect):
                 await websocket.close(NOT_ALLOWED, "wrong token")
             return
         self._count += 1
-        watcher = Watcher(self._count)
-        watcher.note({"k": "hello", "you": watcher.id, "scene": self._source.scene()})
-        for body in self._history:
-            watcher.window.note(body)
+        watcher = Watcher(self._count, websocket, hello.page)
+        events = [msgspec.Raw(body) for body in self._history]
+        watcher.note({"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events})
         if self._picture:
             watcher.window.offer("picture", self._picture)
+        self._replace(watcher)
         self._watchers[watcher.id] = watcher
+        self._tell_now()
         sender = asyncio.create_task(_send(websocket, watcher))
         try:
             await self._listen(websocket, watcher)
@@ -127,6 +167,31 @@ class Hub:
             sender.cancel()
             del self._watchers[watcher.id]
             self._lease.leave(watcher.id)
+
+    async def _introduced(self, websocket: WebSocket) -> requests.Hello | None:
+        """The first thing that a connection says, if it is a hello and comes in time."""
+        first = asyncio.create_task(_receive(websocket))
+        self._strangers.append(first)
+        if len(self._strangers) > MOST_STRANGERS:
+            self._strangers[0].cancel()
+        try:
+            await asyncio.wait({first}, timeout=HELLO_WITHIN_S)
+        finally:
+            self._strangers.remove(first)
+            first.cancel()
+        if not first.done() or first.cancelled() or first.exception() is not None:
+            return None
+        said = first.result()
+        return said if isinstance(said, requests.Hello) else None
+
+    def _replace(self, watcher: Watcher) -> None:
+        """A page that comes back over another connection keeps the control that it had: the one before it is dead, and does
+        not know it yet."""
+        for before in list(self._watchers.values()):
+            if watcher.page and before.page == watcher.page:
+                if self._lease.holder == before.id:
+                    self._lease.ask(watcher.id, time.monotonic(), over=True)
+                self._spawn(_close(before.websocket, ELSEWHERE, "the page has come back over another connection"))
 
     async def _listen(self, websocket: WebSocket, watcher: Watcher) -> None:
         while True:
@@ -148,10 +213,10 @@ class Hub:
             watcher.wake.set()
         elif isinstance(request, requests.Take):
             self._lease.ask(watcher.id, now_s, request.over)
-            self.tell()
+            self._tell_now()
         elif isinstance(request, requests.Release):
             self._lease.leave(watcher.id)
-            self.tell()
+            self._tell_now()
         elif isinstance(request, requests.Wish):
             self._spawn(self._order(watcher, request))
         elif isinstance(request, requests.Tune):
@@ -175,18 +240,40 @@ class Hub:
             return ""
         return "another page has control" if self._lease.holder else "take control first"
 
+    async def _at(self, threads: ThreadPoolExecutor, do: Callable[..., T], *arguments: Any) -> T:
+        return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
+
+    def _void(self, seen_ms: int) -> str:
+        """Why an order counts no longer, for what the page had seen; empty if it does."""
+        late_s = time.monotonic() - seen_ms * 1e-3
+        return f"this came {late_s:.0f} s late, and was not done" if late_s > ORDER_VALID_S else ""
+
     async def _order(self, watcher: Watcher, wish: requests.Wish) -> None:
-        order = Order[wish.order.upper().replace("-", "_")]
-        reason = "" if order is Order.STOP else self._may_command(watcher)
-        if not reason:
-            reason = await asyncio.to_thread(self._source.order, order)
-        watcher.note({"k": "reply", "n": wish.n, "order": wish.order, "ok": not reason, "reason": reason})
-        self.tell()
+        order, number = Order[wish.order.upper().replace("-", "_")], 0
+        if order is Order.STOP:
+            reason, number = await self._at(self._stops, self._source.order, order)
+        else:
+            reason = self._may_command(watcher) or self._void(wish.seen_ms)
+            if not reason:
+                reason, number = await self._at(self._orders, self._source.order, order)
+        self._answer(watcher, wish.n, wish.order, reason, number)
 
     async def _tune(self, watcher: Watcher, wish: requests.Tune) -> None:
-        reason = self._may_command(watcher) or await asyncio.to_thread(self._source.tune, wish.values, wish.next_lap)
-        watcher.note({"k": "reply", "n": wish.n, "order": "tune", "ok": not reason, "reason": reason})
-        self.tell()
+        reason, number = self._may_command(watcher) or self._void(wish.seen_ms), 0
+        if not reason:
+            reason, number = await self._at(self._orders, self._source.tune, wish.values, wish.next_lap)
+        self._answer(watcher, wish.n, "tune", reason, number)
+
+    def _answer(self, watcher: Watcher, n: int, order: str, reason: str, number: int) -> None:
+        watcher.note({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
+        self._tell_now()
+
+    def _tell_now(self) -> None:
+        """As `tell`, where a state that cannot be told must end nothing else."""
+        try:
+            self.tell()
+        except Exception as error:
+            self._complain(error)
 
     async def _attempt(self, watcher: Watcher) -> None:
         """Plan the newest edit, and again while newer ones come; those in between were only passed over while dragging."""
@@ -194,7 +281,7 @@ class Hub:
         try:
             while (tried := watcher.waiting) is not None:
                 watcher.waiting = None
-                watcher.note({"k": "tried", "n": tried.n} | await asyncio.to_thread(self._source.attempt, tried.edit))
+                watcher.note({"k": "tried", "n": tried.n} | await self._at(self._plans, self._source.attempt, tried.edit))
         finally:
             watcher.busy = False
 
@@ -203,9 +290,14 @@ class Hub:
         done = (
             {"ok": False, "problems": [reason]}
             if reason
-            else await asyncio.to_thread(self._source.save, request.edit, request.name)
+            else await self._at(self._plans, self._source.save, request.edit, request.name)
         )
         watcher.note({"k": "saved", "n": request.n} | done)
+
+
+async def _close(websocket: WebSocket, code: int, why: str) -> None:
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
+        await websocket.close(code, why)
 
 
 async def _receive(websocket: WebSocket) -> requests.Request:

@@ -11,13 +11,16 @@ Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: the station says what is allowed
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-OrderName = Literal["load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop", "return", "rejoin", "test"]
+OrderName = Literal[
+    "load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop", "return", "rejoin", "test", "end"
+]
 
 
 class Hello(msgspec.Struct, tag_field="kind", tag="hello", forbid_unknown_fields=True, frozen=True):
     """The first text of a connection. The token is empty on loopback."""
 
     token: Annotated[str, msgspec.Meta(max_length=256)] = ""
+    page: Annotated[str, msgspec.Meta(max_length=64)] = ""  # drawn by each page: one that comes back is the same
 
 
 class Ack(msgspec.Struct, tag_field="kind", tag="ack", forbid_unknown_fields=True, frozen=True):
@@ -41,6 +44,7 @@ class Wish(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=
 
     n: Count
     order: OrderName
+    seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
 
 
 class Tune(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
@@ -49,6 +53,7 @@ class Tune(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=T
     n: Count
     values: Annotated[dict[Annotated[str, msgspec.Meta(max_length=64)], Typed], msgspec.Meta(max_length=64)] | None = None
     next_lap: bool = False
+    seen_ms: Count = 0  # as of an order
 
 
 class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -31,6 +31,15 @@ def paths(trajectories: Mapping[int, Trajectory], flown: int) -> list[dict[str, 
     ]
 
 
+def flown_paths(trajectories: Mapping[int, Trajectory], end_s: float) -> list[dict[str, Any]]:
+    """The paths of a leg that is flown now, up to its end; what comes after is horizon."""
+    found = []
+    for robot, t in trajectories.items():
+        samples = round((end_s - t.begin_s) / t.period_s) + 1
+        found += paths({robot: t}, min(max(samples, 1), len(t.eta)))
+    return found
+
+
 def flown_samples(experiment: Experiment) -> int:
     """How many samples of a trajectory belong to the run; the rest is horizon."""
     return round(experiment.duration_s / experiment.controller.period_s) + 1

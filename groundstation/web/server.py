@@ -20,6 +20,7 @@ from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
 from groundstation.web import requests
+from groundstation.web.crowd import HANDSHAKE_WITHIN_S, Crowd, http_class
 from groundstation.web.desk import Source
 from groundstation.web.guard import HEADERS, WebOptions, host_allowed
 from groundstation.web.hub import Hub
@@ -27,7 +28,7 @@ from wire.runtime import log
 from wire.toml_file import ConfigError
 
 STATIC = Path(__file__).parent / "static"
-START_WITHIN_S = 10.0
+START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why
 
 Scope = MutableMapping[str, Any]
 Channel = Callable[..., Awaitable[Any]]
@@ -71,6 +72,7 @@ def make_app(source: Source, options: WebOptions) -> Any:
             yield
         finally:
             pump.cancel()
+            hub.close()
 
     async def index(request: Any) -> FileResponse:
         return FileResponse(STATIC / "index.html")
@@ -88,11 +90,21 @@ def _told_why(pump: asyncio.Task[None]) -> None:
         log.error("page: stopped: %r", pump.exception())
 
 
+class _Loop(asyncio.SelectorEventLoop):
+    """Gives a connection that does not finish its TLS handshake up sooner than asyncio does."""
+
+    async def create_server(self, *arguments: Any, **options: Any) -> asyncio.Server:
+        if options.get("ssl") is not None:
+            options.setdefault("ssl_handshake_timeout", HANDSHAKE_WITHIN_S)
+        return await super().create_server(*arguments, **options)
+
+
 class WebServer:
     """The page's thread. A page that fails says so in the log and is gone; the station flies on."""
 
     def __init__(self, source: Source, options: WebOptions) -> None:
         """Bind at once. Raises ConfigError if the address cannot be had, or the certificate not be used."""
+        self._failure, self._where = "", f"{options.host}:{options.port}"
         family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
         self._socket = socket.socket(family, socket.SOCK_STREAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -106,7 +118,7 @@ class WebServer:
         config = uvicorn.Config(
             make_app(source, options),
             loop="asyncio",
-            http="h11",
+            http=http_class(Crowd()),
             ws="websockets-sansio",
             ws_max_size=requests.LONGEST_BYTES,
             ws_per_message_deflate=False,  # costs more time than a local network's bytes
@@ -118,7 +130,6 @@ class WebServer:
             access_log=False,
             server_header=False,
             date_header=False,
-            limit_concurrency=64,
             timeout_graceful_shutdown=1,
             ssl_certfile=options.certificate,
             ssl_keyfile=options.key,
@@ -134,15 +145,21 @@ class WebServer:
 
     def _run(self) -> None:
         try:
-            self._server.run(sockets=[self._socket])
-        except Exception as error:  # the flight does not depend on the page
-            log.error("page: %s: %s", type(error).__name__, error)
+            with asyncio.Runner(loop_factory=_Loop) as runner:
+                runner.run(self._server.serve(sockets=[self._socket]))
+        except (Exception, SystemExit) as error:  # the flight does not depend on the page
+            self._failure = f"{type(error).__name__}: {error}"
+            log.error("page: %s", self._failure)
 
     def __enter__(self) -> "WebServer":
         self._thread.start()
         deadline = time.monotonic() + START_WITHIN_S
         while not self._server.started and self._thread.is_alive() and time.monotonic() < deadline:
             time.sleep(0.005)
+        if not self._server.started:
+            failure = self._failure or f"it has not come up within {START_WITHIN_S:g} s"
+            self.__exit__()
+            raise ConfigError(f"--web {self._where}: {failure} (try again, or --no-web)")
         return self
 
     def __exit__(self, *exception: object) -> None:

@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from groundstation.fleet import Finding
 from groundstation.laps import Lap
 from groundstation.tuner import Stage, TuningStatus
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from wire.frames import Array
-from wire.messages import LocalizerStatus, Obstacles, Plan, Pose, RobotState
+from wire.messages import LocalizerStatus, Obstacles, Order, Outcome, Plan, Pose, RobotState
 
 NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
 
@@ -50,12 +51,19 @@ class FleetNews:
     phase_text: str = ""
     reason: str = ""
     allowed: Sequence[str] = ()  # orders that the mission takes now
-    preflight: Sequence[str] = ()
+    preflight: Sequence[Finding] = ()
     emergency_stop: bool = False
     alarms: Sequence[Alarm] = ()
     present: Sequence[str] = ()
     tuning: TuningStatus | None = None
     laps: Sequence[Lap] = ()
+    requests: Sequence[Outcome] = ()
+    ended: bool = False
+
+
+def order_name(order: Order) -> str:
+    """An order as the page and a terminal call it."""
+    return order.name.lower().replace("_", "-")
 
 
 def snapshot(news: FleetNews) -> dict[str, Any]:
@@ -66,14 +74,27 @@ def snapshot(news: FleetNews) -> dict[str, Any]:
         "phase_text": news.phase_text,
         "reason": news.reason,
         "allowed": list(news.allowed),
-        "preflight": list(news.preflight),
+        "preflight": [{"robot": found.robot, "text": found.told} for found in news.preflight],
         "stop": news.emergency_stop,
-        "alarms": [{"level": a.level, "key": a.key, "text": a.text} for a in news.alarms],
+        "alarms": [{"level": a.level, "key": a.key, "robot": a.robot, "text": a.text} for a in news.alarms],
         "present": list(news.present),
         "localizer": _localizer(news.localizer),
         "obstacles": _obstacles(news.obstacles),
         "tuning": _tuning(news.tuning, news.laps),
+        "requests": [_request(outcome) for outcome in news.requests],
+        "ended": news.ended,
         "robots": [_robot(robot, found) for robot, found in news.robots.items()],
+    }
+
+
+def _request(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "request": outcome.request,
+        "order": order_name(outcome.order),
+        "progress": outcome.progress.name,
+        "reason": outcome.reason,
+        "confirmed": list(outcome.confirmed),
+        "waiting": [{"robot": r, "why": why} for r, why in zip(outcome.waiting, outcome.why, strict=False)],
     }
 
 

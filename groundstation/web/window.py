@@ -1,7 +1,7 @@
 """What one watcher gets next: at most two frames on the way, the latest state and picture, and every note in order. Pure.
 
 A browser that stops acknowledging stops being sent to. What it costs is one state, one picture and MOST_NOTES notes, and the
-bytes of two frames in a socket; nobody waits for it.
+bytes of two frames in a socket; nobody waits for it. Notes and states take turns, so that neither keeps the other waiting.
 """
 
 from collections import deque
@@ -20,6 +20,7 @@ class Window:
         self._latest: dict[str, bytes] = {}  # by kind, the one that waited longest first
         self._sent_s: dict[int, float] = {}
         self._n = 0
+        self._noted = False  # the frame before was a note
 
     def note(self, body: bytes) -> None:
         """Something that must arrive: an answer, an event. The oldest go when nobody takes them."""
@@ -36,7 +37,8 @@ class Window:
         """Number and body of the frame to send now; None when there is nothing or too much is on its way."""
         if len(self._sent_s) >= UNACKNOWLEDGED or not (self._notes or self._latest):
             return None
-        body = self._notes.popleft() if self._notes else self._latest.pop(next(iter(self._latest)))
+        self._noted = bool(self._notes) and not (self._noted and self._latest)
+        body = self._notes.popleft() if self._noted else self._latest.pop(next(iter(self._latest)))
         self._n += 1
         self._sent_s[self._n] = now_s
         return self._n, body

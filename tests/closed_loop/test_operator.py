@@ -1,6 +1,6 @@
 """A person at the station: the programs started one by one, as in a lab, and orders from another terminal.
 
-The simulated pool tells poses itself: on a slow machine camera and localizer would not keep up with the wall clock."""
+In lockstep: a slow machine is slow, and no robot is late. The simulated pool tells poses itself."""
 
 import json
 import subprocess
@@ -13,47 +13,64 @@ import pytest
 
 from sim_bridge.ports import free_base_port, free_port
 from sim_bridge.processes import Children
+from wire.experiment import dump_experiment, load_experiment
 
 
 class Lab:
-    """Station, simulated pool and two agents, by the wall clock."""
+    """Station, simulated pool and two agents."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.children = folder, Children(folder / "logs")
         self.station = f"tcp/127.0.0.1:{free_port()}"
+        folder.joinpath("long.toml").write_text(dump_experiment(load_experiment("pool", ["duration_s=900"])))
+        self.experiment = str(folder / "long.toml")
         ports = free_base_port((1, 2))
-        self.start("agent-1", "robot_agent", "run", "pool", "--robot", "1", "--link", f"udp:127.0.0.1:{ports + 1}")  # first
-        self.start("sim-bridge", "sim_bridge", "pool", "pool", "--poses", "--ports", str(ports))
+        self.agent(1, ports)  # first
+        self.start("sim-bridge", "sim_bridge", "pool", self.experiment, "--poses", "--ports", str(ports))
         self.children.start(
             "groundstation",
             "groundstation",
-            ["run", "pool", "--no-web", "--listen", self.station, "--run-dir", str(folder / "run")],
+            ["run", self.experiment, "--lockstep", "--no-web", "--listen", self.station, "--run-dir", str(folder / "run")],
         )
-        self.start("agent-2", "robot_agent", "run", "pool", "--robot", "2", "--link", f"udp:127.0.0.1:{ports + 2}")
+        self.agent(2, ports)
+
+    def agent(self, robot: int, ports: int) -> None:
+        link = f"udp:127.0.0.1:{ports + robot}"
+        self.start(f"agent-{robot}", "robot_agent", "run", self.experiment, "--robot", str(robot), "--link", link)
 
     def start(self, name: str, module: str, *arguments: str) -> None:
-        self.children.start(name, module, [*arguments, "--station", self.station])
+        self.children.start(name, module, [*arguments, "--lockstep", "--station", self.station])
 
     def order(self, *what: str) -> tuple[int, str]:
         command = [sys.executable, "-m", "groundstation", *what, "--station", self.station]
-        answer = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
         return answer.returncode, answer.stdout + answer.stderr
 
-    def set_off(self, patience_s: float = 60.0) -> None:
-        """Order the start, again while the station finds robots unfit: a loaded machine loses some messages now and then."""
-        deadline = time.monotonic() + patience_s
-        while (answer := self.order("order", "start")) != (0, "start: under way\n"):
-            assert answer[0] == 1 and time.monotonic() < deadline, answer
-            time.sleep(0.5)
+    def ready(self) -> None:
+        self.says("groundstation", "mission: waiting for the fleet\n", timeout_s=90.0)  # every robot is fit
+
+    def set_off(self) -> None:
+        self.ready()
+        code, said = self.order("order", "start")
+        assert (code, said.splitlines()[-1]) == (0, "start: done"), said
+
+    def told(self, name: str, text: str) -> None:
+        """Both robots' programs have said so by now: nobody waits for it."""
+        for robot in (1, 2):
+            assert text in (self.folder / "logs" / f"{name}-{robot}.log").read_text()
 
     def says(self, name: str, text: str, times: int = 1, timeout_s: float = 30.0) -> None:
-        log = self.folder / "logs" / f"{name}.log"
-        deadline = time.monotonic() + timeout_s
-        while time.monotonic() < deadline:
-            if log.read_text().count(text) >= times:
-                return
-            time.sleep(0.05)
-        raise AssertionError(f"{name} never said {text!r} {times} times:\n{log.read_text()}")
+        says(self.folder / "logs" / f"{name}.log", text, times, timeout_s)
+
+
+def says(log: Path, text: str, times: int, timeout_s: float) -> None:
+    """Wait for a line of a program's log."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline:
+        if log.read_text().count(text) >= times:
+            return
+        time.sleep(0.05)
+    raise AssertionError(f"{log.name} never said {text!r} {times} times:\n{log.read_text()}")
 
 
 @pytest.fixture
@@ -66,32 +83,52 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 
 
 def test_a_mission_by_hand(lab: Lab) -> None:
-    lab.says("groundstation", "mission: waiting for the fleet\n")  # every robot is fit
-    refused, why = lab.order("order", "hold")
-    assert (refused, "HOLD is not possible when WAITING" in why) == (1, True)
-    lab.set_off()
-    for robot in (1, 2):
-        lab.says(f"agent-{robot}", "INFO tracking")
-    assert lab.order("order", "hold")[0] == 0
-    for robot in (1, 2):
-        lab.says(f"agent-{robot}", "INFO holding")
+    lab.ready()
+    refused, why = lab.order("order", "resume")
+    assert (refused, "RESUME is not possible when WAITING" in why) == (1, True)
+    lab.set_off()  # each command returns when the robots have done it
+    lab.told("agent", "INFO tracking")
+    code, said = lab.order("order", "hold")
+    assert (code, said.splitlines()[-1]) == (0, "hold: done"), said
+    lab.told("agent", "INFO holding")
     assert lab.order("order", "resume")[0] == 0
-    for robot in (1, 2):
-        lab.says(f"agent-{robot}", "INFO tracking", times=2)
-    lab.says("groundstation", "mission: running", times=2)
+    assert lab.order("go", "0.5", "-0.3")[0] == 1  # on a circle there is nowhere to go
 
-    assert lab.order("stop")[0] == 0
+    code, said = lab.order("stop")
+    assert code == 0
+    assert said.splitlines()[1:] == ["  robot 1: confirmed", "  robot 2: confirmed", "stop: done"]
+    lab.told("agent", "stopped: emergency stop")
     for robot in (1, 2):
-        lab.says(f"agent-{robot}", "stopped: emergency stop")
         lab.says("sim-bridge", f"board of robot {robot}: neutral")
     refused, why = lab.order("order", "start")
     assert refused == 1
     assert "STOPPED" in why
     assert lab.order("order", "clear-stop")[0] == 0
-    for robot in (1, 2):
-        lab.says(f"agent-{robot}", "INFO disarmed")
-    lab.says("groundstation", "mission: waiting for the fleet", times=2)
+    lab.told("agent", "INFO disarmed")
     assert lab.order("order", "nonsense")[0] == 2
+
+    assert lab.order("end")[0] == 0
+    lab.says("groundstation", "the run is ended")
+    assert lab.children.all[2].process.wait(60) == 1  # it did not fly to its end
+
+
+def test_a_stop_that_no_robot_hears_is_no_success(tmp_path: Path) -> None:
+    children, place = Children(tmp_path / "logs"), f"tcp/127.0.0.1:{free_port()}"
+    station = children.start(
+        "groundstation", "groundstation", ["run", "pool", "--no-web", "--listen", place, "--run-dir", str(tmp_path / "run")]
+    )
+    try:
+        says(tmp_path / "logs" / "groundstation.log", "waiting for the fleet", 1, 60.0)
+        for what, last in (("stop", "stop: not done within 5 s"), ("end", "end: done")):
+            command = [sys.executable, "-m", "groundstation", what, "--station", place]
+            answer = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+            assert answer.stdout.splitlines()[-3:] == [
+                "  robot 1: NOT confirmed: not heard", "  robot 2: NOT confirmed: not heard", last
+            ], answer  # fmt: skip
+            assert answer.returncode == (1 if what == "stop" else 0)
+        station.process.wait(30)
+    finally:
+        children.stop()
 
 
 def test_the_log_of_a_mission_by_hand_gives_a_report(lab: Lab) -> None:
@@ -105,6 +142,6 @@ def test_the_log_of_a_mission_by_hand_gives_a_report(lab: Lab) -> None:
     )
     assert report.returncode == 0, report.stderr
     result = json.loads((run / "result.json").read_text())
-    assert (result["scene"], result["mode"], result["passed"]) == ("pool", "real-time", False)
-    assert 1.0 < result["duration_s"] < 20.0
+    assert (result["scene"], result["mode"], result["passed"]) == ("pool", "lockstep", False)
+    assert 1.0 < result["duration_s"] < 900.0
     assert (run / "report.html").stat().st_size > 10_000

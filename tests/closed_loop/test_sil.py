@@ -240,9 +240,40 @@ def test_ctrl_c_stops_everything_cleanly(tmp_path: Path) -> None:
     code, output = finish(run, 30)
     assert code == 130
     assert "every process is stopped" in output
+    assert {"report.html", "result.json"} <= {path.name for path in run_dir(tmp_path).iterdir()}  # of what there was
     assert psutil.wait_procs(children, timeout=1)[1] == []
     with (run_dir(tmp_path) / "run.mcap").open("rb") as file:
         assert make_reader(file).get_summary() is not None  # the log was closed, not cut
+
+
+def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Which finds it by itself; and the launcher reports what was flown."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    out = tmp_path / "runs"
+    run = start(out, "--lockstep", "--manual", "--no-web", "--poses", "--duration", "2")
+
+    def order(*what: str) -> tuple[int, str]:
+        command = [sys.executable, "-m", "groundstation", *what]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)
+        return done.returncode, done.stdout + done.stderr
+
+    try:
+        while not list(out.glob("pool-*")):
+            time.sleep(0.05)
+        wait_for(run_dir(out) / "logs" / "groundstation.log", "mission: waiting for the fleet\n")
+        code, said = order("order", "start")
+        assert code == 0, said
+        wait_for(run_dir(out) / "logs" / "groundstation.log", "mission: done")
+        code, said = order("end")
+        assert (code, said.splitlines()[-1]) == (0, "end: done"), said
+        code, output = finish(run)
+    finally:
+        run.kill()
+    assert "interrupted" not in output
+    assert re.search(r"station: tcp/127.0.0.1:\d+", output)
+    assert {"report.html", "result.json"} <= {path.name for path in run_dir(out).iterdir()}
+    assert json.loads((run_dir(out) / "result.json").read_text())["duration_s"] == pytest.approx(2.0, abs=0.2)
+    assert order("stop")[0] == 1  # nobody is there any more
 
 
 def test_no_process_outlives_a_launcher_that_is_killed(tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ class Lab:
 
     def send(self, command: Command) -> Reply:
         if command.robot in self.mute:
-            return Reply(command.robot, False, "no answer within 0.5 s")
+            return Reply(command.robot, False, "no answer within 0.5 s", silent=True)
         self._sent += 1
         now_ns, agent = self.pool.now_ns, self.pool.robots[self.pool.experiment.robot_ids.index(command.robot)].agent
         return agent.order(Header(1, self._sent, now_ns), command, self.pool.station(), now_ns)

@@ -46,7 +46,7 @@ class Robot:
         self.got.append(command)
         unheard = self.silent or self.unknown
         if unheard or command.order in self.refuses:
-            return Reply(command.robot, False, "no answer" if unheard else "I refuse")
+            return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
         leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
                  Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED}  # fmt: skip
         if command.order is Order.LOAD:

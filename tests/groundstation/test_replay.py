@@ -7,11 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 
+from groundstation.legs import continued
+from groundstation.planner import plan
+from groundstation.recorder import Recorder
 from groundstation.web.replay import Replay
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
+from wire import topics
+from wire.codec import Header, encode
+from wire.experiment import dump_experiment, load_experiment
 from wire.frames import Array
-from wire.messages import Order
+from wire.messages import Mode, Order, Plan, RobotState, Trajectory
 from wire.toml_file import ConfigError
+
+SECOND = 1_000_000_000
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +93,7 @@ def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) ->
 
 
 def test_a_recorded_run_takes_no_orders(replay: Replay) -> None:
-    assert replay.order(Order.STOP)
+    assert replay.order(Order.STOP) == ("this is a recorded run", 0)
 
 
 def test_what_is_no_run_is_refused_by_name(tmp_path: Path) -> None:
@@ -107,3 +115,65 @@ def test_a_run_that_never_flew_begins_with_the_first_word(tmp_path: Path) -> Non
     write_run(tmp_path, Script(duration_s=5.0, started=False))
     with Replay(tmp_path) as found:
         assert found.snapshot()["robots"][0]["state"]["mode"] == "DISARMED"
+
+
+def test_alarms_are_those_that_were(tmp_path: Path) -> None:
+    """A bad link, a clock that is off, a plan that is old: in flight robot 2 has each for a while."""
+    experiment = load_experiment("pool")
+    (tmp_path / "experiment.toml").write_text(dump_experiment(experiment))
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    for k in range(800):
+        since_s = 0.05 * k
+        lost, off_ns = 10.0 <= since_s < 16.0 and k % 2, 100_000_000 if since_s >= 30.0 else 0
+        for robot in (1, 2):
+            bad = robot == 2
+            stamp_ns = k * 50_000_000 + 10**18
+            state = RobotState(
+                mode=Mode.TRACKING, experiment_hash=experiment.hash, battery_v=12.0, step_us=18_000.0, trajectory_s=since_s
+            )
+            for topic, message in ((topics.STATE, state), (topics.PLAN, Plan(0.05))):
+                if bad and (lost or (topic is topics.PLAN and 20.0 <= since_s < 24.0)):
+                    continue
+                header = Header(robot, k + 1, stamp_ns + (off_ns if bad else 0))
+                key = f"shoal/{topic.key(robot)}"
+                recorder.put(topic, key, header, encode(message), stamp_ns + 20_000_000)
+    recorder.close()
+
+    def keys(replay: Replay, time_s: float) -> set[str]:
+        return {alarm["key"] for alarm in at(replay, time_s)["alarms"] if alarm["key"].split(":")[-1] in KINDS}
+
+    with Replay(tmp_path) as found:
+        for time_s in (34.9, 15.0, 22.0, 8.0):  # forth and back
+            expected = {15.0: {"2:link"}, 22.0: {"2:plan"}, 34.9: {"2:clock"}}.get(time_s, set())
+            assert keys(found, time_s) == expected, time_s
+
+
+KINDS = {"link", "clock", "plan"}
+
+
+def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> None:
+    """Of a later leg only what is new: the way home is not drawn over the circle."""
+    experiment = load_experiment(str(run / "experiment.toml"))
+    (tmp_path / "experiment.toml").write_text(dump_experiment(experiment))
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    planned = plan(experiment)
+    way = np.linspace(planned[1].eta[200], np.zeros(4), 100)
+    rest = np.zeros((100, 4))
+    leg = Trajectory("home", planned[1].period_s, way, rest, rest, begin_s=200 * planned[1].period_s)
+    for time_s, robot, trajectory in ((0, 1, planned[1]), (0, 2, planned[2]), (10, 1, continued(planned[1], leg))):
+        key = f"shoal/{topics.TRAJECTORY.key(robot)}"
+        recorder.put(topics.TRAJECTORY, key, Header(1, time_s + robot, 0), encode(trajectory), time_s * SECOND)
+    recorder.put(topics.STATE, "shoal/robot/1/state", Header(2, 1, 0), encode(RobotState()), 20 * SECOND)
+    recorder.close()
+    with Replay(tmp_path) as found:
+        shown = {}
+        for time_s in (5.0, 15.0):
+            found.seek(time_s, 0.0)
+            paths = found.paths()
+            assert paths is not None
+            shown[time_s] = {path["robot"]: path for path in paths}
+            assert found.paths() is None  # once
+        assert [shown[5.0][r]["id"] for r in (1, 2)] == [planned[r].id for r in (1, 2)]
+        assert (shown[15.0][1]["id"], shown[15.0][2]["id"]) == ("home", planned[2].id)
+        home = np.frombuffer(shown[15.0][1]["eta"], "<f4").reshape(-1, 4)
+        np.testing.assert_allclose(home[[0, -1]], way[[1, -1]], atol=1e-5)  # its first point is still the circle's

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ def test_at_most_two_frames_are_on_their_way() -> None:
     assert window.next(1.0) is None
 
 
-def test_state_and_picture_take_turns_and_notes_come_first_and_in_order() -> None:
+def test_states_and_pictures_take_turns_and_so_do_notes_which_come_in_order() -> None:
     window = Window()
     for body in (b"1", b"2", b"3"):
         window.note(body)
@@ -55,7 +56,21 @@ def test_state_and_picture_take_turns_and_notes_come_first_and_in_order() -> Non
     while (frame := window.next(0.0)) is not None:
         sent.append(frame[1])
         window.acknowledge(frame[0], 0.0)
-    assert sent == [b"1", b"2", b"3", b"p", b"s"]
+    assert sent == [b"1", b"p", b"2", b"s", b"3"]
+
+
+def test_notes_without_end_keep_no_state_waiting() -> None:
+    window, sent = Window(), []
+    for _ in range(MOST_NOTES):
+        window.note(b"note")
+    for k in range(10):
+        window.offer("state", b"%d" % k)
+        for _ in range(2):
+            frame = window.next(0.0)
+            assert frame is not None
+            window.acknowledge(frame[0], 0.0)
+            sent.append(frame[1])
+    assert sent == [body for k in range(10) for body in (b"note", b"%d" % k)]
 
 
 def test_a_stopped_page_costs_a_bounded_memory() -> None:
@@ -70,7 +85,7 @@ def test_a_stopped_page_costs_a_bounded_memory() -> None:
         left.append(frame[1])
         window.acknowledge(frame[0], 9.5)
     assert len(left) <= MOST_NOTES + 1
-    assert left[-2] == b"%d" % (3 * MOST_NOTES - 1)  # the newest note is there; the oldest were given up
+    assert left[-1] == b"%d" % (3 * MOST_NOTES - 1)  # the newest note is there; the oldest were given up
     assert window.lost_notes > 0
     assert window.round_trip_s == 0.5
 
@@ -144,7 +159,34 @@ def test_only_our_own_page_may_open_the_socket() -> None:
     ):
         assert not origin_allowed(local, host, origin), (host, origin)
     assert not host_allowed(local, "evil.example")
+    open_to_all = web_options("0.0.0.0:8443", Path("c.pem"), Path("k.pem"), "x" * 16)
+    assert origin_allowed(open_to_all, "station.lab:8443", "https://station.lab:8443")
+    assert host_allowed(open_to_all, "[fe80::1]:8443") and host_allowed(open_to_all, "192.168.1.10")
     assert token_allowed(local, "") and not token_allowed(local, "x")
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "[::1].evil.example",
+        "[::1]evil.example",
+        "127.0.0.1:8000.evil.example",
+        "127.0.0.1:8000@evil.example",
+        "127.0.0.1:",
+        "127.0.0.1:http",
+        "127.0.0.1:123456",
+        "127.0.0.1:8000:8000",
+        "127.0.0.1 ",
+        "localhost.evil.example",
+        "user@localhost",
+        "localhost\n",
+        "",
+    ],
+)
+def test_a_host_that_only_begins_like_ours_is_refused(host: str) -> None:
+    for options in (web_options("127.0.0.1:8000"), web_options("[::1]:8000")):
+        assert not host_allowed(options, host)
+        assert not origin_allowed(options, host, f"http://{host}")
 
 
 # --- what a page may say
@@ -210,7 +252,7 @@ def _view(**changes: Any) -> RobotView:
 
 def _texts(*views: RobotView, camera: CameraHealth = CameraHealth.OK, age_s: float = 0.0, recorder: str = "") -> list[str]:
     found = alarms(POOL, dict(zip((1, 2), views, strict=True)), LocalizerStatus(camera), age_s, recorder)
-    return [f"{a.level} {a.text}" for a in found]
+    return [f"{a.level} {a.told}" for a in found]
 
 
 def test_a_well_fleet_raises_no_alarm() -> None:
@@ -234,6 +276,17 @@ def test_a_localizer_is_missed_only_where_poses_are() -> None:
     assert texts(_view(), _view()) == []
     blind = RobotView(_view().state, 0.05)
     assert "no localizer has been heard" in texts(blind, blind)
+
+
+def test_a_bad_link_a_wrong_clock_and_an_old_plan_are_alarms_in_flight_too() -> None:
+    seen = replace(_view(), loss=0.5, clock_offset_s=-0.1, plan_age_s=2.0)
+    found = {(a.key, a.level, a.robot) for a in alarms(POOL, {1: _view(), 2: seen}, LocalizerStatus(CameraHealth.OK), 0.0, "")}
+    assert found == {("2:link", "warning", 2), ("2:clock", "notice", 2), ("2:plan", "warning", 2)}
+
+
+def test_a_station_whose_cycle_hangs_is_an_alarm() -> None:
+    found = alarms(POOL, {1: _view(), 2: _view()}, LocalizerStatus(CameraHealth.OK), 0.0, "", stuck_s=3.0)
+    assert [(a.level, a.text) for a in found] == [("critical", "the station has sent no heartbeat for 3 s: robots hold")]
 
 
 # --- where the picture lies

@@ -31,6 +31,18 @@ PATIENCE_MS = 120_000  # for anything that a loaded machine may take long over
 expect.set_options(timeout=PATIENCE_MS)
 
 
+def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
+    """Until a program serves its page."""
+    deadline = time.monotonic() + PATIENCE_MS * 1e-3
+    while time.monotonic() < deadline and process.poll() is None:
+        try:
+            socket.create_connection(("127.0.0.1", port), 1.0).close()
+            return
+        except OSError:
+            time.sleep(0.05)
+    raise AssertionError(f"no page at port {port}")
+
+
 @dataclass
 class Flight:
     """`sim-bridge sil pool` under an operator's hands."""
@@ -53,14 +65,10 @@ class Flight:
         self.process = subprocess.Popen(
             [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"], stdout=log, stderr=subprocess.STDOUT
         )
-        deadline = time.monotonic() + PATIENCE_MS * 1e-3
-        while time.monotonic() < deadline and self.process.poll() is None:
-            try:
-                socket.create_connection(("127.0.0.1", self.port), 1.0).close()
-                return
-            except OSError:
-                time.sleep(0.05)
-        raise AssertionError(f"no page at {self.url}: {(self.folder / f'sil-{self.starts}.log').read_text()}")
+        try:
+            wait_for_port(self.port, self.process)
+        except AssertionError as error:
+            raise AssertionError(f"{error}: {(self.folder / f'sil-{self.starts}.log').read_text()}") from None
 
     def agent(self, robot: int) -> psutil.Process:
         """The process of one robot's agent."""

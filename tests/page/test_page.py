@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -16,9 +15,11 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
 from groundstation import planner
+from groundstation.fleet import Finding
 from groundstation.inboxes import listen
 from groundstation.logfile import open_log
 from groundstation.phases import Phase
@@ -28,12 +29,12 @@ from groundstation.web.desk import Desk, Post, Status
 from groundstation.web.guard import WebOptions
 from groundstation.web.server import WebServer
 from sim_bridge.ports import free_port
-from tests.page.conftest import Asked, Flight, open_page
+from tests.page.conftest import Asked, Flight, open_page, wait_for_port
 from wire import topics
 from wire.bus import Bus
 from wire.codec import decode
 from wire.experiment import Experiment, load_experiment
-from wire.messages import Mode, Order, RobotState, Tuning
+from wire.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
 from wire.runtime import WallClock
 from wire.transport import MemoryHub, MemoryTransport
 
@@ -86,7 +87,7 @@ def test_an_operator_flies_a_mission(page: Page) -> None:
     button(page, "Arm").click()
     in_mode(page, "ARMED")
     answers = page.get_by_label("Orders given from here")
-    expect(answers).to_contain_text("arm under way")
+    expect(answers).to_contain_text("arm done")
     expect(answers).to_contain_text("✓ 1")
     expect(answers).to_contain_text("✓ 2")
     button(page, "Start").click()
@@ -151,7 +152,7 @@ def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
     apply.click()
     expect(gains.locator("h2")).to_contain_text("set B")
     answers = page.get_by_label("Orders given from here")
-    expect(answers).to_contain_text("gains under way")
+    expect(answers).to_contain_text("gains done")
     expect(answers).to_contain_text("✓ 2")
     expect(gains.get_by_label("Tracking error by lap").locator("tbody tr")).to_have_count(2)
     fly_on(page, 3)
@@ -236,9 +237,9 @@ class Alone:
     robots: Bus
     orders: list[Order] = field(default_factory=list)
 
-    def order(self, order: Order) -> str:
+    def order(self, order: Order) -> tuple[str, int]:
         self.orders.append(order)
-        return ""
+        return "", len(self.orders)
 
 
 @contextmanager
@@ -247,7 +248,7 @@ def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         found = Alone(page, f"http://127.0.0.1:{port}/", Status(Phase.WAITING, ""), robots)
-        post = Post(lambda: found.status, found.order, deque())
+        post = Post(lambda: found.status, found.order)
         desk = Desk(
             experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
         )
@@ -317,15 +318,175 @@ def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser
         expect(button(page, "You have control")).to_be_visible()
         dead.add(1)
         page.keyboard.press("Escape")
-        expect(page.locator(".given")).to_contain_text("stop sent")
+        expect(page.locator(".given")).to_contain_text("stop no answer: the station may not have heard it; it is sent again")
         assert desk.orders == []
         lines[0].close()
-        expect(page.locator(".given")).to_contain_text("stop under way")
+        expect(page.locator(".given")).to_contain_text("stop sent")
         assert desk.orders == [Order.STOP]
         lines[1].close()
         expect(button(page, "You have control")).to_be_visible()
         page.wait_for_timeout(500)
         assert desk.orders == [Order.STOP]  # answered: not again
+
+
+def looks_lost(page: Page) -> None:
+    """As after a connection that was closed: header, link, control, alarms, buttons."""
+    expect(page.locator("header .phase")).to_have_class(re.compile("lost"))
+    expect(page.locator("header .phase")).to_have_text(re.compile("^last known: "))
+    expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+    expect(button(page, "You have control")).to_have_count(0)
+    expect(page.get_by_label("Alarms")).to_contain_text("no connection to the station: what you see is old")
+    expect(page.locator(".page")).to_have_class(re.compile("lost"))
+    for name in ("Arm", "Start", "Disarm", "End run"):
+        expect(button(page, name)).to_be_disabled()
+
+
+def stop_is_not_heard(page: Page) -> None:
+    expect(page.get_by_role("button", name="STOP NOT HEARD")).to_be_visible()
+    expect(page.get_by_role("alert")).to_contain_text("Emergency stop not heard")
+    expect(page.locator(".given")).to_contain_text("stop no answer: the station may not have heard it; it is sent again")
+    expect(page.get_by_text("confirms: stopped")).to_have_count(0)
+
+
+@dataclass
+class Station:
+    """`groundstation run` by the wall clock, without robots."""
+
+    url: str
+    process: subprocess.Popen[bytes]
+
+
+@pytest.fixture(scope="module")
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
+    """Shared: the last of its tests ends it."""
+    port = free_port()
+    command = [sys.executable, "-m", "groundstation", "run", "pool", "--listen", f"tcp/127.0.0.1:{free_port()}"]
+    process = subprocess.Popen(
+        [*command, "--web", f"127.0.0.1:{port}", "--run-dir", str(tmp_path_factory.mktemp("station") / "run")]
+    )
+    try:
+        wait_for_port(port, process)
+        yield Station(f"http://127.0.0.1:{port}/", process)
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.terminate()
+        process.wait(30)
+
+
+def test_a_station_that_hangs_looks_like_one_that_is_gone_and_a_stop_says_that_nobody_heard_it(
+    browser: Browser, station: Station
+) -> None:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.goto(station.url)
+    expect(button(page, "You have control")).to_be_visible()
+    station.process.send_signal(signal.SIGSTOP)
+    looks_lost(page)
+    page.keyboard.press("Escape")
+    stop_is_not_heard(page)
+    station.process.send_signal(signal.SIGCONT)
+    expect(page.get_by_role("alert")).to_contain_text("robot 1 has not confirmed")
+    expect(page.get_by_role("button", name="STOPPING")).to_be_visible()
+    expect(page.locator(".given")).to_contain_text("stop under way … 1 not heard … 2 not heard")
+    expect(button(page, "You have control")).to_be_visible()  # the same page as before
+    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")
+    page.context.close()
+
+
+def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Browser, station: Station) -> None:
+    page = browser.new_page()
+    page.goto(station.url)
+    expect(button(page, "You have control")).to_be_visible()
+    station.process.send_signal(signal.SIGSTOP)
+    page.keyboard.press("Escape")
+    expect(page.locator(".given")).not_to_contain_text("sent;")
+    stop_is_not_heard(page)
+    looks_lost(page)
+    page.context.close()
+
+
+def test_a_browser_that_is_cut_off_without_a_close_knows_it(browser: Browser) -> None:
+    """Nothing comes and nothing goes, and no socket says so; when it is back, it is the same page."""
+    with alone(browser, load_experiment("pool")) as desk:
+        page, dead = desk.page, set[int]()
+        lines: list[WebSocketRoute] = []
+
+        def between(line: WebSocketRoute) -> None:
+            lines.append(line)
+            station, number = line.connect_to_server(), len(lines)
+            line.on_message(lambda said: None if number in dead else station.send(said))
+            station.on_message(lambda said: None if number in dead else line.send(said))
+
+        page.route_web_socket("**/live", between)
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        dead.update(range(1, 3))  # the next connection is no better
+        looks_lost(page)
+        page.keyboard.press("Escape")
+        stop_is_not_heard(page)
+        assert desk.orders == []
+        expect(page.locator(".given")).to_contain_text("stop sent")  # over the third
+        assert len(lines) >= 3
+        assert desk.orders == [Order.STOP]
+        expect(button(page, "You have control")).to_be_visible()
+
+
+def test_events_of_megabytes_leave_the_page_and_its_stop_alive(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        huge = Log(level=Log.Level.INFO, name="agent-2", message="x" * 4_100_000).SerializeToString()
+        for _ in range(2):
+            desk.robots.forward(topics.EVENT, huge, time.time_ns())
+        desk.robots.publish(topics.EVENT, Event(2, "agent-2", "y" * 4_100_000), time.time_ns())
+        expect(page.get_by_label("Log", exact=True)).to_contain_text("yyyy")
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+        assert desk.orders == [Order.STOP]
+        assert page.evaluate("document.body.innerText.length") < 20_000
+
+
+def test_the_map_draws_what_is_flown_now(browser: Browser) -> None:
+    experiment = load_experiment("pool")
+    with alone(browser, experiment) as desk:
+        canvas = desk.page.locator(".pool canvas")
+        desk.page.goto(desk.url)
+        planned = planner.plan(experiment)
+        expect(canvas).to_have_attribute("data-paths", " ".join(t.id for t in planned.values()))
+        before = desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()")
+        line = np.linspace([-1.0, -1.0, 0.3, 0.0], [1.0, 1.0, 0.3, 0.0], 100)
+        home = {r: Trajectory(f"home-{r}", 0.05, line, 0 * line, 0 * line, begin_s=30.0) for r in planned}
+        desk.status = replace(desk.status, paths=(home, 35.0))
+        expect(canvas).to_have_attribute("data-paths", "home-1 home-2")
+        assert desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()") != before
+
+
+def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page, given = desk.page, desk.page.locator(".given li")
+        page.goto(desk.url)
+        button(page, "Return to start").click()
+        expect(given).to_have_text("return sent")
+        told = Outcome(1, Order.RETURN, Progress.UNDER_WAY, "", "HALTING", (1,), (2,), ("is holding",))
+        desk.status = replace(desk.status, requests=(told,))
+        expect(given).to_have_text("return under way ✓ 1 … 2 is holding")
+        failed = replace(told, progress=Progress.FAILED, reason="holding: no way from here", why=("refuses",))
+        desk.status = replace(desk.status, requests=(failed,))
+        expect(given).to_have_text("return failed: holding: no way from here ✓ 1 ✕ 2 refuses")
+        desk.status = replace(desk.status, requests=(replace(told, progress=Progress.DONE, confirmed=(1, 2), waiting=()),))
+        expect(given).to_have_text("return done ✓ 1 ✓ 2")
+
+
+def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: Station) -> None:
+    page = browser.new_page(viewport={"width": 1440, "height": 900})
+    page.goto(station.url)
+    button(page, "End run").click()  # nobody is armed: not asked twice
+    expect(page.locator(".folder")).to_contain_text("The run is ended; it is in")
+    assert station.process.wait(30) is not None
+    expect(page.locator("header .phase")).to_have_text("the run is ended")
+    expect(page.get_by_text("no connection", exact=True)).to_be_visible()
+    expect(page.get_by_label("Alarms")).not_to_contain_text("no connection")
+    page.context.close()
 
 
 def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
@@ -335,18 +496,19 @@ def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
         expect(button(desk.page, "Clear stop")).to_have_count(0)
         desk.robots.publish(topics.STATE, RobotState(mode=Mode.STOPPED), time.time_ns(), 2)
         button(desk.page, "Clear stop").click()
-        expect(desk.page.locator(".given")).to_contain_text("clear-stop under way")
+        expect(desk.page.locator(".given")).to_contain_text("clear-stop sent")
         assert desk.orders == [Order.CLEAR_STOP]
 
 
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
     with alone(browser, load_experiment("pool")) as desk:
-        desk.status = replace(desk.status, preflight=("robot 1: thruster test: not done (groundstation order test)",))
+        untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation order test")
+        desk.status = replace(desk.status, preflight=(untested,))
         desk.page.goto(desk.url)
         expect(desk.page.locator(".preflight")).to_contain_text("thruster test: not done")
         expect(button(desk.page, "Start")).to_be_disabled()
         button(desk.page, "Test thrusters").click()
-        expect(desk.page.locator(".given")).to_contain_text("test under way")
+        expect(desk.page.locator(".given")).to_contain_text("test sent")
         assert desk.orders == [Order.TEST]
 
 

@@ -8,16 +8,18 @@ from typing import Any, get_type_hints
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
 from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.wire.strategies import CLASSES, FOREIGN, OWN, damaged, example, nested, same, valid
-from wire import codec
+from wire import codec, fleet_pb2
 from wire.codec import DecodeError, Header, decode, encode
 from wire.messages import (
     Command,
     Event,
     Frame,
+    LocalizerStatus,
     Obstacles,
     Order,
     OrderTaken,
@@ -25,7 +27,9 @@ from wire.messages import (
     Plan,
     Pose,
     Preview,
+    Reply,
     RobotState,
+    StationHeartbeat,
     StepInputs,
     Trajectory,
     Truth,
@@ -401,6 +405,28 @@ def _plan_cut(less: int) -> bytes:
     whole = np.ones(4).tobytes()
     plan = encode(Plan(0.05, np.ones((1, 4)), np.ones((1, 4))))
     return plan.replace(bytes([len(whole)]) + whole, bytes([len(whole) - less]) + whole[: len(whole) - less], 1)
+
+
+@pytest.mark.parametrize("cls", [Pose, LocalizerStatus, RobotState, StationHeartbeat])
+def test_a_status_of_megabytes_is_none(cls: Any) -> None:
+    assert _refused(cls, bytes(codec.MAX_SMALL_BYTES + 1)).field == "(size)"
+
+
+def test_a_line_of_the_log_is_cut_where_people_stop_reading() -> None:
+    """By the sender, and again by who hears it: a sender may be anybody with a robot's certificate."""
+    sent = encode(Event(2, "me", "x" * 100_000))
+    assert len(sent) < 1100
+    long = Log(level=Log.Level.INFO, name="n" * 5000, message="x" * 5000).SerializeToString()
+    event = _decode(Event, long)
+    assert (len(event.source), len(event.message), event.message[-1]) == (codec.LONGEST_LINE, codec.LONGEST_LINE, "…")
+    assert _refused(Event, Log(level=Log.Level.INFO, message="x" * 20_000).SerializeToString()).field == "(size)"
+
+
+def test_a_text_that_nobody_would_read_is_cut_by_its_sender_and_refused_from_others() -> None:
+    sent = _decode(Reply, encode(Reply(1, False, "x" * 100_000)))
+    assert len(sent.reason) == codec.LONGEST_TEXT
+    foreign = fleet_pb2.Reply(robot=1, reason="x" * (codec.LONGEST_TEXT + 1)).SerializeToString()
+    assert _refused(Reply, foreign).field == "reason"
 
 
 def test_deep_nesting_is_refused() -> None:

@@ -27,7 +27,7 @@ const ORDERS: Record<string, OrderName> = { A: "arm", S: "start", h: "hold", H: 
 addEventListener("keydown", (event) => {
   if (event.key === "Escape") {
     event.preventDefault();
-    order("stop");
+    if (scene.peek()?.mode !== "replay") order("stop");
     return;
   }
   const target = event.target as HTMLElement;

@@ -1,11 +1,19 @@
-/** The connection to the station: comes back by itself, acknowledges every frame it has taken in. */
+/** The connection to the station: comes back by itself, acknowledges every frame it has taken in.
+ *
+ * The station says something at least four times a second. Silence means that the station hangs, or that what is between is dead
+ * and the browser does not know it yet: then this page is not connected, and after a while it tries another connection. */
 
-import { connected, given, refusal, roundTripMs, take } from "./store";
+import { connected, given, live, now, refusal, roundTripMs, take } from "./store";
 import type { OrderName, Request } from "./wire";
 import { read } from "./wire";
 
 const FIRST_RETRY_MS = 250;
 const LONGEST_RETRY_MS = 4000;
+export const SILENT_MS = 1000; // four states that did not come
+const ANOTHER_AFTER_MS = 4000; // of silence; the station keeps our control for 5 s
+const LOOK_EVERY_MS = 100;
+const CATCH_UP_MS = 60; // after this page itself was held up: what has come meanwhile is read first
+const MOST_GIVEN = 8;
 const NOT_ALLOWED = 4003;
 const ROUND_TRIP_EVERY_MS = 1000; // the slowest of this time is shown: to write every one would lay out the page forty times a second
 
@@ -16,6 +24,8 @@ let stopAsked = 0; // number of an emergency stop that has not been answered; 0:
 let wantsControl = true;
 let slowestMs = 0;
 let roundTripAtMs = 0;
+let heardAtMs = 0; // when the last frame came
+const page = Array.from(crypto.getRandomValues(new Uint32Array(4)), (part) => part.toString(16)).join("-"); // told at every connection: we are the same
 
 /** The token travels behind the address's #, which no server and no log ever sees. */
 function token(): string {
@@ -34,15 +44,19 @@ export function connect(): void {
   const opened = new WebSocket(address);
   opened.binaryType = "arraybuffer";
   socket = opened;
+  heardAtMs = performance.now();
   opened.onopen = () => {
-    retryMs = FIRST_RETRY_MS;
+    if (opened !== socket) return;
     refusal.value = "";
-    say({ kind: "hello", token: token() });
+    say({ kind: "hello", token: token(), page });
     if (wantsControl) say({ kind: "take" });
-    if (stopAsked) order("stop");
+    if (stopAsked) sendStop();
   };
   opened.onmessage = (message: MessageEvent<ArrayBuffer>) => {
+    if (opened !== socket) return; // of a connection that was given up
     const received = read(message.data);
+    retryMs = FIRST_RETRY_MS;
+    heardAtMs = performance.now();
     connected.value = true;
     slowestMs = Math.max(slowestMs, received.roundTripMs);
     if (performance.now() - roundTripAtMs > ROUND_TRIP_EVERY_MS) {
@@ -54,12 +68,37 @@ export function connect(): void {
     say({ kind: "ack", n: received.n });
   };
   opened.onclose = (event) => {
+    if (opened !== socket) return;
     connected.value = false;
     if (event.code === NOT_ALLOWED) refusal.value = event.reason || "not allowed";
-    setTimeout(connect, retryMs);
-    retryMs = Math.min(2 * retryMs, LONGEST_RETRY_MS);
+    again();
   };
 }
+
+function again(): void {
+  socket = null;
+  setTimeout(connect, retryMs);
+  retryMs = Math.min(2 * retryMs, LONGEST_RETRY_MS);
+}
+
+/** How long the station has said nothing, in ms. */
+function silentMs(): number {
+  return performance.now() - heardAtMs;
+}
+
+function judge(): void {
+  if (silentMs() <= SILENT_MS) return;
+  connected.value = false;
+  now.value = performance.now();
+  if (silentMs() <= ANOTHER_AFTER_MS || socket === null) return;
+  const dead = socket;
+  again();
+  dead.close(); // its end may take minutes: nobody waits for it
+}
+
+setInterval(() => {
+  if (silentMs() > SILENT_MS) setTimeout(judge, CATCH_UP_MS);
+}, LOOK_EVERY_MS);
 
 /** Say something to the station. Returns whether there was a connection to say it on. */
 export function say(request: Request): boolean {
@@ -68,23 +107,36 @@ export function say(request: Request): boolean {
   return true;
 }
 
-/** Give an order to the whole fleet; what becomes of it appears in `given`. A stop that is not answered, because it cannot be
+/** Ask something of the whole fleet; what becomes of it appears in `given`. A stop that is not answered, because it cannot be
  * sent now or goes into a connection that is dead and does not know it yet, is sent on return. */
 export function order(name: OrderName): void {
+  if (name === "stop" && stopAsked) {
+    sendStop(); // pressed again: the same request
+    return;
+  }
   const n = nextSerial();
   if (name === "stop") stopAsked = n;
-  give(name, { kind: "order", n, order: name });
+  give(name, { kind: "order", n, order: name, seen_ms: seenMs() });
+}
+
+function sendStop(): void {
+  say({ kind: "order", n: stopAsked, order: "stop", seen_ms: 0 });
 }
 
 /** Other gains for the whole fleet; null: those before. */
 export function tune(values: Record<string, number> | null, nextLap: boolean): void {
-  give(values === null ? "undo" : "gains", { kind: "tune", n: nextSerial(), values, next_lap: nextLap });
+  give(values === null ? "undo" : "gains", { kind: "tune", n: nextSerial(), values, next_lap: nextLap, seen_ms: seenMs() });
+}
+
+/** The station's clock as of what this page shows: an order that is long on its way is not done. */
+function seenMs(): number {
+  return live.snapshot?.clock_ms ?? 0;
 }
 
 function give(text: string, request: Request & { n: number }): void {
-  const sent = say(request);
-  const reason = sent ? "" : "no connection to the station";
-  given.value = [{ n: request.n, order: text, outcome: sent ? ("sent" as const) : ("not sent" as const), reason, answers: [] }, ...given.value].slice(0, 8);
+  say(request);
+  const one = { n: request.n, order: text, atMs: performance.now(), heard: false, refusal: "", request: 0, outcome: null };
+  given.value = [one, ...given.value].slice(0, MOST_GIVEN);
 }
 
 export function takeControl(over: boolean): void {

@@ -14,12 +14,12 @@ import { Replay } from "./panels/Replay";
 import { Tiles } from "./panels/Tiles";
 import { Tuning } from "./panels/Tuning";
 import { Pool } from "./pool/Pool";
-import { connected, editing, scene } from "./store";
+import { connected, editing, scene, shown } from "./store";
 import "./style.css";
 
 function Page() {
   return (
-    <div class={connected.value || scene.value === null ? "page" : "page lost"}>
+    <div class={connected.value || scene.value === null || shown.value?.ended ? "page" : "page lost"}>
       <Header />
       <main>
         <Pool />

@@ -1,7 +1,7 @@
 /** Everything the page knows, in one place. What the canvas draws is plain data; what text shows are signals. */
 
 import { computed, signal } from "@preact/signals";
-import type { Alarm, Frame, RobotNews, Scene, Snapshot, Tried } from "./wire";
+import type { Alarm, Frame, LogLine, Outcome, PathSamples, RobotNews, Scene, Snapshot, Tried } from "./wire";
 import { floats } from "./wire";
 
 export const MOST_LINES = 200;
@@ -9,6 +9,7 @@ const SHOW_EVERY_MS = 200; // people cannot read faster; the canvas draws every 
 const SHOW_MANY_EVERY_MS = 400; // nor so many
 const MANY = 16;
 const TICK_MS = 300;
+const ANSWER_WITHIN_MS = 1000; // then nobody seems to have heard
 
 /** One robot, unpacked for drawing. */
 export interface Robot {
@@ -22,30 +23,26 @@ export interface Robot {
   arrivedMs: number;
 }
 
-export interface Line {
-  time_s: number;
-  level: number;
-  source: string;
-  text: string;
-}
-
-/** What became of an order that this page gave. */
+/** A request of this page. `heard`: the station has answered it; what became of it then, the station tells under its number. */
 export interface Given {
   n: number;
   order: string;
-  outcome: "sent" | "under way" | "refused" | "not sent";
-  reason: string;
-  answers: { robot: number; ok: boolean; reason: string }[];
+  atMs: number;
+  heard: boolean;
+  refusal: string;
+  request: number;
+  outcome: Outcome | null; // as last told
 }
 
 export const scene = signal<Scene | null>(null);
 export const me = signal(0);
 export const shown = signal<Snapshot | null>(null); // at a pace for reading
+/** Whether the station is heard now. A connection over which nothing has come for SILENT_MS is none, whatever the browser thinks of it. */
 export const connected = signal(false);
 export const refusal = signal(""); // why the station does not let us in
 export const roundTripMs = signal(0);
 export const now = signal(performance.now());
-export const lines = signal<Line[]>([]);
+export const lines = signal<LogLine[]>([]);
 export const given = signal<Given[]>([]);
 export const selected = signal(0); // robot; 0 is none
 export const tried = signal<Tried | null>(null);
@@ -56,14 +53,28 @@ export const inControl = computed(() => connected.value && shown.value !== null 
 export const alarms = computed<Alarm[]>(() => {
   const known = shown.value?.alarms ?? [];
   if (connected.value || scene.value === null) return known;
-  return [{ level: "critical", key: "page", text: "no connection to the station: what you see is old" }, ...known];
+  if (shown.value?.ended) return []; // of a run that is over
+  return [{ level: "critical", key: "page", robot: 0, text: "no connection to the station: what you see is old" }, ...known];
 });
+
+/** An emergency stop of this page that the station has not answered: nobody may have heard it. */
+export const stopUnheard = computed(() => {
+  const stop = given.value.find((g) => g.order === "stop" && !g.heard);
+  return stop !== undefined && unanswered(stop);
+});
+
+/** Whether a request should have been answered by now. */
+export function unanswered(g: Given): boolean {
+  return !g.heard && (!connected.value || now.value - g.atMs > ANSWER_WITHIN_MS);
+}
 
 /** The newest state as it is drawn, and when it came. */
 export const live = {
   snapshot: null as Snapshot | null,
   arrivedMs: 0,
   robots: new Map<number, Robot>(),
+  paths: [] as PathSamples[], // what is flown now
+  pathSerial: 0,
   picture: null as ImageBitmap | null,
   pictureStampMs: 0,
   pictureAgeMs: 0,
@@ -101,6 +112,7 @@ function takeState(state: Snapshot): void {
     });
   }
   for (const listener of listeners) listener(state);
+  takeOutcomes(state.requests);
   const before = shown.peek();
   const changed = !before || before.phase !== state.phase || before.holder !== state.holder || before.stop !== state.stop;
   if (changed || at - shownAtMs >= (state.robots.length > MANY ? SHOW_MANY_EVERY_MS : SHOW_EVERY_MS)) {
@@ -128,13 +140,19 @@ export function take(frame: Frame): void {
   switch (frame.k) {
     case "hello":
       if (scene.peek()?.hash !== frame.scene.hash) live.robots.clear();
+      if (scene.peek()?.life !== frame.scene.life) given.value = given.value.filter((g) => !g.heard);
       me.value = frame.you;
       scene.value = frame.scene;
-      lines.value = [];
+      takePaths(frame.scene.paths);
+      lines.value = frame.events;
       document.title = `${frame.scene.name} - Shoal`;
       break;
     case "state":
       takeState(frame);
+      drawSoon();
+      break;
+    case "paths":
+      takePaths(frame.paths);
       drawSoon();
       break;
     case "picture":
@@ -145,11 +163,8 @@ export function take(frame: Frame): void {
       break;
     case "reply":
       given.value = given.value.map((g) =>
-        g.n === frame.n ? { ...g, outcome: frame.ok ? "under way" : "refused", reason: frame.reason } : g,
+        g.n === frame.n ? { ...g, heard: true, refusal: frame.ok ? "" : frame.reason || "refused", request: frame.request } : g,
       );
-      break;
-    case "answer":
-      takeAnswer(frame);
       break;
     case "tried":
       tried.value = frame;
@@ -160,12 +175,22 @@ export function take(frame: Frame): void {
   }
 }
 
-/** The answers of robots belong to the newest order under way: it alone may still have some to come. */
-function takeAnswer(answer: { robot: number; order: string; ok: boolean; reason: string }): void {
-  const [newest, ...older] = given.value;
-  if (newest === undefined) return;
-  const mine = newest.answers.filter((a) => a.robot !== answer.robot);
-  given.value = [{ ...newest, answers: [...mine, answer].sort((a, b) => a.robot - b.robot) }, ...older];
+function takePaths(paths: PathSamples[]): void {
+  live.paths = paths;
+  live.pathSerial += 1;
+}
+
+/** What the station tells of requests: only of those that this page gave, and only when something of it is new. */
+function takeOutcomes(outcomes: Outcome[]): void {
+  const told = new Map(outcomes.map((outcome) => [outcome.request, outcome]));
+  let changed = false;
+  const next = given.peek().map((g) => {
+    const outcome = g.heard ? told.get(g.request) : undefined;
+    if (outcome === undefined || JSON.stringify(outcome) === JSON.stringify(g.outcome)) return g;
+    changed = true;
+    return { ...g, outcome };
+  });
+  if (changed) given.value = next;
 }
 
 /** Age of a robot's state now, in ms. */

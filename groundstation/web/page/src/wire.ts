@@ -64,6 +64,8 @@ export interface Scene {
   paths: PathSamples[];
   underlay: { columns: number; pool: Packed; picture: Packed } | null;
   replay?: { end_s: number };
+  run?: string; // the run's folder
+  life?: string; // of the station: requests are numbered anew in each
 }
 
 /** A number that may be changed in flight. `above`: `least` itself may not be; `below`: nor may `most`. */
@@ -145,14 +147,26 @@ export type Level = "critical" | "warning" | "notice";
 export interface Alarm {
   level: Level;
   key: string;
+  robot: number; // whose it is; 0: of the whole system
   text: string;
 }
 
-export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test";
+export type OrderName = "load" | "arm" | "start" | "hold" | "resume" | "stop" | "disarm" | "clear-stop" | "return" | "rejoin" | "test" | "end";
+
+/** What became of a person's request, by the station's account. */
+export interface Outcome {
+  request: number;
+  order: string;
+  progress: "UNDER_WAY" | "DONE" | "FAILED";
+  reason: string;
+  confirmed: number[];
+  waiting: { robot: number; why: string }[];
+}
 
 export interface Snapshot {
   k: "state";
   stamp_ms: number;
+  clock_ms: number; // the station's own, to be told with an order
   holder: number;
   watchers: number;
   time_s: number;
@@ -160,11 +174,13 @@ export interface Snapshot {
   phase_text: string;
   reason: string;
   allowed: OrderName[];
-  preflight: string[];
+  preflight: { robot: number; text: string }[];
   stop: boolean;
   alarms: Alarm[];
   present: string[];
   tuning: Tuning | null;
+  requests: Outcome[]; // oldest first
+  ended: boolean; // a person has ended the run
   localizer: {
     age_ms: number;
     camera: string;
@@ -192,13 +208,21 @@ export interface Tried {
   fastest_mps?: number;
 }
 
+/** A line of the log. */
+export interface LogLine {
+  time_s: number;
+  level: number;
+  source: string;
+  text: string;
+}
+
 export type Frame =
-  | { k: "hello"; you: number; scene: Scene }
+  | { k: "hello"; you: number; scene: Scene; events: LogLine[] }
   | Snapshot
   | { k: "picture"; stamp_ms: number; age_ms: number; jpeg: Uint8Array<ArrayBuffer> }
-  | { k: "event"; time_s: number; level: number; source: string; text: string }
-  | { k: "answer"; robot: number; order: string; ok: boolean; reason: string; mode: Mode }
-  | { k: "reply"; n: number; order: string; ok: boolean; reason: string }
+  | { k: "paths"; paths: PathSamples[] }
+  | ({ k: "event" } & LogLine)
+  | { k: "reply"; n: number; order: string; ok: boolean; reason: string; request: number }
   | Tried
   | { k: "saved"; n: number; ok: boolean; problems: string[]; path?: string };
 
@@ -215,12 +239,12 @@ export interface Edit {
 }
 
 export type Request =
-  | { kind: "hello"; token: string }
+  | { kind: "hello"; token: string; page: string }
   | { kind: "ack"; n: number }
   | { kind: "take"; over?: boolean }
   | { kind: "release" }
-  | { kind: "order"; n: number; order: OrderName }
-  | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean }
+  | { kind: "order"; n: number; order: OrderName; seen_ms: number }
+  | { kind: "tune"; n: number; values: Record<string, number> | null; next_lap: boolean; seen_ms: number }
   | { kind: "try"; n: number; edit: Edit }
   | { kind: "save"; n: number; edit: Edit; name: string }
   | { kind: "seek"; time_s?: number; rate?: number };

@@ -28,7 +28,8 @@ export function Alarms() {
         {current.length === 0 && <li class="none">none</li>}
         {current.map((alarm) => (
           <li key={alarm.key} class={alarm.level}>
-            <b>{MARK[alarm.level]}</b> {alarm.text}
+            <b>{MARK[alarm.level]}</b> {alarm.robot > 0 && `robot ${alarm.robot}: `}
+            {alarm.text}
           </li>
         ))}
       </ul>

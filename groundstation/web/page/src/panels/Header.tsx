@@ -3,7 +3,7 @@
 import { isLight, setTheme } from "../colours";
 import { order, releaseControl, takeControl } from "../link";
 import { soundOn, toggleSound } from "../sound";
-import { connected, drawSoon, editing, inControl, refusal, roundTripMs, scene, shown } from "../store";
+import { connected, drawSoon, editing, given, inControl, refusal, roundTripMs, scene, shown, stopUnheard } from "../store";
 import { themeSerial } from "./Plots";
 
 function Control() {
@@ -31,7 +31,7 @@ function Control() {
 
 function Link() {
   if (refusal.value) return <span class="link bad">not let in: {refusal.value}</span>;
-  if (!connected.value) return <span class="link bad">no connection</span>;
+  if (!connected.value) return <span class={shown.value?.ended ? "link" : "link bad"}>no connection</span>;
   return (
     <span class="link" title="From the station to this page, drawn, and back">
       link {roundTripMs.value.toFixed(0)} ms
@@ -40,11 +40,16 @@ function Link() {
 }
 
 export function StopButton() {
-  const latched = shown.value?.stop ?? false;
+  const state = shown.value;
   if (scene.value?.mode === "replay") return null;
+  const unheard = stopUnheard.value;
+  const latched = connected.value && (state?.stop ?? false);
+  const confirmed = latched && state !== null && state.robots.every((robot) => robot.state?.mode === "STOPPED");
+  const asked = !latched && given.value.some((g) => g.order === "stop" && !g.heard);
+  const text = unheard ? "STOP NOT HEARD" : confirmed ? "STOPPED" : latched ? "STOPPING" : asked ? "STOP ASKED" : "EMERGENCY STOP";
   return (
-    <button type="button" class={latched ? "stop latched" : "stop"} onClick={() => order("stop")} aria-keyshortcuts="Escape">
-      {latched ? "STOPPED" : "EMERGENCY STOP"}
+    <button type="button" class={unheard ? "stop unheard" : latched ? "stop latched" : "stop"} onClick={() => order("stop")} aria-keyshortcuts="Escape">
+      {text}
       <small>Esc</small>
     </button>
   );
@@ -53,13 +58,14 @@ export function StopButton() {
 export function Header() {
   const s = scene.value;
   const state = shown.value;
-  const phase = connected.value ? (state?.phase ?? "") : "LOST";
+  const ended = state?.ended ?? false;
+  const phase = ended ? "DONE" : connected.value ? (state?.phase ?? "") : "LOST";
   return (
     <header>
       <h1>{s?.title ?? "Shoal"}</h1>
       {state !== null && (
         <span class={`phase ${phase.toLowerCase()}`} role="status">
-          {connected.value ? state.phase_text : "last known: " + state.phase_text}
+          {ended ? "the run is ended" : connected.value ? state.phase_text : "last known: " + state.phase_text}
         </span>
       )}
       {s !== null && state !== null && <span class="clock">{clock(flown(state))} / {clock(s.duration_s)}</span>}

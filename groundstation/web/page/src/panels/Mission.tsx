@@ -1,8 +1,8 @@
 /** Preflight, orders and what became of them. */
 
 import { order } from "../link";
-import { connected, given, inControl, scene, shown } from "../store";
-import type { OrderName, Snapshot } from "../wire";
+import { connected, type Given as Request, given, inControl, isStale, live, now, scene, shown, stopUnheard, unanswered } from "../store";
+import type { OrderName, RobotNews, Snapshot } from "../wire";
 
 interface Button {
   order: OrderName;
@@ -41,10 +41,7 @@ function Preflight({ state }: { state: Snapshot }) {
   const needed = ["WAITING", "LOADING", "ARMING", "DONE", "FAILED"].includes(state.phase);
   if (!needed) return null;
   const reasons = new Map<number, string[]>();
-  for (const line of state.preflight) {
-    const match = /^robot (\d+): (.*)$/.exec(line);
-    if (match) reasons.set(Number(match[1]), [...(reasons.get(Number(match[1])) ?? []), match[2]!]);
-  }
+  for (const { robot, text } of state.preflight) reasons.set(robot, [...(reasons.get(robot) ?? []), text]);
   const ready = robots.length - reasons.size;
   return (
     <div class="preflight">
@@ -64,43 +61,79 @@ function Preflight({ state }: { state: Snapshot }) {
   );
 }
 
+/** How a request stands, in a word or two, and how it looks. */
+function standing(g: Request): [text: string, look: string] {
+  if (!g.heard) {
+    if (!unanswered(g)) return ["asked", ""];
+    const text = "no answer: the station may not have heard it";
+    return [g.order === "stop" ? `${text}; it is sent again` : text, "refused"];
+  }
+  if (g.refusal !== "") return [`refused: ${g.refusal}`, "refused"];
+  const outcome = g.outcome;
+  if (outcome === null) return ["sent", ""];
+  if (outcome.progress === "FAILED") return [`failed${outcome.reason && `: ${outcome.reason}`}`, "refused"];
+  if (outcome.progress === "UNDER_WAY") return ["under way", ""];
+  return [g.order === "stop" ? "confirmed" : "done", "done"];
+}
+
 function Given() {
+  now.value; // time goes on for what is not answered
   if (given.value.length === 0) return null;
   return (
     <ol class="given" aria-label="Orders given from here" aria-live="polite">
-      {given.value.slice(0, 4).map((g) => (
-        <li key={g.n} class={g.outcome.replace(" ", "-")}>
-          <b>{g.order}</b> {g.outcome}
-          {g.reason && `: ${g.reason}`}
-          {g.answers.length > 0 && (
-            <span class="answers">
-              {g.answers.map((a) => (
-                <span key={a.robot} class={a.ok ? "yes" : "no"} title={a.reason}>
-                  {a.ok ? "✓" : "✕"} {a.robot}
-                  {!a.ok && ` ${a.reason}`}
-                </span>
-              ))}
-            </span>
-          )}
-        </li>
-      ))}
+      {given.value.slice(0, 4).map((g) => {
+        const [text, look] = standing(g);
+        return (
+          <li key={g.n} class={look}>
+            <b>{g.order}</b> {text}{" "}
+            {g.outcome !== null && (
+              <span class="answers">
+                {g.outcome.confirmed.map((robot) => (
+                  <span key={robot} class="yes">
+                    ✓ {robot}{" "}
+                  </span>
+                ))}
+                {g.outcome.waiting.map(({ robot, why }) => (
+                  <span key={robot} class="no" title={why}>
+                    {g.outcome?.progress === "UNDER_WAY" ? "…" : "✕"} {robot} {why}{" "}
+                  </span>
+                ))}
+              </span>
+            )}
+          </li>
+        );
+      })}
     </ol>
+  );
+}
+
+/** A stop that this page has asked for and nobody has answered. */
+function Unheard() {
+  if (!stopUnheard.value) return null;
+  return (
+    <div class="stopped" role="alert">
+      <h3>Emergency stop not heard</h3>
+      <p>The station has not answered: no robot may have been told. The stop is sent again as soon as the station is back.</p>
+    </div>
   );
 }
 
 /** After a stop: who has confirmed, by name. Stays until the stop is cleared. */
 function Stopped({ state }: { state: Snapshot }) {
-  if (!state.stop) return null;
-  const waiting = state.robots.filter((r) => r.state?.mode !== "STOPPED");
+  now.value; // who is no longer heard confirms nothing
+  if (!state.stop || (state.ended && !connected.value)) return null;
+  const stopped = (robot: RobotNews) => robot.state?.mode === "STOPPED" && connected.value && !isStale(robot, live.arrivedMs);
+  const waiting = state.robots.filter((robot) => !stopped(robot));
   return (
     <div class="stopped" role="alert">
       <h3>Emergency stop</h3>
       <ul>
         {state.robots.map((robot) => {
-          const done = robot.state?.mode === "STOPPED";
+          const done = stopped(robot);
+          const once = robot.state?.mode === "STOPPED";
           return (
             <li key={robot.id} class={done ? "yes" : "no"}>
-              <b>{done ? "✓" : "…"}</b> robot {robot.id} {done ? "confirms: stopped" : "has not confirmed"}
+              <b>{done ? "✓" : "…"}</b> robot {robot.id} {done ? "confirms: stopped" : once ? "was stopped, and is not heard now" : "has not confirmed"}
             </li>
           );
         })}
@@ -114,6 +147,36 @@ function Stopped({ state }: { state: Snapshot }) {
         Clear stop{waiting.length > 0 ? ` (${waiting.length} not confirmed)` : ""}
       </button>
     </div>
+  );
+}
+
+const LIVE = ["ARMED", "TRACKING", "HOLDING"];
+
+/** The end of the run: asked twice while anything may still move. */
+function End({ state }: { state: Snapshot }) {
+  const reason = !connected.value ? "no connection to the station" : !inControl.value ? "you are watching: take control first" : "";
+  const moves = state.robots.some((robot) => LIVE.includes(robot.state?.mode ?? ""));
+  return (
+    <button
+      type="button"
+      class="order end"
+      disabled={reason !== ""}
+      title={reason || "Disarm everybody, write the log to its end, and stop the station"}
+      onClick={() => (!moves || confirm("Robots are armed. Disarm all of them and end the run?")) && order("end")}
+    >
+      End run
+    </button>
+  );
+}
+
+function Folder({ state }: { state: Snapshot }) {
+  const run = scene.value?.run;
+  if (!run || !(state.ended || state.phase === "DONE" || state.phase === "FAILED")) return null;
+  return (
+    <p class="folder">
+      {state.ended ? "The run is ended; it is in" : "The run is being written to"} <code>{run}</code>
+      {state.ended && ", and its report will be there in a moment: report.html"}
+    </p>
   );
 }
 
@@ -145,8 +208,10 @@ export function Mission() {
   return (
     <section class="mission" aria-label="Mission">
       <h2>Mission</h2>
+      <Unheard />
       <Stopped state={state} />
-      {state.reason && state.phase !== "WAITING" && <p class="reason">{state.reason}</p>}
+      {state.reason && !["WAITING", "STOPPED"].includes(state.phase) && <p class="reason">{state.reason}</p>}
+      <Folder state={state} />
       <Preflight state={state} />
       <div class="orders">
         {BUTTONS.map((button) => (
@@ -157,6 +222,7 @@ export function Mission() {
         {SOMETIMES.filter(({ order }) => state.allowed.includes(order) && !idle(order, state)).map((button) => (
           <OrderButton key={button.order} button={button} state={state} />
         ))}
+        <End state={state} />
       </div>
       <Given />
     </section>

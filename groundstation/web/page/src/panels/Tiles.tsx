@@ -10,7 +10,7 @@ const WEIGHT = { critical: 100, warning: 10, notice: 1 };
 
 function badness(robot: RobotNews): number {
   const stale = isStale(robot, live.arrivedMs) ? 1000 : 0;
-  const own = alarms.value.filter((alarm) => alarm.key.startsWith(`${robot.id}:`));
+  const own = alarms.value.filter((alarm) => alarm.robot === robot.id);
   return stale + own.reduce((sum, alarm) => sum + WEIGHT[alarm.level], 0);
 }
 
@@ -40,7 +40,7 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
   const mm = errorMm(robot.id);
   const chosen = selected.value === robot.id;
   const battery = s.limits.battery_v;
-  const own = alarms.value.filter((alarm) => alarm.key.startsWith(`${robot.id}:`));
+  const own = alarms.value.filter((alarm) => alarm.robot === robot.id);
   const worst = own[0]?.level ?? "";
   return (
     <li
@@ -71,13 +71,13 @@ function Tile({ robot, place, s }: { robot: RobotNews; place: number; s: Scene }
           <Fact name="pose" value={`${state.track.toLowerCase()} ${age(state.pose_age_ms)}`} bad={state.track === "LOST" || state.track === "COAST"} />
           <Fact name="step" value={`${(state.step_us / 1e3).toFixed(1)} ms`} bad={state.step_us > 500e3 * s.period_s} />
           <Fact name="battery" value={`${state.battery_v.toFixed(1)} V`} bad={state.battery_v < battery[2]} />
-          <Fact name="link loss" value={`${(100 * state.loss).toFixed(0)} %`} bad={state.loss > 0.05} />
+          <Fact name="board loss" value={`${(100 * state.loss).toFixed(0)} %`} bad={state.loss > 0.05} />
           <Fact name="to PWM" value={state.to_pwm_ms > 0 ? `${state.to_pwm_ms.toFixed(0)} ms` : "-"} />
         </dl>
       )}
       {own.slice(0, 2).map((alarm) => (
         <p key={alarm.key} class={`fault ${alarm.level}`}>
-          {alarm.text.replace(/^robot \d+: /, "")}
+          {alarm.text}
         </p>
       ))}
     </li>

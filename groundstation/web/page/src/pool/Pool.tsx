@@ -194,6 +194,7 @@ export function Pool() {
       followSelected();
       pen.setTransform(devicePixelRatio, 0, 0, devicePixelRatio, 0, 0);
       drawPool(pen, view);
+      canvas.dataset.paths = live.paths.map(({ id }) => id).join(" ");
       if (editing.peek()) drawEdit(pen, view);
       deep.peek()?.draw();
       if (live.snapshot !== null) {

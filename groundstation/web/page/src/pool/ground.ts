@@ -32,7 +32,7 @@ export function drawGround(pen: Pen, view: View, s: Scene): void {
 function ground(view: View, s: Scene): HTMLCanvasElement {
   const on = layers.peek();
   const old = pictureIsOld(s);
-  const look = [s.hash, view.x, view.y, view.scale, view.width, view.height, devicePixelRatio, isLight(), JSON.stringify(on)].join();
+  const look = [s.hash, view.x, view.y, view.scale, view.width, view.height, devicePixelRatio, isLight(), JSON.stringify(on), live.pathSerial].join();
   const now = [look, live.pictureSerial, old].join();
   const moved = on.trails && performance.now() - trailsAtMs >= TRAILS_EVERY_MS;
   if (now === groundOf && !moved) return groundCanvas;
@@ -55,7 +55,7 @@ function lines(view: View, s: Scene, look: string): HTMLCanvasElement {
   const on = layers.peek();
   const pen = fresh(linesCanvas, view, true);
   drawGrid(pen, view, s);
-  if (on.reference) for (const path of s.paths) drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 0.7);
+  if (on.reference) for (const path of live.paths) drawPath(pen, view, path, robotColour(placeOf(s, path.robot)), 0.7);
   if (on.obstacles) drawIslands(pen, view, s);
   drawRulers(pen, view);
   return linesCanvas;

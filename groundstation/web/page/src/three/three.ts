@@ -131,7 +131,7 @@ function drawDeep(gl: Gl, canvas: HTMLCanvasElement, labels: HTMLCanvasElement, 
 function drawRobot(gl: Gl, pen: CanvasRenderingContext2D, view: Matrix, s: Scene, id: number, place: number, width: number, height: number): void {
   const robot = live.robots.get(id);
   const colour = robotColour(place);
-  const path = s.paths.find((p) => p.robot === id);
+  const path = live.paths.find((p) => p.robot === id);
   if (path !== undefined) gl.line(rows(samples(path), 4), rgba(colour, 0.35));
   if (robot?.news.state === undefined || robot.news.state.pose_age_ms >= 1e6) return;
   const stale = isStale(robot.news, robot.arrivedMs);
