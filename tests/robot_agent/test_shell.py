@@ -135,7 +135,12 @@ def running() -> Iterator[Running]:
 def test_a_step_that_waits_is_as_late_as_one_that_computes(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a lock, a page of memory, another program: the robot does not fly on with a loop that takes thrice its period."""
     real = Controller.step
-    monkeypatch.setattr(Controller, "step", lambda *arguments: (time.sleep(0.1), real(*arguments))[1])
+
+    def waiting(*arguments: Any) -> Any:
+        time.sleep(0.1)
+        return real(*arguments)
+
+    monkeypatch.setattr(Controller, "step", waiting)
     assert running.until(lambda: running.state.mode is Mode.FAULT)
     assert running.state.fault == "control too slow"
     assert running.state.missed_deadlines >= 3
