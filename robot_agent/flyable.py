@@ -19,6 +19,7 @@ DRIFT = np.array([0.02, 0.02, 0.02, 0.5])
 # How far a velocity may be from where the accelerations before and after it lead, m/s and rad/s. A path that sets off or stops
 # all at once leaps by more, from or to rest; planned paths do that at their first and last pose.
 LEAP = np.array([0.05, 0.05, 0.05, 0.5])
+STILL = 0.1 * LEAP  # of a velocity: that is rest
 AXES = (("x", "m"), ("y", "m"), ("z", "m"), ("yaw", "rad"))
 
 
@@ -57,8 +58,11 @@ def _inconsistent(trajectory: Trajectory) -> str:
         at_s = _time_s(trajectory, k)
         return f"trajectory.eta moves by {moved:.3g} {unit} in {name} at {at_s:.2f} s, its velocities say {told:.3g} {unit}"
     push = 0.5 * period_s * (trajectory.acceleration[1:] + trajectory.acceleration[:-1])
-    rest = (velocity[1:] == 0.0).all(axis=1) | (velocity[:-1] == 0.0).all(axis=1)
-    where = _first((np.abs(np.diff(velocity, axis=0) - push) <= LEAP) | rest[:, None])
+    rests = (np.abs(velocity) <= STILL).all(axis=1)
+    near = (
+        rests | np.append(rests[1:], False) | np.append(False, rests[:-1])
+    )  # a plan made of samples has half the leap in each
+    where = _first((np.abs(np.diff(velocity, axis=0) - push) <= LEAP) | (near[1:] | near[:-1])[:, None])
     if where is not None:
         k, axis = where
         name, unit = AXES[axis]
