@@ -5,6 +5,7 @@ another version, another vehicle file, or a fault in the planner, and it is the 
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wire.frames import Array
 from wire.messages import Trajectory
@@ -59,9 +60,9 @@ def _inconsistent(trajectory: Trajectory) -> str:
         return f"trajectory.eta moves by {moved:.3g} {unit} in {name} at {at_s:.2f} s, its velocities say {told:.3g} {unit}"
     push = 0.5 * period_s * (trajectory.acceleration[1:] + trajectory.acceleration[:-1])
     rests = (np.abs(velocity) <= STILL).all(axis=1)
-    near = (
-        rests | np.append(rests[1:], False) | np.append(False, rests[:-1])
-    )  # a plan made of samples has half the leap in each
+    near = rests.copy()  # a plan that was made of another one's samples leaps in two steps, with one sample between
+    near[1:] |= rests[:-1]
+    near[:-1] |= rests[1:]
     where = _first((np.abs(np.diff(velocity, axis=0) - push) <= LEAP) | (near[1:] | near[:-1])[:, None])
     if where is not None:
         k, axis = where
@@ -85,7 +86,7 @@ def _too_much(trajectory: Trajectory, vehicle: Vehicle) -> str:
     return ""
 
 
-def _first(fine: Array) -> tuple[int, int] | None:
+def _first(fine: NDArray[np.bool_]) -> tuple[int, int] | None:
     """Row and column of the first entry that is not fine."""
     bad = np.argwhere(np.logical_not(fine))
     return (int(bad[0, 0]), int(bad[0, 1])) if len(bad) else None
