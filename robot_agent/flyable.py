@@ -7,7 +7,6 @@ another version, another vehicle file, or a fault in the planner, and it is the 
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.frames import Array
 from wire.messages import Trajectory
 from wire.vehicle import Vehicle
 
@@ -59,7 +58,7 @@ def _inconsistent(trajectory: Trajectory) -> str:
         at_s = _time_s(trajectory, k)
         return f"trajectory.eta moves by {moved:.3g} {unit} in {name} at {at_s:.2f} s, its velocities say {told:.3g} {unit}"
     push = 0.5 * period_s * (trajectory.acceleration[1:] + trajectory.acceleration[:-1])
-    rests = (np.abs(velocity) <= STILL).all(axis=1)
+    rests: NDArray[np.bool_] = np.asarray((np.abs(velocity) <= STILL).all(axis=1))
     near = rests.copy()  # a plan that was made of another one's samples leaps in two steps, with one sample between
     near[1:] |= rests[:-1]
     near[:-1] |= rests[1:]
