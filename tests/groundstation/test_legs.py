@@ -8,9 +8,10 @@ import pytest
 from groundstation.checks import PlanError
 from groundstation.detour import detour
 from groundstation.fleet import RobotView
-from groundstation.from_rest import assigned, gathered
+from groundstation.from_rest import assigned, gathered, homeward
 from groundstation.legs import NOTHING, Leg, at, continued, first_contact, first_leg
 from groundstation.lookout import Lookout, Surroundings
+from robot_agent.flyable import unflyable
 from robot_agent.reference import Follow, Sampler, seam_trouble, spliced
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
@@ -123,6 +124,24 @@ def test_what_lies_on_the_path_is_told_with_robot_place_and_time() -> None:
     assert first_contact(BLOCKED, leg, 14.0, 20.0, BALL) == ""  # later
     assert first_contact(BLOCKED, leg, 60.0, 75.0, BALL) == ""  # behind
     assert first_contact(BLOCKED, leg, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
+
+
+@pytest.mark.parametrize("reached_s", [20.0, 20.013, 20.031])
+def test_robots_load_every_plan_that_is_made_under_way_and_plans_made_of_plans(reached_s: float) -> None:
+    """The first path stops at once at its end; a plan from rest takes its samples from between the path's."""
+
+    def check(leg: Leg) -> None:
+        for trajectory in leg.trajectories.values():
+            assert unflyable(trajectory, BLOCKED.pool.size_m, BLOCKED.vehicle) == ""
+
+    leg = first_leg(BLOCKED)
+    check(detour(BLOCKED, leg, 10.0, BALL))
+    for begin_s in (30.0, 60.0, 90.0):
+        now = np.array([max(reached_s, leg.own_ways_until_s + 3.017)])
+        rests = {r: at(t, now).eta[0] + np.array([0.1, -0.1 * r, 0.0, 0.0]) for r, t in leg.trajectories.items()}
+        check(homeward(BLOCKED, begin_s, rests, {r: t.eta[0] for r, t in first_leg(BLOCKED).trajectories.items()}))
+        leg = gathered(BLOCKED, leg, begin_s, float(now[0]), rests, {r: r for r in rests})
+        check(leg)
 
 
 def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: float = 20.0) -> Trajectory:
