@@ -1,5 +1,5 @@
-"""One thread for the matrices, so that results do not depend on the machine; the same examples in every run; and no station that
-runs here for other reasons is found by a test's terminal."""
+"""One thread for the matrices, so that results do not depend on the machine; the same examples in every run; and
+no station that runs here for other reasons is found by a test's terminal."""
 
 import os
 import tempfile
