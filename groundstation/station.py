@@ -150,8 +150,8 @@ class Station:
         """Take account of what became of people's requests; end the run if one of them says so."""
         ending = self.requests.ending
         self.requests.follow(self.mission, self.seen, self.tuner.status(), answers)
-        newest = self.requests.recent[-1:]
-        if ending and not self.requests.ending and newest and newest[0].progress is Progress.DONE:
+        ends = [outcome.progress for outcome in self.requests.recent if outcome.order is Order.END]
+        if ending and not self.requests.ending and ends[-1] is Progress.DONE:
             self.ended = True
             log.info("the run is ended")
 
@@ -266,7 +266,6 @@ class Station:
             self.laps.rows(),
             barred(self.experiment, self.seen, self.starts),
             seen=self.seen,
-            paths=self.paths,
             requests=self.requests.recent,
             ended=self.ended,
         )

@@ -88,7 +88,7 @@ def run(
             station.publish_paths(clock.now_ns())
             bus.watch_presence()
             if web is not None:
-                post = Post(station.status, station.ask, station.tune, run_dir.resolve())
+                post = Post(station.status, station.ask, station.tune, run_dir.resolve(), lambda: station.paths)
                 served.enter_context(WebServer(Desk(experiment, trajectories, bus, heard, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
             if viewer is not None:

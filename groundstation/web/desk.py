@@ -61,7 +61,6 @@ class Status:
     laps: Sequence[Lap] = ()
     preflight: tuple[Finding, ...] | None = None  # why not to arm; None: whoever asks looks for himself
     seen: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
-    paths: tuple[Mapping[int, Trajectory], float] | None = None  # what is flown now, until when [s]; None: as before the run
     requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
     ended: bool = False  # a person has ended the run
     beat_age_s: float = 0.0  # since the station's last cycle
@@ -73,12 +72,14 @@ def _nobody_tunes(values: Mapping[str, float] | None, next_lap: bool) -> tuple[s
 
 @dataclass(frozen=True, eq=False)
 class Post:
-    """What the desk needs of the station. Requests are answered with why not, or nothing, and their number."""
+    """What the desk needs of the station. Requests are answered with why not, or nothing, and their number. `paths` are what
+    is flown now and until when [s]; None: what was planned before the run."""
 
     status: Callable[[], Status]
     order: Callable[[Order], tuple[str, int]]
     tune: Callable[[Mapping[str, float] | None, bool], tuple[str, int]] = _nobody_tunes
     run: Path | None = None  # the run's folder
+    paths: Callable[[], tuple[Mapping[int, Trajectory], float] | None] = lambda: None
 
 
 class Desk:
@@ -115,7 +116,7 @@ class Desk:
 
     def paths(self) -> list[dict[str, Any]] | None:
         """What is flown from now on, once when it changes."""
-        flown = self._station.status().paths
+        flown = self._station.paths()
         if flown is None or flown is self._drawn:
             return None
         self._drawn = flown

@@ -197,6 +197,8 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
         number = asked(station, Order.END)
         assert not station.ended
+        assert station.tune(None, next_lap=False)[0] == "there is nothing to undo"
+        station.requests.begin(Order.TUNE, station.mission, station.tuner.status().flown.id)  # gains are no other end
         fleet.until(station, lambda: station.ended)
         assert outcome(station, number).progress is Progress.DONE
         assert (Order.DISARM in [order for _, order in fleet.got]) is (mode is Mode.TRACKING)
@@ -233,13 +235,12 @@ def test_what_is_flown_now_is_told_with_its_end(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         leg = station.mission.leg
         station.publish_paths(0)
-        assert station.status().paths == (leg.trajectories, leg.end_s)
+        assert station.paths == (leg.trajectories, leg.end_s)
         short = replace(leg, end_s=3.0)
         station.mission.itinerary.adopt(short)
         station.mission.crew.lose(2, "silent")
         station.publish_paths(0)
-        paths = station.status().paths
-        assert paths is not None and (list(paths[0]), paths[1]) == ([1], 3.0)
+        assert (list(station.paths[0]), station.paths[1]) == ([1], 3.0)
 
 
 def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:

@@ -125,9 +125,9 @@ def free_port() -> int:
 def make_desk(lab: Lab) -> Desk:
     def status() -> Status:
         told = tuple(lab.outcomes)
-        return Status(lab.phase, "", preflight=lab.preflight, seen=lab.seen, paths=lab.paths, requests=told)
+        return Status(lab.phase, "", preflight=lab.preflight, seen=lab.seen, requests=told)
 
-    post = Post(status, lab.order, lab.tune)
+    post = Post(status, lab.order, lab.tune, paths=lambda: lab.paths)
     return Desk(POOL, planner.plan(POOL), lab.bus, listen(lab.bus, POOL.robot_ids), WallClock(), post, "real-time")
 
 

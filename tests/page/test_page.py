@@ -236,6 +236,7 @@ class Alone:
     status: Status
     robots: Bus
     orders: list[Order] = field(default_factory=list)
+    paths: tuple[dict[int, Trajectory], float] | None = None
 
     def order(self, order: Order) -> tuple[str, int]:
         self.orders.append(order)
@@ -248,7 +249,7 @@ def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         found = Alone(page, f"http://127.0.0.1:{port}/", Status(Phase.WAITING, ""), robots)
-        post = Post(lambda: found.status, found.order)
+        post = Post(lambda: found.status, found.order, paths=lambda: found.paths)
         desk = Desk(
             experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
         )
@@ -456,7 +457,7 @@ def test_the_map_draws_what_is_flown_now(browser: Browser) -> None:
         before = desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()")
         line = np.linspace([-1.0, -1.0, 0.3, 0.0], [1.0, 1.0, 0.3, 0.0], 100)
         home = {r: Trajectory(f"home-{r}", 0.05, line, 0 * line, 0 * line, begin_s=30.0) for r in planned}
-        desk.status = replace(desk.status, paths=(home, 35.0))
+        desk.paths = home, 35.0
         expect(canvas).to_have_attribute("data-paths", "home-1 home-2")
         assert desk.page.evaluate("document.querySelector('.pool canvas').toDataURL()") != before
 
