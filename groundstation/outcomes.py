@@ -192,7 +192,7 @@ def _note(request: _Request, answers: Sequence[Answer]) -> None:
 
 def _why(seen: RobotView, refusal: str) -> str:
     """Why a robot is not where a request wants it, in a few words."""
-    if not seen.heard:
+    if not seen.heard or seen.mode is None:
         return "not heard" if seen.state is None else f"not heard for {seen.state_age_s:.1f} s"
     tested = seen.state.thruster_test if seen.state is not None else ""
     told = f"is {seen.mode.name.lower()}{f', thruster test {tested}' if tested else ''}"

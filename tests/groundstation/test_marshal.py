@@ -1,5 +1,6 @@
 """Ways from rest to rest: clear of everybody all along, and motions that a robot can follow."""
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
@@ -13,7 +14,7 @@ from groundstation.from_rest import gathered
 from groundstation.legs import first_leg
 from groundstation.marshal import marshal
 from groundstation.planner import start_poses
-from groundstation.trip import Trip, glide, planned_trip
+from groundstation.trip import Basin, Trip, glide, planned_trip
 from wire.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.scene import Island
@@ -129,8 +130,11 @@ def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, floa
 
 def test_a_robot_whose_way_leads_past_one_that_waits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no way leads around: here because every trip is planned as if nobody stood anywhere."""
-    straight = marshalling.planned_trip
-    monkeypatch.setattr(marshalling, "planned_trip", lambda *given: straight(*given[:4], []))
+
+    def as_if_alone(of: Experiment, around: Basin, start: Array, goal: Array, parked: Sequence[Array]) -> Trip:
+        return planned_trip(of, around, start, goal, [])
+
+    monkeypatch.setattr(marshalling, "planned_trip", as_if_alone)
     monkeypatch.setattr(marshalling, "ORDERS", 2)
     starts = {1: pose(-2.0, 0.0), 2: pose(0.0, 0.1)}
     with pytest.raises(PlanError, match="robot 1 would pass too near a robot that waits"):

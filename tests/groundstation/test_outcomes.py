@@ -123,7 +123,7 @@ def test_places_are_gone_to_or_the_planner_says_why_not(found: bool) -> None:
     asked.look()
     assert asked.progress(number) is Progress.UNDER_WAY
     if not found:
-        mission.planned(PlanError("robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9"), asked.run.now_ns)
+        mission.planned(PlanError("robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9"), asked.run.fleet(), asked.run.now_ns)
         asked.look()
         assert asked.progress(number) is Progress.FAILED
         assert asked.outcome(number).reason.endswith("no way there: robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9")

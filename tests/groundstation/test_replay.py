@@ -160,13 +160,13 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
     way = np.linspace(planned[1].eta[200], np.zeros(4), 100)
     rest = np.zeros((100, 4))
     leg = Trajectory("home", planned[1].period_s, way, rest, rest, begin_s=200 * planned[1].period_s)
-    for time_s, robot, trajectory in ((0, 1, planned[1]), (0, 2, planned[2]), (10, 1, continued(planned[1], leg))):
+    for begin_s, robot, trajectory in ((0, 1, planned[1]), (0, 2, planned[2]), (10, 1, continued(planned[1], leg))):
         key = f"shoal/{topics.TRAJECTORY.key(robot)}"
-        recorder.put(topics.TRAJECTORY, key, Header(1, time_s + robot, 0), encode(trajectory), time_s * SECOND)
+        recorder.put(topics.TRAJECTORY, key, Header(1, begin_s + robot, 0), encode(trajectory), begin_s * SECOND)
     recorder.put(topics.STATE, "shoal/robot/1/state", Header(2, 1, 0), encode(RobotState()), 20 * SECOND)
     recorder.close()
     with Replay(tmp_path) as found:
-        shown = {}
+        shown: dict[float, dict[int, Any]] = {}
         for time_s in (5.0, 15.0):
             found.seek(time_s, 0.0)
             paths = found.paths()
