@@ -19,7 +19,7 @@ from wire.bus import Bus
 from wire.gate import nearest
 from wire.messages import Command, Order
 from wire.network import endpoint
-from wire.transport import Endpoint, ZenohTransport
+from wire.transport import Endpoint, Unreached, ZenohTransport
 
 ATTACKS: tuple[dict[str, float], ...] = (
     {"knocks_hz": 12.0},
@@ -46,10 +46,17 @@ def _process(log: Path, *command: str) -> Iterator[subprocess.Popen[bytes]]:
             child.wait()
 
 
+def _arrived(where: Endpoint) -> ZenohTransport:
+    try:
+        return ZenohTransport(where, patience_s=PATIENCE_S)
+    except Unreached as error:
+        raise Stuck(str(error)) from None
+
+
 def _stop_s(where: Endpoint) -> float:
     """How long an operator takes from nothing to the station's answer to a stop."""
     begin_s = time.monotonic()
-    with Bus(ZenohTransport(where, patience_s=PATIENCE_S)) as bus:
+    with Bus(_arrived(where)) as bus:
         while not (reply := bus.order(Command(Order.STOP, 0), time.time_ns(), 2.0)).accepted:
             if time.monotonic() - begin_s > PATIENCE_S:
                 raise Stuck(f"no stop: {reply.reason}")
@@ -75,7 +82,7 @@ def strangers_knock(rig: None, random: Random) -> Sample:
     agent.append(f"udp:127.0.0.1:{free_port()}")
     with (
         _process(folder / "station.log", *station, "--run-dir", str(folder / "run")),
-        Bus(ZenohTransport(endpoint(address, "viewer", ring), patience_s=PATIENCE_S)) as there,
+        Bus(_arrived(endpoint(address, "viewer", ring))) as there,
     ):
         there.watch_presence()
         _until(there, "groundstation", True)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import stat
 import subprocess
@@ -46,6 +47,14 @@ def test_a_new_ring_has_everybody_but_robots(ring: Path) -> None:
     assert (robot.process, robot.expires) == ("agent-7", NOW + timedelta(days=397))
     assert [m.robot for m in admitted(ring, NOW) if m.role is Role.ROBOT] == [7]
     assert name_of(certificate(ring, "agent-7")) == robot.common_name
+
+
+def test_a_list_with_a_time_of_nowhere_is_refused(ring: Path) -> None:
+    """As somebody writes it by hand."""
+    members = ring / "members.toml"
+    members.write_text(re.sub(r"(expires = [^+\n]*)\+00:00", r"\1", members.read_text(), count=1))
+    with pytest.raises(ConfigError, match=r"members\.toml: member\.0\.expires .*timezone"):
+        read_members(ring)
 
 
 def test_the_firewalls_rules_are_for_the_stations_port() -> None:

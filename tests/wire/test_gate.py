@@ -19,7 +19,7 @@ from groundstation import keys
 from sim_bridge.ports import free_port
 from tests.wire.strangers import Strangers
 from tests.wire.test_bus import eventually
-from wire import gate, messages, topics
+from wire import admission, gate, messages, topics
 from wire.access import DOOR
 from wire.admission import RETRY
 from wire.bus import Bus
@@ -302,6 +302,19 @@ def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None
     with client, server:
         server.sendall(b"\x16\x03\x03\x00\x58\x02\x00\x00\x54\x03\x03" + RETRY + bytes(50))
         assert server.recv(1) == b""
+
+
+def test_a_hello_in_too_many_pieces_is_no_hello(passage: Passage) -> None:
+    """Each piece costs the guard a look at all that has come."""
+    with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
+        stranger.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):
+            for byte in b"\x16\x03\x01\x40\x00\x01\x00\x3f\xf0" + bytes(1000):
+                stranger.sendall(bytes([byte]))
+                time.sleep(0.0005)
+        with contextlib.suppress(OSError):
+            assert stranger.recv(1) == b""
+    assert eventually(lambda: len(passage.told) == 1, admission.HELLO_S / 2)
 
 
 def test_a_stranger_that_is_gone_before_its_turn_costs_nothing(passage: Passage) -> None:
