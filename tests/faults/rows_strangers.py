@@ -63,9 +63,14 @@ def _stop_s(where: Endpoint) -> float:
     return time.monotonic() - begin_s
 
 
-def _until(there: Bus, process: str, present: bool) -> None:
-    if not there.wait(lambda: (process in there.present) is present, PATIENCE_S):
-        raise Stuck(f"{process} is {'not ' if present else ''}there")
+def _joins_s(there: Bus, where: Endpoint) -> float:
+    """How long an agent's link takes, from nothing until the others see the agent."""
+    begin_s = time.monotonic()
+    with Bus(_arrived(where)) as agent:
+        agent.announce("agent-1")
+        if not there.wait(lambda: "agent-1" in there.present, PATIENCE_S):
+            raise Stuck("agent-1 is not there")
+        return time.monotonic() - begin_s
 
 
 def strangers_knock(rig: None, random: Random) -> Sample:
@@ -78,26 +83,18 @@ def strangers_knock(rig: None, random: Random) -> Sample:
     keys.add(ring, "robot", 1, now)
     address = f"tls/127.0.0.1:{port}"
     station = ["groundstation", "run", "pool", "--listen", address, "--keys", str(ring), "--no-web"]
-    agent = ["robot_agent", "run", "pool", "--robot", "1", "--station", address, "--keys", str(ring), "--link"]
-    agent.append(f"udp:127.0.0.1:{free_port()}")
     with (
         _process(folder / "station.log", *station, "--run-dir", str(folder / "run")),
         Bus(_arrived(endpoint(address, "viewer", ring))) as there,
     ):
         there.watch_presence()
-        _until(there, "groundstation", True)
-        calm_s = _joins_s(there, folder, agent)
+        if not there.wait(lambda: "groundstation" in there.present, PATIENCE_S):
+            raise Stuck("the station is not there")
+        operator = endpoint(address, "operator", ring)
         with Strangers(port, source, **attack):  # type: ignore[arg-type]
             time.sleep(ATTACK_S)
-            operator = endpoint(address, "operator", ring)
-            found = {"stop answered, this machine": _stop_s(nearest(operator)), "stop answered": _stop_s(operator)}
-            return {**found, "agent joins later": max(_joins_s(there, folder, agent) - calm_s, 0.0)}
-
-
-def _joins_s(there: Bus, folder: Path, agent: list[str]) -> float:
-    """How long an agent takes from its start until the others see it."""
-    _until(there, "agent-1", False)
-    begin_s = time.monotonic()
-    with _process(folder / "agent.log", *agent):
-        _until(there, "agent-1", True)
-        return time.monotonic() - begin_s
+            return {
+                "stop answered, this machine": _stop_s(nearest(operator)),
+                "stop answered": _stop_s(operator),
+                "agent joins": _joins_s(there, endpoint(address, "agent-1", ring)),
+            }

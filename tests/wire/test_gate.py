@@ -14,8 +14,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from groundstation import keys
+from groundstation.__main__ import cli as groundstation
 from sim_bridge.ports import free_port
 from tests.wire.strangers import Strangers
 from tests.wire.test_bus import eventually
@@ -23,6 +25,7 @@ from wire import admission, gate, messages, topics
 from wire.access import DOOR
 from wire.admission import RETRY
 from wire.bus import Bus
+from wire.codec import Header
 from wire.gate import door_of, nearest
 from wire.guard import Guard
 from wire.messages import Command, Order, Reply
@@ -46,13 +49,21 @@ def address() -> str:
     return f"tls/127.0.0.1:{free_port()}"
 
 
+ASKED: list[Order] = []  # of the station
+
+
+def answer(header: Header, command: Command) -> Reply:
+    ASKED.append(command.order)
+    return Reply(0, command.order is Order.STOP)
+
+
 @pytest.fixture(scope="module")
 def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """A station's bus, which answers orders for the whole fleet."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
         with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
-            bus.serve(0, lambda header, command: Reply(0, command.order is Order.STOP))
+            bus.serve(0, answer)
             yield bus
 
 
@@ -131,6 +142,15 @@ def test_the_door_is_for_orders_to_the_station_and_for_nothing_else(station: Bus
         assert bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
         assert not bus.order(Command(Order.ARM, 1), 1, 0.2).accepted
     assert (obeyed, bus.session in heard) == ([], False)
+
+
+def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(station: Bus, address: str) -> None:
+    ASKED.clear()
+    port = int(address.rpartition(":")[2])
+    with Strangers(port, handshakes_hz=50.0) as strangers:  # from the members' own address: the hardest for who needs the port
+        assert eventually(lambda: strangers.made > 4)
+        said = CliRunner().invoke(groundstation, ["stop", "--station", f"tcp/127.0.0.1:{port}"])
+    assert ASKED[:1] == [Order.STOP], said.output
 
 
 def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address: str) -> None:
