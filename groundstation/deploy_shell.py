@@ -86,7 +86,7 @@ def deploy_all(targets: Sequence[Target], wanted: Wanted) -> Iterable[Outcome]:
 def _tried(target: Target, wanted: Wanted) -> Outcome:
     try:
         return deploy_one(target, wanted)
-    except ConfigError as error:
+    except (ConfigError, OSError) as error:  # a file here that cannot be read is no reason to say nothing of the other boards
         return Outcome(target, trouble=str(error))
 
 

@@ -37,6 +37,7 @@ def init(
     made = keys.init(ring, host or [], fleet, datetime.now(UTC))
     typer.echo(f"{ring}: authority, {', '.join(m.process for m in made)}")
     typer.echo(f"{ring / keys.AUTHORITY_KEY} makes new members: keep it where only you can read it")
+    typer.echo("`groundstation keys firewall` prints rules for the station's machine against strangers who knock at its port")
 
 
 @keys_cli.command()
@@ -114,4 +115,19 @@ def router(listen: ListenAddress = DEFAULT_STATION, ring: Ring = DEFAULT_RING, f
     typer.echo(json.dumps(nested, indent=1))
 
 
+@keys_cli.command()
+def firewall(listen: ListenAddress = DEFAULT_STATION) -> None:
+    """Print firewall rules (nftables) for the station's port: what one address opens too often is dropped by the kernel.
+
+    An additional measure: a station that has keys has a guard of its own in front of its router. An external router has none.
+
+    Example:  groundstation keys firewall --listen tls/0.0.0.0:7447 | sudo nft -f -
+    """
+    from wire.endpoint import parse_address
+
+    _, _, port = parse_address(listen)
+    typer.echo(FIREWALL.read_text(encoding="utf-8").replace("@PORT@", str(port)), nl=False)
+
+
+FIREWALL = Path(__file__).parent / "templates" / "guard.nft"
 _AFTER = "Takes effect when the station, which is the router, is started again."

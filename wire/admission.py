@@ -31,6 +31,7 @@ LANE_BURST, LANE_PER_S = 20.0, 5.0
 ORIGIN_BURST, ORIGIN_PER_S = 10.0, 3.0
 
 HANDSHAKE, CLIENT_HELLO, SERVER_HELLO = 22, 1, 2  # a TLS record's type; types of handshake messages
+MOST_RECORDS = 16  # that a ClientHello comes in; everybody sends one
 MOST_HELLO = 16 * 1024  # bytes of a ClientHello; with post-quantum key shares they have less than 2 kB
 RECORD = 5  # bytes of a TLS record's header
 RETRY = bytes.fromhex("cf21ad74e59a6111be1d8c021e65b891c2a211167abb8c5e079e09e2c8a8339c")  # RFC 8446, 4.1.3
@@ -42,15 +43,16 @@ class NotTls(Exception):
 
 def hello_is_whole(data: bytes) -> bool:
     """Whether `data` holds a whole ClientHello; False while it may become one. Raises NotTls."""
-    message, at = b"", 0
+    message, at, records = b"", 0, 0
     while at < len(data):
+        records += 1
         head = data[at : at + RECORD]
         if head[0] != HANDSHAKE or head[1:2] not in (b"", b"\x03"):
             raise NotTls
         if len(head) < RECORD:
             return False
         size = int.from_bytes(head[3:5])
-        if not 0 < size <= MOST_HELLO:
+        if not 0 < size <= MOST_HELLO or records > MOST_RECORDS:
             raise NotTls
         message += data[at + RECORD : at + RECORD + size]
         at += RECORD + size

@@ -124,7 +124,7 @@ class Bus:
         self._sequences: dict[str, int] = {}
         self._present: set[str] = set()
         self._recipients: dict[str, int] = {}  # session of whoever answers orders under a key
-        self._turns: dict[str, threading.Lock] = {}  # by an order's key: around its number and its sending
+        self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
 
     def _key(self, name: str) -> str:
         return f"{self._fleet}/{name}"
@@ -140,10 +140,11 @@ class Bus:
     ) -> tuple[str, Header, bytes]:
         """`publish` of what is encoded already."""
         key = self._key(topic.key(robot))
-        if key not in self._publishers:
-            self._publishers[key] = self._transport.publisher(key, topic.qos, topic.kept)
-        header = self._next_header(key, stamp_ns, age_ns)
-        self._publishers[key](payload, header.encode())
+        with self._turns.setdefault(key, threading.Lock()):  # numbered and sent in one order, also from several threads
+            if key not in self._publishers:
+                self._publishers[key] = self._transport.publisher(key, topic.qos, topic.kept)
+            header = self._next_header(key, stamp_ns, age_ns)
+            self._publishers[key](payload, header.encode())
         return key, header, payload
 
     def _next_header(self, key: str, stamp_ns: int, age_ns: int = 0) -> Header:

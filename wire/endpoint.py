@@ -25,6 +25,10 @@ def parse_address(address: str) -> tuple[str, str, int]:
     protocol, slash, rest = address.partition("/")
     host, _, port = rest.partition("#")[0].rpartition(":")
     host = host.strip("[]")
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        host = ""
     if not slash or protocol not in ("tcp", "tls") or not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise ConfigError(f"{address!r}: not a place where a station can be (allowed: {FORMS})")
     return protocol, host, int(port)

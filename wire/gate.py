@@ -9,6 +9,7 @@
 """
 
 import contextlib
+import errno
 import logging
 import os
 import socket
@@ -31,6 +32,7 @@ log = logging.getLogger("shoal")
 ROOT = Path(__file__).parents[1]
 BACKLOG = 1024
 AGAIN_S = 0.2  # between a guard that has ended and the next one
+FREED_S = 0.5  # an earlier station's guard may hold the port for so long after its station was killed
 ENDS_S = 2.0  # what a guard may take to end
 LONGEST_DOOR = 100  # bytes of a Unix socket's path; systems allow 104 (macOS) or 108
 INNER_HANDSHAKE_MS = 3000  # the router's own limit behind the guard: PROOF_S of wire/admission.py
@@ -41,7 +43,7 @@ class Gate:
 
     def __init__(self, endpoint: Endpoint) -> None:
         """Takes the public port. Raises OSError where that cannot be had."""
-        self._listener = public_listener(endpoint.address)
+        self._listener = _public_listener(endpoint.address)
         self._listener.listen(BACKLOG)
         self._public = endpoint
         self._ports = (0, 0)
@@ -127,6 +129,18 @@ class Gate:
         if self._watch.is_alive():
             self._watch.join(ENDS_S)
         self._listener.close()
+
+
+def _public_listener(address: str) -> socket.socket:
+    """The socket of the public port. Raises OSError. A station that was killed has a guard that needs a moment to notice."""
+    until_s = time.monotonic() + FREED_S
+    while True:
+        try:
+            return public_listener(address)
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE or time.monotonic() > until_s:
+                raise
+        time.sleep(0.05)
 
 
 def _tell(lines: IO[str]) -> None:

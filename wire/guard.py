@@ -18,13 +18,14 @@ import sys
 import time
 from collections.abc import Callable
 
-from wire.admission import MOST_WAITING, Admission, NotTls, Refusals, asks_for_another_hello, hello_is_whole
+from wire.admission import MOST_HELLO, MOST_WAITING, Admission, NotTls, Refusals, asks_for_another_hello, hello_is_whole
 
 CHUNK = 256 * 1024  # bytes passed on in one go
 INNER_BUFFER = 128 * 1024  # bytes: the kernel's between router and guard. What waits there for a slow member gets old
 # A proof of a member's handshake: it has sent a certificate, and the router has answered with more than an alert (24 bytes).
 # On what was measured here: certificate, signature and Finished 700 bytes and more; session tickets 150 and more.
 CERTIFICATE_BYTES, ANSWER_BYTES = 300, 64
+MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
 ACCEPTS = 32  # in one go, between which bytes are passed on
 FILES_APART = 64  # file descriptors for everything but connections
 MOST_LINKS = 2048  # 49 robots take some 150
@@ -116,7 +117,7 @@ class Guard:
         self._selector = selectors.DefaultSelector()
         self._interest: dict[socket.socket, int] = {}  # events for which a socket is registered
         self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
-        self._hellos: dict[int, bytes] = {}  # of those that wait, as far as it has come
+        self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
         self._links: dict[int, Link] = {}
         self._number = 0
         self._buffer = bytearray(CHUNK)
@@ -178,7 +179,7 @@ class Guard:
             peer.setblocking(False)
             self._number += 1
             number, address = self._number, str(where[0])
-            self._peers[number], self._hellos[number] = (peer, address), b""
+            self._peers[number], self._hellos[number] = (peer, address), []
             self._want(peer, READ, lambda events, number=number: self._greeted(number))  # type: ignore[misc]
             for other in self._admission.come(number, address, time.monotonic()):
                 self._refuse(other)
@@ -190,16 +191,16 @@ class Guard:
             return  # closed meanwhile, for another
         peer, _ = self._peers[number]
         try:
-            if hello_is_whole(self._hellos[number]):  # it waits for its turn: is it still there?
+            if hello_is_whole(b"".join(self._hellos[number])):  # it waits for its turn: is it still there?
                 if not peer.recv(1, socket.MSG_PEEK):
                     raise NotTls
                 self._want(peer, 0, self._end)  # what it says before the router's answer is read after it
                 return
-            said = peer.recv(CHUNK)
-            if not said:
+            said = peer.recv(2 * MOST_HELLO)
+            self._hellos[number].append(said)
+            if not said or len(self._hellos[number]) > MOST_PIECES:
                 raise NotTls
-            self._hellos[number] += said
-            if hello_is_whole(self._hellos[number]):
+            if hello_is_whole(b"".join(self._hellos[number])):
                 self._admission.hello(number, time.monotonic())
         except BlockingIOError:
             return
@@ -242,7 +243,7 @@ class Guard:
         router.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, INNER_BUFFER)
         for one in (peer, router):
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        link = self._links[number] = Link(number, peer, router, self._hellos.pop(number))
+        link = self._links[number] = Link(number, peer, router, b"".join(self._hellos.pop(number)))
         router.connect_ex(("127.0.0.1", self._ports[lane]))
         self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
 

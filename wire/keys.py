@@ -15,7 +15,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AwareDatetime, Field
 
 from wire.access import Member
 from wire.toml_file import ConfigError, Section, check, files_named, read_toml
@@ -62,9 +62,9 @@ class Issued(Section):
     role: Annotated[str, Field(pattern=f"^({'|'.join(ROLE_NAMES)})$")]
     robot: Annotated[int, Field(ge=0, le=999)] = 0
     common_name: str
-    issued: datetime
-    expires: datetime
-    revoked: datetime | None = None
+    issued: AwareDatetime
+    expires: AwareDatetime
+    revoked: AwareDatetime | None = None
 
 
 class MemberList(Section):

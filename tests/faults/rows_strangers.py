@@ -19,7 +19,7 @@ from wire.bus import Bus
 from wire.gate import nearest
 from wire.messages import Command, Order
 from wire.network import endpoint
-from wire.transport import Endpoint, ZenohTransport
+from wire.transport import Endpoint, Unreached, ZenohTransport
 
 ATTACKS: tuple[dict[str, float], ...] = (
     {"knocks_hz": 12.0},
@@ -46,19 +46,31 @@ def _process(log: Path, *command: str) -> Iterator[subprocess.Popen[bytes]]:
             child.wait()
 
 
+def _arrived(where: Endpoint) -> ZenohTransport:
+    try:
+        return ZenohTransport(where, patience_s=PATIENCE_S)
+    except Unreached as error:
+        raise Stuck(str(error)) from None
+
+
 def _stop_s(where: Endpoint) -> float:
     """How long an operator takes from nothing to the station's answer to a stop."""
     begin_s = time.monotonic()
-    with Bus(ZenohTransport(where, patience_s=PATIENCE_S)) as bus:
+    with Bus(_arrived(where)) as bus:
         while not (reply := bus.order(Command(Order.STOP, 0), time.time_ns(), 2.0)).accepted:
             if time.monotonic() - begin_s > PATIENCE_S:
                 raise Stuck(f"no stop: {reply.reason}")
     return time.monotonic() - begin_s
 
 
-def _until(there: Bus, process: str, present: bool) -> None:
-    if not there.wait(lambda: (process in there.present) is present, PATIENCE_S):
-        raise Stuck(f"{process} is {'not ' if present else ''}there")
+def _joins_s(there: Bus, where: Endpoint) -> float:
+    """How long an agent's link takes, from nothing until the others see the agent."""
+    begin_s = time.monotonic()
+    with Bus(_arrived(where)) as agent:
+        agent.announce("agent-1")
+        if not there.wait(lambda: "agent-1" in there.present, PATIENCE_S):
+            raise Stuck("agent-1 is not there")
+        return time.monotonic() - begin_s
 
 
 def strangers_knock(rig: None, random: Random) -> Sample:
@@ -71,26 +83,18 @@ def strangers_knock(rig: None, random: Random) -> Sample:
     keys.add(ring, "robot", 1, now)
     address = f"tls/127.0.0.1:{port}"
     station = ["groundstation", "run", "pool", "--listen", address, "--keys", str(ring), "--no-web"]
-    agent = ["robot_agent", "run", "pool", "--robot", "1", "--station", address, "--keys", str(ring), "--link"]
-    agent.append(f"udp:127.0.0.1:{free_port()}")
     with (
         _process(folder / "station.log", *station, "--run-dir", str(folder / "run")),
-        Bus(ZenohTransport(endpoint(address, "viewer", ring), patience_s=PATIENCE_S)) as there,
+        Bus(_arrived(endpoint(address, "viewer", ring))) as there,
     ):
         there.watch_presence()
-        _until(there, "groundstation", True)
-        calm_s = _joins_s(there, folder, agent)
+        if not there.wait(lambda: "groundstation" in there.present, PATIENCE_S):
+            raise Stuck("the station is not there")
+        operator = endpoint(address, "operator", ring)
         with Strangers(port, source, **attack):  # type: ignore[arg-type]
             time.sleep(ATTACK_S)
-            operator = endpoint(address, "operator", ring)
-            found = {"stop answered, this machine": _stop_s(nearest(operator)), "stop answered": _stop_s(operator)}
-            return {**found, "agent joins later": max(_joins_s(there, folder, agent) - calm_s, 0.0)}
-
-
-def _joins_s(there: Bus, folder: Path, agent: list[str]) -> float:
-    """How long an agent takes from its start until the others see it."""
-    _until(there, "agent-1", False)
-    begin_s = time.monotonic()
-    with _process(folder / "agent.log", *agent):
-        _until(there, "agent-1", True)
-        return time.monotonic() - begin_s
+            return {
+                "stop answered, this machine": _stop_s(nearest(operator)),
+                "stop answered": _stop_s(operator),
+                "agent joins": _joins_s(there, endpoint(address, "agent-1", ring)),
+            }

@@ -158,7 +158,7 @@ ROWS: tuple[Row, ...] = (
     Row(
         "strangers-knock", "Strangers at the station's port",
         "no certificate: 12 or 200 connections a second, 900 half open, or 50 handshakes a second, for 8 s and on",
-        {"stop answered, this machine": SECONDS(1.0), "stop answered": SECONDS(2.0), "agent joins later": SECONDS(2.0)},
+        {"stop answered, this machine": SECONDS(1.0), "stop answered": SECONDS(2.0), "agent joins": SECONDS(2.0)},
         rows_strangers.strangers_knock, times=12, rig="",
     ),
     Row(

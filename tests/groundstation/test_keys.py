@@ -1,7 +1,11 @@
 """The key ring on disk: who is in it, who can read it, and that no secret is ever shown."""
 
 import json
+import os
+import re
+import shutil
 import stat
+import subprocess
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -19,6 +23,7 @@ from wire.keys import admitted, read_members
 from wire.toml_file import ConfigError
 from wire.topics import Role
 
+NFT = shutil.which("nft", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 NOW = datetime(2030, 5, 1, 12, 0, 0, tzinfo=UTC)
 
 
@@ -42,6 +47,27 @@ def test_a_new_ring_has_everybody_but_robots(ring: Path) -> None:
     assert (robot.process, robot.expires) == ("agent-7", NOW + timedelta(days=397))
     assert [m.robot for m in admitted(ring, NOW) if m.role is Role.ROBOT] == [7]
     assert name_of(certificate(ring, "agent-7")) == robot.common_name
+
+
+def test_a_list_with_a_time_of_nowhere_is_refused(ring: Path) -> None:
+    """As somebody writes it by hand."""
+    members = ring / "members.toml"
+    members.write_text(re.sub(r"(expires = [^+\n]*)\+00:00", r"\1", members.read_text(), count=1))
+    with pytest.raises(ConfigError, match=r"members\.toml: member\.0\.expires .*timezone"):
+        read_members(ring)
+
+
+def test_the_firewalls_rules_are_for_the_stations_port() -> None:
+    printed = CliRunner().invoke(cli, ["keys", "firewall", "--listen", "tls/0.0.0.0:7555"])
+    assert printed.exit_code == 0 and printed.output.count("tcp dport 7555 ct state new") == 2
+    assert "@PORT@" not in printed.output
+
+
+@pytest.mark.skipif(NFT is None, reason="nft is not installed")
+def test_nft_takes_the_firewalls_rules(tmp_path: Path) -> None:
+    (tmp_path / "guard.nft").write_text(CliRunner().invoke(cli, ["keys", "firewall"]).output, encoding="utf-8")
+    checked = subprocess.run([str(NFT), "-c", "-f", str(tmp_path / "guard.nft")], capture_output=True, text=True, check=False)
+    assert (checked.returncode, checked.stderr) == (0, "")
 
 
 def test_certificates_are_signed_by_the_authority_for_the_uses_they_have(ring: Path) -> None:

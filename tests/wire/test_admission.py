@@ -43,6 +43,7 @@ def test_a_hello_may_come_in_several_records() -> None:
         b"\x16\x03\x01\x00\x04\x02\x00\x00\x00",  # a ServerHello
         b"\x16\x03\x01\x00\x04\x01\xff\xff\xff",  # a hello of 16 MB
         b"\x15\x03\x01\x00\x02\x01\x00",  # an alert
+        b"".join(b"\x16\x03\x01\x00\x01" + bytes([byte]) for byte in b"\x01\x00\x30\x00" + bytes(20)),  # a record a byte
     ],
 )
 def test_what_is_no_hello_is_refused(data: bytes) -> None:

@@ -268,6 +268,20 @@ def test_orders_from_many_threads_are_all_taken(make_bus: MakeBus) -> None:
     assert [reply.reason for reply in replies if not reply.accepted] == []
 
 
+def test_messages_of_one_topic_from_many_threads_all_arrive(make_bus: MakeBus) -> None:
+    """Numbered in one order and sent in another, the earlier number would be taken for an old message."""
+    sender, receiver = make_bus(), make_bus()
+    numbers: list[int] = []
+    receiver.subscribe(topics.STATE, 1, lambda topic, key, header, payload: numbers.append(header.sequence))
+    assert eventually(lambda: bool(sender.publish(topics.STATE, messages.RobotState(), 1, robot=1)) and bool(numbers))
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(20):
+            list(pool.map(lambda k: sender.publish(topics.STATE, messages.RobotState(), k, robot=1), range(8)))
+            time.sleep(0.005)
+    assert eventually(lambda: len(numbers) > 100)
+    assert numbers == sorted(numbers)
+
+
 def test_orders_come_in_the_order_in_which_they_were_sent_whoever_waits_for_the_answers(make_bus: MakeBus) -> None:
     station, robot = make_bus(), Obeying(make_bus())
     assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)

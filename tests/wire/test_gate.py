@@ -14,15 +14,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from groundstation import keys
+from groundstation.__main__ import cli as groundstation
 from sim_bridge.ports import free_port
 from tests.wire.strangers import Strangers
 from tests.wire.test_bus import eventually
-from wire import gate, messages, topics
+from wire import admission, gate, messages, topics
 from wire.access import DOOR
 from wire.admission import RETRY
 from wire.bus import Bus
+from wire.codec import Header
 from wire.gate import door_of, nearest
 from wire.guard import Guard
 from wire.messages import Command, Order, Reply
@@ -46,13 +49,21 @@ def address() -> str:
     return f"tls/127.0.0.1:{free_port()}"
 
 
+ASKED: list[Order] = []  # of the station
+
+
+def answer(header: Header, command: Command) -> Reply:
+    ASKED.append(command.order)
+    return Reply(0, command.order is Order.STOP)
+
+
 @pytest.fixture(scope="module")
 def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
     """A station's bus, which answers orders for the whole fleet."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
         with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
-            bus.serve(0, lambda header, command: Reply(0, command.order is Order.STOP))
+            bus.serve(0, answer)
             yield bus
 
 
@@ -131,6 +142,15 @@ def test_the_door_is_for_orders_to_the_station_and_for_nothing_else(station: Bus
         assert bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
         assert not bus.order(Command(Order.ARM, 1), 1, 0.2).accepted
     assert (obeyed, bus.session in heard) == ([], False)
+
+
+def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(station: Bus, address: str) -> None:
+    ASKED.clear()
+    port = int(address.rpartition(":")[2])
+    with Strangers(port, handshakes_hz=50.0) as strangers:  # from the members' own address: the hardest for who needs the port
+        assert eventually(lambda: strangers.made > 4)
+        said = CliRunner().invoke(groundstation, ["stop", "--station", f"tcp/127.0.0.1:{port}"])
+    assert ASKED[:1] == [Order.STOP], said.output
 
 
 def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address: str) -> None:
@@ -302,6 +322,19 @@ def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None
     with client, server:
         server.sendall(b"\x16\x03\x03\x00\x58\x02\x00\x00\x54\x03\x03" + RETRY + bytes(50))
         assert server.recv(1) == b""
+
+
+def test_a_hello_in_too_many_pieces_is_no_hello(passage: Passage) -> None:
+    """Each piece costs the guard a look at all that has come."""
+    with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
+        stranger.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):
+            for byte in b"\x16\x03\x01\x40\x00\x01\x00\x3f\xf0" + bytes(1000):
+                stranger.sendall(bytes([byte]))
+                time.sleep(0.0005)
+        with contextlib.suppress(OSError):
+            assert stranger.recv(1) == b""
+    assert eventually(lambda: len(passage.told) == 1, admission.HELLO_S / 2)
 
 
 def test_a_stranger_that_is_gone_before_its_turn_costs_nothing(passage: Passage) -> None:

@@ -47,7 +47,13 @@ def test_beyond_this_machine_keys_are_not_optional(address: str, caplog: pytest.
     assert INSECURE in caplog.text
 
 
-@pytest.mark.parametrize("address", ["", "7447", "tcp/host", "tcp/:7447", "udp/1.2.3.4:7447", "tcp/1.2.3.4:0", "tcp/1.2:x"])
+@pytest.mark.parametrize(
+    "address",
+    [
+        "", "7447", "tcp/host", "tcp/:7447", "tcp/a..b:7447", "tcp/" + "a" * 64 + ":7447", "udp/1.2.3.4:7447", "tcp/1.2.3.4:0",
+        "tcp/1.2:x",
+    ],
+)  # fmt: skip
 def test_an_address_that_is_none_is_refused(address: str) -> None:
     with pytest.raises(ConfigError, match="allowed: tcp/HOST:PORT or tls/HOST:PORT"):
         endpoint(address, "viewer", None, insecure=True)
