@@ -15,7 +15,7 @@ from wire.experiment import load_experiment
 
 BENCHMARK = "robustness"
 SEEDS = (1, 2, 3)
-OPEN = "sim.plant.walls=false"
+OPEN = "pool.walls=false"
 SHORT = "duration_s=70"
 STILL = "controller.estimator.current_rate_radps=0"
 ARTICLE = ("controller.estimator.sway=false", "safety.off_path_m=9")  # else it is soon stopped

@@ -94,7 +94,7 @@ def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
     for i, island in enumerate(experiment.islands, 1):
         shore_m = np.hypot(x - island.position_m[0], y - island.position_m[1]) - island.radius_m
         beyond[f"the clearance of island {i}"] = radius - shore_m
-    if experiment.sim.plant.walls:
+    if experiment.pool.walls:
         length, width, depth = experiment.pool.size_m
         beyond |= {
             "the wall's clearance in x": np.abs(x) + radius - length / 2.0,

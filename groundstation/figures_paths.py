@@ -82,7 +82,7 @@ def paths(series: Series) -> Figure | None:
         figure = Figure(figsize=(WIDTH_IN, TOP_IN + BOTTOM_IN + min(inside_in, TALLEST_IN)))
         axes = figure.subplots()
         place(figure)
-        if series.experiment.sim.plant.walls:
+        if series.experiment.pool.walls:
             axes.add_patch(Rectangle((-length / 2, -width / 2), length, width, fill=False, edgecolor=GREY, linewidth=1.5))
         for island in series.experiment.islands:
             axes.add_patch(Disc(island.position_m, island.radius_m, facecolor=LIGHT, edgecolor=GREY, hatch="///"))

@@ -47,7 +47,7 @@ def basin(experiment: Experiment, things: Array) -> Basin:
     room_m = experiment.vehicle.radius_m + CLEAR_M
     islands = [(*island.position_m, island.radius_m + room_m) for island in experiment.islands]
     length, width, _ = experiment.pool.size_m
-    walls = experiment.sim.plant.walls
+    walls = experiment.pool.walls
     half_m = (length / 2.0 - room_m, width / 2.0 - room_m) if walls else (math.inf, math.inf)
     return Basin(np.vstack([np.array(islands).reshape(-1, 3), things.reshape(-1, 3)]), half_m)
 

@@ -46,7 +46,7 @@ def _waypoints(experiment: Experiment, given: Route, room_m: float, at_m: Array,
     discs = np.array([(*(place - at), radius) for place, radius in islands for at in at_m]).reshape(-1, 3)
     length, width, _ = experiment.pool.size_m
     reach = np.abs(at_m).max(axis=0) + room_m + wide_m
-    walls = experiment.sim.plant.walls
+    walls = experiment.pool.walls
     half_m = (length / 2.0 - float(reach[0]), width / 2.0 - float(reach[1])) if walls else (math.inf, math.inf)
     points = route(given.via_m, discs, half_m, given.smooth_m)
     return Waypoints(

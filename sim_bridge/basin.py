@@ -27,7 +27,7 @@ class Basin:
     def __init__(self, experiment: Experiment) -> None:
         length, width, depth = experiment.pool.size_m
         self._radius_m = experiment.vehicle.radius_m
-        has_walls = experiment.sim.plant.walls
+        has_walls = experiment.pool.walls
         reach = np.array([length / 2, width / 2, depth]) if has_walls else np.full(3, np.inf)
         self._inside_m = reach - self._radius_m  # for centres; z has a floor only, the surface is water's business
         self._clear_to_m = self._inside_m - NEAR_M

@@ -26,7 +26,7 @@ class Water:
         self._is_round = plant.sway
         self._buoyancy_n = plant.buoyancy_n
         self._radius_m = vehicle.radius_m
-        self._has_surface = plant.walls
+        self._has_surface = experiment.pool.walls
         self._amplitude = np.array(plant.disturbance_wrench)[:, None]
         self._radps = 2.0 * np.pi * np.broadcast_to(np.array(plant.disturbance_hz), len(experiment.robots))
         self.disturbs = bool(self._amplitude.any())

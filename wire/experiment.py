@@ -29,6 +29,7 @@ from wire.tuning import Controller, Safety
 from wire.vehicle import Fraction, Positive, Vehicle, load_vehicle
 
 EXPERIMENTS = Path(__file__).parents[1] / "groundstation" / "experiments"
+MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
 class ArticleRow(Section):
@@ -185,6 +186,7 @@ def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Seq
     for setting in settings:
         apply_setting(table, setting)
         _insert_files(table, path)
+    _move_keys(table, path)
     _insert_nodes(table)
     sim = table.setdefault("sim", {}) if faults else None
     if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
@@ -208,6 +210,29 @@ def _insert_files(table: dict[str, Any], experiment: Path) -> None:
             raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
         if isinstance(given, dict):
             _lay_over(table[key], {k: value for k, value in given.items() if k != "like"})
+
+
+def _move_keys(table: dict[str, Any], path: Path) -> None:
+    """Put keys of an earlier version where they stand now, in the record of a run: the file beside its log. In a file that a
+    person keeps an old key is refused, with its new name."""
+    for old, new in MOVED.items():
+        (holder, key), (target, name) = _holder(table, old), _holder(table, new)
+        if holder is None or key not in holder:
+            continue
+        if not (path.name == "experiment.toml" and (path.parent / "run.mcap").is_file()):
+            raise ConfigError(f"{path}: {old}: this key is called {new} now (write {new} = {str(holder[key]).lower()})")
+        value = holder.pop(key)
+        if target is not None:
+            target.setdefault(name, value)
+
+
+def _holder(table: dict[str, Any], dotted: str) -> tuple[dict[str, Any] | None, str]:
+    """The table that a dotted key stands in, None if there is none, and the key's last part."""
+    where, _, key = dotted.rpartition(".")
+    node: Any = table
+    for name in where.split("."):
+        node = node.get(name) if isinstance(node, dict) else None
+    return (node if isinstance(node, dict) else None), key
 
 
 def _insert_nodes(table: dict[str, Any]) -> None:

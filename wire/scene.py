@@ -15,9 +15,14 @@ Vec4 = tuple[float, float, float, float]
 
 
 class Pool(Section):
-    """The basin. Its walls stand at +-length/2 and +-width/2 around the origin."""
+    """The basin. Its walls stand at +-length/2 and +-width/2 around the origin.
+
+    Without `walls` the water has no sides, no floor and no surface that a plan must keep clear of; poses and trajectories
+    still have to lie within `size_m`.
+    """
 
     size_m: tuple[Positive, Positive, Positive]
+    walls: bool = True
 
 
 class Island(Section):

@@ -61,5 +61,4 @@ class Plant(Section):
     buoyancy_n: float = -0.2  # residual, positive sinks
     disturbance_wrench: Amplitudes = (0.0, 0.0, 0.0)  # amplitude of a sine [N, N, N m] (ambiguity A13)
     disturbance_hz: NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=1)] = 0.0  # or one per robot
-    walls: bool = True  # walls, floor and water surface; false: water without end
     step_s: Annotated[float, Field(gt=0, le=0.05)] = 0.005  # contact needs 0.02 or less

@@ -61,7 +61,7 @@ def _without_rules(experiment: Experiment, edit: Edit) -> dict[str, Any]:
     try:
         changed = edited(experiment, edit)
         free = {
-            "sim": changed.sim.model_copy(update={"plant": changed.sim.plant.model_copy(update={"walls": False})}),
+            "pool": changed.pool.model_copy(update={"walls": False}),
             "safety": changed.safety.model_copy(update={"radius_m": 1e-6}),
             "vehicle": changed.vehicle.model_copy(update={"limits": _boundless(changed)}),
         }

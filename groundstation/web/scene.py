@@ -49,7 +49,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "stale_s": 3.0 * controller.period_s if mode == "real-time" else LOCKSTEP_STALE_S,
         "picture_stale_s": topics.PREVIEW.max_age_s,
         "pool_m": list(experiment.pool.size_m),
-        "walls": experiment.sim.plant.walls,
+        "walls": experiment.pool.walls,
         "hull_m": vehicle.radius_m,
         "safety_m": safety.radius_m,
         "margin_m": safety.margin_m,

@@ -23,12 +23,10 @@ NOTHING = np.zeros((0, 3))
 
 def pool(*islands: tuple[float, float, float], size_m: tuple[float, float, float] = (12.0, 10.0, 3.0)) -> Experiment:
     base = load_experiment("open-water")
-    plant = base.sim.plant.model_copy(update={"walls": True})
     return base.model_copy(
         update={
             "islands": tuple(Island(position_m=(x, y), radius_m=r) for x, y, r in islands),
-            "pool": base.pool.model_copy(update={"size_m": size_m}),
-            "sim": base.sim.model_copy(update={"plant": plant}),
+            "pool": base.pool.model_copy(update={"size_m": size_m, "walls": True}),
         }
     )
 

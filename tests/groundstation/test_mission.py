@@ -316,7 +316,7 @@ def test_a_way_home_asked_for_while_a_detour_is_planned_is_not_that_detour() -> 
 
 def test_a_place_outside_the_pool_is_refused_before_anybody_leaves_the_path() -> None:
     """Robots refuse a trajectory that leaves the pool, walls or not; the formation would hold then."""
-    straight = ['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}', "sim.plant.walls=false"]
+    straight = ['path={kind="waypoints",points_m=[[-1,0],[1,0]],speed_mps=0.1}', "pool.walls=false"]
     run = Run(settings=straight)
     while run.mission.phase is not Phase.RUNNING:
         run.step()

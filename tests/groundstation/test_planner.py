@@ -132,9 +132,7 @@ def test_thrust_is_checked_and_a_bend_takes_some_of_it() -> None:
 
 def test_open_water_has_no_walls() -> None:
     path = {"kind": "circle", "diameter_m": 40.0, "lap_s": 1000.0, "depth_m": 20.0}
-    open_water = pool().sim.model_dump()
-    open_water["plant"]["walls"] = False
-    experiment = pool(path=path, sim=open_water)
+    experiment = pool(path=path, pool={"size_m": [3.5, 2.5, 1.0], "walls": False})
     assert start_poses(experiment, plan(experiment))[1][0] == pytest.approx(20.49)
     with pytest.raises(PlanError, match="wall"):
         plan(pool(path=path))

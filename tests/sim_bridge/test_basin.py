@@ -31,7 +31,7 @@ def test_nobody_starts_in_an_island() -> None:
 def test_a_crowd_pushes_like_any_pair() -> None:
     """Forces of many, found by a tree, are the sums of the forces of their pairs; and they cancel."""
     random = np.random.default_rng(3)
-    basin = Basin(load_experiment("pool", ["sim.plant.walls=false"]))
+    basin = Basin(load_experiment("pool", ["pool.walls=false"]))
     place, speed = random.uniform(-0.8, 0.8, (MANY + 20, 3)), random.uniform(-0.5, 0.5, (MANY + 20, 3))
     found = basin.push(place, speed)
     expected, touching = np.zeros_like(place), set[int]()

@@ -50,7 +50,7 @@ def test_a_robot_with_a_weak_battery_is_slower() -> None:
     speeds = []
     for volts in (12.0, 10.0):
         settings = (
-            "sim.plant.walls=false",
+            "pool.walls=false",
             "sim.plant.thruster_spread=0",
             f"sim.sensors.battery_v={volts}",
             "sim.sensors.battery_sag_v=0",

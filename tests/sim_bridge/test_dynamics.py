@@ -17,7 +17,7 @@ NEUTRAL = np.full((2, 8), 1500.0)
 APART = np.array([[-40.0, 0.0, 5.0, 0.0], [40.0, 0.0, 5.0, 0.0]])
 IDEAL = ("sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
 LEVEL = ("sim.plant.tilt.enabled=false",)
-OPEN = ("sim.plant.walls=false", "sim.plant.buoyancy_n=0", *IDEAL, *LEVEL)
+OPEN = ("pool.walls=false", "sim.plant.buoyancy_n=0", *IDEAL, *LEVEL)
 NO_DRAG = ("vehicle.drag.linear=[1e-12,1e-12,1e-12,1e-12]", "vehicle.drag.quadratic=[0,0,0,0]")
 LOPSIDED = ("vehicle.mass.surge_kg=11", "vehicle.mass.sway_kg=17", "vehicle.mass.yaw_kg_m2=0.3")
 

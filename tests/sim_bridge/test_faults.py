@@ -18,7 +18,7 @@ from wire.faults import read_what
 from wire.frames import Array
 from wire.toml_file import ConfigError
 
-CALM = ("sim.plant.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
+CALM = ("pool.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")
 APART = np.array([[-9.0, 0.0, 5.0, 0.0], [9.0, 0.0, 5.0, 0.0]])
 
 

@@ -18,7 +18,7 @@ from wire.toml_file import ConfigError
 NEUTRAL = np.full((2, 8), 1500.0)
 APART = np.array([[-40.0, 0.0, 5.0, 0.0], [40.0, 0.0, 5.0, 0.0]])
 OPEN = (
-    "sim.plant.walls=false",
+    "pool.walls=false",
     "sim.plant.buoyancy_n=0",
     "sim.plant.thruster_spread=0",
     "sim.plant.battery.capacity_wh=0",
@@ -210,7 +210,7 @@ def test_at_rest_it_stays_level_and_still() -> None:
 
 def test_thrust_ahead_lifts_the_bow() -> None:
     """Against a wall that holds it, the pitch is where the righting moment balances the thrusters' lever."""
-    held = plant("sim.plant.walls=true", "pool.size_m=[3.5,2.5,2]", "vehicle.drag.linear=[3,3,4,0.08]")
+    held = plant("pool.walls=true", "pool.size_m=[3.5,2.5,2]", "vehicle.drag.linear=[3,3,4,0.08]")
     pulses = np.tile([1700.0] * 4 + [1500.0] * 4, (2, 1))
     state = run(held, held.start(np.array([[1.55, -0.5, 1.0, 0.0], [1.55, 0.5, 1.0, 0.0]])), 3000, pulses)[-1]
     assert state.tilt[0, 1] == pytest.approx(np.arcsin(4 * 1.22 * 0.05 / 1.9), rel=0.02)
