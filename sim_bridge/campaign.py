@@ -15,8 +15,9 @@ seeds = 20                                      # flights of each combination: s
 """
 
 import itertools
+import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
@@ -75,6 +76,16 @@ class Campaign(Section):
     sweep: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
     draw: dict[str, Draw] = Field(default_factory=dict)
 
+    @property
+    def flights(self) -> int:
+        """How many flights there are."""
+        return self.seeds * math.prod(len(values) for values in self.sweep.values())
+
+    @property
+    def end_seeds(self) -> tuple[int, int]:
+        """The first and the last seed."""
+        return self.first_seed, self.first_seed + self.seeds - 1
+
     @model_validator(mode="after")
     def _each_key_once(self) -> Self:
         doubled = sorted((set(self.sweep) & set(self.draw)) | ({*self.sweep, *self.draw} & {"seed"}))
@@ -99,6 +110,12 @@ class Flight:
         """What flies this run again, with log and report."""
         sets = "".join(f" --set {shlex.quote(setting)}" for setting in self.settings(campaign))
         return f"sim-bridge numeric {shlex.quote(campaign.experiment)} --seed {self.seed}{sets}"
+
+
+def command_of(campaign: Campaign, row: Mapping[str, Any]) -> str:
+    """What flies the flight of a result's row again."""
+    values = {key: row[key] for key in (*campaign.sweep, *campaign.draw)}
+    return Flight(row["index"], row["seed"], values).command(campaign)
 
 
 def flights(campaign: Campaign) -> Iterator[Flight]:

@@ -7,7 +7,7 @@ from typing import Annotated, NoReturn
 import typer
 
 from sim_bridge.pool_commands import Poses
-from wire.experiment import Experiment, load_experiment
+from wire.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.options import ExperimentName, FaultLines, KeyRing, Settings, experiments
 from wire.runtime import Stop
 from wire.toml_file import files_named
@@ -112,11 +112,12 @@ def numeric(
 
     from sim_bridge import numeric_run
 
-    loaded = _load(experiment, seed, duration, settings, faults)
-    folder = _new_folder(out, loaded.name)
+    loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
     console = Console()
+    fleet, water = numeric_run.prepared(loaded)
+    folder = _new_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
-    raise typer.Exit(numeric_run.run(loaded, folder, stop=Stop(), console=console))
+    raise typer.Exit(numeric_run.run(fleet, water, folder, stop=Stop(), console=console))
 
 
 def campaign(
@@ -171,9 +172,10 @@ def _go_on(
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = branch_run.experiment_of(source, changes, faults or ())
+    fleet, water = branch_run.prepared(loaded, source, at_s)
     folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
-    raise typer.Exit(branch_run.run(loaded, source, at_s, folder, stop=Stop(), console=console))
+    raise typer.Exit(branch_run.run(fleet, water, folder, stop=Stop(), console=console))
 
 
 def _new_folder(out: Path, name: str) -> Path:

@@ -400,3 +400,18 @@ def test_a_marker_is_the_robots_number_unless_told_otherwise() -> None:
     robots = load_experiment("pool", ["robots.0.marker_id=9", "formation.scale=2"])
     assert [robot.marker for robot in robots.robots] == [9, 2]
     assert robots.nodes_m().tolist() == [[0.8, 0.0, 0.0], [-0.8, 0.0, 0.0]]
+
+
+def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(tmp_path: Path) -> None:
+    """But in the record of a run, which lies beside its log, it is read where it stood."""
+    with pytest.raises(
+        ConfigError, match=r"sim\.plant\.walls: this key is called pool\.walls now \(write pool\.walls = false\)"
+    ):
+        load_experiment("pool", ["sim.plant.walls=false"])
+    recorded = load_experiment("pool", ["pool.walls=false"])
+    text = dump_experiment(recorded).replace("walls = false\n", "").replace("[sim.plant]\n", "[sim.plant]\nwalls = false\n")
+    (tmp_path / "experiment.toml").write_text(text)
+    with pytest.raises(ConfigError, match=r"pool\.walls"):
+        load_experiment(str(tmp_path / "experiment.toml"))
+    (tmp_path / "run.mcap").touch()
+    assert load_experiment(str(tmp_path / "experiment.toml")).hash == recorded.hash
