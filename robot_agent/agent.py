@@ -16,7 +16,7 @@ from robot_agent.course import Course
 from robot_agent.gains import Gains
 from robot_agent.inputs import Inputs
 from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
-from robot_agent.obstacles import Thing, islands, things_seen
+from robot_agent.obstacles import Thing, islands, spread, things_seen
 from robot_agent.orders import StationView, unacceptable
 from robot_agent.pulse_test import ThrusterTest
 from robot_agent.vitals import ARM_AGAIN_S, Vitals
@@ -24,7 +24,7 @@ from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
 from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
-from wire.topics import OBSTACLES
+from wire.unseen import blindness, is_old
 
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 
@@ -139,7 +139,7 @@ class Agent:
             pulses,
             self._vitals.arming(inputs.telemetry.armed, self.mode, now_ns),
             plan,
-            self._state(output, pulses, health, inputs, heard),
+            self._state(output, pulses, health, inputs, heard, self._blind(inputs, now_ns)),
         )
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
@@ -193,15 +193,32 @@ class Agent:
         )
 
     def _things(self, inputs: Inputs, now_ns: int) -> Sequence[Thing]:
-        """Obstacles, as long as the localizer tells of them."""
-        watched, radius_m = inputs.watched, self._experiment.vehicle.radius_m
-        if watched is None or not watched.obstacles.ids or now_ns - watched.instant_ns > OBSTACLES.max_age_s * 1e9:
+        """Obstacles. Those that nobody has told of for a while are kept, where they may be by now."""
+        watched, safety = inputs.watched, self._experiment.safety
+        if watched is None:
             return ()
-        seen = things_seen(watched.obstacles, watched.instant_ns, self._experiment.safety.radius_m)
-        if self._last is not None and self._last.estimated:
-            x, y, _, _ = self._last.eta.tolist()
-            seen = tuple(thing for thing in seen if not thing.overlaps(complex(x, y), radius_m, now_ns))
-        return seen
+        found = []
+        for thing in things_seen(watched.obstacles, watched.instant_ns, safety.radius_m):
+            old = is_old((now_ns - thing.instant_ns) * 1e-9)
+            if not self._is_me(thing, thing.instant_ns if old else now_ns):
+                found.append(spread(thing, safety, now_ns) if old else thing)
+        return tuple(found)
+
+    def _is_me(self, thing: Thing, at_ns: int) -> bool:
+        """Whether a thing, where it was at that instant, is what the camera saw of this robot."""
+        if self._last is None or not self._last.estimated:
+            return False
+        x, y, _, _ = self._last.eta.tolist()
+        return thing.overlaps(complex(x, y), self._experiment.vehicle.radius_m, at_ns)
+
+    def _blind(self, inputs: Inputs, now_ns: int) -> str:
+        """Why the robot does not know of obstacles though somebody should watch for them; empty if it does."""
+        if not self._experiment.watches_obstacles:
+            return ""
+        watched = inputs.watched
+        if watched is None:
+            return blindness(None, 0.0)
+        return blindness(watched.obstacles, (now_ns - watched.instant_ns) * 1e-9)
 
     def _plan(self, output: ControlOutput, heard: int) -> Plan:
         return Plan(
@@ -214,7 +231,13 @@ class Agent:
         )
 
     def _state(
-        self, output: ControlOutput, pulse_us: tuple[int, ...], health: Health, inputs: Inputs, heard: tuple[int, ...]
+        self,
+        output: ControlOutput,
+        pulse_us: tuple[int, ...],
+        health: Health,
+        inputs: Inputs,
+        heard: tuple[int, ...],
+        blind: str,
     ) -> RobotState:
         telemetry, seen = inputs.telemetry, inputs.pose
         unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
@@ -249,6 +272,7 @@ class Agent:
             thruster_test=self._test.result if self._test is not None else "",
             heard=heard,
             planned=output.estimated,
+            blind=blind,
         )
 
 

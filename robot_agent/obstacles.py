@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from wire.frames import Array
 from wire.messages import Obstacles
 from wire.scene import Island
+from wire.tuning import Safety
+from wire.unseen import ages_s, drift_m, growth_m, swept
 
 SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
 ABSURD_M, ABSURD_MPS = 1e3, 2.0  # limits of what can be an obstacle; nothing in a pool is faster
@@ -53,16 +55,29 @@ def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
 
 
 def things_seen(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Thing, ...]:
-    """What the localizer reports of an instant on our clock. What cannot be an obstacle is left out."""
+    """What the localizer reports of an instant on our clock, each as of when it was seen. What cannot be an obstacle is left
+    out."""
     found = []
-    for outline, velocity in zip(seen.outline, seen.velocity, strict=False):
+    for outline, velocity, unseen_s in zip(seen.outline, seen.velocity, ages_s(seen, 0.0), strict=False):
         if not np.abs(outline).max() < ABSURD_M or not np.abs(velocity).max() < ABSURD_MPS:  # false for NaN too
             continue
         corners, speed = outline[:, 0] + 1j * outline[:, 1], complex(velocity[0], velocity[1])
         pieces = _along(corners)
         middle = complex(pieces.mean())
-        found.append(Thing(pieces, keep_m, speed, instant_ns, middle, float(np.abs(pieces - middle).max())))
+        seen_ns = instant_ns - round(unseen_s * 1e9)
+        found.append(Thing(pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
     return tuple(found)
+
+
+def spread(thing: Thing, safety: Safety, now_ns: int) -> Thing:
+    """Where something may be by now that has not been seen for long."""
+    age_s = (now_ns - thing.instant_ns) * 1e-9
+    drift = drift_m(safety, np.array([thing.velocity.real, thing.velocity.imag]), age_s)
+    corners = swept(np.column_stack([thing.pieces.real, thing.pieces.imag]), drift)
+    pieces = _along(corners[:, 0] + 1j * corners[:, 1])
+    middle = complex(pieces.mean())
+    keep_m = thing.keep_m + growth_m(safety, age_s)
+    return Thing(pieces, keep_m, 0j, now_ns, middle, float(np.abs(pieces - middle).max()))
 
 
 def border(

@@ -20,6 +20,7 @@ class Located:
         self._covariance = np.diag(self._noise[[0, 1, 3]] ** 2)
         self._random = np.random.default_rng([seed, POSE_STREAM])
         self._drifters, self._depth_m = experiment.sim.drifters, experiment.path.depth_m
+        self._watches = experiment.watches_obstacles
         self._obstacle_noise = np.repeat([numeric.obstacle_noise_m, numeric.obstacle_noise_mps], 2)
         self._obstacle_random = np.random.default_rng([seed, OBSTACLE_STREAM])
 
@@ -29,8 +30,8 @@ class Located:
         return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
 
     def obstacles(self, time_s: float) -> Obstacles | None:
-        """What is adrift, as the localizer would tell of it; None if nothing ever is."""
-        if not self._drifters:
+        """What is adrift, as the localizer would tell of it; None if nothing ever is and nobody is to watch for it."""
+        if not (self._drifters or self._watches):
             return None
         noise = self._obstacle_random.standard_normal((len(self._drifters), 4)) * self._obstacle_noise
         ids, outlines, velocities = [], [], []

@@ -153,8 +153,8 @@ class Experiment(Section):
 
     @property
     def watches_obstacles(self) -> bool:
-        """Whether the localizer is to watch for obstacles: a camera that hangs still does, unless obstacle_min_m is 0. Where it
-        does not, nobody who hears of no obstacles is blind."""
+        """Whether the localizer is to watch for obstacles: with a camera that hangs still it does, unless obstacle_min_m is 0.
+        Where it is not to, nobody who hears of no obstacles is blind."""
         return self.localizer.uses_camera and self.localizer.obstacle_min_m > 0.0 and not self.landmarks
 
     def nodes_m(self) -> Array:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from tests.wire.strategies import CLASSES, FOREIGN, OWN, damaged, example, nested, same, valid
 from wire import codec
 from wire.codec import DecodeError, Header, decode, encode
-from wire.messages import Command, Event, Frame, Order, Plan, Pose, Preview, RobotState, Trajectory
+from wire.messages import Command, Event, Frame, Obstacles, Order, Plan, Pose, Preview, RobotState, Trajectory
 
 each_class = pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 
@@ -77,6 +77,16 @@ def test_an_array_that_breaks_off_within_a_number_is_refused() -> None:
     whole = np.ones(4).tobytes()
     cut = encode(plan).replace(bytes([len(whole)]) + whole, bytes([len(whole) - 1]) + whole[:-1], 1)
     assert _refused(Plan, cut).field == "eta"
+
+
+def test_obstacles_of_an_earlier_version_were_all_seen() -> None:
+    """They do not say for how long each was not seen; one that says it of some and not of others is refused."""
+    message = example(Obstacles)
+    earlier = dataclasses.replace(message, unseen_s=np.zeros(0), blind="")
+    found = _decode(Obstacles, encode(earlier))
+    assert found.blind == "" and found.unseen_s.tolist() == [0.0] * len(message.outline)
+    half = dataclasses.replace(message, unseen_s=np.zeros(len(message.outline) + 1))
+    assert _refused(Obstacles, encode(half)).field == "unseen_s"
 
 
 # --- every field, spoilt
