@@ -24,8 +24,11 @@ from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
 from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
+from wire.picture import outside_m
 from wire.unseen import blindness, is_old
 
+UNSEEN = frozenset({"pose late", "no pose"})  # reasons of mode.py
+LEFT = ": it has left the camera's picture"
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 
 
@@ -123,7 +126,7 @@ class Agent:
         health = self._vitals.health(inputs, solver_failed, now_ns)
         mode, reason = react(self.mode, health, self._experiment.safety, self._experiment.vehicle.battery)
         if mode is not self.mode:
-            self._enter(mode, reason)
+            self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
         neighbours = self._neighbours(inputs, now_ns)
         arming = health.board_disarmed_s >= ARM_AGAIN_S  # asked again: it arms on neutral pulses only
         things, goal = self._things(inputs, now_ns), None if arming else self._goal(now_ns)
@@ -170,6 +173,14 @@ class Agent:
         """Whether a pose can be one of this pool."""
         length_m, width_m, _ = self._experiment.pool.size_m
         return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
+
+    def _left_the_picture(self) -> bool:
+        """Whether the robot, as far as it knows, is no longer wholly in the picture of the camera that locates it. Of a camera
+        that moves nobody here knows where it is."""
+        experiment, last = self._experiment, self._last
+        if last is None or not last.estimated or not experiment.localizer.uses_camera or experiment.landmarks:
+            return False
+        return float(outside_m(experiment.camera, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
 
     @property
     def _located(self) -> bool:

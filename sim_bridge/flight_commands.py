@@ -76,7 +76,7 @@ def sil(
     from sim_bridge.ports import page_address
     from sim_bridge.programs import Way, check
 
-    loaded = _load(experiment, seed, duration, settings, faults)
+    loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
     way = Way(lockstep, page, manual, poses, keys, signed)

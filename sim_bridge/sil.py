@@ -6,6 +6,7 @@ The processes are the ones that run in the pool, started as a person would start
 import json
 import resource
 import shlex
+import shutil
 import socket
 import subprocess
 import sys
@@ -63,8 +64,9 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
                 saboteur = Saboteur(experiment, children, bus)
                 trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
         mission_failed = not came_up or station.exit_code != 0
+        refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
-            trouble.append(station.explain())
+            trouble.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
             _alarm(console, trouble[-1])
     finally:
         children.stop()
@@ -73,6 +75,10 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
     if stop.requested:
         console.print("interrupted: every process is stopped")
         return 130
+    if refused:
+        shutil.rmtree(run_dir)
+        console.print("[red]refused[/]: nothing was flown, and no folder is left")
+        return 2
     passed = came_up and report(run_dir, console) and not mission_failed and not trouble
     if came_up:
         console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
