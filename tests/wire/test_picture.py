@@ -11,8 +11,6 @@ CAMERA = load_experiment("pool").camera
 TILTED = CAMERA.model_copy(update={"rotation_rad": (0.1, -0.15, 0.4), "position_m": (0.3, -0.2, -2.5)})
 # its polynomial turns back at r = 0.98
 WIDE = CAMERA.model_copy(update={"distortion": (-0.35, 0.0, 0.0, 0.0, 0.0), "focal_px": (600.0, 600.0)})
-    update={"distortion": (-0.35, 0.0, 0.0, 0.0, 0.0), "focal_px": (600.0, 600.0)}
-)  # turns back at r = 0.98
 
 
 @pytest.mark.parametrize("camera", [CAMERA, TILTED, WIDE])
