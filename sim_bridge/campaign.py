@@ -25,10 +25,10 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
+from sim_bridge.streams import Stream, generator
 from wire.toml_file import Section
 
 DIGITS = 6  # of what is drawn: enough for any key, and a command that can be read
-DRAW_STREAM = 7  # keeps this use of the seed apart from the others
 
 Bound = float | tuple[float, ...]
 
@@ -123,7 +123,7 @@ def flights(campaign: Campaign) -> Iterator[Flight]:
     index = 0
     for seed in range(campaign.first_seed, campaign.first_seed + campaign.seeds):
         for combination in itertools.product(*campaign.sweep.values()):
-            random = np.random.default_rng([campaign.first_seed, DRAW_STREAM, index])
+            random = generator(campaign.first_seed, Stream.DRAWS, index)
             drawn = {key: draw.sample(random) for key, draw in campaign.draw.items()}
             yield Flight(index, seed, {**dict(zip(campaign.sweep, combination, strict=True)), **drawn})
             index += 1

@@ -5,11 +5,9 @@ each direction, in the plant's time, so that a lockstep run repeats to the bit.
 import heapq
 from typing import Generic, TypeVar
 
-import numpy as np
-
 from sim_bridge.faults import LinkTrouble
+from sim_bridge.streams import Stream, generator
 
-LINK_STREAM = 6  # keeps this use of the seed apart from the others
 T = TypeVar("T")  # of what travels beside a datagram
 OVERTAKEN_NS = 50_000_000  # longest that a datagram of a noisy link is held back: a control period, so that order changes
 
@@ -20,7 +18,7 @@ class LossyLink(Generic[T]):
     def __init__(self, seed: int, robot: int, direction: int, none: T) -> None:
         """`none` comes out beside a datagram that was overtaken."""
         self._none = none
-        self._random = np.random.default_rng([seed, LINK_STREAM, robot, direction])
+        self._random = generator(seed, Stream.LINK, robot, direction)
         self._queue: list[tuple[int, int, bytes, T]] = []  # due, order of arrival, datagram, tag
         self._count = self._newest = 0
 

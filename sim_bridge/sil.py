@@ -34,7 +34,7 @@ from wire.network import endpoint
 from wire.runtime import Stop
 from wire.toml_file import ConfigError
 from wire.topics import Role, process_name
-from wire.transport import ZenohTransport
+from wire.transport import Unreached, ZenohTransport
 
 START_WITHIN_S = 180.0  # on a starved machine a program takes a minute to be loaded
 LOOK_EVERY_S = 0.2
@@ -60,9 +60,13 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
         started = programs(experiment.robot_ids, way, run_dir, address, ports, boards)
         station, came_up = _start_all(children, started, address, stop)
         if came_up:
-            with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), way.keys, lossless=way.lockstep))) as bus:
-                saboteur = Saboteur(experiment, children, bus)
-                trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
+            where = endpoint(address, process_name(Role.SIMULATOR), way.keys, lossless=way.lockstep)
+            try:
+                with Bus(ZenohTransport(where, lambda: stop.requested or station.exit_code is not None)) as bus:
+                    saboteur = Saboteur(experiment, children, bus)
+                    trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
+            except Unreached:  # interrupted, or the station is gone: both are told below
+                came_up = False
         mission_failed = not came_up or station.exit_code != 0
         refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):

@@ -1,4 +1,4 @@
-"""Where the camera's picture belongs under the map: pool points in a mesh, and the places in the picture that show them. Pure."""
+"""Where the camera's picture belongs under the map: pool points, and the places in the picture that show them. Pure."""
 
 import numpy as np
 

@@ -9,7 +9,7 @@ import pytest
 from sim_bridge.camera import Renderer
 from sim_bridge.camera_faults import CameraTrouble
 from sim_bridge.dynamics import Plant
-from sim_bridge.faults import Faults, LinkTrouble, only
+from sim_bridge.faults import Faults, LinkTrouble, never, only
 from sim_bridge.lossy_link import LossyLink
 from sim_bridge.sensors import BoardSensors
 from sim_bridge.world import World
@@ -167,3 +167,8 @@ def test_the_tag_of_what_was_overtaken_is_gone() -> None:
     link.push(b"fast", 10, LinkTrouble(), tag=8)
     assert link.pop(20) == [(b"fast", 8)]
     assert link.pop(10**9) == [(b"slow", 0)]
+
+
+def test_a_fault_after_the_end_is_told_to_never_happen() -> None:
+    experiment = load_experiment("pool", ["duration_s=30"], ["t=29.9 thruster 1/1 dead", "t=500 camera dark"])
+    assert never(experiment) == ["never happens: camera dark at 500 s, for the run ends after 30 s"]
