@@ -164,9 +164,9 @@ def test_where_a_dense_fleet_finds_no_way_it_says_so_instead_of_searching_for_ho
 
 
 def test_a_way_that_leads_out_of_the_camera_s_picture_is_refused() -> None:
-    """An island fills the picture from side to side, and the way round it leaves it. A robot at the edge may leave it there."""
-    experiment = load_experiment("pool", ["pool.size_m=[8,8,1]", "islands=[{position_m=[0,0],radius_m=0.9}]"])
-    starts, goals = {1: pose(-1.35, 0.0, 0.3)}, {1: pose(1.35, 0.0, 0.3)}
+    """An island fills the picture from edge to edge, and the way round it leaves it. Who rests beside the picture may go."""
+    experiment = load_experiment("pool", ["pool.size_m=[8,8,1]", "islands=[{position_m=[0,0],radius_m=1.2}]"])
+    starts, goals = {1: pose(-1.6, 0.0, 0.3)}, {1: pose(1.6, 0.0, 0.3)}
     with pytest.raises(PlanError, match=r"robot 1: its way leads 0\.\d+ m beyond the camera's picture, at \("):
         marshal(experiment, starts, goals, NOTHING)
     marshal(load_experiment("pool", ["pool.size_m=[8,8,1]", NO_CAMERA]), starts, goals, NOTHING)
