@@ -35,7 +35,7 @@ def write_report(campaign: Campaign, rows: Sequence[Row], wanted: int, file: Pat
 
 def _content(campaign: Campaign, rows: Sequence[Row], wanted: int) -> dict[str, Any]:
     flown = [row for row in rows if row["status"] == "flown"]
-    values = {name: [row[name] for row in flown if row[name] is not None] for name in MEASURES}
+    values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
     main = next((name for name in SHOWN if values[name]), "rms_m")
     shown = [main, *(name for name in SHOWN if values[name] and name != main)]
     ranked = sorted((row for row in flown if row[main] is not None), key=lambda row: -row[main])

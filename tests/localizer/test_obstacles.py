@@ -1,7 +1,7 @@
 """Obstacles in the simulated pool: drawn with the simulator's own optics, which are independent of the localizer's.
 
 The water is that of the pool scene unless a test says otherwise. False alarms are counted over minutes in the slow test, with
-water that does not repeat itself within what the background remembers.
+water whose loop of 24 s is longer than the 20 s that the background remembers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from localizer import background
 from localizer.background import Background, Calm
 from localizer.obstacles import ObstacleWatch
 from localizer.things import Region, ThingTracker, convex_outline
@@ -388,11 +389,14 @@ def test_things_that_pass_each_other_keep_their_numbers_and_speeds() -> None:
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("settings", [(), STRONG], ids=["pool scene", "strong glare and caustics"])
 def test_water_and_robots_alone_raise_no_alarm(settings: tuple[str, ...], seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A minute each. The simulated water repeats after 2.4 s, which any background has soon seen all of; here after 12 s."""
+    """A minute each. The simulated water repeats after 2.4 s, which any background has soon seen all of; here it repeats after
+    longer than the background's memory."""
+    loop_s = 24.0
+    assert loop_s > background._MEMORY_S
     for module in (surface, scene, backdrop):
-        monkeypatch.setattr(module, "LOOP_S", 12.0)
+        monkeypatch.setattr(module, "LOOP_S", loop_s)
     for module in (scene, backdrop):
-        monkeypatch.setattr(module, "PHASES", 240)
+        monkeypatch.setattr(module, "PHASES", round(loop_s * 20))
     _renderer.cache_clear()
     looks = watch(60.0, circling, settings=settings, seed=seed)
     _renderer.cache_clear()

@@ -202,6 +202,18 @@ def test_a_campaign_plans_every_scene_as_the_station_does(scene: str) -> None:
         assert np.array_equal(planner.start_poses(reduced, trajectories)[robot], start)
 
 
+def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
+    """Three seconds are not enough for the way that `swap` has; its limit says that robots must be there at the end."""
+    loaded = campaign(
+        experiment="swap", settings=["duration_s=3", "robots.0.start_offset=[0,0.5,0,0]"], seeds=1, sweep={}, draw={}
+    )
+    assert fly(loaded, tmp_path / "c") == 0
+    (row,) = rows(tmp_path / "c")
+    limit_m = load_experiment("swap").limits.arrived_m
+    assert limit_m is not None and row["arrived_m"] > limit_m
+    assert not row["passed"] and "arrived_m" in row["reason"]
+
+
 def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
     told = Console(record=True, width=500, file=io.StringIO())
     refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1)
