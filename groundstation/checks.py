@@ -9,8 +9,10 @@ import numpy as np
 from groundstation.formation import NodeMotion
 from wire.experiment import Experiment
 from wire.frames import Array
+from wire.picture import outside_m
 from wire.toml_file import ConfigError
 
+PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: what a robot that is tracked well is off its path
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
 
 
@@ -67,7 +69,8 @@ def pair_problems(
 
 
 def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
-    """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of islands and each side of the basin, in m.
+    """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of islands and each side of the basin, and in the
+    picture of the camera that locates it, in m.
 
     At the surface the centre counts, not the hull: a robot may float. Open water has no sides.
     """
@@ -85,7 +88,15 @@ def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
             "the floor's clearance": z + radius - depth,
             "the surface": -z,
         }
+    if experiment.localizer.uses_camera:
+        beyond["the camera's picture"] = beyond_picture(experiment, position_m)
     return beyond
+
+
+def beyond_picture(experiment: Experiment, position_m: Array) -> Array:
+    """How far (n,) positions (n, 3) lie beyond where the camera surely sees a robot's hull, in m. Of a camera that moves the
+    pose counts that the experiment gives."""
+    return outside_m(experiment.camera, position_m, experiment.vehicle.radius_m + PICTURE_MARGIN_M)
 
 
 def _worst(values: Array, limit: float) -> _Worst | None:

@@ -255,8 +255,14 @@ def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> Chec
         yield "close", "warning", False, f"its plan enters another robot's space by {state.slack_m * 1e3:.0f} mm", ""
 
 
+def _sight(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+    if state.blind:
+        remedy = "is the localizer running? It learns anew by itself, in some seconds, when light and camera stay as they are"
+        yield "blind", "warning", experiment.mission.blind == "hold", f"blind: {state.blind}", remedy
+
+
 CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], Check], ...] = (
-    _mode, _experiment, _board, _pose, _link, _step, _control,
+    _mode, _experiment, _board, _pose, _sight, _link, _step, _control,
 )  # fmt: skip
 
 

@@ -11,6 +11,8 @@ from groundstation.legs import NOTHING, Leg, first_contact
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Obstacles
+from wire.tuning import Safety
+from wire.unseen import ages_s, drift_m, growth_m, is_old
 
 AHEAD_S = 25.0  # along the path, for things that lie on it
 DRIFTS_MPS = 0.05  # what moves faster will lie elsewhere when the formation comes by
@@ -25,13 +27,18 @@ class Surroundings:
     things: Array = field(default_factory=lambda: NOTHING)
 
 
-def surroundings(seen: Obstacles) -> Surroundings:
-    """Obstacles that lie still, as circles around their outlines."""
+def surroundings(seen: Obstacles, since_s: float, safety: Safety) -> Surroundings:
+    """Obstacles of a message that is `since_s` old, as circles around their outlines: those that lie still, and those that
+    nobody has told of for a while, whatever they did then, wide enough for where they may be by now."""
     found = []
-    for number, outline, velocity in zip(seen.ids, seen.outline, seen.velocity, strict=False):
-        if float(np.hypot(*velocity)) <= DRIFTS_MPS:
+    for number, outline, velocity, age_s in zip(seen.ids, seen.outline, seen.velocity, ages_s(seen, since_s), strict=False):
+        old = is_old(age_s)
+        if old or float(np.hypot(*velocity)) <= DRIFTS_MPS:
+            drift = drift_m(safety, velocity, age_s) if old else np.zeros(2)
+            wider_m = growth_m(safety, age_s) if old else 0.0
             middle = outline.mean(axis=0)
-            found.append((number, *middle.tolist(), float(np.hypot(*(outline - middle).T).max())))
+            reach_m = float(np.hypot(*(outline - middle).T).max()) + 0.5 * float(np.hypot(*drift)) + wider_m
+            found.append((number, *(middle + 0.5 * drift).tolist(), reach_m))
     return Surroundings(tuple(int(n) for n, *_ in found), np.array([thing for _, *thing in found]).reshape(-1, 3))
 
 

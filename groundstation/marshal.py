@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from groundstation.checks import PlanError
+from groundstation.checks import PlanError, beyond_picture, place
 from groundstation.formation import NodeMotion
 from groundstation.route import NoRoute
 from groundstation.trip import Basin, Trip, basin, is_free, joined, padded, planned_trip, with_heading
@@ -46,7 +46,21 @@ def marshal(
         trips = _marshal(experiment, around, dict(starts), dict(goals), MAKING_ROOM, iter(range(MOST_TRIES)))
     except _Enough:
         raise PlanError(f"no ways clear of one another have been found in {MOST_TRIES} tries") from None
+    for robot, trip in trips.items():
+        _stays_in_sight(experiment, robot, trip)
     return {robot: with_heading(trip, float(starts[robot][3]), experiment) for robot, trip in trips.items()}
+
+
+def _stays_in_sight(experiment: Experiment, robot: int, trip: Trip) -> None:
+    """Raise PlanError if the camera would lose sight of a robot on its way. One that rests at the picture's edge may leave it
+    from there, and come to rest at it."""
+    if not experiment.localizer.uses_camera:
+        return
+    beyond_m = beyond_picture(experiment, trip.position)
+    worst = int(np.argmax(beyond_m))
+    if beyond_m[worst] > max(0.0, beyond_m[0], beyond_m[-1]) + NEAR_M:
+        where = place(trip.position[worst])
+        raise PlanError(f"robot {robot}: its way leads {beyond_m[worst]:.3f} m beyond the camera's picture, at {where}")
 
 
 def _marshal(
@@ -84,6 +98,10 @@ def _orders(starts: Mapping[int, Array], goals: Mapping[int, Array]) -> Iterator
         yield turned[::-1]
 
 
+def _in_sight(experiment: Experiment, eta: Array) -> bool:
+    return not experiment.localizer.uses_camera or float(beyond_picture(experiment, eta[None, :3])[0]) <= 0.0
+
+
 def _asides(
     experiment: Experiment, around: Basin, starts: Mapping[int, Array], goals: Mapping[int, Array]
 ) -> Iterator[tuple[int, Array]]:
@@ -93,11 +111,12 @@ def _asides(
     for far_m in ASIDE_M:
         for robot in blockers:
             for angle in 2.0 * np.pi / ASIDE_WAYS * np.arange(ASIDE_WAYS):
-                place = starts[robot].copy()
-                place[:2] += far_m * np.array([np.cos(angle), np.sin(angle)])
+                aside = starts[robot].copy()
+                aside[:2] += far_m * np.array([np.cos(angle), np.sin(angle)])
                 others = [p for r in starts for p in (starts[r], goals[r]) if r != robot]
-                if is_free(place[:2], around) and all(np.linalg.norm(place[:2] - p[:2]) > keep_m for p in others):
-                    yield robot, place
+                clear = all(np.linalg.norm(aside[:2] - p[:2]) > keep_m for p in others)
+                if clear and is_free(aside[:2], around) and _in_sight(experiment, aside):
+                    yield robot, aside
 
 
 def _one_after_the_other(

@@ -211,7 +211,15 @@ class Mission:
         plans.reached_s = reached_s
         fresh, slowed = now_ns - self._since_ns <= topics.STATE.max_age_s * 1e9, self.pace.slowed
         notice = noticed(
-            self.phase, fleet, self.crew, plans.leg, plans.reached_s, fresh, slowed, lambda: plans.blocked(fleet, now_ns)
+            self.phase,
+            fleet,
+            self.crew,
+            plans.leg,
+            plans.reached_s,
+            fresh,
+            slowed,
+            lambda: plans.blocked(fleet, now_ns),
+            blind_holds=self._experiment.mission.blind == "hold",
         )
         if notice is None:
             return

@@ -54,6 +54,7 @@ class Event(Enum):
     CAUGHT_UP = "nobody lags any more"
     HELD = "a robot holds by itself"
     OUT_OF_STEP = "a robot is out of step with the others"
+    BLIND = "nobody can tell what lies in the pool: policy hold"
     OBSTACLE = "something lies on the path"
     BLOCKED = "there is no way round it"
     LOST = "a robot is lost: policy abort"
@@ -132,6 +133,7 @@ TABLE: tuple[Row, ...] = (
     _row(Phase.SWITCHING, Event.BLOCKED, Phase.PAUSED),
     _row(FLYING, Event.HELD, Phase.PAUSED),
     _row(FLYING | JOINING, Event.OUT_OF_STEP, Phase.PAUSED),
+    _row(FLYING, Event.BLIND, Phase.PAUSED),
     _row(Phase.PAUSED, Event.WELL, Phase.RESUMING),
     _row(Phase.RESUMING, Event.OBEYED, Phase.RUNNING),
     _row(Phase.RESUMING, Event.BESIDE_LOST, Phase.HALTING),

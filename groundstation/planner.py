@@ -116,7 +116,12 @@ def _flown(
 
         path = slowed(path, _excess, samples, period_s)
     if experiment.duration_s > path.end_s + period_s:
-        raise PlanError(f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s")
+        before_s = time_s[: max(int(np.count_nonzero(time_s <= path.end_s)), 2)]
+        short = [Course(n.place_m[: len(before_s)], n.rate_mps[: len(before_s)], n.bend_mps2[: len(before_s)]) for n in nodes]
+        motions = node_motions(experiment, path.at(before_s), group, short)
+        problems = robot_problems(experiment, motions, len(before_s))  # first: what is flown too fast is over too soon
+        over = f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s"
+        raise PlanError("\n".join([*problems, over]))
     centre = path.at(time_s)
     return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
 

@@ -169,9 +169,9 @@ class Station:
     def _around(self) -> Surroundings:
         """What the localizer sees lying in the pool; what drifts is left to the robots, who see it too."""
         received = self.heard.obstacles.newest(self.obstacles_up_to_ns)
-        if received is None or age_s(self.clock, received) > topics.OBSTACLES.max_age_s:
+        if received is None:
             return Surroundings()
-        return surroundings(received.message)
+        return surroundings(received.message, age_s(self.clock, received), self.experiment.safety)
 
     def _plan(self, lockstep: bool, now_ns: int) -> None:
         """Have made what the mission waits for: beside the cycle, which must beat on; in lockstep at once. What it no longer

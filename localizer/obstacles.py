@@ -6,6 +6,10 @@
 A camera alone cannot tell how deep a thing is: outlines are given at the depth of the robots' path, where it would be in their
 way. What was there from the start is background. What comes later and lies still stays an obstacle for as long as it is seen.
 
+When most of the picture changes at once, the light has changed or the camera has moved, and everything has to be learned anew.
+Until that is done the watch says that it is blind. What it had followed for 2 s by then it goes on telling, with the time for
+which it was not seen, until it sees something there again: what lies still meanwhile is learned as water.
+
 Measured in the simulated pool, two robots moving, water that does not repeat itself: no false alarm in five minutes of strong
 glare, caustics and ripples, none in five minutes of the pool scene's water (five seeds each). A red ball, a grey box and a
 black pole show up after 0.5 s; intersection over union 0.84, 0.70, 0.62, velocities within 0.01 m/s (medians).
@@ -18,10 +22,11 @@ from numpy.typing import NDArray
 from localizer.background import LAG_S, Background, Calm, Mask, Planes, Reduction
 from localizer.calibration import PoolView
 from localizer.patch import Pixels
-from localizer.things import CORNERS, Region, ThingTracker, convex_outline
+from localizer.things import CORNERS, Region, Thing, ThingTracker, convex_outline
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Obstacles
+from wire.unseen import drift_m, growth_m
 
 _LOOK_S = 0.1  # between looks: 1 cm at walking pace under water, and half the frames cost nothing
 _LEARN_EVERY = 2  # looks: nearer ones tell nothing new, as the picture is averaged over time
@@ -30,8 +35,14 @@ _FOREGROUND = 4.5  # distance of a cell's colour from its usual one: background.
 _EDGE = 0.5  # of the strongest cell nearby: half covered
 _EDGE_REACH = np.ones((5, 5), np.uint8)  # cells: a sharp edge is three wide after averaging, and its flank is one more
 _GAP = np.ones((3, 3), np.uint8)  # cells: caustics may cut a thing in two for a moment
+_SURE_S = 2.0  # for so long a thing must have been followed to be kept when everything has to be learned anew
+_SAME_M = 0.1  # a thing that is found this near to where one that was lost may be is that one
 _LEAST_M = 0.01  # whatever the experiment asks for: nothing smaller can be told from noise
 _FLOODED = 0.35  # share of the watched cells: more is the light that changed, or the camera that moved
+_JUDGED = 0.5  # share of the pool's cells: with less of them watched nobody can tell what lies in the pool
+_LEARNS = "the localizer learns what the water looks like"
+_CHANGED = "the light changed or the camera moved, and the localizer learns anew what the water looks like"
+_HIDDEN = "too little of the pool is in sight"
 
 _ROBOT_MARGIN_M = 0.06  # around a robot: its legs, half a cell's reach, and the averaging over neighbours
 _LAMP_SLOPE = 0.6  # a robot's shadow lies up to so far aside, per metre of water below it (31 degrees)
@@ -47,7 +58,7 @@ class ObstacleWatch:
         self._view = PoolView(experiment.camera)
         self._shape_px = experiment.camera.size_px[::-1]
         self._reduction = Reduction(experiment.camera.size_px)
-        self._depth_m = experiment.path.depth_m
+        self._depth_m, self._safety = experiment.path.depth_m, experiment.safety
         self._floor_m = experiment.pool.size_m[2]
         self._radius_m = experiment.vehicle.radius_m
         self._least_m2 = max(experiment.localizer.obstacle_min_m, _LEAST_M) ** 2
@@ -56,6 +67,8 @@ class ObstacleWatch:
         self._calm, self._background = Calm(shape), Background(shape)
         self._shaded_from_start = np.zeros(shape, np.bool_)  # learnt where a robot may have cast its shadow all the time
         self._tracker = ThingTracker()
+        self._unseen: tuple[Thing, ...] = ()  # there when everything had to be learned anew, and not found again
+        self._why = _LEARNS  # if it is blind
         self._looks = 0
         self._stamp_ns: int | None = None
 
@@ -72,6 +85,7 @@ class ObstacleWatch:
             return None
         if elapsed_s < 0.0:
             self._tracker.clear()  # time was set anew; nothing can be said of what moved how far
+            self._unseen = ()
         self._stamp_ns = stamp_ns
         self._looks += 1
         step_s = min(abs(elapsed_s), _LONGEST_STEP_S)
@@ -82,12 +96,16 @@ class ObstacleWatch:
         foreground = self._foreground(distance, watched)
         if np.count_nonzero(foreground) > _FLOODED * np.count_nonzero(watched):
             self._background.forget(np.ones_like(watched))
+            self._unseen, self._why = (*self._unseen, *self._followed_long(stamp_ns)), _CHANGED
             self._tracker.clear()
             watched, foreground = np.zeros_like(watched), np.zeros_like(foreground)
         self._tracker.take(self._regions(foreground), stamp_ns)
+        self._unseen = tuple(thing for thing in self._unseen if not self._is_back(thing, stamp_ns))
         if self._looks % _LEARN_EVERY == 0:
             self._learn(colours, distance, hidden, shaded, step_s * _LEARN_EVERY)
-        return self._message(int(np.count_nonzero(watched)) / max(int(np.count_nonzero(self._in_pool)), 1))
+        share = int(np.count_nonzero(watched)) / max(int(np.count_nonzero(self._in_pool)), 1)
+        self._why = _HIDDEN if share >= _JUDGED else self._why
+        return self._message(share, stamp_ns)
 
     # --- in the order of `step`
 
@@ -146,15 +164,35 @@ class ObstacleWatch:
         self._background.forget(stale)
         self._background.learn(colours, distance, clear, step_s)
 
-    def _message(self, watched: float) -> Obstacles:
-        """What has persisted. Averaging over time shows moving things where they were a moment ago."""
-        shown = [thing for thing in self._tracker.things if thing.id]
+    @property
+    def _numbered(self) -> tuple[Thing, ...]:
+        """What has persisted."""
+        return tuple(thing for thing in self._tracker.things if thing.id)
+
+    def _followed_long(self, stamp_ns: int) -> tuple[Thing, ...]:
+        """What was surely there before the light began to change: a lamp takes some time to come up."""
+        return tuple(thing for thing in self._numbered if stamp_ns - thing.since_ns >= _SURE_S * 1e9)
+
+    def _is_back(self, unseen: Thing, stamp_ns: int) -> bool:
+        """Whether something that is followed now may be a thing that was there before everything was learned anew."""
+        drift = drift_m(self._safety, unseen.velocity_mps, unseen.unseen_s(stamp_ns))
+        reach_m = 0.5 * float(np.hypot(*drift)) + growth_m(self._safety, unseen.unseen_s(stamp_ns)) + _SAME_M
+        middle = unseen.middles_m[-1] + 0.5 * drift
+        return any(float(np.hypot(*(thing.middles_m[-1] - middle))) <= reach_m for thing in self._numbered)
+
+    def _message(self, watched: float, stamp_ns: int) -> Obstacles:
+        """What has persisted, and what was there before. Averaging over time shows moving things where they were a moment
+        ago."""
+        seen = self._numbered
+        shown = [*seen, *self._unseen]
         return Obstacles(
             ids=tuple(thing.id for thing in shown),
             outline=np.array([thing.region.outline_m + LAG_S * thing.velocity_mps for thing in shown]).reshape(-1, CORNERS, 2),
             velocity=np.array([thing.velocity_mps for thing in shown]).reshape(-1, 2),
             depth_m=self._depth_m,
             watched=watched,
+            blind="" if watched >= _JUDGED else self._why,
+            unseen_s=np.array([0.0] * len(seen) + [thing.unseen_s(stamp_ns) for thing in self._unseen]),
         )
 
     # --- at the start

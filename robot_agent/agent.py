@@ -20,7 +20,7 @@ from robot_agent.course import Course
 from robot_agent.gains import Gains, Prepared
 from robot_agent.inputs import Inputs
 from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
-from robot_agent.obstacles import Apart, Thing, islands, things_seen
+from robot_agent.obstacles import Apart, Thing, islands, spread, things_seen
 from robot_agent.orders import StationView, begins_ns, unacceptable
 from robot_agent.pulse_test import ThrusterTest
 from robot_agent.vitals import Vitals
@@ -28,9 +28,12 @@ from wire.codec import Header
 from wire.experiment import Experiment
 from wire.mavlink import Telemetry
 from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
-from wire.topics import OBSTACLES
+from wire.picture import outside_m
+from wire.unseen import blindness, is_old
 
 THRUSTERS = 4
+UNSEEN = frozenset({"pose late", "no pose"})  # reasons of mode.py
+LEFT = ": it has left the camera's picture"
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 
 
@@ -140,7 +143,7 @@ class Agent:
         health = self._vitals.health(inputs, solver_failed, now_ns)
         mode, reason = react(self.mode, health, self._experiment.safety)
         if mode is not self.mode:
-            self._enter(mode, reason)
+            self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
         neighbours = self._neighbours(inputs, now_ns)
         things, goal = self._things(inputs, now_ns), self._goal(now_ns)  # time goes on along the path while the board arms
         if not inputs.telemetry.armed:
@@ -157,7 +160,7 @@ class Agent:
             pulses,
             self._vitals.arming(inputs.telemetry.armed, self.mode, now_ns),
             plan,
-            self._state(output, pulses, health, inputs, heard),
+            self._state(output, pulses, health, inputs, heard, self._blind(inputs, now_ns)),
         )
 
     def _sound(self, output: ControlOutput) -> ControlOutput:
@@ -213,6 +216,14 @@ class Agent:
         length_m, width_m, _ = self._experiment.pool.size_m
         return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
 
+    def _left_the_picture(self) -> bool:
+        """Whether the robot, as far as it knows, is no longer wholly in the picture of the camera that locates it. Of a camera
+        that moves nobody here knows where it is."""
+        experiment, last = self._experiment, self._last
+        if last is None or not last.estimated or not experiment.localizer.uses_camera or experiment.landmarks:
+            return False
+        return float(outside_m(experiment.camera, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
+
     def _goal(self, now_ns: int) -> Goal | None:
         """What the mode asks the controller for; None is neutral."""
         if self.mode is Mode.TRACKING:
@@ -235,15 +246,24 @@ class Agent:
         )  # fmt: skip
 
     def _things(self, inputs: Inputs, now_ns: int) -> Sequence[Thing]:
-        """Obstacles, as long as the localizer tells of them."""
-        watched = inputs.watched
-        if watched is None or not watched.obstacles.ids or now_ns - watched.instant_ns > OBSTACLES.max_age_s * 1e9:
+        """Obstacles. Those that nobody has told of for a while are kept, where they may be by now."""
+        watched, safety = inputs.watched, self._experiment.safety
+        if watched is None:
             return ()
-        seen = things_seen(watched.obstacles, watched.instant_ns, self._experiment.safety.radius_m)
-        if self._last is None or not self._last.estimated:
-            return seen
-        x, y, _, _ = self._last.eta.tolist()
-        return self._apart.others(seen, complex(x, y), now_ns)
+        found = things_seen(watched.obstacles, watched.instant_ns, safety.radius_m)
+        if self._last is not None and self._last.estimated:
+            x, y, _, _ = self._last.eta.tolist()
+            found = self._apart.others(found, complex(x, y), now_ns)
+        return tuple(spread(thing, safety, now_ns) if is_old(thing.age_s(now_ns)) else thing for thing in found)
+
+    def _blind(self, inputs: Inputs, now_ns: int) -> str:
+        """Why the robot does not know of obstacles though somebody should watch for them; empty if it does."""
+        if not self._experiment.watches_obstacles:
+            return ""
+        watched = inputs.watched
+        if watched is None:
+            return blindness(None, 0.0)
+        return blindness(watched.obstacles, (now_ns - watched.instant_ns) * 1e-9)
 
     def _plan(self, output: ControlOutput, heard: tuple[int, ...]) -> Plan:
         return Plan(
@@ -256,7 +276,13 @@ class Agent:
         )
 
     def _state(
-        self, output: ControlOutput, pulse_us: tuple[int, ...], health: Health, inputs: Inputs, heard: tuple[int, ...]
+        self,
+        output: ControlOutput,
+        pulse_us: tuple[int, ...],
+        health: Health,
+        inputs: Inputs,
+        heard: tuple[int, ...],
+        blind: str,
     ) -> RobotState:
         telemetry, seen = inputs.telemetry, inputs.pose
         unheard = 1e6  # finite stand-in for "never", in milliseconds: every number on the wire is finite
@@ -291,6 +317,7 @@ class Agent:
             thruster_test=self._test.result if self._test is not None else "",
             heard=heard,
             planned=output.estimated,
+            blind=blind,
         )
 
 

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from wire.frames import Array
 from wire.messages import Obstacles
 from wire.scene import Island
+from wire.tuning import Safety
+from wire.unseen import ages_s, drift_m, growth_m, is_old, swept
 
 SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
 ABSURD_M, ABSURD_MPS = 1e3, 2.0  # limits of what can be an obstacle; nothing in a pool is faster
@@ -37,6 +39,10 @@ class Thing:
         """How far it has moved, as far as one knows."""
         return self.velocity * ((now_ns - self.instant_ns) * 1e-9)
 
+    def age_s(self, now_ns: int) -> float:
+        """How long ago it was seen."""
+        return (now_ns - self.instant_ns) * 1e-9
+
     def overlaps(self, place: complex, radius_m: float, now_ns: int) -> bool:
         """Whether it is where a hull is."""
         apart = place - self.ahead(now_ns) - self.pieces[None]
@@ -55,10 +61,15 @@ class Apart:
         self._others: frozenset[int] = frozenset()  # ids of obstacles that have been clear of the hull
 
     def others(self, things: Sequence[Thing], place: complex, now_ns: int) -> tuple[Thing, ...]:
-        """Those of the obstacles that are other bodies than the robot at `place`."""
-        found = tuple(t for t in things if t.id in self._others or not t.overlaps(place, self._hull_m, now_ns))
+        """Those of the obstacles that are other bodies than the robot at `place`. One that was seen too long ago counts where
+        it was seen."""
+        found = tuple(t for t in things if t.id in self._others or not self._is_hull(t, place, now_ns))
         self._others = frozenset(thing.id for thing in found)
         return found
+
+    def _is_hull(self, thing: Thing, place: complex, now_ns: int) -> bool:
+        at_ns = thing.instant_ns if is_old(thing.age_s(now_ns)) else now_ns
+        return thing.overlaps(place, self._hull_m, at_ns)
 
 
 def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
@@ -72,16 +83,30 @@ def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
 
 
 def things_seen(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Thing, ...]:
-    """What the localizer reports of an instant on our clock. What cannot be an obstacle is left out."""
+    """What the localizer reports of an instant on our clock, each as of when it was seen. What cannot be an obstacle is left
+    out."""
     found = []
-    for number, outline, velocity in zip(seen.ids, seen.outline, seen.velocity, strict=False):
+    seen_s = ages_s(seen, 0.0)
+    for number, outline, velocity, unseen_s in zip(seen.ids, seen.outline, seen.velocity, seen_s, strict=False):
         if not np.abs(outline).max() < ABSURD_M or not np.abs(velocity).max() < ABSURD_MPS:  # false for NaN too
             continue
         corners, speed = outline[:, 0] + 1j * outline[:, 1], complex(velocity[0], velocity[1])
         pieces = _along(corners)
         middle = complex(pieces.mean())
-        found.append(Thing(number, pieces, keep_m, speed, instant_ns, middle, float(np.abs(pieces - middle).max())))
+        seen_ns = instant_ns - round(unseen_s * 1e9)
+        found.append(Thing(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
     return tuple(found)
+
+
+def spread(thing: Thing, safety: Safety, now_ns: int) -> Thing:
+    """Where something may be by now that has not been seen for long."""
+    age_s = thing.age_s(now_ns)
+    drift = drift_m(safety, np.array([thing.velocity.real, thing.velocity.imag]), age_s)
+    corners = swept(np.column_stack([thing.pieces.real, thing.pieces.imag]), drift)
+    pieces = _along(corners[:, 0] + 1j * corners[:, 1])
+    middle = complex(pieces.mean())
+    keep_m = thing.keep_m + growth_m(safety, age_s)
+    return Thing(thing.id, pieces, keep_m, 0j, now_ns, middle, float(np.abs(pieces - middle).max()))
 
 
 def border(

@@ -20,13 +20,15 @@ from wire.toml_file import ConfigError
 
 STEP_S = 0.005
 READ_BYTES = 65536
+NOBODY = ("", 0)  # a terminal has no addresses
 FORMS = "udp:HOST:PORT or pty:PATH, for example udp:127.0.0.1:14551 or pty:/tmp/board"
 
 
 class Socket(Protocol):
     """Where a computer can be plugged in."""
 
-    def read(self, now_ns: int) -> list[bytes]: ...
+    def read(self) -> list[tuple[bytes, tuple[str, int]]]: ...
+    def hear(self, peer: tuple[str, int], now_ns: int) -> None: ...
     def send(self, data: bytes, now_ns: int) -> None: ...
     def fileno(self) -> int: ...
     def close(self) -> None: ...
@@ -42,11 +44,14 @@ class Terminal:
         os.set_blocking(self._board, False)
         path.symlink_to(os.ttyname(self._computer))
 
-    def read(self, now_ns: int) -> list[bytes]:
+    def read(self) -> list[tuple[bytes, tuple[str, int]]]:
         try:
-            return [os.read(self._board, READ_BYTES)]
+            return [(os.read(self._board, READ_BYTES), NOBODY)]
         except BlockingIOError:
             return []
+
+    def hear(self, peer: tuple[str, int], now_ns: int) -> None:
+        """There is one other end."""
 
     def send(self, data: bytes, now_ns: int) -> None:
         try:
@@ -85,8 +90,9 @@ def run(board: Board, socket: Socket, stop: Stop) -> None:
     said = (False, True)
     while not stop.requested:
         now_ns = time.monotonic_ns() - begin_ns
-        for data in socket.read(now_ns):
-            board.receive(data, now_ns)
+        for data, peer in socket.read():
+            if board.receive(data, now_ns):
+                socket.hear(peer, now_ns)
         if now_ns >= steps * STEP_S * 1e9:
             steps = int(now_ns / (STEP_S * 1e9)) + 1
             data = board.step(now_ns, still, still, still)

@@ -103,8 +103,15 @@ class Board:
         """Frames that were dropped for their signature."""
         return self._link.unauthentic_frames
 
-    def receive(self, data: bytes, now_ns: int) -> None:
-        """Bytes from the robot's computer, or from somebody else on the link. Never raises, whatever they are."""
+    def receive(self, data: bytes, now_ns: int) -> bool:
+        """Bytes from the robot's computer, or from somebody else on the link. Returns whether a frame in them was taken: one
+        that is intact, and on a signed link well signed. Never raises, whatever they are."""
+        link = self._link
+        before = link.taken_frames
+        self._obey(data, now_ns)
+        return link.taken_frames > before
+
+    def _obey(self, data: bytes, now_ns: int) -> None:
         for asker, event in self._link.receive(data, now_ns):
             match event:
                 case Override(pulses_us):
@@ -186,7 +193,7 @@ class Board:
         `measures`. `supply_v` is the battery's voltage without load (default: the experiment's), `tilt` begins with roll and
         pitch.
         """
-        self.receive(b"", now_ns)  # what has begun and not ended may be overdue
+        self._obey(b"", now_ns)  # what has begun and not ended may be overdue
         voltage = None
         if self.measures(now_ns):
             voltage = self.sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())

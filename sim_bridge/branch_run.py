@@ -9,6 +9,7 @@ from rich.console import Console
 
 from sim_bridge import faults
 from sim_bridge.branch import Memory, branch, remember
+from sim_bridge.numeric import AgentFleet, BareWater
 from sim_bridge.numeric_run import STATION, fly_and_report
 from wire.experiment import Experiment, dump_experiment, load_experiment
 from wire.options import caution
@@ -25,12 +26,16 @@ def experiment_of(run: Path, settings: Sequence[str], more_faults: Sequence[str]
     return experiment
 
 
-def run(experiment: Experiment, source: Path, at_s: float, folder: Path, *, stop: Stop, console: Console) -> int:
-    """Go on from `at_s` along the trajectories of the run in `source`. Returns the exit code: 0 passed, 1 failed, 130
-    interrupted."""
+def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, BareWater]:
+    """Robots as they were `at_s` along the trajectories of the run in `source`. Raises ConfigError, and leaves nothing behind,
+    if the run does not tell."""
     memories = [_remembered(experiment, source, at_s, robot) for robot in experiment.robot_ids]
-    fleet, water = branch(experiment, memories, experiment.seed, time.perf_counter_ns)
-    (folder / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    return branch(experiment, memories, experiment.seed, time.perf_counter_ns)
+
+
+def run(fleet: AgentFleet, water: BareWater, folder: Path, *, stop: Stop, console: Console) -> int:
+    """Go on with what is `prepared`. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+    (folder / "experiment.toml").write_text(dump_experiment(fleet.experiment), encoding="utf-8")
     return fly_and_report(fleet, water, folder, stop=stop, console=console)
 
 

@@ -16,13 +16,13 @@ from sim_bridge.optics import optical_path_m, project
 from sim_bridge.plates import Plate, Sight
 from sim_bridge.scene import Scene
 from sim_bridge.sprites import Pose, Sprite, attitude, parts, shade, shadow_box
+from sim_bridge.streams import Stream, generator
 from sim_bridge.textures import Bytes, Float
 from sim_bridge.view import Window
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.sight import Camera
 
-CAMERA_STREAM = 3  # keeps this use of the seed apart from the others
 MARGIN_PX = 4.0  # around a robot's picture: ripples and soft edges
 PROBE_M = 0.02  # distance over which the local scale is measured
 
@@ -35,19 +35,19 @@ class Renderer:
     def __init__(self, experiment: Experiment, seed: int) -> None:
         self._camera, self._picture = experiment.camera, experiment.sim.picture
         self._robots, self._landmarks = experiment.robot_ids, experiment.landmarks
-        random = np.random.default_rng([seed, CAMERA_STREAM, 0])
+        random = generator(seed, Stream.CAMERA, 0)
         motion = experiment.sim.camera_motion
-        swings = Motion(experiment.camera, motion, np.random.default_rng([seed, CAMERA_STREAM, 3]))
+        swings = Motion(experiment.camera, motion, generator(seed, Stream.CAMERA, 3))
         self._backdrop = Hover(experiment, swings, random) if motion.moves else Backdrop(experiment, random)
         shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
         self._sprites = [
-            Sprite.robot(robot, experiment, np.random.default_rng([seed, CAMERA_STREAM, 1, shade]))
+            Sprite.robot(robot, experiment, generator(seed, Stream.CAMERA, 1, shade))
             for robot, shade in zip(experiment.robots, shades, strict=True)
         ]
         self._balls = [(drifter, Sprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
         self._whole = self._sprites
         self._plates = [Plate(landmark.id, landmark.side_m, experiment.camera.px_per_m) for landmark in self._landmarks]
-        random = np.random.default_rng([seed, CAMERA_STREAM, 2])
+        random = generator(seed, Stream.CAMERA, 2)
         self._noise = ImageNoise(experiment.camera.size_px, self._picture.noise, random)
 
     def lose_markers(self, bare: Collection[int]) -> None:

@@ -33,6 +33,10 @@ class CameraTrouble:
                 raw[:, : round(b.value * raw.shape[1])] = CABLE_GREY
             elif b.effect == "glare":
                 raw = np.maximum(raw, _glare(raw.shape, b.value))
+            elif b.effect == "lamp":
+                raw = np.rint(np.minimum(np.arange(256) * b.value, 255.0)).astype(np.uint8)[raw]
+            elif b.effect == "bump":
+                raw = _moved(raw, 2 * round(b.value / 2))
         self._last = raw
         return raw
 
@@ -46,3 +50,10 @@ def _glare(shape: tuple[int, ...], fraction: float) -> Raw:
     glare = np.asarray(255.0 * np.clip((1.0 + SOFT_EDGE - distance) / SOFT_EDGE, 0.0, 1.0), dtype=np.uint8)
     glare.setflags(write=False)
     return glare
+
+
+def _moved(raw: Raw, pixels: int) -> Raw:
+    """The picture of a camera that was turned: everything further right and down, the edge repeated (in whole Bayer squares,
+    so `pixels` is even) where nothing is known."""
+    rows, columns = (np.maximum(np.arange(n) - pixels, np.arange(n) % 2) for n in raw.shape)
+    return np.ascontiguousarray(raw[np.ix_(rows, columns)])

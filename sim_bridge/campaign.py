@@ -15,8 +15,9 @@ seeds = 20                                      # flights of each combination: s
 """
 
 import itertools
+import math
 import shlex
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Self
 
@@ -24,10 +25,10 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
+from sim_bridge.streams import Stream, generator
 from wire.toml_file import Section
 
 DIGITS = 6  # of what is drawn: enough for any key, and a command that can be read
-DRAW_STREAM = 7  # keeps this use of the seed apart from the others
 
 Bound = float | tuple[float, ...]
 
@@ -75,6 +76,16 @@ class Campaign(Section):
     sweep: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
     draw: dict[str, Draw] = Field(default_factory=dict)
 
+    @property
+    def flights(self) -> int:
+        """How many flights there are."""
+        return self.seeds * math.prod(len(values) for values in self.sweep.values())
+
+    @property
+    def end_seeds(self) -> tuple[int, int]:
+        """The first and the last seed."""
+        return self.first_seed, self.first_seed + self.seeds - 1
+
     @model_validator(mode="after")
     def _each_key_once(self) -> Self:
         doubled = sorted((set(self.sweep) & set(self.draw)) | ({*self.sweep, *self.draw} & {"seed"}))
@@ -101,12 +112,18 @@ class Flight:
         return f"sim-bridge numeric {shlex.quote(campaign.experiment)} --seed {self.seed}{sets}"
 
 
+def command_of(campaign: Campaign, row: Mapping[str, Any]) -> str:
+    """What flies the flight of a result's row again."""
+    values = {key: row[key] for key in (*campaign.sweep, *campaign.draw)}
+    return Flight(row["index"], row["seed"], values).command(campaign)
+
+
 def flights(campaign: Campaign) -> Iterator[Flight]:
     """All runs, in order. What is drawn depends on the run's place alone: a longer campaign begins with the same runs."""
     index = 0
     for seed in range(campaign.first_seed, campaign.first_seed + campaign.seeds):
         for combination in itertools.product(*campaign.sweep.values()):
-            random = np.random.default_rng([campaign.first_seed, DRAW_STREAM, index])
+            random = generator(campaign.first_seed, Stream.DRAWS, index)
             drawn = {key: draw.sample(random) for key, draw in campaign.draw.items()}
             yield Flight(index, seed, {**dict(zip(campaign.sweep, combination, strict=True)), **drawn})
             index += 1

@@ -2,10 +2,8 @@
 
 import json
 import os
-import tempfile
 import time
 from functools import lru_cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ import numpy as np
 from sim_bridge.measures import broken_limits, measures
 from sim_bridge.numeric import AgentFleet, BareWater, fly
 from sim_bridge.numeric_run import plan
-from wire.experiment import Experiment, dump_experiment
+from wire.experiment import Experiment
 from wire.messages import Trajectory
 from wire.toml_file import ConfigError, check
 
@@ -42,7 +40,7 @@ def fly_one(experiment_json: str) -> dict[str, Any]:
 
 
 def _flown(experiment: Experiment) -> dict[str, Any]:
-    trajectories, starts = _planned(_planning_text(experiment))
+    trajectories, starts = _planned(planning_text(experiment))
     water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
     fleet = AgentFleet(experiment, trajectories, water, experiment.seed)
     fleet.start()
@@ -53,19 +51,13 @@ def _flown(experiment: Experiment) -> dict[str, Any]:
     return {**found, "passed": not broken, "reason": ", ".join(broken)}
 
 
-def _planning_text(experiment: Experiment) -> str:
-    """The experiment as its plan sees it, the same for all flights that differ in nothing else."""
+def planning_text(experiment: Experiment) -> str:
+    """The experiment as its plan sees it, in JSON, the same for all flights that differ in nothing else."""
     neutral = Experiment.model_fields
     changes = {key: neutral[key].default for key in UNPLANNED if key not in ("name",)}
-    return dump_experiment(experiment.model_copy(update={**changes, "name": "planned"}))
+    return experiment.model_copy(update={**changes, "name": "planned"}).model_dump_json()
 
 
 @lru_cache(PLANS_KEPT)
 def _planned(text: str) -> tuple[dict[int, Trajectory], dict[int, Any]]:
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "experiment.toml"
-        file.write_text(text, encoding="utf-8")
-        try:
-            return plan(file)
-        except ConfigError as error:
-            raise ConfigError(str(error).replace(f"{file}: ", "")) from None
+    return plan(check(Experiment, json.loads(text), "campaign"))

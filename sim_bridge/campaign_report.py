@@ -10,7 +10,7 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from sim_bridge.campaign import Campaign, flights
+from sim_bridge.campaign import Campaign, command_of
 from sim_bridge.measures import MEASURES
 from sim_bridge.summary import Interval, distribution, rate
 from wire.outputs import replace_text
@@ -34,8 +34,7 @@ def write_report(campaign: Campaign, rows: Sequence[Row], wanted: int, file: Pat
 
 def _content(campaign: Campaign, rows: Sequence[Row], wanted: int) -> dict[str, Any]:
     flown = [row for row in rows if row["status"] == "flown"]
-    commands = {flight.index: flight.command(campaign) for flight in flights(campaign)}
-    values = {name: [row[name] for row in flown if row[name] is not None] for name in MEASURES}
+    values = {name: [row[name] for row in flown if row.get(name) is not None] for name in MEASURES}
     main = next((name for name in SHOWN if values[name]), "rms_m")
     shown = [main, *(name for name in SHOWN if values[name] and name != main)]
     ranked = sorted((row for row in flown if row[main] is not None), key=lambda row: -row[main])
@@ -49,10 +48,10 @@ def _content(campaign: Campaign, rows: Sequence[Row], wanted: int) -> dict[str, 
         "scatters": [(_scatter(key, main, flown), f"{main} against {key}") for key in campaign.draw if _is_number(key, flown)],
         "shown": shown,
         "worst": [
-            {"index": row["index"], "value": row[main], "reason": row["reason"], "command": commands[row["index"]]}
+            {"index": row["index"], "value": row[main], "reason": row["reason"], "command": command_of(campaign, row)}
             for row in ranked[:WORST]
         ],
-        "trouble": [{**row, "command": commands[row["index"]]} for row in rows if row["status"] != "flown"],
+        "trouble": [{**row, "command": command_of(campaign, row)} for row in rows if row["status"] != "flown"],
     }
 
 

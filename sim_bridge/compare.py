@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import subprocess
-import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -16,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from sim_bridge.numeric_run import STATION, plan
 from sim_bridge.variants import VARIANTS, Task, fly, scattered
 from wire.comparison import SETTLED_S, Comparison, Flight, Variant
-from wire.experiment import Experiment, dump_experiment, load_experiment
+from wire.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.outputs import replace_text
 from wire.toml_file import ConfigError
 
@@ -32,12 +31,12 @@ def run(
     console: Console,
 ) -> int:
     """Fly, write comparison.json and comparison.html into `folder`, print the table. Returns the exit code."""
-    plain = load_experiment(name, settings)
+    plain = load_experiment(name, [*settings, NO_CAMERA])
     if plain.duration_s <= SETTLED_S:
         raise ConfigError(
             f"duration_s = {plain.duration_s:g}: must be more than {SETTLED_S:g} s, after which errors are compared"
         )
-    experiments = _distinct({v: load_experiment(name, [*settings, *VARIANTS[v]]) for v in variants}, console)
+    experiments = _distinct({v: load_experiment(name, [*settings, *VARIANTS[v], NO_CAMERA]) for v in variants}, console)
     planned = tasks_of(plain, seeds, scatter)  # the same for all: variants differ in what flies it
     tasks = [replace(task, experiment=e) for e in experiments.values() for task in planned]
     with workers(jobs) as pool:
@@ -59,10 +58,7 @@ def run(
 
 def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> list[Task]:
     """The flights of one experiment, the first with traces. Raises ConfigError if it cannot be planned."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "experiment.toml"
-        path.write_text(dump_experiment(experiment), encoding="utf-8")
-        trajectories, starts = plan(path)
+    trajectories, starts = plan(experiment)
     places = np.array([starts[robot] for robot in experiment.robot_ids])
     apart_m = 2.0 * experiment.safety.radius_m
     return [Task(experiment, trajectories, scattered(places, scatter, s, apart_m), s, s == seeds[0]) for s in seeds]

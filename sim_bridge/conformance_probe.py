@@ -29,6 +29,10 @@ class Wire(Protocol):
     def receive(self, until_ns: int) -> bytes:
         """What arrives next; nothing if nothing came until then."""
 
+    def strangers(self) -> "tuple[Callable[[], None], Callable[[], int]] | None":
+        """For others at addresses of their own, who have no key: one call has each of them send a byte, another says how many
+        of them have heard anything. None where the board has one other end only."""
+
 
 @dataclass(frozen=True)
 class Sample:

@@ -234,6 +234,21 @@ def _replayed(probe: Probe) -> Measured:
     return _dropped(probe, recorded)
 
 
+def _strangers(probe: Probe) -> Measured:
+    """Whether others who send anything at all are told nothing, and the computer is still told."""
+    others = probe.wire.strangers()
+    if others is None:
+        return True, "the board has one other end"
+    speak, hear = others
+    for _ in range(3):
+        speak()
+        probe.listen(0.2)
+    before = probe.bytes_heard
+    probe.listen(0.2)
+    told = hear()
+    return told == 0 and probe.bytes_heard > before, f"{told} of them were told something"
+
+
 AGE = f"disarmed and neutral within {STOPS_WITHIN_S * 1e3:.0f} ms of the last override"
 
 RULES = (
@@ -274,4 +289,5 @@ RULES = (
     Rule("unsigned", "drops what is not signed", _unsigned, signed=True),
     Rule("forged", "drops what is signed with another key", _forged, signed=True),
     Rule("replayed", "drops a recording", _replayed, signed=True),
+    Rule("strangers", "tells nothing to who has no key, and goes on telling who has it", _strangers, signed=True),
 )

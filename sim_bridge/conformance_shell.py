@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from typing import Annotated
 
@@ -11,13 +11,14 @@ import typer
 from sim_bridge.conformance import Outcome, Verdict, examine
 from sim_bridge.conformance_probe import Probe, Wire
 from sim_bridge.conformance_rules import RULES
-from wire.link import Link, open_link
+from wire.link import Link, UdpLink, open_link
 from wire.link_key import Signing
 from wire.mavlink_params import ParameterClient
 from wire.options import LinkInsecure, LinkKey
 from wire.toml_file import ConfigError
 
 HEARD_WITHIN_S = 5.0
+STRANGERS = 9  # more than the board has places for
 CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Is nobody's hand near them?"
 COLOURS = {Verdict.PASSED: "green", Verdict.FAILED: "red", Verdict.SKIPPED: None}
 
@@ -27,6 +28,7 @@ class LinkWire(Wire):
 
     def __init__(self, link: Link) -> None:
         self._link = link
+        self._others: list[UdpLink] = []
 
     def now_ns(self) -> int:
         return time.monotonic_ns()
@@ -37,6 +39,23 @@ class LinkWire(Wire):
     def receive(self, until_ns: int) -> bytes:
         self._link.wait((until_ns - time.monotonic_ns()) * 1e-9)
         return self._link.read()
+
+    def strangers(self) -> tuple[Callable[[], None], Callable[[], int]] | None:
+        link = self._link
+        if not isinstance(link, UdpLink):
+            return None
+        self._others = self._others or [UdpLink(*link.address) for _ in range(STRANGERS)]
+
+        def speak() -> None:
+            for other in self._others:
+                other.send(b"x")
+
+        return speak, lambda: sum(bool(other.read()) for other in self._others)
+
+    def close(self) -> None:
+        """Close what `strangers` opened."""
+        for other in self._others:
+            other.close()
 
 
 def board_conformance(
@@ -60,8 +79,8 @@ def board_conformance(
     signing = Signing.of(key, "conformance") if key is not None else None
     address = port if port.startswith(("udp:", "serial:")) else f"serial:{port}"
     link = open_link(address, secured=signing is not None or insecure, option="--port")
+    wire = LinkWire(link)
     try:
-        wire = LinkWire(link)
         client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
         robot = _who_is_there(wire, client)
         if robot is None:
@@ -69,6 +88,7 @@ def board_conformance(
         probe = Probe(wire, robot) if signing is None else Probe(wire, robot, signing.key, signing.stamps)
         outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:
+        wire.close()
         link.close()
     failed = sum(outcome.verdict is Verdict.FAILED for outcome in outcomes)
     if as_json:

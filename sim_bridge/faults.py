@@ -95,3 +95,9 @@ def only(experiment: Experiment, kinds: tuple[str, ...], why: str) -> None:
     for i, fault in enumerate(experiment.sim.faults):
         if fault.broken.kind not in kinds:
             raise ConfigError(f"sim.faults.{i}.what = {fault.what!r}: {why} (allowed here: {', '.join(kinds)})")
+
+
+def never(experiment: Experiment) -> list[str]:
+    """In words, the faults whose time does not come in a run as long as the experiment's."""
+    late = [fault for fault in experiment.sim.faults if fault.at_s >= experiment.duration_s]
+    return [f"never happens: {f.what} at {f.at_s:g} s, for the run ends after {experiment.duration_s:g} s" for f in late]

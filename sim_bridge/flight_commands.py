@@ -2,15 +2,18 @@
 
 import time
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
 from sim_bridge.pool_commands import Poses
-from wire.experiment import Experiment, load_experiment
+from wire.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
 from wire.runtime import Stop
 from wire.toml_file import files_named
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
@@ -76,11 +79,12 @@ def sil(
     from sim_bridge.ports import page_address
     from sim_bridge.programs import Way, check
 
-    loaded = _load(experiment, seed, duration, settings, faults)
+    loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
     way = Way(lockstep, page, manual, poses, keys, signed)
     check(loaded, way)
+    _warn(loaded, console)
     if dry_run:
         raise typer.Exit(software_in_the_loop.rehearse(loaded, out / f"{loaded.name}-TIME", way, console))
     folder = _new_folder(out, loaded.name)
@@ -112,11 +116,13 @@ def numeric(
 
     from sim_bridge import numeric_run
 
-    loaded = _load(experiment, seed, duration, settings, faults)
-    folder = _new_folder(out, loaded.name)
+    loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
     console = Console()
+    _warn(loaded, console)
+    fleet, water = numeric_run.prepared(loaded)
+    folder = _new_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
-    raise typer.Exit(numeric_run.run(loaded, folder, stop=Stop(), console=console))
+    raise typer.Exit(numeric_run.run(fleet, water, folder, stop=Stop(), console=console))
 
 
 def campaign(
@@ -155,6 +161,14 @@ def _load(
     return loaded
 
 
+def _warn(experiment: Experiment, console: "Console") -> None:
+    """Say what of the experiment will not come about."""
+    from sim_bridge import faults
+
+    for text in faults.never(experiment):
+        console.print(f"warning: {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
 def _changes(seed: int | None, duration_s: float | None, settings: list[str] | None) -> list[str]:
     changes = list(settings or ())
     changes += [f"seed={seed}"] if seed is not None else []
@@ -173,9 +187,10 @@ def _go_on(
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = branch_run.experiment_of(source, changes, faults or ())
+    fleet, water = branch_run.prepared(loaded, source, at_s)
     folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
-    raise typer.Exit(branch_run.run(loaded, source, at_s, folder, stop=Stop(), console=console))
+    raise typer.Exit(branch_run.run(fleet, water, folder, stop=Stop(), console=console))
 
 
 def _new_folder(out: Path, name: str) -> Path:

@@ -9,11 +9,11 @@ exact. Waves are Airy's: velocities of a potential, with the dispersion of the p
 
 import numpy as np
 
+from sim_bridge.streams import Stream, generator
 from wire.experiment import Experiment
 from wire.frames import Array
 
 GRAVITY_MPS2 = 9.81
-GUST_STREAM = 5  # keeps this use of the seed apart from the others
 GUST_WAVES = 32  # cosines per axis: at this number the correlation follows exp(-t / T) to 0.03
 
 
@@ -24,7 +24,7 @@ class Flow:
         plant = experiment.sim.plant
         self._current = np.array(plant.current_mps)[:, None]
         self._shear = np.array([*plant.current_shear_per_s, 0.0])[:, None]
-        self._gust_radps, self._gust_phase = _gusts(plant.gust_s, np.random.default_rng([seed, GUST_STREAM]))
+        self._gust_radps, self._gust_phase = _gusts(plant.gust_s, generator(seed, Stream.GUSTS))
         self._gust = plant.gust_mps * np.sqrt(2.0 / GUST_WAVES)
         waves = plant.waves
         self._depth_m = experiment.pool.size_m[2]

@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from sim_bridge.streams import Stream, generator
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Obstacles, Pose, Track
 
-POSE_STREAM, OBSTACLE_STREAM = 3, 43  # keep these uses of the seed apart from the others
 _ANGLES = 2.0 * np.pi * np.arange(12) / 12
 RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]) / np.cos(np.pi / 12)  # around a circle, not within it
 
@@ -18,10 +18,11 @@ class Located:
         numeric = experiment.sim.numeric
         self._noise = np.array([numeric.pose_noise_m, numeric.pose_noise_m, 0.0, numeric.yaw_noise_rad])
         self._covariance = np.diag(self._noise[[0, 1, 3]] ** 2)
-        self._random = np.random.default_rng([seed, POSE_STREAM])
+        self._random = generator(seed, Stream.POSES)
         self._drifters, self._depth_m = experiment.sim.drifters, experiment.path.depth_m
+        self._watches = experiment.watches_obstacles
         self._obstacle_noise = np.repeat([numeric.obstacle_noise_m, numeric.obstacle_noise_mps], 2)
-        self._obstacle_random = np.random.default_rng([seed, OBSTACLE_STREAM])
+        self._obstacle_random = generator(seed, Stream.OBSTACLES)
 
     def poses(self, eta: Array) -> list[Pose]:
         """Of robots at eta (n, 4), in their order."""
@@ -29,8 +30,8 @@ class Located:
         return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
 
     def obstacles(self, time_s: float) -> Obstacles | None:
-        """What is adrift, as the localizer would tell of it; None if nothing ever is."""
-        if not self._drifters:
+        """What is adrift, as the localizer would tell of it; None if nothing ever is and nobody is to watch for it."""
+        if not (self._drifters or self._watches):
             return None
         noise = self._obstacle_random.standard_normal((len(self._drifters), 4)) * self._obstacle_noise
         ids, outlines, velocities = [], [], []

@@ -16,6 +16,7 @@ MEASURES = {
     "rms_after_20s_m": "the same after 20 s [m]",
     "max_after_20s_m": "largest error after 20 s, any axis of any robot or pair [m]",
     "rms_yaw_after_20s_rad": "RMS heading error to the path's tangent after 20 s, worst robot or pair [rad]",
+    "arrived_m": "farthest robot from its reference at the end, horizontally [m]",
     "min_separation_m": "least distance between two centres [m]",
     "wrench_step_rms": "RMS of input changes after 20 s, of the largest allowed, worst axis of any robot",
     "off_track": "share of control steps in which a robot was not tracking",
@@ -43,6 +44,7 @@ def measures(fleet: AgentFleet) -> dict[str, float | None]:
         "rms_after_20s_m": _rms(late)[:, :3].max() if has_late else None,
         "max_after_20s_m": max(np.abs(e[:, :3]).max() for e in late) if has_late else None,
         "rms_yaw_after_20s_rad": _rms(late)[:, 3].max() if has_late else None,
+        "arrived_m": np.hypot(error[-1, :, 0], error[-1, :, 1]).max(),
         "min_separation_m": min(apart) if apart else None,
         "wrench_step_rms": smooth.max() if has_late else None,
         "off_track": np.mean([s.mode is not Mode.TRACKING for s in flat]),
@@ -56,7 +58,7 @@ def broken_limits(experiment: Experiment, found: dict[str, float | None]) -> lis
     run's report."""
     later = ("rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms")
     broken = []
-    for name in ("rms_m", *(later if settled(experiment.duration_s) else ())):
+    for name in ("rms_m", "arrived_m", *(later if settled(experiment.duration_s) else ())):
         limit, value = getattr(experiment.limits, name), found[name]
         if limit is not None and (value is None or value > limit):
             broken.append(name)

@@ -7,6 +7,7 @@ import json
 import secrets
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,19 @@ from wire.toml_file import ConfigError
 STATION = (sys.executable, "-m", "groundstation")
 
 
-def run(experiment: Experiment, run_dir: Path, *, stop: Stop, console: Console) -> int:
-    """Fly an experiment with agents and plant in this process. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
+def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
+    """Robots in the water with the station's trajectories, not started yet. Raises ConfigError, and leaves nothing behind, if
+    the experiment cannot be flown like this."""
     faults.only(experiment, faults.NUMERIC, "in a numeric flight there is none")
-    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
-    trajectories, starts = plan(run_dir / "experiment.toml")
+    trajectories, starts = plan(experiment)
     water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
-    fleet = AgentFleet(experiment, trajectories, water, experiment.seed, time.perf_counter_ns)
+    return AgentFleet(experiment, trajectories, water, experiment.seed, time.perf_counter_ns), water
+
+
+def run(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, console: Console) -> int:
+    """Fly what is `prepared`, with agents and plant in this process. Returns the exit code: 0 passed, 1 failed, 130
+    interrupted."""
+    (run_dir / "experiment.toml").write_text(dump_experiment(fleet.experiment), encoding="utf-8")
     fleet.start()
     return fly_and_report(fleet, water, run_dir, stop=stop, console=console)
 
@@ -67,11 +74,14 @@ def fly_and_report(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: 
     return 0 if passed else 1
 
 
-def plan(experiment_file: Path) -> tuple[dict[int, Trajectory], dict[int, Any]]:
+def plan(experiment: Experiment) -> tuple[dict[int, Trajectory], dict[int, Any]]:
     """Trajectories and start poses by `groundstation plan`. Raises ConfigError with its reasons if it refuses."""
-    planning = subprocess.run([*STATION, "plan", str(experiment_file)], capture_output=True, text=True, check=False)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "experiment.toml"
+        file.write_text(dump_experiment(experiment), encoding="utf-8")
+        planning = subprocess.run([*STATION, "plan", str(file)], capture_output=True, text=True, check=False)
     if planning.returncode != 0:
-        raise ConfigError(planning.stderr.strip())
+        raise ConfigError(planning.stderr.strip().replace(f"{file}: ", ""))
     robots = {int(robot): planned for robot, planned in json.loads(planning.stdout)["robots"].items()}
     trajectories = {
         robot: Trajectory(p["id"], p["period_s"], np.array(p["eta"]), np.array(p["velocity"]), np.array(p["acceleration"]))

@@ -164,10 +164,11 @@ class Pool:
                 if world.exposed:
                     self._look_for_start(world, begin_ns)
                     self._expose(world, begin_ns, shots)
-                ahead_s = (begin_ns + world.now_ns - self._clock.now_ns()) * 1e-9
-                if ahead_s > 0:
+                # The next step only when its time has come, however much arrives until then: else the water would run ahead.
+                while (ahead_s := (begin_ns + world.now_ns - self._clock.now_ns()) * 1e-9) > 0 and not self._stop.requested:
                     self._sockets.wait(ahead_s)
-                elif ahead_s < -SLICE_S:  # the machine was suspended or overloaded: time lost is lost
+                    self._sockets.exchange(world)
+                if ahead_s < -SLICE_S:  # the machine was suspended or overloaded: time lost is lost
                     log.warning("simulation was %.2f s late; time skipped", -ahead_s)
                     begin_ns -= round(ahead_s * 1e9)
         finally:

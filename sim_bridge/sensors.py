@@ -4,13 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from sim_bridge.flow import GRAVITY_MPS2
+from sim_bridge.streams import Stream, generator
 from wire.frames import Array, wrap
 from wire.sim_settings import Sensors
 
-SENSOR_STREAM = 2  # keeps this use of the seed apart from the others
 ACCELEROMETER_NOISE_MPS2 = 0.02  # an ordinary MEMS part at 50 Hz; the link rounds to 0.01
 
 
@@ -29,7 +27,7 @@ class BoardSensors:
 
     def __init__(self, sensors: Sensors, robot_id: int, seed: int) -> None:
         self._sensors = sensors
-        self._random = np.random.default_rng([seed, SENSOR_STREAM, robot_id])
+        self._random = generator(seed, Stream.SENSORS, robot_id)
         heading, gyro, pressure = (float(value) for value in self._random.uniform(-1.0, 1.0, 3))
         self.heading_bias_rad = heading * sensors.heading_bias_rad
         self.gyro_bias_radps = gyro * sensors.gyro_bias_radps

@@ -6,6 +6,7 @@ The processes are the ones that run in the pool, started as a person would start
 import json
 import resource
 import shlex
+import shutil
 import socket
 import subprocess
 import sys
@@ -33,7 +34,7 @@ from wire.network import endpoint
 from wire.runtime import Stop
 from wire.toml_file import ConfigError
 from wire.topics import Role, process_name
-from wire.transport import ZenohTransport
+from wire.transport import Unreached, ZenohTransport
 
 START_WITHIN_S = 180.0  # on a starved machine a program takes a minute to be loaded
 LOOK_EVERY_S = 0.2
@@ -62,12 +63,17 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
         )
         station, came_up = _start_all(children, started, address, stop)
         if came_up:
-            with Bus(ZenohTransport(endpoint(address, process_name(Role.SIMULATOR), way.keys, lossless=way.lockstep))) as bus:
-                saboteur = Saboteur(experiment, children, bus)
-                trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
+            where = endpoint(address, process_name(Role.SIMULATOR), way.keys, lossless=way.lockstep)
+            try:
+                with Bus(ZenohTransport(where, lambda: stop.requested or station.exit_code is not None)) as bus:
+                    saboteur = Saboteur(experiment, children, bus)
+                    trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
+            except Unreached:  # interrupted, or the station is gone: both are told below
+                came_up = False
         mission_failed = not came_up or station.exit_code != 0
+        refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
-            trouble.append(station.explain())
+            trouble.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
             _alarm(console, trouble[-1])
     finally:
         children.stop()
@@ -79,6 +85,10 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
             report(run_dir, console)
             console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
         return 130
+    if refused:
+        shutil.rmtree(run_dir)
+        console.print("[red]refused[/]: nothing was flown, and no folder is left")
+        return 2
     passed = came_up and report(run_dir, console) and not mission_failed and not trouble
     if came_up:
         console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)

@@ -9,12 +9,17 @@ from wire.mavlink import is_override
 from wire.toml_file import ConfigError
 
 READ_BYTES = 65536
+READ_MOST = 10  # datagrams of a port at a time: 2,000 a second at steps of 5 ms; computer and ground stations send some 100
+FORGET_MOST = 1000  # reads, however much goes on arriving
+FLOODED_WAIT_S = 0.005  # a port with more than that is looked at again after so long
 PEERS = 8  # the robot's computer, and ground stations beside it
 PEER_GONE_NS = 10_000_000_000  # a MAVLink program sends a heartbeat each second
 
+Address = tuple[str, int]
+
 
 class Port:
-    """A board's UDP port. It answers to everybody who has spoken lately."""
+    """A board's UDP port. It answers to those whose frames the board has taken lately."""
 
     def __init__(self, host: str, port: int) -> None:
         """Port 0 is any free one. Raises OSError."""
@@ -25,28 +30,38 @@ class Port:
             self.socket.close()
             raise
         self.socket.setblocking(False)
-        self._heard_ns: dict[tuple[str, int], int] = {}
+        self.is_flooded = False  # the last `read` left something there
+        self._heard_ns: dict[Address, int] = {}
 
     @property
     def heard(self) -> bool:
         """Whether anybody is there to answer to."""
         return bool(self._heard_ns)
 
-    def read(self, now_ns: int) -> list[bytes]:
-        """The datagrams that have arrived, in order."""
-        datagrams: list[bytes] = []
-        while True:
+    def read(self) -> list[tuple[bytes, Address]]:
+        """The datagrams that have arrived, in order, and who sent them; READ_MOST at a time, so that whoever floods a port
+        holds up nothing but that port."""
+        datagrams: list[tuple[bytes, Address]] = []
+        while len(datagrams) < READ_MOST:
             try:
-                data, peer = self.socket.recvfrom(READ_BYTES)
+                datagrams.append(self.socket.recvfrom(READ_BYTES))
             except (BlockingIOError, ConnectionRefusedError):
+                self.is_flooded = False
                 return datagrams
-            if peer in self._heard_ns or len(self._heard_ns) < PEERS:
-                self._heard_ns[peer] = now_ns
-            datagrams.append(data)
+        self.is_flooded = True
+        return datagrams
+
+    def hear(self, peer: Address, now_ns: int) -> None:
+        """The board has taken a frame of this peer. When there are too many, the one that was silent longest makes room."""
+        if peer not in self._heard_ns and len(self._heard_ns) >= PEERS:
+            del self._heard_ns[min(self._heard_ns, key=self._heard_ns.__getitem__)]
+        self._heard_ns[peer] = now_ns
 
     def forget(self) -> None:
         """As if nobody had spoken yet."""
-        self.read(0)
+        for _ in range(FORGET_MOST):
+            if not self.read():
+                break
         self._heard_ns.clear()
 
     def send(self, data: bytes, now_ns: int) -> None:
@@ -78,8 +93,8 @@ class Sockets:
         self.commands = [0] * len(robots)  # sets of pulses that reached each port, whatever the link made of them
         self.burst_ms = [0] * len(robots)  # board time of the last burst that went out of each port
         self._measured_ms = [0] * len(robots)
-        self._to_board = [LossyLink(seed, robot, 0) for robot in robots]
-        self._from_board = [LossyLink(seed, robot, 1) for robot in robots]
+        self._to_board: list[LossyLink[Address | None]] = [LossyLink(seed, robot, 0, None) for robot in robots]
+        self._from_board = [LossyLink(seed, robot, 1, 0) for robot in robots]
         self._ports: list[Port] = []
         for robot in robots:
             try:
@@ -100,16 +115,17 @@ class Sockets:
     def exchange(self, world: World) -> None:
         """Take what has arrived; give the boards what the links let through by now."""
         for i, port in enumerate(self._ports):
-            for data in port.read(world.now_ns):
+            for data, peer in port.read():
                 self.commands[i] += is_override(data)
-                self._to_board[i].push(data, world.now_ns, world.faults.links[i])
+                self._to_board[i].push(data, world.now_ns, world.faults.links[i], peer)
         self.deliver(world)
 
     def deliver(self, world: World) -> None:
         """Let the links bring what is due."""
         for i, (there, back) in enumerate(zip(self._to_board, self._from_board, strict=True)):
-            for data, _ in there.pop(world.now_ns):
-                world.receive(i, data)
+            for data, peer in there.pop(world.now_ns):
+                if world.receive(i, data) and peer is not None:
+                    self._ports[i].hear(peer, world.now_ns)
             for data, burst_ms in back.pop(world.now_ns):
                 self._ports[i].send(data, world.now_ns)
                 self.burst_ms[i] = max(self.burst_ms[i], burst_ms)
@@ -128,8 +144,10 @@ class Sockets:
             self._from_board[i].push(data, world.now_ns, world.faults.links[i], tag)
 
     def wait(self, timeout_s: float) -> None:
-        """Sleep until something arrives."""
-        select.select(self._ports, [], [], max(timeout_s, 0.0))
+        """Sleep until something arrives; from a port that is flooded, a little."""
+        quiet = [port for port in self._ports if not port.is_flooded]
+        at_most_s = timeout_s if len(quiet) == len(self._ports) else min(timeout_s, FLOODED_WAIT_S)
+        select.select(quiet, [], [], max(at_most_s, 0.0))
 
     def close(self) -> None:
         """Free the ports."""

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sim_bridge.streams import Stream, generator
 from wire.experiment import Experiment
 from wire.frames import Array
 
 THRUSTERS = 4
-SPREAD_STREAM = 1  # keeps this use of the seed apart from the others
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Thrusters:
         ])  # fmt: skip
         self._robots = len(experiment.robots)
         spread = plant.thruster_spread
-        random = np.random.default_rng([seed, SPREAD_STREAM])
+        random = generator(seed, Stream.THRUSTERS)
         self.gain = random.uniform(1.0 - spread, 1.0 + spread, (self._robots, THRUSTERS))
 
     def start(self) -> Motors:

@@ -12,7 +12,7 @@ from rich.console import Console
 from sim_bridge.compare import tasks_of, workers
 from sim_bridge.tuning import Trial, cost, search
 from sim_bridge.variants import Task, fly
-from wire.experiment import Experiment, load_experiment
+from wire.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.frames import Array
 from wire.laws import FeedbackLaw
 from wire.toml_file import ConfigError
@@ -55,7 +55,7 @@ def run(
     tasks: list[Task] = []
     for scene in scenes:
         scatter, own = SCENES[scene]
-        tasks += tasks_of(load_experiment(scene, [f"duration_s={DURATION_S}", *own, *settings]), seeds, scatter)
+        tasks += tasks_of(load_experiment(scene, [f"duration_s={DURATION_S}", *own, *settings, NO_CAMERA]), seeds, scatter)
     with workers(jobs) as pool:
         for law in laws:
             yield _tune(law, tasks, budget, pool, console)

@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 
 from sim_bridge.numeric import AgentFleet, BareWater
+from sim_bridge.streams import Stream, generator
 from wire.comparison import SETTLED_S, Figures, Flight, Traces
 from wire.experiment import Experiment
 from wire.frames import Array, pose_error
@@ -16,7 +17,6 @@ from wire.laws import LawName
 from wire.messages import Mode, RobotState, Trajectory
 from wire.toml_file import ConfigError
 
-SCATTER_STREAM = 7  # keeps this use of the seed apart from the others
 ERROR_STRIDE = 10  # of control steps, in what is kept to look at
 SHOWN_S = 20.0  # of the inputs
 MOST_DRAWS = 1000  # of starts that keep robots apart
@@ -53,7 +53,7 @@ class Task:
 def scattered(starts: Array, scatter: float, seed: int, apart_m: float = 0.0) -> Array:
     """Starts (n, 4) moved by up to `scatter` m and rad in each coordinate; the same for every variant of a seed. Drawn again
     while two are nearer than `apart_m`, side by side and in depth. Raises ConfigError if that does not come about."""
-    random = np.random.default_rng([seed, SCATTER_STREAM])
+    random = generator(seed, Stream.SCATTER)
     for _ in range(MOST_DRAWS):
         moved = starts + scatter * random.uniform(-1.0, 1.0, starts.shape)
         gaps = [moved[a] - moved[b] for a, b in combinations(range(len(moved)), 2)]

@@ -68,9 +68,9 @@ class World:
         """The state now, for the log and for nobody who controls."""
         return self._plant.truth(self._state)
 
-    def receive(self, i: int, data: bytes) -> None:
-        """Bytes from the computer of the i-th robot reach its board."""
-        self._boards[i].receive(data, self.now_ns)
+    def receive(self, i: int, data: bytes) -> bool:
+        """Bytes from the computer of the i-th robot reach its board. Returns whether the board took a frame of them."""
+        return self._boards[i].receive(data, self.now_ns)
 
     def board_ms(self, i: int) -> int:
         """Time of the i-th board's last burst."""

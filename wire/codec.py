@@ -105,6 +105,12 @@ def _growing(cls: Any) -> tuple[str, ...]:
     return tuple(f.name for f in dataclasses.fields(cls) if -1 in f.metadata.get("shape", ()))
 
 
+@cache
+def _later(cls: Any) -> frozenset[str]:
+    """Names of those that messages of earlier versions do not have."""
+    return frozenset(f.name for f in dataclasses.fields(cls) if f.metadata.get("later"))
+
+
 def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
     if "shape" in metadata:
         return _array_reader(metadata["shape"])
@@ -184,6 +190,8 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
         values[name] = None if absent else read(getattr(message, name), prefix + name)
     first, *others = _growing(cast(Any, cls)) or ("",)
     for name in others:
+        if len(values[name]) == 0 and name in _later(cast(Any, cls)):
+            values[name] = np.zeros((len(values[first]), *values[name].shape[1:]))
         if len(values[name]) != len(values[first]):
             raise _Invalid(prefix + name, f"{len(values[name])} rows, but {first} has {len(values[first])}")
     return cls(**values)

@@ -15,6 +15,9 @@ class Conduct(Section):
     # robots, so that the gap closes
     lost: Literal["abort", "hold", "go-on", "close-up"] = "abort"
     detours: bool = True  # lead the formation round what the localizer sees lying on its path (paths of waypoints and routes)
+    # while nobody can tell what lies in the pool (a lamp was switched, the camera was moved, no word of the localizer): with
+    # "hold" nobody starts, and robots that fly hold until it can be told again; "warn" raises an alarm and flies on
+    blind: Literal["warn", "hold"] = "hold"
     detour_clear_m: NotNegative = 0.25  # beyond safety.radius_m: robots begin to give way by themselves at 0.15
     wait_from_m: Positive | None = None  # worst tracking error from which the formation slows down; None: never
     wait_at_m: Positive = 0.5  # and at which it all but stands

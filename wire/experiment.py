@@ -30,6 +30,7 @@ from wire.vehicle import Fraction, Positive, Vehicle, load_vehicle
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
 SHORTEST_HORIZON_S = 2.0  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
+NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
@@ -168,6 +169,12 @@ class Experiment(Section):
     def path_of(self, robot: Robot) -> PathSpec:
         """The path whose node that robot is on."""
         return self.path if robot.path is None else robot.path
+
+    @property
+    def watches_obstacles(self) -> bool:
+        """Whether the localizer is to watch for obstacles: with a camera that hangs still it does, unless obstacle_min_m is 0.
+        Where it is not to, nobody who hears of no obstacles is blind."""
+        return self.localizer.uses_camera and self.localizer.obstacle_min_m > 0.0 and not self.landmarks
 
     def nodes_m(self) -> Array:
         """Formation nodes from the virtual centre, shape (robots, 3), scaled by L = l I (15)."""

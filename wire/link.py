@@ -65,6 +65,7 @@ class UdpLink:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.connect((host, port))
         self._socket.setblocking(False)
+        self.address = (host, port)
         self.trouble = ""
 
     def send(self, data: bytes) -> None:

@@ -117,6 +117,7 @@ class BoardLink:
         self._sender = Sender((robot_id, BOARD_COMPONENT), key, lambda: max(gate.newest, sent) + 1)
         self._receiver = Receiver(lambda peer: peer != (robot_id, BOARD_COMPONENT), gate)
         self.refused_frames = 0
+        self.taken_frames = 0  # intact ones that passed the gate, whatever they asked for
 
     @property
     def bad_frames(self) -> int:
@@ -142,6 +143,7 @@ class BoardLink:
         """What is asked for with these bytes, and by whom. Never raises, whatever they are."""
         events: list[tuple[Peer, Event]] = []
         for message in self._receiver.receive(data, now_ns):
+            self.taken_frames += 1
             try:
                 event = self._read(message)
             except Refused:

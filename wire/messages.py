@@ -21,6 +21,12 @@ def array(*shape: int) -> Any:
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape})
 
 
+def later_array(*shape: int) -> Any:
+    """An array field that messages of earlier versions do not have: theirs are as many zeros as the other arrays have rows."""
+    empty = tuple(0 if n == -1 else n for n in shape)
+    return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape, "later": True})
+
+
 POSITIVE = {"positive": True}  # metadata of a float that others divide by
 
 
@@ -157,6 +163,8 @@ class Obstacles:
     velocity: Array = array(-1, 2)  # over the floor, pool frame
     depth_m: float = 0.0  # assumed: that of the robots' path, where an obstacle would be in their way
     watched: float = 0.0  # share of the pool that can be judged, 0 to 1: an empty list says nothing about the rest
+    blind: str = ""  # why too little of it can be judged for the list to mean anything; empty: it means what it says
+    unseen_s: Array = later_array(-1)  # for how long each has not been seen: the rest is of that long before the stamp
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,6 +218,7 @@ class RobotState:
     thruster_test: str = ""  # "", "running", "passed", or what was wrong
     heard: tuple[int, ...] = ()  # neighbours whose plans are fresh
     planned: bool = False  # and to whom it told its own in this step; not while it does not know where it is
+    blind: str = ""  # why it does not know of obstacles though somebody should watch for them; empty when it does
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,9 @@ class Landmark(Section):
 class Localizer(Section):
     """How the localizer tracks."""
 
+    # poses come from [camera]'s pictures. False: from elsewhere, as a simulation's truth; then no path has to stay in the
+    # picture, and nobody watches for obstacles
+    uses_camera: bool = True
     markers: bool = True
     template_px: Annotated[int, Field(ge=16, le=128)] = 48
     min_peak: Fraction = 0.3

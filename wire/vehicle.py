@@ -13,6 +13,7 @@ from wire.toml_file import ConfigError, Section, check, read_toml
 
 VEHICLES = Path(__file__).parent / "vehicles"
 
+LEGS = 4  # of every vehicle: allocation, boards and simulator know no other
 SAME_M = 1e-5  # of legs: nearer than anybody builds
 
 Positive = Annotated[float, Field(gt=0)]
@@ -66,7 +67,7 @@ class Limits(Section):
 class Legs(Section):
     """Four legs whose ankles turn the thrusters in the vertical plane (the article's "H" propulsion)."""
 
-    position_m: Annotated[tuple[tuple[float, float], ...], Field(min_length=4, max_length=4)]
+    position_m: tuple[tuple[float, float], ...]
     ankle_range_rad: Annotated[float, Field(gt=0, le=np.pi)]
     ankle_rate_radps: Positive
     ankle_dead_time_s: NotNegative
@@ -81,6 +82,11 @@ class Legs(Section):
 
     @model_validator(mode="after")
     def _stand_in_a_rectangle(self) -> Self:
+        if len(self.position_m) != LEGS:
+            raise ValueError(
+                f"position_m: has {len(self.position_m)} legs (allowed: exactly {LEGS}; this version models four "
+                "steerable legs: docs/vehicle.md)"
+            )
         x, y = np.abs(self.position_m).T
         if np.ptp(x) > SAME_M or np.ptp(y) > SAME_M or len(set(self.position_m)) != 4:
             given = [list(position) for position in self.position_m]

@@ -62,6 +62,7 @@ def _without_rules(experiment: Experiment, edit: Edit) -> dict[str, Any]:
         changed = edited(experiment, edit)
         free = {
             "pool": changed.pool.model_copy(update={"walls": False}),
+            "localizer": changed.localizer.model_copy(update={"uses_camera": False}),
             "safety": changed.safety.model_copy(update={"radius_m": 1e-6}),
             "vehicle": changed.vehicle.model_copy(update={"limits": _boundless(changed)}),
         }

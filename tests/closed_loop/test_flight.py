@@ -296,3 +296,16 @@ def test_a_current_of_the_robots_own_speed_is_ridden_out() -> None:
     pool.run(45.0)
     for i in range(2):
         assert np.all(np.sqrt(np.mean(pool.errors()[400:, i, :2] ** 2, axis=0)) < 0.04)
+
+
+def test_a_robot_that_leaves_the_picture_says_so() -> None:
+    """Its camera hangs elsewhere than the plan was told: the robot is at the picture's edge when poses stop coming."""
+    pool = flying()
+    aside = pool.experiment.camera.model_copy(update={"position_m": (-1.3, 0.0, -2.8)})
+    pool.robots[0].agent._experiment = pool.experiment.model_copy(update={"camera": aside})
+    pool.camera_works = False
+    pool.run(0.25)
+    assert pool.robots[0].states[-1].fault == "pose late: it has left the camera's picture"
+    assert pool.robots[1].states[-1].fault == "pose late"
+    pool.run(0.5)
+    assert pool.robots[0].states[-1].fault == "no pose: it has left the camera's picture"

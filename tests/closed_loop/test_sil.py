@@ -1,12 +1,15 @@
 """Every process of the experiment for real: own processes, own Zenoh sessions, MAVLink over UDP, rendered frames."""
 
+import io
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import threading
 import time
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -15,13 +18,19 @@ import numpy as np
 import psutil
 import pytest
 from mcap.reader import make_reader
+from rich.console import Console
 
 from groundstation.alignment import align
 from groundstation.runlog import read_log
 from groundstation.series import Series
+from sim_bridge import sil
+from sim_bridge.processes import Child, Children
+from sim_bridge.programs import Program, Way
 from wire import codec, topics
 from wire.experiment import load_experiment
 from wire.messages import Mode, RobotState
+from wire.runtime import Stop
+from wire.transport import Endpoint, ZenohTransport
 
 
 def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
@@ -293,3 +302,32 @@ def test_a_setting_that_cannot_be_is_explained_at_once(tmp_path: Path) -> None:
     assert "controller.mpc.horizon = 1" in output
     assert "greater than or equal to 2" in output
     assert not list(tmp_path.iterdir())
+
+
+def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To a station that listens and says nothing. No process is left."""
+    stop, started = Stop(install=False), []
+
+    def silent(
+        robots: tuple[int, ...], way: Way, run_dir: Path, address: str, ports: int, boards: Path | None
+    ) -> list[Program]:
+        return [Program("groundstation", "http.server", (address.rpartition(":")[2], "--bind", "127.0.0.1"))]
+
+    class Watched(Children):
+        def start(
+            self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str] | None = None
+        ) -> Child:
+            started.append(super().start(name, module, arguments, environment))
+            return started[-1]
+
+    def open_and_stop(endpoint: Endpoint, stopped: Callable[[], bool]) -> ZenohTransport:
+        threading.Timer(0.2, stop.request).start()  # while it waits
+        return ZenohTransport(endpoint, stopped)
+
+    monkeypatch.setattr(sil, "programs", silent)
+    monkeypatch.setattr(sil, "Children", Watched)
+    monkeypatch.setattr(sil, "ZenohTransport", open_and_stop)
+    said = Console(record=True, file=io.StringIO())
+    assert sil.run(load_experiment("pool"), tmp_path / "run", Way(), stop, said) == 130
+    assert "interrupted: every process is stopped" in said.export_text()
+    assert [child.exit_code is not None for child in started] == [True]

@@ -15,7 +15,7 @@ from groundstation.legs import first_leg
 from groundstation.marshal import marshal
 from groundstation.planner import start_poses
 from groundstation.trip import Basin, Trip, glide, planned_trip
-from wire.experiment import Experiment, load_experiment
+from wire.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.frames import Array
 from wire.scene import Island
 
@@ -176,3 +176,14 @@ def test_where_a_dense_fleet_finds_no_way_it_says_so_instead_of_searching_for_ho
     with pytest.raises(PlanError, match="in 60 tries"):
         marshal(experiment, rests, goals, NOTHING)
     assert len(made) <= 60 * 2 * len(rests)
+
+
+def test_a_way_that_leads_out_of_the_camera_s_picture_is_refused() -> None:
+    """An island fills the picture from edge to edge, and the way round it leaves it. Who rests beside the picture may go."""
+    experiment = load_experiment("pool", ["pool.size_m=[8,8,1]", "islands=[{position_m=[0,0],radius_m=1.2}]"])
+    starts, goals = {1: pose(-1.6, 0.0, 0.3)}, {1: pose(1.6, 0.0, 0.3)}
+    with pytest.raises(PlanError, match=r"robot 1: its way leads 0\.\d+ m beyond the camera's picture, at \("):
+        marshal(experiment, starts, goals, NOTHING)
+    marshal(load_experiment("pool", ["pool.size_m=[8,8,1]", NO_CAMERA]), starts, goals, NOTHING)
+    open_water = experiment.model_copy(update={"islands": ()})
+    marshal(open_water, {1: pose(2.2, 0.0, 0.3)}, {1: pose(0.5, 0.0, 0.3)}, NOTHING)

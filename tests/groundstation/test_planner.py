@@ -2,16 +2,18 @@
 
 import json
 import math
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from groundstation.checks import PlanError
+from groundstation.checks import PICTURE_MARGIN_M, PlanError
 from groundstation.planner import plan, start_poses, starts_json
+from sim_bridge.optics import project as exact
 from wire.codec import decode, encode
-from wire.experiment import EXPERIMENTS, Experiment, load_experiment
+from wire.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from wire.messages import Trajectory
 from wire.toml_file import ConfigError
 
@@ -19,8 +21,8 @@ ARTICLE_POINTS = [[-4, 1.2], [-2, 0.6], [0, 0], [2, 1.5], [4, 3.8], [6, 5], [10,
 
 
 def pool(**changes: Any) -> Experiment:
-    """The shipped pool experiment with top-level tables replaced."""
-    table = load_experiment("pool").model_dump()
+    """The shipped pool experiment with top-level tables replaced, and no camera in whose picture paths have to stay."""
+    table = load_experiment("pool", [NO_CAMERA]).model_dump()
     table.update(changes)
     return Experiment.model_validate(table)
 
@@ -142,6 +144,50 @@ def test_path_shorter_than_the_run_is_refused() -> None:
     path = {"kind": "waypoints", "points_m": [[-0.5, 0.0], [0.5, 0.0]], "speed_mps": 0.1, "depth_m": 0.3}
     with pytest.raises(PlanError, match=r"duration_s = 120: the path ends after 10\.00 s"):
         plan(pool(path=path))
+
+
+def test_a_path_that_is_over_too_soon_because_it_is_too_fast_says_so_first() -> None:
+    path = {"kind": "waypoints", "points_m": [[-0.5, 0.0], [0.5, 0.0]], "speed_mps": 3.0, "depth_m": 0.3}
+    with pytest.raises(PlanError) as caught:
+        plan(pool(path=path))
+    first, *_, last = str(caught.value).splitlines()
+    assert first.startswith("robot 1: speed 3.000 m/s exceeds the limit") and "the path ends after 0.33 s" in last
+
+
+# --- the camera's picture
+
+
+LARGE = ("pool.size_m=[8,8,1]", "duration_s=60")
+
+
+def test_a_path_out_of_the_picture_is_refused_with_robot_time_place_and_how_far() -> None:
+    """The exact optics say where the picture's edge is: the place, less how far outside, and the hull and 5 cm."""
+    settings = [*LARGE, 'path={kind="waypoints",points_m=[[0,0],[2,0]],speed_mps=0.05,depth_m=0.3,stop=true}']
+    experiment = load_experiment("pool", settings)
+    with pytest.raises(PlanError) as caught:
+        plan(experiment)
+    (line,) = str(caught.value).splitlines()
+    said = r"robot 1: ([\d.]+) m beyond the camera's picture at t = ([\d.]+) s, \(([\d.]+), 0.00, 0.30\) m"
+    found = re.fullmatch(said, line)
+    assert found is not None, line
+    excess_m, at_s, x_m = map(float, found.groups())
+    edge_m = x_m - excess_m + experiment.vehicle.radius_m + PICTURE_MARGIN_M
+    u, _ = exact(experiment.camera, np.array([[edge_m, 0.0, 0.3]]))[0]
+    assert u == pytest.approx(experiment.camera.size_px[0] - 0.5, abs=8.0), "2 cm, at the scale that is there"
+    assert at_s == pytest.approx((x_m - 0.4) / 0.05, abs=1.0)
+    plan(load_experiment("pool", [*settings, NO_CAMERA]))
+
+
+def test_a_start_beside_the_picture_is_refused() -> None:
+    experiment = load_experiment("pool", [*LARGE, "robots.1.start=[0.0,1.6,0.3,0.0]"])
+    with pytest.raises(PlanError, match=r"robot 2 starts at \(0.00, 1.60, 0.30\) m: 0\.\d+ m beyond the camera's picture"):
+        start_poses(experiment, plan(experiment))
+
+
+def test_a_formation_may_not_grow_out_of_the_picture() -> None:
+    grown = [*LARGE, "formation.changes=[{at_s=10,over_s=40,scale=4.5}]"]
+    with pytest.raises(PlanError, match=r"robot 2: 0\.\d+ m beyond the camera's picture at t = "):
+        plan(load_experiment("pool", grown))
 
 
 def test_trajectory_too_long_for_a_message_is_refused() -> None:

@@ -1,7 +1,7 @@
 """Obstacles in the simulated pool: drawn with the simulator's own optics, which are independent of the localizer's.
 
 The water is that of the pool scene unless a test says otherwise. False alarms are counted over minutes in the slow test, with
-water that does not repeat itself within what the background remembers.
+water whose loop of 24 s is longer than the 20 s that the background remembers.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -15,15 +15,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from localizer import background
 from localizer.background import Background, Calm
 from localizer.obstacles import ObstacleWatch
 from localizer.things import Region, ThingTracker, convex_outline
 from sim_bridge import backdrop, scene, surface
 from sim_bridge.camera import Renderer
+from sim_bridge.camera_faults import CameraTrouble
 from sim_bridge.optics import project
 from sim_bridge.scenery import water_colour
 from tests.localizer.scene import Pixels, bayer
 from wire.experiment import load_experiment
+from wire.faults import read_what
 from wire.frames import Array
 from wire.messages import Obstacles
 
@@ -207,17 +210,52 @@ def test_what_is_small_is_no_obstacle() -> None:
     assert wanted[-1].obstacles.ids
 
 
-def test_when_the_light_changes_it_learns_anew_and_says_so() -> None:
-    renderer, watcher = _renderer(), ObstacleWatch(EXPERIMENT)
-    watched = []
-    for k in range(110):
-        frame = renderer.render(standing(0.0), np.zeros((2, 4)), k * LOOK_S, k)
-        if k >= 50:
-            frame = (frame // 4).astype(np.uint8)
-        found = watcher.step(frame, round(k * LOOK_S * 1e9), standing(0.0)[:, :3])
-        assert found is not None and found.ids == ()
-        watched.append(found.watched)
-    assert watched[30] == 0.0 and watched[49] > 0.8 and 0.0 in watched[50:60] and watched[-1] > 0.8
+def disturbed(fault: str, fault_s: float, seconds: float, *intruders: Intruder) -> list[Obstacles]:
+    """What is told, ten times a second, of intruders that appear at LEARNT_S and a camera that something happens to."""
+    renderer, watcher, trouble = _renderer(), ObstacleWatch(EXPERIMENT), CameraTrouble()
+    random, broken, told = np.random.default_rng(1), read_what(f"camera {fault}"), []
+    for k in range(round(seconds / LOOK_S)):
+        t_s = k * LOOK_S
+        frame = renderer.render(standing(0.0), np.zeros((2, 4)), t_s, k)
+        for intruder in intruders if t_s >= LEARNT_S else ():
+            frame = draw(frame, intruder, t_s - LEARNT_S, t_s, random)
+        found = watcher.step(trouble.apply(frame, [broken] if t_s >= fault_s else []), round(t_s * 1e9), standing(0.0)[:, :3])
+        assert found is not None
+        told.append(found)
+    return told
+
+
+STILL = Intruder(*ball(0.1), (40, 40, 200), (0.9, 0.8))
+DRIFTING = Intruder(*ball(0.1), (40, 40, 200), (-1.4, -0.8), (0.1, 0.0))
+
+
+def test_when_a_lamp_is_switched_it_is_blind_and_goes_on_telling_what_was_there() -> None:
+    """Of two balls, for how long they have not been seen. The one that drifts is found again; the one that lies still has
+    become water by then, and is told of all the same."""
+    fault = round(9.0 / LOOK_S)
+    told = disturbed("lamp 0.5", 9.0, 16.0, STILL, DRIFTING)
+    assert all("learns what the water looks like" in found.blind for found in told[:30])
+    assert not any(found.blind for found in told[round(LEARNT_S / LOOK_S) : fault])
+    before = told[fault - 1]
+    assert len(before.ids) == 2 and not before.unseen_s.any()
+    blind = [k for k, found in enumerate(told) if k >= fault and found.blind]
+    assert blind[0] <= fault + 4 and 35 <= len(blind) <= 50, "four seconds to learn it anew"
+    for k in blind:
+        assert "the light changed or the camera moved" in told[k].blind
+        assert told[k].ids == before.ids, "what was there is still told of"
+        assert told[k].unseen_s == pytest.approx((k - blind[0] + 1) * LOOK_S)
+    last = told[-1]
+    resting = before.ids[int(np.argmax(before.outline.mean(axis=1)[:, 0]))]
+    assert not last.blind and last.watched > 0.8 and len(last.ids) == 2
+    assert last.unseen_s[last.ids.index(resting)] > 6.0
+    assert np.linalg.norm(last.velocity[1 - last.ids.index(resting)] - DRIFTING.velocity) < 0.04
+
+
+def test_when_the_camera_is_bumped_the_pool_never_looks_empty() -> None:
+    """It is blind, or takes the edges of everything for obstacles; either keeps robots from going on as if it were clear."""
+    told = disturbed("bump 60", LEARNT_S + 1.0, LEARNT_S + 6.0)
+    assert not any(found.ids for found in told[: round((LEARNT_S + 1.0) / LOOK_S)])
+    assert all(found.blind or found.ids for found in told[round((LEARNT_S + 2.0) / LOOK_S) :])
 
 
 def test_frames_between_looks_and_of_another_size_are_left_out() -> None:
@@ -351,11 +389,14 @@ def test_things_that_pass_each_other_keep_their_numbers_and_speeds() -> None:
 @pytest.mark.parametrize("seed", range(1, 6))
 @pytest.mark.parametrize("settings", [(), STRONG], ids=["pool scene", "strong glare and caustics"])
 def test_water_and_robots_alone_raise_no_alarm(settings: tuple[str, ...], seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A minute each. The simulated water repeats after 2.4 s, which any background has soon seen all of; here after 12 s."""
+    """A minute each. The simulated water repeats after 2.4 s, which any background has soon seen all of; here it repeats after
+    longer than the background's memory."""
+    loop_s = 24.0
+    assert loop_s > background._MEMORY_S
     for module in (surface, scene, backdrop):
-        monkeypatch.setattr(module, "LOOP_S", 12.0)
+        monkeypatch.setattr(module, "LOOP_S", loop_s)
     for module in (scene, backdrop):
-        monkeypatch.setattr(module, "PHASES", 240)
+        monkeypatch.setattr(module, "PHASES", round(loop_s * 20))
     _renderer.cache_clear()
     looks = watch(60.0, circling, settings=settings, seed=seed)
     _renderer.cache_clear()

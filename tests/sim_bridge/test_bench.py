@@ -7,21 +7,29 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from select import select
 from socket import SOCK_DGRAM
 
 import pytest
+from pymavlink.dialects.v20 import common as dialect
 from typer.testing import CliRunner
 
 from robot_agent.params import cli as params
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.bench import Terminal, open_socket
+from sim_bridge.board import Board
 from sim_bridge.ports import free_port
-from wire.link import SerialLink, open_link
+from sim_bridge.sockets import Port
+from wire.experiment import load_experiment
+from wire.link import SerialLink, UdpLink, open_link
 from wire.link_key import Signing, agent_end, new_key
 from wire.mavlink import AgentLink
+from wire.mavlink_frames import Sender
+from wire.mavlink_signing import Key
 from wire.toml_file import ConfigError
 
 ROOT = Path(__file__).parents[2]
+HEARTBEAT = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)  # of a ground station
 
 
 @contextmanager
@@ -147,7 +155,7 @@ def test_a_serial_board_that_is_pulled_out_and_put_back(tmp_path: Path) -> None:
             while not (said and heard) and time.monotonic() < deadline:
                 link.send(b"override")
                 terminal.send(b"burst", 0)
-                said += b"".join(terminal.read(0))
+                said += b"".join(data for data, _ in terminal.read())
                 heard += link.read()
             assert b"override" in said and b"burst" in heard
             terminal.close()
@@ -181,3 +189,69 @@ def test_nowhere_to_be_plugged_in_is_explained(port: str) -> None:
 def test_an_unsigned_board_stays_on_this_machine() -> None:
     with pytest.raises(ConfigError, match="needs a key"):
         open_socket("udp:0.0.0.0:0", signed=False)
+
+
+# --- whom a board answers over UDP
+
+
+@pytest.fixture
+def port() -> Iterator[Port]:
+    found = Port("127.0.0.1", 0)
+    yield found
+    found.close()
+
+
+def spoken(port: Port, board: Board, link: UdpLink, data: bytes, now_ns: int) -> None:
+    """A datagram on its way to the board, as the bench has it."""
+    link.send(data)
+    select([port.socket], [], [], 5.0)
+    for datagram, peer in port.read():
+        if board.receive(datagram, now_ns):
+            port.hear(peer, now_ns)
+
+
+def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(port: Port) -> None:
+    """Nine of them, with a byte, an unsigned frame and one of another key, before the robot's computer comes."""
+    key, wrong = Key(bytes(range(32))), Key(bytes(32))
+    board = Board(load_experiment("pool"), 1, 1, key)
+    links = [UdpLink("127.0.0.1", port.socket.getsockname()[1]) for _ in range(10)]
+    *strangers, computer = links
+    try:
+        for k, link in enumerate(strangers):
+            frames = (b"x", AgentLink(1).heartbeat(), AgentLink(1, wrong, lambda: 1000).heartbeat())
+            spoken(port, board, link, frames[k % 3], k)
+        assert not port.heard
+        spoken(port, board, computer, AgentLink(1, key, lambda: 1000).heartbeat(), 100)
+        port.send(b"telemetry", 200)
+        select([computer._socket], [], [], 5.0)
+        assert [link.read() for link in links] == [b""] * 9 + [b"telemetry"]
+    finally:
+        for link in links:
+            link.close()
+
+
+def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port: Port) -> None:
+    board = Board(load_experiment("pool"), 1, 1)
+    links = [UdpLink("127.0.0.1", port.socket.getsockname()[1]) for _ in range(9)]
+    try:
+        for k, link in enumerate((*links[:8], links[0], links[8])):
+            spoken(port, board, link, Sender((200 + k, 1), None, lambda: 0).pack(HEARTBEAT), k)
+        port.send(b"telemetry", 100)
+        select([links[8]._socket], [], [], 5.0)
+        assert [bool(link.read()) for link in links] == [True, False, *[True] * 7]
+    finally:
+        for link in links:
+            link.close()
+
+
+def test_a_flooded_port_is_read_a_little_at_a_time(port: Port) -> None:
+    link = UdpLink("127.0.0.1", port.socket.getsockname()[1])
+    try:
+        for k in range(25):
+            link.send(bytes([k]))
+        found = [port.read() for _ in range(4)]
+        assert [len(datagrams) for datagrams in found] == [10, 10, 5, 0]
+        assert b"".join(data for datagrams in found for data, _ in datagrams) == bytes(range(25))
+        assert not port.is_flooded
+    finally:
+        link.close()

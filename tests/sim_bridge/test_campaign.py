@@ -1,9 +1,12 @@
 """Campaigns: what is flown, that it can be flown again, resumed, and what the statistics are worth."""
 
+import io
 import json
 import shlex
 import subprocess
 import sys
+from concurrent.futures import Future
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +17,12 @@ from distributed import LocalCluster
 from rich.console import Console
 from scipy import stats
 
+from groundstation import planner
 from sim_bridge import campaign_run
 from sim_bridge.campaign import Campaign, flights
+from sim_bridge.campaign_flight import planning_text
 from sim_bridge.summary import distribution, quantile, rate
+from wire.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from wire.runtime import Stop
 from wire.toml_file import ConfigError, check
 
@@ -36,7 +42,8 @@ def campaign(**changes: Any) -> Campaign:
 
 def fly(loaded: Campaign, folder: Path, **options: Any) -> int:
     defaults: dict[str, Any] = {"workers": 1, "scheduler": None, "resume": False, "stop": Stop(install=False)}
-    return campaign_run.run(loaded, folder, **{**defaults, **options}, console=Console(quiet=True))
+    defaults["console"] = Console(quiet=True)
+    return campaign_run.run(loaded, folder, **{**defaults, **options})
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
@@ -175,6 +182,81 @@ def test_a_refused_plan_is_a_row(tmp_path: Path) -> None:
         and "robot 1" in row["reason"]
         and "Not flown" in (tmp_path / "c" / "report.html").read_text()
     )
+
+
+@pytest.mark.parametrize("scene", ["numeric", "numeric-disturbed"])
+def test_a_campaign_of_a_numeric_scene_flies(scene: str, tmp_path: Path) -> None:
+    """Its robots start above the surface of water that has none: planning must know that."""
+    loaded = campaign(experiment=scene, settings=["duration_s=0.2"], seeds=1, sweep={}, draw={})
+    assert fly(loaded, tmp_path / "c") == 0
+    assert [row["status"] for row in rows(tmp_path / "c")] == ["flown"]
+
+
+@pytest.mark.parametrize("scene", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
+def test_a_campaign_plans_every_scene_as_the_station_does(scene: str) -> None:
+    """What planning drops for the sake of a shared plan does not change the plan."""
+    whole = load_experiment(scene, [NO_CAMERA])
+    reduced = check(Experiment, json.loads(planning_text(whole)), scene)
+    trajectories = planner.plan(whole)
+    assert {r: t.id for r, t in planner.plan(reduced).items()} == {r: t.id for r, t in trajectories.items()}
+    for robot, start in planner.start_poses(whole, trajectories).items():
+        assert np.array_equal(planner.start_poses(reduced, trajectories)[robot], start)
+
+
+def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
+    """Three seconds are not enough for the way that `swap` has; its limit says that robots must be there at the end."""
+    loaded = campaign(
+        experiment="swap", settings=["duration_s=3", "robots.0.start_offset=[0,0.5,0,0]"], seeds=1, sweep={}, draw={}
+    )
+    assert fly(loaded, tmp_path / "c") == 0
+    (row,) = rows(tmp_path / "c")
+    limit_m = load_experiment("swap").limits.arrived_m
+    assert limit_m is not None and row["arrived_m"] > limit_m
+    assert not row["passed"] and "arrived_m" in row["reason"]
+
+
+def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
+    told = Console(record=True, width=500, file=io.StringIO())
+    refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1)
+    assert fly(refused, tmp_path / "c", console=told) == 1
+    text = told.export_text()
+    assert "0 of 2 flights flown, 2 refused, 0 failed" in text
+    assert "flight 0 (seed 1) refused: robot 1: speed" in text
+
+
+def test_a_bad_value_of_the_last_flight_is_found_before_the_first_one_flies(tmp_path: Path) -> None:
+    """Also among drawn values, and among seeds."""
+    drawn = {"sim.plant.mass_error": {"choice": [0.1, -2.0]}}
+    with pytest.raises(ConfigError, match=r"sim.plant.mass_error = -2.0: "):
+        fly(campaign(seeds=9, sweep={}, draw=drawn), tmp_path / "c")
+    with pytest.raises(ConfigError, match=r"seed = 2147483648: "):
+        fly(campaign(seeds=2, first_seed=2**31 - 1, sweep={}, draw={}), tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+def test_of_a_million_flights_only_a_few_are_prepared_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The flights are swept, so that two of them are checked; the executor counts how many it holds."""
+    stop, held, most = Stop(install=False), [0], [0]
+
+    class Counting:
+        def submit(self, fly_one: Any, text: str) -> Future[dict[str, Any]]:
+            held[0] += 1
+            most[0] = max(most[0], held[0])
+            future: Future[dict[str, Any]] = Future()
+            future.set_result({"status": "flown", "reason": "", "passed": True, "wall_s": 0.0})
+            return future
+
+    loaded = campaign(seeds=1_000_000, sweep={}, draw={})
+    coming = campaign_run._fly(Counting(), loaded, {}, 4, stop, Console(quiet=True))  # type: ignore[arg-type]
+    for _ in range(10):
+        next(coming)
+        held[0] -= 1
+    assert most[0] <= 4
+    checked: list[int] = []
+    monkeypatch.setattr(campaign_run, "_experiment", lambda campaign, flight: checked.append(flight.seed))
+    monkeypatch.setattr(campaign_run, "flights", lambda campaign: islice(flights(campaign), 50))
+    campaign_run._check_all(loaded, stop)
+    assert checked == [1], "seeds between the first and the last are not loaded"
 
 
 def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:

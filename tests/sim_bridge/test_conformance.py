@@ -50,6 +50,9 @@ class Bench:
             if data or self._now_ns >= until_ns:
                 return data
 
+    def strangers(self) -> None:
+        return None
+
 
 def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, Outcome], Bench]:
     bench = Bench(key)

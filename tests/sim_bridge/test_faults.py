@@ -10,7 +10,7 @@ from sim_bridge import camera_faults
 from sim_bridge.camera import Renderer
 from sim_bridge.camera_faults import CameraTrouble
 from sim_bridge.dynamics import Plant
-from sim_bridge.faults import Faults, LinkTrouble, only
+from sim_bridge.faults import Faults, LinkTrouble, never, only
 from sim_bridge.lossy_link import LossyLink
 from sim_bridge.sensors import BoardSensors
 from sim_bridge.world import World
@@ -134,10 +134,10 @@ def test_a_lost_marker_is_not_in_the_picture() -> None:
 
 def through(trouble: LinkTrouble, count: int = 2000) -> list[tuple[int, int]]:
     """(time in ms, number) of what comes out when number k goes in at k * 20 ms."""
-    link, out = LossyLink(1, 1, 0), []
+    link, out = LossyLink(1, 1, 0, 0), []
     for now_ms in range(0, count * 20 + 6000, 5):
         if now_ms % 20 == 0 and now_ms < count * 20:
-            link.push(now_ms.to_bytes(4, "big"), now_ms * 1_000_000, trouble)
+            link.push(now_ms.to_bytes(4, "big"), now_ms * 1_000_000, trouble, 0)
         out += [(now_ms, int.from_bytes(data, "big") // 20) for data, _ in link.pop(now_ms * 1_000_000)]
     return out
 
@@ -172,8 +172,13 @@ def test_what_a_flight_cannot_break_is_refused() -> None:
 
 
 def test_the_tag_of_what_was_overtaken_is_gone() -> None:
-    link = LossyLink(1, 1, 0)
+    link = LossyLink(1, 1, 0, 0)
     link.push(b"slow", 0, LinkTrouble(delay_s=0.1), tag=7)
     link.push(b"fast", 10, LinkTrouble(), tag=8)
     assert link.pop(20) == [(b"fast", 8)]
     assert link.pop(10**9) == [(b"slow", 0)]
+
+
+def test_a_fault_after_the_end_is_told_to_never_happen() -> None:
+    experiment = load_experiment("pool", ["duration_s=30"], ["t=29.9 thruster 1/1 dead", "t=500 camera dark"])
+    assert never(experiment) == ["never happens: camera dark at 500 s, for the run ends after 30 s"]

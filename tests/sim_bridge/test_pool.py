@@ -9,8 +9,9 @@ from sim_bridge.camera import Renderer
 from sim_bridge.pool import Pool
 from sim_bridge.ports import free_base_port
 from sim_bridge.sockets import Sockets
+from sim_bridge.world import World
 from wire import topics
-from wire.bus import Bus
+from wire.bus import Bus, Received
 from wire.codec import Header
 from wire.experiment import load_experiment
 from wire.runtime import Failed, Stop
@@ -58,3 +59,52 @@ def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: py
     assert seen[0] == 3
     with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
         stop.raise_failure()
+
+
+def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
+    """Whatever arrives between two steps wakes the simulator; the next step waits for its time all the same. The clock stands
+    still but for a millisecond at each look at it."""
+    experiment = load_experiment("pool", [ROBOT, "sim.latency_s=0"])
+    hub, stop = MemoryHub(), Stop(install=False)
+    sockets = Flooded(free_base_port((1,)), (1,), experiment.seed)
+    pool = Pool(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True)
+    clock = HandClock()
+    pool._clock = clock
+    steps = []
+    move = pool._move
+
+    def counted(world: World) -> None:
+        move(world)
+        steps.append((world.now_ns, clock.now_ns() - clock.begin_ns))
+        if len(steps) == 50:
+            stop.request()
+
+    pool._move = counted  # type: ignore[method-assign]
+    pool.run()
+    assert sockets.woken > 100, "the flood has woken it between steps"
+    assert all(water_ns - passed_ns <= 2 * 5_000_000 for water_ns, passed_ns in steps)
+
+
+class HandClock:
+    """A millisecond later at each look."""
+
+    begin_ns = 1_700_000_000_000_000_000
+
+    def __init__(self) -> None:
+        self._now_ns = self.begin_ns
+
+    def now_ns(self) -> int:
+        self._now_ns += 1_000_000
+        return self._now_ns
+
+    def instant_ns(self, received: Received[Any]) -> int:
+        return received.header.stamp_ns
+
+
+class Flooded(Sockets):
+    """There is always something to be read."""
+
+    woken = 0
+
+    def wait(self, timeout_s: float) -> None:
+        self.woken += 1

@@ -228,7 +228,7 @@ def _mutants(value: object) -> Iterator[object]:
         yield from (value + 1e-6, value - 1e-6, value * 1.001)
     else:
         yield from ("rotate", "translate", "leader-follower", "virtual-structure", "daqp", "osqp", "pid", "eso-mpc")
-        yield from ("point", "trajectory", "start", "end", "h264", "2-1", "go-on", "other")
+        yield from ("point", "trajectory", "start", "end", "h264", "2-1", "go-on", "warn", "other")
 
 
 def _hash(table: dict[str, Any]) -> str:
@@ -448,3 +448,18 @@ def test_no_shipped_experiment_and_no_example_has_a_horizon_that_is_too_short() 
     assert len(found) >= 4
     for name, settings in [*((path.stem, ()) for path in EXPERIMENTS.glob("*.toml")), *(("pool", (n,)) for n in found)]:
         assert not load_experiment(name, [f"controller.mpc.horizon={n}" for n in settings]).cautions
+
+
+def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(tmp_path: Path) -> None:
+    """But in the record of a run, which lies beside its log, it is read where it stood."""
+    with pytest.raises(
+        ConfigError, match=r"sim\.plant\.walls: this key is called pool\.walls now \(write pool\.walls = false\)"
+    ):
+        load_experiment("pool", ["sim.plant.walls=false"])
+    recorded = load_experiment("pool", ["pool.walls=false"])
+    text = dump_experiment(recorded).replace("walls = false\n", "").replace("[sim.plant]\n", "[sim.plant]\nwalls = false\n")
+    (tmp_path / "experiment.toml").write_text(text)
+    with pytest.raises(ConfigError, match=r"pool\.walls"):
+        load_experiment(str(tmp_path / "experiment.toml"))
+    (tmp_path / "run.mcap").touch()
+    assert load_experiment(str(tmp_path / "experiment.toml")).hash == recorded.hash

@@ -11,6 +11,7 @@ import tomli_w
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wire.experiment import load_experiment
 from wire.toml_file import ConfigError, check
 from wire.vehicle import VEHICLES, Thruster, Vehicle, load_vehicle
 
@@ -183,3 +184,10 @@ def test_an_unknown_vehicle_is_refused_with_the_choice() -> None:
         load_vehicle("shark")
     with pytest.raises(ConfigError, match=r"shark\.toml: no such file"):
         load_vehicle("shark.toml")
+
+
+@pytest.mark.parametrize("legs", [3, 5, 6])
+def test_a_vehicle_with_another_number_of_legs_is_refused_with_what_is_modelled(legs: int) -> None:
+    given = [[0.2, 0.1], [0.2, -0.1], [-0.2, 0.1], [-0.2, -0.1], [0.0, 0.1], [0.0, -0.1]][:legs]
+    with pytest.raises(ConfigError, match=rf"has {legs} legs .*exactly 4; this version models four steerable legs"):
+        load_experiment("pool", [f"vehicle.legs.position_m={given}"])
