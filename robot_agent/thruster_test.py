@@ -64,9 +64,8 @@ class _Bench:
 
 def turn_thrusters(experiment: Experiment, board: Board) -> Iterator[Finding]:
     """One finding per thruster. The caller has made sure that nobody's fingers are near."""
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _end)
     link, signing = open_board(board)
+    before = {number: signal.signal(number, _end) for number in (signal.SIGTERM, signal.SIGHUP)}
     bench = _Bench(experiment, link, agent_end(board.robot, signing))
     try:
         bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
@@ -81,6 +80,8 @@ def turn_thrusters(experiment: Experiment, board: Board) -> Iterator[Finding]:
     finally:
         bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=False)
         link.close()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _end(number: int, frame: FrameType | None) -> None:
