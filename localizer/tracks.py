@@ -27,8 +27,8 @@ from wire.messages import Pose, Track
 
 _REGAIN_PEAK = 0.5  # a lost robot's look must fit better than a followed one's: nothing else says that it is there
 _JUMP_SIGMAS = 3.0
-# A claim that is not confirmed by then is forgotten: a marker is read ten times in that time, or is covered. But a slow camera,
-# or a computer that is held up, has some pictures to confirm it in.
+# A claim that is not confirmed by then is forgotten: a marker is read ten times in that time, or is covered. A slow camera, or
+# a computer that is held up, has some pictures to confirm it in.
 _CLAIM_S, _CLAIM_PICTURES = 0.5, 3
 # Two readings agree within the errors of a reading, and what a robot can do between them (its limits are 0.48 m/s, 1.9 rad/s).
 _AGREES_M, _AGREES_RAD = 0.03, 0.2
