@@ -27,7 +27,9 @@ from wire.messages import Pose, Track
 
 _REGAIN_PEAK = 0.5  # a lost robot's look must fit better than a followed one's: nothing else says that it is there
 _JUMP_SIGMAS = 3.0
-_CLAIM_S = 0.5  # a claim that is not confirmed by then is forgotten: a marker is read ten times in that time, or is covered
+# A claim that is not confirmed by then is forgotten: a marker is read ten times in that time, or is covered. A slow camera, or
+# a computer that is held up, has some pictures to confirm it in.
+_CLAIM_S, _CLAIM_PICTURES = 0.5, 3
 # Two readings agree within the errors of a reading, and what a robot can do between them (its limits are 0.48 m/s, 1.9 rad/s).
 _AGREES_M, _AGREES_RAD = 0.03, 0.2
 _FASTEST_MPS, _FASTEST_RADPS = 0.6, 2.5
@@ -36,10 +38,16 @@ _PLACED_SIGMA = np.array([0.05, 0.05, 0.1])  # m, m, rad: how well people put a 
 
 @dataclass(frozen=True)
 class Claim:
-    """A marker's reading [x, y, yaw] that waits for a second one, and its age."""
+    """A marker's reading [x, y, yaw] that waits for a second one, its age, and the pictures since."""
 
     pose: Array
     age_s: float = 0.0
+    pictures: int = 0
+
+    def advanced(self, step_s: float) -> "Claim | None":
+        """At the next picture; None when it is too old."""
+        older = replace(self, age_s=self.age_s + step_s, pictures=self.pictures + 1)
+        return None if older.age_s > _CLAIM_S and older.pictures > _CLAIM_PICTURES else older
 
     def agrees(self, pose: Array) -> bool:
         """Whether another reading, now, is of the same robot."""
@@ -72,9 +80,7 @@ class RobotTrack:
         """Predicted to the next exposure. A lost robot stays where it was last believed."""
         moving = self.motion is not None and self.state is not Track.LOST
         motion = predict(self.motion, step_s) if self.motion is not None and moving else self.motion
-        claim = None if self.claim is None else replace(self.claim, age_s=self.claim.age_s + step_s)
-        if claim is not None and claim.age_s > _CLAIM_S:
-            claim = None
+        claim = None if self.claim is None else self.claim.advanced(step_s)
         return replace(self, motion=motion, unseen_s=self.unseen_s + step_s, measured=None, refuted=False, claim=claim)
 
     def read(self, seen: Measurement, jump_m: float) -> "RobotTrack":

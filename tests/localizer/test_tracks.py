@@ -224,6 +224,11 @@ def test_a_claim_is_forgotten_after_half_a_second() -> None:
     assert track.read(_seen(1.0), JUMP_M).message(0.3, LEVEL) is None
 
 
+def test_a_camera_of_one_picture_a_second_confirms_a_claim_too() -> None:
+    track = RobotTrack().advanced(1.0).read(_seen(1.0), JUMP_M).advanced(1.0).read(_seen(1.1), JUMP_M)
+    assert track.state is Track.MARKER and track.verified
+
+
 def test_what_is_not_finite_is_no_measurement() -> None:
     track, nan = _followed().advanced(STEP_S), float("nan")
     bad = [_seen(nan), _seen(0.0, 0.0, nan), _seen(0.0, peak=nan), Measurement(np.zeros(3), np.full((3, 3), np.inf), 0.9)]
