@@ -29,7 +29,7 @@ from wire.tuning import Controller, Safety
 from wire.vehicle import Fraction, Positive, Vehicle, load_vehicle
 
 EXPERIMENTS = Path(__file__).parents[1] / "groundstation" / "experiments"
-SHORTEST_HORIZON_S = 2.0  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
+SHORTEST_HORIZON_S = 2.25  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
