@@ -200,10 +200,10 @@ class Controller:
             if self._follows:  # own node + (leader - leader's node) = leader + offset
                 pull = company.pull / company.weight
             else:
-                # Headings are not shared where guidance gives them: they are what a robot steers by, not a place in a shape.
-                shared = np.array((1.0, 1.0, 1.0, 0.0 if self._config.guidance.enabled else 1.0))
-                weight = weight + shared * company.weight
-                pull = shared * company.pull / np.maximum(weight, 1e-12)
+                weight = weight + company.weight
+                pull = company.pull / np.maximum(weight, 1e-12)
+            if self._config.guidance.enabled:  # headings are what a robot steers by then, not a place in a shape
+                pull[:, 3] = 0.0
             command[1:] += pull
             command[0] += pull[0]
         if self._config.guidance.enabled:

@@ -29,7 +29,7 @@ from wire.tuning import Controller, Safety
 from wire.vehicle import Fraction, Positive, Vehicle, load_vehicle
 
 EXPERIMENTS = Path(__file__).parent / "experiments"
-SHORTEST_HORIZON_S = 2.0  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
+SHORTEST_HORIZON_S = 2.25  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
 NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 

@@ -19,12 +19,13 @@ from groundstation.web.alarms import alarms
 from groundstation.web.guard import host_allowed, origin_allowed, token_allowed, web_options
 from groundstation.web.lease import SILENT_S, Lease
 from groundstation.web.snapshot import ellipse
-from groundstation.web.underlay import mesh, project
+from groundstation.web.underlay import mesh
 from groundstation.web.window import MOST_NOTES, UNACKNOWLEDGED, Window
 from sim_bridge import optics
 from wire.access import INSECURE
 from wire.experiment import load_experiment
 from wire.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
+from wire.picture import project
 from wire.toml_file import ConfigError
 
 POOL = load_experiment("pool")

@@ -140,7 +140,7 @@ def test_two_runs_are_the_same_bit_for_bit() -> None:
     assert runs[0] == runs[1]
 
 
-def test_head_on_they_stop_short_of_one_another() -> None:
+def test_head_on_they_keep_their_distance() -> None:
     pool = Pool(load_experiment("pool", ["robots.0.start_offset=[0,0,0,0]", "robots.1.start_offset=[0,0,0,0]"]), 1)
     t = np.arange(0.0, 20.0, 0.05)
     zero, paths = np.zeros_like(t), []
@@ -156,7 +156,7 @@ def test_head_on_they_stop_short_of_one_another() -> None:
     for k in range(380):
         pool.step([Follow(p, k * 0.05) for p in paths])
         nearest = min(nearest, float(np.hypot(*(pool.state.eta[0, :2] - pool.state.eta[1, :2]))))
-    assert 0.55 < nearest < 0.65  # 2R = 0.6
+    assert 0.59 < nearest < 0.8  # 2R = 0.6; who gives way in time keeps 0.15 m more
 
 
 # --- one controller, no plant

@@ -237,3 +237,27 @@ def test_a_neighbour_does_not_push_a_robot_into_a_wall() -> None:
             state = model.advance(state, (0.0,) * 4, tuple(wrench), PERIOD_S)
         pushed[walls] = state[0] + VEHICLE.radius_m - 1.75
     assert pushed[None] > -0.01 and pushed[3.5, 2.5] < -0.03  # m beyond the wall
+
+
+def surge_damping(horizon: int) -> float:
+    """Damping ratio of surge at rest under a robot's own plans, far from every limit: by finite differences of one step."""
+    model, small = Model(VEHICLE), 1e-3
+    controller = mpc(horizon=horizon, solver="daqp")
+
+    def step(x: float, u: float, thrust: float, asked: float) -> list[float]:
+        state: State = (x, *START[1:4], u, 0.0, 0.0, 0.0, thrust, 0.0, 0.0)
+        controller.reset()
+        goal = np.zeros((horizon + 1, 4))
+        wrench = controller.plan(state, np.zeros(4), np.array([asked, 0.0, 0.0]), goal, WEIGHT, NOWHERE).wrench
+        after = model.advance(state, (0.0,) * 4, tuple(wrench), PERIOD_S)
+        return [after[0], after[4], after[8], wrench[0]]
+
+    poles = np.linalg.eigvals(np.array([step(*row) for row in small * np.eye(4)]).T / small)
+    rates = np.log(poles[np.abs(poles) > 1e-4].astype(complex)) / PERIOD_S
+    return float((-rates.real / np.abs(rates)).min())
+
+
+def test_a_short_horizon_does_not_damp_surge() -> None:
+    """Why robots with a short one leave a slow path: the figures of docs/control.md."""
+    found = [surge_damping(horizon) for horizon in (20, 25, 30, 45, 50)]
+    assert found == pytest.approx([0.04, 0.36, 0.59, 0.65, 0.65], abs=0.01)

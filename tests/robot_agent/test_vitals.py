@@ -25,6 +25,7 @@ OUTPUT = Controller(POOL.vehicle, POOL.controller, POOL.safety).step(Measurement
 def unfit(inputs: Inputs, station: StationView = STATION) -> str:
     vitals = Vitals(POOL)
     vitals.note(inputs, Mode.DISARMED, NOW_NS)
+    vitals.flew(replace(OUTPUT, depth_age_s=0.02), Mode.DISARMED, NOW_NS)
     return vitals.unfit(inputs, station, NOW_NS)
 
 

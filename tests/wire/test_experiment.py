@@ -430,11 +430,11 @@ def test_the_shipped_rates_are_the_articles_steps_to_the_last_bit() -> None:
 def test_a_horizon_that_is_too_short_for_slow_robots_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     for settings, told in (
         ((), ""),
-        (("controller.mpc.horizon=40",), ""),
+        (("controller.mpc.horizon=45",), ""),
         (("controller.mpc.horizon=25", 'controller.law="pid"'), ""),
-        (("controller.mpc.horizon=25",), "controller.mpc.horizon = 25 looks 1.25 s ahead: below 2 s"),
+        (("controller.mpc.horizon=25",), "controller.mpc.horizon = 25 looks 1.25 s ahead: below 2.25 s"),
         (("controller.mpc.horizon=25", "controller.period_s=0.1"), ""),
-        (("controller.mpc.horizon=19", "controller.period_s=0.1"), "use 20 or more"),
+        (("controller.mpc.horizon=22", "controller.period_s=0.1"), "use 23 or more"),
     ):
         caution(load_experiment("pool", settings))
         said = capsys.readouterr().err
