@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from sim_bridge.ports import free_port
-from wire import bus as bus_module
 from wire import messages, topics, transport
 from wire.bus import Bus
-from wire.codec import Header
+from wire.codec import Header, encode
 from wire.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
 
 MakeBus = Callable[[], Bus]
@@ -240,7 +239,7 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
     station, robot = make_bus(), Obeying(make_bus())
     assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     robot.told.clear()
-    encode, begun, go_on = bus_module.encode, threading.Event(), threading.Event()
+    begun, go_on = threading.Event(), threading.Event()
 
     def encode_slowly(message: messages.Message, stamp_ns: int = 0) -> bytes:
         if isinstance(message, messages.Command) and message.order is slow.order:
@@ -248,7 +247,7 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
             assert go_on.wait(20.0)
         return encode(message, stamp_ns)
 
-    monkeypatch.setattr(bus_module, "encode", encode_slowly)
+    monkeypatch.setattr("wire.bus.encode", encode_slowly)
     with ThreadPoolExecutor(1) as pool:
         late = pool.submit(station.order, slow, 1, 5.0)
         assert begun.wait(20.0)
