@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from sim_bridge.ports import free_port
-from wire import bus as bus_module
 from wire import messages, topics, transport
 from wire.bus import Bus
 from wire.codec import Header, encode
@@ -248,7 +247,7 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
             assert go_on.wait(20.0)
         return encode(message, stamp_ns)
 
-    monkeypatch.setattr(bus_module, "encode", encode_slowly)
+    monkeypatch.setattr("wire.bus.encode", encode_slowly)
     with ThreadPoolExecutor(1) as pool:
         late = pool.submit(station.order, slow, 1, 5.0)
         assert begun.wait(20.0)
