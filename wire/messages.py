@@ -404,5 +404,5 @@ class Event:
 
 Message = (
     Tick | Truth | Pose | LocalizerStatus | Obstacles | Plan | RobotState | StationHeartbeat | Trajectory | Tuning | Command
-    | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture | Event
+    | Outcome | Reply | BoardReading | StepInputs | OrderTaken | Frame | Preview | Video | Picture | Event
 )  # fmt: skip

@@ -360,7 +360,7 @@ def test_the_largest_messages_that_a_fleet_sends_get_through() -> None:
         Plan(0.05, np.ones((nodes, 4)), np.ones((nodes, 4))),
         Truth(ids, np.ones((robots, 4)), np.ones((robots, 4)), np.ones((robots, 3)), np.ones((robots, 4))),
         StepInputs(1, plan_robots=ids, plan_sessions=ids, plan_sequences=ids, plan_instants_ns=(2**62,) * robots),
-        Obstacles(tuple(range(obstacles)), np.ones((obstacles, 12, 2)), np.ones((obstacles, 2))),
+        Obstacles(tuple(range(obstacles)), np.ones((obstacles, 12, 2)), np.ones((obstacles, 2)), unseen_s=np.ones(obstacles)),
     ):
         assert same(_decode(type(message), encode(message)), message)
 

@@ -17,7 +17,20 @@ from groundstation.legs import first_leg
 from tests.wire.strategies import CLASSES, OWN, example, nested
 from wire import codec, fleet_pb2, messages, topics
 from wire.experiment import load_experiment
-from wire.messages import BoardReading, Command, Event, Frame, Message, Order, OrderTaken, Picture, Preview, Reply, Video
+from wire.messages import (
+    BoardReading,
+    Command,
+    Event,
+    Frame,
+    Message,
+    Order,
+    OrderTaken,
+    Outcome,
+    Picture,
+    Preview,
+    Reply,
+    Video,
+)
 from wire.topics import TOPICS, Qos, Topic
 from wire.tuning import Safety
 
@@ -27,6 +40,7 @@ ENUMS = {
     messages.Mode: "MODE",
     messages.Solve: "SOLVE",
     messages.Order: "ORDER",
+    messages.Progress: "PROGRESS",
     messages.CameraHealth: "CAMERA",
 }
 
@@ -108,7 +122,7 @@ def test_a_recorded_topic_has_a_schema(topic: Topic) -> None:
 
 
 def test_every_message_has_a_topic_or_is_part_of_another() -> None:
-    assert set(CLASSES) == {topic.type for topic in TOPICS} | {Command, Reply, BoardReading}
+    assert set(CLASSES) == {topic.type for topic in TOPICS} | {Command, Outcome, Reply, BoardReading}
     once = [topic for topic in TOPICS if topic is not topics.EXPOSED]  # a tick, which the localizer is told of earlier
     assert len({topic.type for topic in once}) == len(once)
 
