@@ -167,13 +167,13 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
     recorder.close()
     with Replay(tmp_path) as found:
         shown = {}
-        for time_s in (5.0, 15.0):
-            found.seek(time_s, 0.0)
+        for time_s in (5, 15):
+            found.seek(float(time_s), 0.0)
             paths = found.paths()
             assert paths is not None
             shown[time_s] = {path["robot"]: path for path in paths}
             assert found.paths() is None  # once
-        assert [shown[5.0][r]["id"] for r in (1, 2)] == [planned[r].id for r in (1, 2)]
-        assert (shown[15.0][1]["id"], shown[15.0][2]["id"]) == ("home", planned[2].id)
-        home = np.frombuffer(shown[15.0][1]["eta"], "<f4").reshape(-1, 4)
+        assert [shown[5][r]["id"] for r in (1, 2)] == [planned[r].id for r in (1, 2)]
+        assert (shown[15][1]["id"], shown[15][2]["id"]) == ("home", planned[2].id)
+        home = np.frombuffer(shown[15][1]["eta"], "<f4").reshape(-1, 4)
         np.testing.assert_allclose(home[[0, -1]], way[[1, -1]], atol=1e-5)  # its first point is still the circle's

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from groundstation import whereabouts
 from groundstation.whereabouts import announced, folder, running, station
 from wire.endpoint import Endpoint
 from wire.options import DEFAULT_STATION
@@ -106,7 +105,7 @@ def test_a_folder_that_others_can_write_to_is_not_believed(place: Path, caplog: 
 
 def test_without_a_runtime_folder_there_is_one_of_the_user_s_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    monkeypatch.setattr(whereabouts.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
     assert folder() == tmp_path / f"shoal-{os.getuid()}"
     with announced(HERE, "shoal", "pool"):
         assert station(None, "shoal") == HERE.address
