@@ -344,7 +344,7 @@ def looks_lost(page: Page) -> None:
 
 def stop_is_not_heard(page: Page) -> None:
     expect(page.get_by_role("button", name="STOP NOT HEARD")).to_be_visible()
-    expect(page.get_by_role("alert")).to_contain_text("Emergency stop not heard")
+    expect(page.get_by_role("alert").filter(has_text="Emergency stop not heard")).to_be_visible()
     expect(page.locator(".given")).to_contain_text("stop no answer: the station may not have heard it; it is sent again")
     expect(page.get_by_text("confirms: stopped")).to_have_count(0)
 
@@ -402,6 +402,8 @@ def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Brows
     expect(page.locator(".given")).not_to_contain_text("sent;")
     stop_is_not_heard(page)
     looks_lost(page)
+    station.process.send_signal(signal.SIGCONT)
+    expect(page.locator(".given")).to_contain_text("stop under way")
     page.context.close()
 
 
