@@ -67,7 +67,7 @@ class ControlOutput:
     iterations: int
     slack_m: float  # by how much the plan enters the space of another robot
     pose_age_s: float  # of the pose the estimate rests on
-    depth_age_s: float  # of the last depth that did not contradict the estimate
+    depth_age_s: float  # of the last depth that did not contradict the estimate; 0 while there is no estimate
     leap: str  # what was told and what had been believed, in a step that gave up the estimate's place for another one
     depth_leap: str  # the same for the depth
     is_free: bool  # to go along the path: nobody and nothing leads it round, or pushes it aside
@@ -202,8 +202,6 @@ class Controller:
             else:
                 weight = weight + company.weight
                 pull = company.pull / np.maximum(weight, 1e-12)
-            if self._config.guidance.enabled:  # headings are what a robot steers by then, not a place in a shape
-                pull[:, 3] = 0.0
             command[1:] += pull
             command[0] += pull[0]
         if self._config.guidance.enabled:
@@ -293,7 +291,7 @@ class Controller:
             iterations=0,
             slack_m=0.0,
             pose_age_s=math.inf if estimate is None else estimate.pose_age_s,
-            depth_age_s=math.inf if estimate is None else estimate.depth_age_s,
+            depth_age_s=0.0 if estimate is None else estimate.depth_age_s,
             leap="" if estimate is None else estimate.leap,
             depth_leap="" if estimate is None else estimate.depth_leap,
             is_free=False,

@@ -99,7 +99,7 @@ class Vitals:
             off_path=self._path.left,
             estimate_ended=self._estimate_ended,
             off_depth=self._depth.left,
-            depth_age_s=self._output.depth_age_s if self._output is not None else NEVER_S,
+            depth_age_s=self._output.depth_age_s if self._output is not None else 0.0,
             depth_leap=self._output.depth_leap if self._output is not None else "",
             leap=self._output.leap if self._output is not None else "",
         )
