@@ -28,6 +28,9 @@ const SOMETIMES: Button[] = [
   { order: "test", text: "Test thrusters", keys: "" }, // preflight may be waiting for just this one: the station judges
 ];
 
+/** States in which a run is over. */
+const OVER = ["DONE", "CANCELLED", "FAILED"];
+
 function whyNot(state: Snapshot, button: Button): string {
   if (!connected.value) return "no connection to the station";
   if (!inControl.value) return "you are watching: take control first";
@@ -38,7 +41,7 @@ function whyNot(state: Snapshot, button: Button): string {
 
 function Preflight({ state }: { state: Snapshot }) {
   const robots = scene.value?.robots ?? [];
-  const needed = ["WAITING", "LOADING", "ARMING", "DONE", "FAILED"].includes(state.phase);
+  const needed = ["WAITING", "LOADING", "ARMING", ...OVER].includes(state.phase);
   if (!needed) return null;
   const reasons = new Map<number, string[]>();
   for (const { robot, text } of state.preflight) reasons.set(robot, [...(reasons.get(robot) ?? []), text]);
@@ -171,7 +174,7 @@ function End({ state }: { state: Snapshot }) {
 
 function Folder({ state }: { state: Snapshot }) {
   const run = scene.value?.run;
-  if (!run || !(state.ended || state.phase === "DONE" || state.phase === "FAILED")) return null;
+  if (!run || !(state.ended || OVER.includes(state.phase))) return null;
   return (
     <p class="folder">
       {state.ended ? "The run is ended; it is in" : "The run is being written to"} <code>{run}</code>
