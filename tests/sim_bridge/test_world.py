@@ -79,3 +79,20 @@ def test_exposures_are_the_first_steps_at_or_after_they_are_due(rate_hz: float, 
             assert announced_ns == world.now_ns
             exposed.append(world.now_ns // 1000)
     assert exposed == sorted(us for us in wanted if us <= 900_000)
+
+
+def test_robots_that_are_held_stay_where_they_are_until_one_is_armed() -> None:
+    """Then all are let go, and stay so when it is disarmed."""
+    experiment, starts = load_experiment("pool"), np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 1.0]])
+    world, link = World(experiment, 1, starts, held=True), AgentLink(1)
+    for _ in range(200):
+        world.step()
+        assert world.next_exposure() is None
+    assert np.array_equal(world.eta, starts) and world.now_ns == 200 * 5_000_000
+    world.receive(0, link.pulses((1500,) * 8))
+    world.receive(0, link.arm(True))
+    world.step()
+    world.receive(0, link.arm(False))
+    for _ in range(200):
+        world.step()
+    assert np.abs(world.eta[:, 2] - 0.3).min() > 1e-3
