@@ -75,6 +75,7 @@ NAMES: dict[tuple[type, str], tuple[str, ...]] = {
     (messages.Trajectory, "acceleration"): ("x_mps2", "y_mps2", "z_mps2", "yaw_radps2"),  # pool frame
     (messages.Obstacles, "outline"): tuple(f"corner_{k}_{axis}_m" for k in range(1, 13) for axis in "xy"),
     (messages.Obstacles, "velocity"): ("x_mps", "y_mps"),  # pool frame
+    (messages.Obstacles, "unseen_s"): ("unseen_s",),
     (messages.Tuning, "values"): ("value",),
     (messages.BoardReading, "acceleration_mps2"): _named("acceleration_", ACCELERATION[:3]),
     (messages.BoardReading, "echo_us"): _named("echo_", CHANNELS),

@@ -200,7 +200,7 @@ def test_what_comes_after_20_s_is_asked_of_no_shorter_flight(flown: tuple[Experi
     experiment = flown[0]
     limits = experiment.limits.model_copy(update={"rms_after_20s_m": 0.01, "wrench_step_rms": 0.1, "rms_m": 0.5})
     short = experiment.model_copy(update={"limits": limits})
-    nothing = dict.fromkeys(("rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms"))
+    nothing = dict.fromkeys(("arrived_m", "rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms"))
     assert broken_limits(short, {"rms_m": 0.1, **nothing}) == []
     assert broken_limits(short, {"rms_m": 0.6, **nothing}) == ["rms_m"]
     long = short.model_copy(update={"duration_s": 30.0})

@@ -157,13 +157,17 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
     """However long a robot says nothing: what is asked then, a stop for example, waits for none of them."""
     free, out = threading.Event(), []
 
-    def silent(command: Command, stamp_ns: int, timeout_s: float) -> Reply:
+    def silent(command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
         out.append(command.order)
-        free.wait(PATIENCE_S)
-        return Reply(command.robot, False, silent=True)
+
+        def reply() -> Reply:
+            free.wait(PATIENCE_S)
+            return Reply(command.robot, False, silent=True)
+
+        return reply
 
     with a_station(tmp_path) as station:
-        monkeypatch.setattr(station.bus, "order", silent)
+        monkeypatch.setattr(station.bus, "send_order", silent)
         try:
             asked(station, Order.STOP)
             for k in range(100):
