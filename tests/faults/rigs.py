@@ -38,5 +38,6 @@ RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
     "router": lambda seed: Rig(seed=seed, own_router=True),
     "page": lambda seed: Rig(seed=seed, settings=("duration_s=200",), station_options=("--web", f"127.0.0.1:{free_port()}")),
     "disk": small_disk,
+    "detour": lambda seed: Rig("blocked-path", ("sim.drifters=[]",), seed=seed, poses=True, wires=False, patched=True),
     "fleet": lambda seed: Rig("fleet-20", SLOWLY, seed=seed, poses=True, wires=False),
 }
