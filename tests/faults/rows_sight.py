@@ -39,13 +39,20 @@ def camera_frozen(rig: Rig, random: Random) -> Sample:
 
 
 def _upset(rig: Rig, fault: str) -> Sample:
-    """The whole picture changes at once, until all hold and the station has said why; then it is as it was."""
+    """The whole picture changes at once, until all hold and have said why; then it is as it was."""
     ns = rig.break_(fault)
-    found = {"hold": max(rig.mode_s(r, HELD, ns) for r in rig.robots), "told to be blind": rig.alert_s(ns, "blind")}
+    found = {"hold": max(rig.mode_s(r, HELD, ns) for r in rig.robots)}
+    rig.wait(lambda: all(_blind_ns(rig, r, ns) for r in rig.robots), "all say that they are blind")
+    found["blind told"] = max(_blind_ns(rig, r, ns) - ns for r in rig.robots) * 1e-9
     time.sleep(LEARNS_S)
     rig.break_()
     moves = sum(h.state.mode is Mode.TRACKING for r in rig.robots for h in rig.since(r, ns + round(found["hold"] * 1e9)))
     return {**found, TRACKS: float(moves)}
+
+
+def _blind_ns(rig: Rig, robot: int, ns: int) -> int:
+    """When a robot first said since `ns` that it does not know of obstacles; 0 if it has not."""
+    return next((h.ns for h in rig.since(robot, ns) if h.state.blind), 0)
 
 
 def lamp_switched(rig: Rig, random: Random) -> Sample:
