@@ -42,7 +42,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "agent-ended", "Agent ended", "SIGTERM, restarted",
-        {"neutral": SECONDS(0.1), "disarmed": SECONDS(0.1), RESUMED: TIMES()}, rows_robot.agent_ended, times=20,
+        {"neutral": SECONDS(0.1), "disarmed": SECONDS(0.1), RESUMED: TIMES()}, rows_robot.agent_ended, times=20, rig="seen",
     ),
     Row(
         "agent-hung", "Agent hung", "SIGSTOP, SIGCONT up to 1.6 s later",
@@ -85,7 +85,7 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "start-late", "START late", "robot 2 gets none of the station's STARTs for 1.2 s",
-        {"timetables apart": SECONDS(0.05)}, rows_network.start_late, times=5, rig="patched",
+        {"timetables apart": SECONDS(0.05)}, rows_network.start_late, times=5, rig="seen-patched",
     ),
     Row(
         "switch-partial", "SWITCH lost", "robot 2 of three gets no order to go over to a new path",
@@ -119,6 +119,7 @@ ROWS: tuple[Row, ...] = (
         "it reads 10 m, 0.5 m more or 0.2 m less than it should, or the same for ever; watched for 10 s",
         {"fault": SECONDS(0.5 + STEP_S), "neutral": SECONDS(0.5 + 2 * STEP_S), "true depth off": Measure(0.1, "m"),
          "true depth off, stuck": Measure(0.15, "m"), RESUMED: TIMES()}, rows_robot.depth_wrong, times=10,
+        rig="seen",
     ),
     Row(
         "marker-gone", "A robot's marker plate comes off", "in the picture, and put back when the robot is neutral",
