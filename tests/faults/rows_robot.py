@@ -12,6 +12,7 @@ from tests.faults.wires import LineTrouble, forgeries
 from wire.messages import Mode, Order, Solve
 
 NEVER_S = 999.0
+SETTLED_S = 6.0  # a flight's first seconds, in which a robot comes to its depth
 DEPTH_WATCHED_S = 10.0
 SAME_US = 5  # a board whose outputs differ by no more than this from what they were told does as it is told
 FELT = ("dead", "reversed")  # what is found wherever the thruster pushes; the others may go on as they were told to
@@ -51,19 +52,21 @@ def agent_ended(rig: Rig, random: Random) -> Sample:
 
 
 def depth_wrong(rig: Rig, random: Random) -> Sample:
-    """Where the sensor is stuck, nothing tells the robot that it sinks or rises but the sensor itself."""
+    """Until the robot is neutral: after that it floats. A sensor that is stuck nothing gives away."""
+    rig.cruise(SETTLED_S)
     robot, how = int(random.choice(rig.robots)), str(random.choice(["reads 10", "jumps 0.5", "jumps -0.2", "stuck"]))
-    i, truth = rig.robots.index(robot), rig.truth
-    before_m, off_m = float(truth.eta[i, 2]), 0.0
+    i, off_m = rig.robots.index(robot), 0.0
+    before_m = float(rig.truth.eta[i, 2])
     ns = rig.break_(f"depth {robot} {how}")
-    while time.monotonic_ns() - ns < DEPTH_WATCHED_S * 1e9:
+    while time.monotonic_ns() - ns < DEPTH_WATCHED_S * 1e9 and rig.mode(robot) in POWERED:
         time.sleep(0.02)
         off_m = max(off_m, abs(float(rig.truth.eta[i, 2]) - before_m))
-    found = {"true depth off, stuck" if how == "stuck" else "true depth off": off_m}
-    if how != "stuck" or rig.mode(robot) not in POWERED:
-        found |= {"fault": rig.mode_s(robot, OFF, ns, 1.0), "neutral": rig.neutral_s(ns, [robot])}
+    if how == "stuck":
+        rig.break_()
+        return {"true depth off, stuck": off_m}
+    found = {"true depth off": off_m, "fault": rig.mode_s(robot, OFF, ns, 1.0), "neutral": rig.neutral_s(ns, [robot])}
     rig.break_()
-    return {**found, RESUMED: resumed(rig, (robot,), 1.0)} if "neutral" in found else found
+    return {**found, RESUMED: resumed(rig, (robot,), 1.0)}
 
 
 def solver_stuck(rig: Rig, random: Random) -> Sample:

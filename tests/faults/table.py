@@ -116,8 +116,8 @@ ROWS: tuple[Row, ...] = (
     ),
     Row(
         "depth-wrong", "Pressure sensor wrong",
-        "it reads 10 m, 0.5 m more or 0.2 m less than it should, or the same for ever; watched for 10 s",
-        {"fault": SECONDS(0.5 + STEP_S), "neutral": SECONDS(0.5 + 2 * STEP_S), "true depth off": Measure(0.1, "m"),
+        "it reads 10 m, 0.5 m more or 0.2 m less than it should, or the same for 10 s",
+        {"fault": SECONDS(0.5 + STEP_S), "neutral": SECONDS(0.5 + 2 * STEP_S), "true depth off": Measure(0.05, "m"),
          "true depth off, stuck": Measure(0.15, "m"), RESUMED: TIMES()}, rows_robot.depth_wrong, times=10,
         rig="seen",
     ),
