@@ -29,7 +29,7 @@ SLOW_S, FOR_EVER_S = 0.03, 1e6
 START_LATE, SWITCH_LOST = signal.SIGRTMIN, signal.SIGRTMIN + 1
 LOST = {START_LATE: (Order.START, 1.2), SWITCH_LOST: (Order.SWITCH, FOR_EVER_S)}  # s, from the first try on
 DEAF_ROBOT = 2
-THREADS = ("previews", "video", "recorder", "gatherer")
+THREADS = ("previews", "recorder", "gatherer")
 END_THREAD = {name: signal.SIGRTMIN + 2 + i for i, name in enumerate(THREADS)}
 
 

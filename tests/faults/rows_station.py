@@ -174,7 +174,7 @@ def flood(rig: Rig, random: Random) -> Sample:
 def thread_dead(rig: Rig, random: Random) -> Sample:
     """Of the localizer or the simulator, which then end themselves; of the station's recorder, where the flight goes on and
     the operator is told that the log has stopped."""
-    name = str(random.choice(["previews", "video", "camera", "recorder", "gatherer"]))
+    name = str(random.choice(["recorder", "camera", "previews", "gatherer"]))
     if name in ("recorder", "gatherer"):
         ns = rig.signal("groundstation", END_THREAD[name])
         found = {"told that the log has stopped": rig.alert_s(ns, "log stopped"), LEFT: _left(rig, ns)}
