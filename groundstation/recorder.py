@@ -193,10 +193,15 @@ class Recorder:
 
     def _gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
         ended = False
-        while not ended:
-            ended = self._gathered.wait(GATHER_S)
-            for topic, key, header, payload in itertools.chain.from_iterable(source() for source in sources):
-                self.put(topic, key, header, payload, arrival_ns(header))
+        try:
+            while not ended:
+                ended = self._gathered.wait(GATHER_S)
+                for topic, key, header, payload in itertools.chain.from_iterable(source() for source in sources):
+                    self.put(topic, key, header, payload, arrival_ns(header))
+        except BaseException as error:  # nothing comes into the log any more, and without this nobody would be told
+            with self._lock:
+                self._error = self._error or f"log stopped: {type(error).__name__}: {error}"
+            raise
 
     def close(self) -> None:
         """Fetch what has come, write what is pending and the file's index. Idempotent; does not raise for a failing disk,
@@ -223,7 +228,7 @@ class Recorder:
             self._output.sync()
         except OSError as error:
             self._fail(f"{error.strerror or error} (errno {error.errno})")
-        except Exception as error:
+        except BaseException as error:  # SystemExit too would end a thread without a word
             self._fail(f"{type(error).__name__}: {error}")
             raise  # a bug: threading's hook prints where; the operator already sees that the log has stopped
         else:

@@ -4,7 +4,6 @@ one start-up serves many injections. The processes are those of a real run; only
 
 import json
 import os
-import signal
 import socket
 import tempfile
 import threading
@@ -134,19 +133,20 @@ class Rig(Onlooker):
 
     def _listen(self) -> None:
         try:
-            connection, _ = self._harness.accept()
-            self._witness = connection
-            with connection.makefile("rb") as lines:
-                for line in lines:
-                    self.witnessed(json.loads(line))
+            while True:  # a pool that is started again calls again
+                connection, _ = self._harness.accept()
+                self._witness = connection
+                with connection.makefile("rb") as lines:
+                    for line in lines:
+                        self.witnessed(json.loads(line))
         except OSError:
             return
 
     # --- flying
 
-    def order(self, order: Order) -> Reply:
-        """A person's order for the whole fleet."""
-        return self.bus.order(Command(order, robot=0), time.time_ns(), ANSWERED_S)
+    def order(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> Reply:
+        """A person's order for the whole fleet; `via`: where GO leads it, x and y in m."""
+        return self.bus.order(Command(order, robot=0, via=np.array(via).reshape(-1, 2)), time.time_ns(), ANSWERED_S)
 
     def fly(self) -> None:
         """From anywhere to all robots tracking, thrusters running."""
@@ -220,7 +220,7 @@ class Rig(Onlooker):
         """How far a process's wall clock is off from now on."""
         self.children.clock_file(name).write_text(f"{offset_s}\n", encoding="utf-8")
 
-    def signal(self, name: str, number: signal.Signals) -> int:
+    def signal(self, name: str, number: int) -> int:
         """Send a signal; returns the instant."""
         process = self.process(name).process
         ns = time.monotonic_ns()

@@ -31,6 +31,7 @@ def small_disk(seed: int) -> Iterator[Rig]:
 SLOWLY = ("controller.period_s=0.125", "camera.rate_hz=8", "safety.pose_hold_s=0.6", "safety.pose_neutral_s=0.95")
 
 
+# Where neither the camera nor the localizer matters ("seen"), their work is left out: it is most of what a lab costs.
 RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
     "lab": lambda seed: Rig(seed=seed),
     "still": lambda seed: Rig(seed=seed, settings=("safety.off_path_m=0.1",)),
@@ -38,5 +39,8 @@ RIGS: dict[str, Callable[[int], AbstractContextManager[Rig]]] = {
     "router": lambda seed: Rig(seed=seed, own_router=True),
     "page": lambda seed: Rig(seed=seed, settings=("duration_s=200",), station_options=("--web", f"127.0.0.1:{free_port()}")),
     "disk": small_disk,
+    "seen": lambda seed: Rig(seed=seed, poses=True),
+    "seen-patched": lambda seed: Rig(seed=seed, poses=True, patched=True),
+    "detour": lambda seed: Rig("blocked-path", ("sim.drifters=[]",), seed=seed, poses=True, wires=False, patched=True),
     "fleet": lambda seed: Rig("fleet-20", SLOWLY, seed=seed, poses=True, wires=False),
 }

@@ -2,10 +2,17 @@
 
 import signal
 import time
+from itertools import combinations
 
+import numpy as np
+
+from tests.faults.onlooker import Heard, Stuck
+from tests.faults.patched import DEAF_ROBOT, START_LATE, SWITCH_LOST
 from tests.faults.rig import Rig
 from tests.faults.row import HELD, OFF, RESUMED, Random, Sample, resumed
 from wire.messages import Mode, Order
+
+LATE_BY_S = 0.5  # at least this long after the others a robot must have begun, or its START was not late
 
 
 def station_killed(rig: Rig, random: Random) -> Sample:
@@ -78,3 +85,70 @@ def emergency_stop_lossy(rig: Rig, random: Random) -> Sample:
     found = emergency_stop(rig, random)
     rig.break_()
     return found
+
+
+def start_late(rig: Rig, random: Random) -> Sample:
+    """How far a robot's timetable is from the others', in the first second of its flight."""
+    late, others = DEAF_ROBOT, [r for r in rig.robots if r != DEAF_ROBOT]
+    rig.land()
+    ns = rig.signal("groundstation", START_LATE)
+    try:
+        rig.fly()
+    finally:
+        rig.signal("groundstation", signal.SIGHUP)
+    time.sleep(1.0)
+    began = {r: next(h.ns for h in rig.since(r, ns) if _flies(h)) for r in rig.robots}
+    from_ns = max(began.values())
+    ahead_s = {r: float(np.median([h.state.trajectory_s - (h.ns - ns) * 1e-9 for h in rig.since(r, from_ns) if _flies(h)]))
+               for r in rig.robots}  # fmt: skip
+    late_s = (began[late] - min(began[r] for r in others)) * 1e-9
+    if late_s < LATE_BY_S:
+        raise Stuck(f"robot {late} flew {late_s:.2f} s after the others: its START was not late")
+    return {"timetables apart": max(abs(ahead_s[late] - ahead_s[r]) for r in others)}
+
+
+def _flies(heard: Heard) -> bool:
+    return _tracks(heard) and heard.state.trajectory_s > 0.0
+
+
+def switch_partial(rig: Rig, random: Random) -> Sample:
+    """Robot 2 never hears of the moment at which all go over to another path."""
+    rig.signal("groundstation", SWITCH_LOST)
+    ns = time.monotonic_ns()
+    reply = rig.order(Order.GO, [(float(random.uniform(-2.5, -1.5)), float(random.uniform(0.5, 1.5)))])
+    if not reply.accepted:
+        raise Stuck(f"GO: {reply.reason}")
+    rig.wait(lambda: rig.mission == "PAUSED" and all(rig.mode(r) is Mode.HOLDING for r in rig.robots), "all hold", 15.0)
+    hold_ns = max(next(h.ns for h in rig.since(r, ns) if h.state.mode is Mode.HOLDING) for r in rig.robots) - ns
+    off_m = max(_off_shape_m(rig, a, b, ns) for a, b in combinations(rig.robots, 2))
+    rig.signal("groundstation", signal.SIGHUP)
+    time.sleep(1.0)
+    old = {h.state.trajectory_id for r in rig.robots for h in rig.since(r, ns)}
+    resumed_ns = time.monotonic_ns()
+    reply = rig.order(Order.RESUME)
+    if not reply.accepted:
+        raise Stuck(f"RESUME: {reply.reason}")
+    rig.wait(lambda: rig.mission == "RUNNING" and rig.flying, "all fly again", 30.0)
+    time.sleep(1.0)
+    again = [h for r in rig.robots for h in rig.since(r, resumed_ns) if _tracks(h) and h.state.trajectory_id in old]
+    rig.land()
+    return {
+        "all hold": hold_ns * 1e-9,
+        "references out of shape": off_m,
+        "states on an old plan after RESUME": float(len(again)),
+    }
+
+
+def _off_shape_m(rig: Rig, one: int, other: int, ns: int) -> float:
+    """By how much the distance of two robots' references is another than before, at most, while both track."""
+    theirs = {h.ns: h.state.eta_reference[:2] for h in rig.since(other, ns) if _tracks(h)}
+    apart_m = [
+        float(np.linalg.norm(h.state.eta_reference[:2] - theirs[min(theirs, key=lambda at: abs(at - h.ns))]))
+        for h in rig.since(one, ns)
+        if _tracks(h) and theirs
+    ]
+    return max(abs(m - apart_m[0]) for m in apart_m)
+
+
+def _tracks(heard: Heard) -> bool:
+    return heard.state.mode is Mode.TRACKING

@@ -7,11 +7,13 @@ import numpy as np
 
 from benchmarks.thrusters import LACKING_N, THRUST_LEFT, WATCHED_S
 from tests.faults.rig import Rig
-from tests.faults.row import POWERED, RESUMED, Random, Sample, resumed
+from tests.faults.row import OFF, POWERED, RESUMED, Random, Sample, resumed
 from tests.faults.wires import LineTrouble, forgeries
 from wire.messages import Mode, Order, Solve
 
 NEVER_S = 999.0
+SETTLED_S = 6.0  # a flight's first seconds, in which a robot comes to its depth
+DEPTH_WATCHED_S = 10.0
 SAME_US = 5  # a board whose outputs differ by no more than this from what they were told does as it is told
 FELT = ("dead", "reversed")  # what is found wherever the thruster pushes; the others may go on as they were told to
 
@@ -35,6 +37,36 @@ def agent_hung(rig: Rig, random: Random) -> Sample:
     time.sleep(float(random.uniform(0.0, 1.0)))
     rig.signal(f"agent-{robot}", signal.SIGCONT)
     return {"neutral": neutral_s, RESUMED: resumed(rig, (robot,), 2.0)}
+
+
+def agent_ended(rig: Rig, random: Random) -> Sample:
+    """As a person ends it, or a computer that is switched off."""
+    robot, board = int(random.choice(rig.robots)), rig.boards
+    ns = rig.signal(f"agent-{robot}", signal.SIGTERM)
+    neutral_s = rig.neutral_s(ns, [robot])
+    rig.wait(lambda: not board[robot].changes[-1][2], "board disarmed")
+    disarmed_ns = next(at for at, _, armed in board[robot].changes if at >= ns and not armed)
+    rig.wait(lambda: rig.process(f"agent-{robot}").exit_code is not None, "agent ended")
+    rig.restart(f"agent-{robot}")
+    return {"neutral": neutral_s, "disarmed": (disarmed_ns - ns) * 1e-9, RESUMED: resumed(rig, (robot,), 1.0)}
+
+
+def depth_wrong(rig: Rig, random: Random) -> Sample:
+    """Until the robot is neutral: after that it floats. A sensor that is stuck nothing gives away."""
+    rig.cruise(SETTLED_S)
+    robot, how = int(random.choice(rig.robots)), str(random.choice(["reads 10", "jumps 0.5", "jumps -0.2", "stuck"]))
+    i, off_m = rig.robots.index(robot), 0.0
+    before_m = float(rig.truth.eta[i, 2])
+    ns = rig.break_(f"depth {robot} {how}")
+    while time.monotonic_ns() - ns < DEPTH_WATCHED_S * 1e9 and rig.mode(robot) in POWERED:
+        time.sleep(0.02)
+        off_m = max(off_m, abs(float(rig.truth.eta[i, 2]) - before_m))
+    if how == "stuck":
+        rig.break_()
+        return {"true depth off, stuck": off_m}
+    found = {"true depth off": off_m, "fault": rig.mode_s(robot, OFF, ns, 1.0), "neutral": rig.neutral_s(ns, [robot])}
+    rig.break_()
+    return {**found, RESUMED: resumed(rig, (robot,), 1.0)}
 
 
 def solver_stuck(rig: Rig, random: Random) -> Sample:

@@ -1,9 +1,14 @@
 """Faults of what tells robots where they are: the localizer, the camera, a marker."""
 
 import signal
+import time
 
 from tests.faults.rig import Rig
 from tests.faults.row import HELD, RESUMED, Random, Sample, resumed
+from wire.messages import Mode
+
+LEARNS_S = 6.0  # what the localizer takes to learn the water anew, and more
+TRACKS = "states that track again unasked"
 
 
 def _without_poses(rig: Rig, random: Random, ns: int) -> dict[str, float]:
@@ -31,6 +36,31 @@ def camera_frozen(rig: Rig, random: Random) -> Sample:
     found = {"hold": hold_s, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns, "camera frozen")}
     rig.break_()
     return {**found, RESUMED: resumed(rig, rig.robots, 1.0)}
+
+
+def _upset(rig: Rig, fault: str) -> Sample:
+    """The whole picture changes at once, until all hold and have said why; then it is as it was."""
+    ns = rig.break_(fault)
+    found = {"hold": max(rig.mode_s(r, HELD, ns) for r in rig.robots)}
+    rig.wait(lambda: all(_blind_ns(rig, r, ns) for r in rig.robots), "all say that they are blind")
+    found["blind told"] = max(_blind_ns(rig, r, ns) - ns for r in rig.robots) * 1e-9
+    time.sleep(LEARNS_S)
+    rig.break_()
+    moves = sum(h.state.mode is Mode.TRACKING for r in rig.robots for h in rig.since(r, ns + round(found["hold"] * 1e9)))
+    return {**found, TRACKS: float(moves)}
+
+
+def _blind_ns(rig: Rig, robot: int, ns: int) -> int:
+    """When a robot first said since `ns` that it does not know of obstacles; 0 if it has not."""
+    return next((h.ns for h in rig.since(robot, ns) if h.state.blind), 0)
+
+
+def lamp_switched(rig: Rig, random: Random) -> Sample:
+    return _upset(rig, f"camera lamp {random.choice([0.5, 2.0])}")
+
+
+def camera_bumped(rig: Rig, random: Random) -> Sample:
+    return _upset(rig, f"camera bump {2 * int(random.integers(15, 60))}")
 
 
 def marker_gone(rig: Rig, random: Random) -> Sample:

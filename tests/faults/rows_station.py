@@ -1,6 +1,7 @@
 """SHELL: faults around the station: its page, its disk, its network, the machines' clocks."""
 
 import itertools
+import json
 import os
 import shutil
 import signal
@@ -9,19 +10,26 @@ import time
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from urllib.request import urlopen
 
 from mcap.reader import make_reader
+from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from groundstation.recovery import recover
 from sim_bridge.processes import Child
 from tests.faults.onlooker import Stuck
+from tests.faults.patched import END_THREAD
 from tests.faults.rig import Rig
 from tests.faults.row import Random, Sample
-from wire.messages import Mode
+from wire import topics
+from wire.messages import Event, Mode
 
 LEFT = "robots that left their path"
 GAP = "longest gap between heartbeats"
 SMALL_DISK_BYTES = 1 << 30
+LINE_BYTES = 4 << 20
+NEVER_S = 30.0
 
 
 def _left(rig: Rig, ns: int) -> float:
@@ -49,6 +57,24 @@ def page_frozen(rig: Rig, random: Random, for_s: float = 60.0) -> Sample:
         page.process.wait()
         rig.children.all.remove(page)
     return found
+
+
+def page_events(rig: Rig, random: Random) -> Sample:
+    """Two log lines of 4 MB in a robot's name; then somebody opens the page."""
+    address, robot = rig.station_options[-1], int(random.choice(rig.robots))
+    ns = time.monotonic_ns()
+    for _ in range(2):
+        rig.bus.publish(topics.EVENT, Event(2, f"agent-{robot}", "x" * LINE_BYTES), time.time_ns())
+    time.sleep(0.5)
+    begin_ns = time.monotonic_ns()
+    with urlopen(f"http://{address}/", timeout=NEVER_S) as page:
+        page.read()
+    with connect(f"ws://{address}/live", origin=Origin(f"http://{address}"), max_size=None) as live:
+        live.send(json.dumps({"kind": "hello"}))
+        live.recv(NEVER_S)
+    found = {"page opens": (time.monotonic_ns() - begin_ns) * 1e-9}
+    time.sleep(2.0)
+    return {**found, GAP: _gap_s(rig, ns), LEFT: _left(rig, ns)}
 
 
 def _looks(rig: Rig, pages: list[Child]) -> None:
@@ -140,3 +166,28 @@ def flood(rig: Rig, random: Random) -> Sample:
         LEFT: _left(rig, ns),
         "processes ended": float(len(rig.children.ended())),
     }
+
+
+# --- a thread that ends
+
+
+def thread_dead(rig: Rig, random: Random) -> Sample:
+    """Of the localizer or the simulator, which then end themselves; of the station's recorder, where the flight goes on and
+    the operator is told that the log has stopped."""
+    name = str(random.choice(["recorder", "camera", "previews", "gatherer"]))
+    if name in ("recorder", "gatherer"):
+        ns = rig.signal("groundstation", END_THREAD[name])
+        found = {"told that the log has stopped": rig.alert_s(ns, "log stopped"), LEFT: _left(rig, ns)}
+        rig.signal("groundstation", signal.SIGKILL)
+        _another_station(rig)
+        return found
+    process = "sim-bridge" if name == "camera" else "localizer"
+    ns = rig.break_("thread camera") if name == "camera" else rig.signal(process, END_THREAD[name])
+    child = rig.process(process)
+    rig.wait(lambda: child.exit_code is not None, f"{process} ended")
+    found = {"process ended": (time.monotonic_ns() - ns) * 1e-9}
+    said = child.exit_code == 1 and f"thread {name} ended" in child.log.read_text()
+    if name != "camera":
+        found["neutral"] = rig.neutral_s(ns)
+    rig.restart(process)
+    return {**found, "ended without a reason": float(not said)}

@@ -27,8 +27,22 @@ ROWS: tuple[Row, ...] = (
         {"hold": SECONDS(0.45), "neutral": SECONDS(0.75), "alert": SECONDS(0.55), RESUMED: TIMES()}, rows_sight.camera_frozen,
     ),
     Row(
+        "lamp-switched", "A lamp is switched", "half or twice the light, for 6 s",
+        {"hold": SECONDS(1.0), "blind told": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
+        rows_sight.lamp_switched, times=5,
+    ),
+    Row(
+        "camera-bumped", "The camera is bumped", "the picture is moved by 30 to 118 pixels, for 6 s",
+        {"hold": SECONDS(1.0), "blind told": SECONDS(1.0), rows_sight.TRACKS: TIMES()},
+        rows_sight.camera_bumped, times=5,
+    ),
+    Row(
         "agent-killed", "Agent killed", "SIGKILL, restarted",
         {"neutral": SECONDS(0.35), "restarted and not disarmed": TIMES()}, rows_robot.agent_killed,
+    ),
+    Row(
+        "agent-ended", "Agent ended", "SIGTERM, restarted",
+        {"neutral": SECONDS(0.1), "disarmed": SECONDS(0.1), RESUMED: TIMES()}, rows_robot.agent_ended, times=20, rig="seen",
     ),
     Row(
         "agent-hung", "Agent hung", "SIGSTOP, SIGCONT up to 1.6 s later",
@@ -70,6 +84,16 @@ ROWS: tuple[Row, ...] = (
         {"worse than holding": TIMES()}, rows_network.partition_short,
     ),
     Row(
+        "start-late", "START late", "robot 2 gets none of the station's STARTs for 1.2 s",
+        {"timetables apart": SECONDS(0.05)}, rows_network.start_late, times=5, rig="seen-patched",
+    ),
+    Row(
+        "switch-partial", "SWITCH lost", "robot 2 of three gets no order to go over to a new path",
+        {"all hold": SECONDS(4.0), "references out of shape": Measure(0.05, "m"),
+         "states on an old plan after RESUME": TIMES()},
+        rows_network.switch_partial, times=5, rig="detour",
+    ),
+    Row(
         "link-cut", "MAVLink cut", "nothing passes the serial line either way",
         {"neutral": SECONDS(0.3), RESUMED: TIMES()}, rows_robot.link_cut,
     ),
@@ -89,6 +113,13 @@ ROWS: tuple[Row, ...] = (
         f"which {LACKING_N} N are lacking",
         {"flagged": SECONDS(2.0), "neutral after the flag": SECONDS(2 * STEP_S), "estimate off the truth": Measure(0.05, "m"),
          "off its path": Measure(0.15, "m")}, rows_robot.thruster_broken, times=40, rig="still",
+    ),
+    Row(
+        "depth-wrong", "Pressure sensor wrong",
+        "it reads 10 m, 0.5 m more or 0.2 m less than it should, or the same for 10 s",
+        {"fault": SECONDS(0.5 + STEP_S), "neutral": SECONDS(0.5 + 2 * STEP_S), "true depth off": Measure(0.05, "m"),
+         "true depth off, stuck": Measure(0.15, "m"), RESUMED: TIMES()}, rows_robot.depth_wrong, times=10,
+        rig="seen",
     ),
     Row(
         "marker-gone", "A robot's marker plate comes off", "in the picture, and put back when the robot is neutral",
@@ -118,6 +149,11 @@ ROWS: tuple[Row, ...] = (
         times=3, rig="page",
     ),
     Row(
+        "page-events", "Log lines that are too long", "two of 4 MB in a robot's name; then the page is opened",
+        {"page opens": SECONDS(1.0), "longest gap between heartbeats": SECONDS(0.3), "robots that left their path": TIMES()},
+        rows_station.page_events, times=5, rig="page",
+    ),
+    Row(
         "clock-step", "Clock skew between machines", "one of the clocks steps by 1 to 47 hours, and back",
         {"robots that left their path": TIMES()}, rows_station.clock_step, rig="patched",
     ),
@@ -135,6 +171,12 @@ ROWS: tuple[Row, ...] = (
         "flood", "Malformed, oversized, flood", "10,000 messages a second in robot 2's name: damaged, of 4 MB, of other types",
         {"share of deadlines missed": Measure(0.001, ""), "robots that left their path": TIMES(), "processes ended": TIMES()},
         rows_station.flood, times=10,
+    ),
+    Row(
+        "thread-dead", "A thread ends", "an exception in one of the localizer's, the simulator's or the station's recorder's",
+        {"process ended": SECONDS(1.0), "ended without a reason": TIMES(), "neutral": SECONDS(1.5),
+         "told that the log has stopped": SECONDS(2.0), rows_station.LEFT: TIMES()},
+        rows_station.thread_dead, times=8, rig="patched",
     ),
     Row(
         "identity-swap", "Identity swap, two robots close", "crossings, brushes and pursuits, markers unreadable meanwhile",

@@ -4,13 +4,16 @@
 
 The pool, its boards and its camera are those of `sim-bridge pool`. Over one TCP connection the harness is told, with instants
 of the machine's monotonic clock, what each board takes, refuses and puts out; and it sends what is to be broken from now on,
-a JSON list of texts as `--fault` has them ("camera frozen"), and "board 2 crossed": outputs 1 and 2 of that board confused.
+a JSON list of texts as `--fault` has them ("camera frozen"), and "board 2 crossed": outputs 1 and 2 of that board confused;
+"depth 2 reads 10", "depth 2 jumps 0.5", "depth 2 stuck": what that robot's pressure sensor says, in m, from now on, or that
+much too deep, or the same for ever; "thread camera": the thread of the simulator's camera ends with an exception.
 """
 
 import json
 import socket
 import sys
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -20,15 +23,19 @@ from sim_bridge.board import Board
 from sim_bridge.board_memory import MakeBoard
 from sim_bridge.faults import Faults
 from sim_bridge.pool import Pool
+from sim_bridge.sensors import Reading
 from sim_bridge.sockets import Sockets
 from sim_bridge.world import World
+from tests.faults.patched import end_thread
 from wire.bus import Bus
 from wire.experiment import Experiment, load_experiment
 from wire.faults import Fault
 from wire.frames import Array
 from wire.mavlink_frames import Peer
-from wire.runtime import Stop, start_log
+from wire.runtime import Stop, run_app, start_log
 from wire.transport import Endpoint, ZenohTransport
+
+OWN = ("board", "depth", "thread")  # what is broken here, and not by sim.faults
 
 
 class Line:
@@ -64,6 +71,10 @@ def watched_board(line: Line) -> type[Board]:
         def __init__(self, experiment: Experiment, robot_id: int, seed: int) -> None:
             super().__init__(experiment, robot_id, seed)
             self.crossed = False
+            self.depth_wrong: tuple[str, ...] = ()  # how, and by how many metres
+            self._true_read = self.sensors.read
+            self._stuck_m: float | None = None
+            vars(self.sensors)["read"] = self._read
             rules, override = self.rules, self.rules.override
 
             def watched(sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
@@ -72,6 +83,19 @@ def watched_board(line: Line) -> type[Board]:
                 line.tell(robot=robot_id, taken=rules.overrides_refused == refused, pulses=list(pulses_us))
 
             vars(rules)["override"] = watched
+
+        def _read(self, *motion: Any) -> Reading:
+            reading = self._true_read(*motion)
+            match self.depth_wrong:
+                case ("reads", metres):
+                    return replace(reading, depth_m=float(metres))
+                case ("jumps", metres):
+                    return replace(reading, depth_m=reading.depth_m + float(metres))
+                case ("stuck",):
+                    self._stuck_m = reading.depth_m if self._stuck_m is None else self._stuck_m
+                    return replace(reading, depth_m=self._stuck_m)
+            self._stuck_m = None
+            return reading
 
     return WatchedBoard
 
@@ -91,7 +115,11 @@ def watched_world(line: Line) -> type[World]:
                 return []
             for robot, board in zip(self._experiment.robot_ids, self._boards, strict=True):
                 vars(board)["crossed"] = f"board {robot} crossed" in asked
-            faults = tuple(Fault(at_s=0.0, what=what) for what in asked if not what.startswith("board "))
+                depths = [what.split()[2:] for what in asked if what.startswith(f"depth {robot} ")]
+                vars(board)["depth_wrong"] = tuple(depths[-1]) if depths else ()
+            if "thread camera" in asked:
+                end_thread("camera")
+            faults = tuple(Fault(at_s=0.0, what=what) for what in asked if what.split()[0] not in OWN)
             sim = self._experiment.sim.model_copy(update={"faults": faults})
             self.faults = Faults(self._experiment.model_copy(update={"sim": sim}))
             said = self.faults.at(0.0)
@@ -124,7 +152,8 @@ def main() -> None:
     with Bus(ZenohTransport(Endpoint(station))) as bus:
         poses, make = "--poses" in options, watched_board(line)
         Pool(experiment, bus, sockets, stop, lockstep=False, poses=poses, make=make).run()
+    stop.raise_failure()
 
 
 if __name__ == "__main__":
-    main()
+    run_app(main)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,7 @@ from wire.bus import Bus
 from wire.codec import Header, decode, encode
 from wire.messages import Event, Plan, Pose, Preview, Video
 from wire.toml_file import ConfigError
+from wire.topics import Topic
 from wire.transport import MemoryHub, MemoryTransport
 
 
@@ -118,6 +120,17 @@ def test_what_came_before_the_end_is_in_the_log(tmp_path: Path) -> None:
     assert sorted(found) == sorted(
         (key, k, k + 5) for k in range(200) for key in (f"shoal/robot/{1 + k % 3}/pose", "shoal/event")
     )
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_who_gathers_messages_and_fails_stops_the_log_and_says_so(tmp_path: Path) -> None:
+    def source() -> Iterator[tuple[Topic, str, Header, bytes]]:
+        raise MemoryError("no room for a message")
+
+    recorder = Recorder(tmp_path / "run.mcap", "", {})
+    recorder.gather([source], lambda header: header.stamp_ns)
+    recorder.close()
+    assert recorder.error == "log stopped: MemoryError: no room for a message"
 
 
 def test_a_run_in_step_ends_with_a_whole_step(tmp_path: Path) -> None:
