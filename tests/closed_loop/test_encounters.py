@@ -22,7 +22,7 @@ def test_everyone_arrives_and_nobody_comes_near(name: str) -> None:
 @pytest.mark.parametrize("apart_m", [0.31, 0.41])
 def test_robots_that_begin_inside_one_another_s_space_come_out_of_it(apart_m: float) -> None:
     """The hardest first problem there is: no plan can fulfil it, and nothing is known to begin from."""
-    experiment = load_experiment("numeric", ["duration_s=10"])
+    experiment = load_experiment("numeric", ["duration_s=10", "safety.join_within_m=5"])
     trajectories = planner.plan(experiment)
     planned = planner.start_poses(experiment, trajectories)
     starts = np.array([planned[robot] for robot in experiment.robot_ids])

@@ -148,8 +148,9 @@ def test_control_steps_that_are_late_three_times_in_a_row_end_in_neutral() -> No
 
 
 def test_a_robot_that_was_off_its_path_flies_again_when_it_is_told_to() -> None:
-    """Its thrusters are dead for a while, and nobody watches them."""
+    """Its thrusters are dead for a while, and nobody watches them, nor its depth."""
     settings = ["duration_s=60", "safety.watch_thrusters=false", "safety.off_path_m=0.05", "robots.0.start_offset=[0,0,0,0]"]
+    settings.append("safety.off_depth_m=5")
     pool = DryPool(load_experiment("pool", settings, [f"t=1 for=9 thruster 1/{k} dead" for k in (1, 2, 3, 4)]))
     world, step = pool.world, pool.world.step
     world.step = lambda: (world.break_things(), step())[1]  # type: ignore[method-assign]
