@@ -118,6 +118,8 @@ What a robot does by itself is in `docs/modes.md`, what a board does in `docs/bo
   In these, what a leg lacks must be more than what they turn the robot with; and what turns it as strongly as a leg that
   idles, for two seconds, in water that was still before, is taken for a broken one. Which thruster it is, nobody can feel:
   try them one by one.
+* A pressure sensor that tells the same value for ever contradicts nothing while its robot keeps its depth: the robot moves off
+  it, slowly, as measured below, and nobody is told.
 * When a robot's marker plate comes off altogether, the robot looks like another to the localizer's filters: it holds, then
   goes to neutral. A marker that is only unreadable (glare, a cable) is bridged.
 * A MAVLink frame that a wire holds back for more than 6.4 s may be taken for a new one, if its link is not signed: its number
