@@ -140,7 +140,7 @@ def test_the_log_of_a_mission_by_hand_gives_a_report(lab: Lab) -> None:
     report = subprocess.run(
         [sys.executable, "-m", "groundstation", "report", str(run)], check=False, capture_output=True, text=True
     )
-    assert report.returncode == 0, report.stderr
+    assert report.returncode == 1 and report.stdout.rstrip().endswith("(failed)"), report.stderr
     result = json.loads((run / "result.json").read_text())
     assert (result["scene"], result["mode"], result["passed"]) == ("pool", "lockstep", False)
     assert 1.0 < result["duration_s"] < 900.0
