@@ -7,14 +7,13 @@ however the process ends, so a file without a lock is of a station that is gone.
 import fcntl
 import json
 import os
-import stat
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from wire.endpoint import Endpoint, beside
+from wire.gate import private_folder
 from wire.options import DEFAULT_STATION
 from wire.runtime import log
 from wire.toml_file import ConfigError
@@ -33,15 +32,8 @@ class Standing:
 
 
 def folder() -> Path | None:
-    """The user's own folder for what runs; None if there is none that nobody else can write to."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    found = Path(runtime) / "shoal" if runtime else Path(tempfile.gettempdir()) / f"shoal-{os.getuid()}"
-    try:
-        found.mkdir(mode=0o700, exist_ok=True)
-        status = found.lstat()
-    except OSError:
-        return None
-    return found if stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022 else None
+    """The user's own folder for what runs; None if there is none that is the user's alone."""
+    return private_folder(make=True)
 
 
 @contextmanager

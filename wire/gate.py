@@ -160,9 +160,9 @@ def door_folder() -> Path:
     return Path(runtime) / "shoal" if runtime else Path(tempfile.gettempdir()) / f"shoal-{os.getuid()}"
 
 
-def door_of(port: int, make: bool = False) -> Path | None:
-    """The door of this user's station at a port, which need not be there; None where the folder is not the user's alone.
-    With `make` the folder is made."""
+def private_folder(make: bool = False) -> Path | None:
+    """The folder of what runs for this user, which need not be there; None where it is not the user's alone. With `make` it is
+    made."""
     folder = door_folder()
     try:
         if make:
@@ -170,9 +170,16 @@ def door_of(port: int, make: bool = False) -> Path | None:
         found = folder.lstat()
     except OSError:
         return None
-    door = folder / f"station-{port}.sock"
     private = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not stat.S_IMODE(found.st_mode) & 0o077
-    return door if private and len(os.fsencode(door)) <= LONGEST_DOOR else None
+    return folder if private else None
+
+
+def door_of(port: int, make: bool = False) -> Path | None:
+    """The door of this user's station at a port, which need not be there; None where the folder is not the user's alone.
+    With `make` the folder is made."""
+    folder = private_folder(make)
+    door = folder / f"station-{port}.sock" if folder is not None else None
+    return door if door is not None and len(os.fsencode(door)) <= LONGEST_DOOR else None
 
 
 def nearest(endpoint: Endpoint) -> Endpoint:
