@@ -176,7 +176,11 @@ def test_the_first_failure_counts_and_a_plain_stop_is_none() -> None:
     assert stop.failure == "the camera is gone"
 
 
-def test_a_process_that_failed_says_why_and_exits_with_1(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_process_that_failed_says_why_and_exits_with_1(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log, "handlers", [logging.NullHandler()])  # not what another test's command line left
+
     def app() -> None:
         stop = Stop(install=False)
         stop.fail("the camera is gone")
