@@ -58,7 +58,7 @@ def run(
 
     Without --auto the station waits for orders: from the operator's page, or from another terminal
     (`groundstation order start`), until somebody ends the run (`groundstation end`, or Ctrl-C).
-    Exit code 0 if the mission succeeded, 1 if not.
+    Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
                groundstation run pool --auto --dry-run
@@ -103,8 +103,9 @@ def run(
             viewer=viewer,
         )
     if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
-        write_report(folder)
-        typer.echo(f"report: {folder / 'report.html'}")
+        passed = write_report(folder).passed
+        typer.echo(f"report: {folder / 'report.html'} ({'passed' if passed else 'failed'})")
+        succeeded = succeeded and passed
     raise typer.Exit(0 if succeeded else 1)
 
 

@@ -22,13 +22,14 @@ import numpy as np
 
 from robot_agent.model import Model, State
 from wire.frames import Array, wrap
+from wire.tuning import COAST_S
 from wire.tuning import Estimator as EstimatorConfig
 
 Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 S = TypeVar("S")
 
 NS = 1_000_000_000
-COAST_NS = NS  # prediction alone is no estimate any more: the agent has been neutral for half of it
+COAST_NS = round(COAST_S * 1e9)  # prediction alone is no estimate any more: the agent has been neutral for half of it
 LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
 GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
 GATE_DEPTH_M = 0.15  # the same for depth: 0.26 m/s x 0.2 s, doubled, and 5 cm of pressure under waves

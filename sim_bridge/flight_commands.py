@@ -2,7 +2,7 @@
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -11,9 +11,6 @@ from wire.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
 from wire.runtime import Stop
 from wire.toml_file import files_named
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
@@ -84,7 +81,6 @@ def sil(
     page = None if no_web else page_address(web)
     way = Way(lockstep, page, manual, poses, keys, signed)
     check(loaded, way)
-    _warn(loaded, console)
     if dry_run:
         raise typer.Exit(software_in_the_loop.rehearse(loaded, out / f"{loaded.name}-TIME", way, console))
     folder = _new_folder(out, loaded.name)
@@ -118,7 +114,6 @@ def numeric(
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
     console = Console()
-    _warn(loaded, console)
     fleet, water = numeric_run.prepared(loaded)
     folder = _new_folder(out, loaded.name)
     console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
@@ -156,17 +151,11 @@ def campaign(
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
 ) -> Experiment:
+    from sim_bridge.faults import never
+
     loaded = load_experiment(name, _changes(seed, duration_s, settings), faults or ())
-    caution(loaded)
+    caution(loaded, *never(loaded))
     return loaded
-
-
-def _warn(experiment: Experiment, console: "Console") -> None:
-    """Say what of the experiment will not come about."""
-    from sim_bridge import faults
-
-    for text in faults.never(experiment):
-        console.print(f"warning: {text}", style="yellow", markup=False, highlight=False, soft_wrap=True)
 
 
 def _changes(seed: int | None, duration_s: float | None, settings: list[str] | None) -> list[str]:
@@ -183,10 +172,12 @@ def _go_on(
     from rich.console import Console
 
     from sim_bridge import branch_run
+    from sim_bridge.faults import never
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
     loaded = branch_run.experiment_of(source, changes, faults or ())
+    caution(loaded, *never(loaded))
     fleet, water = branch_run.prepared(loaded, source, at_s)
     folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)

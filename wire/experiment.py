@@ -101,6 +101,16 @@ class Experiment(Section):
         return self
 
     @model_validator(mode="after")
+    def _board_outlasts_a_lost_step(self) -> Self:
+        neutral_s, period_s = self.sim.board.neutral_after_s, self.controller.period_s
+        if period_s > neutral_s / 2.0:
+            raise ValueError(
+                f"controller.period_s = {period_s:g}: when one step fails to come the board of "
+                f"sim.board.neutral_after_s = {neutral_s:g} s would disarm (allowed: up to {neutral_s / 2.0:g})"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _faults_meet_something(self) -> Self:
         processes = ("groundstation", "sim-bridge", "localizer", *(f"agent-{robot}" for robot in self.robot_ids))
         for i, fault in enumerate(self.sim.faults):

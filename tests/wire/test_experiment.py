@@ -463,3 +463,9 @@ def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(tmp_path: Path
         load_experiment(str(tmp_path / "experiment.toml"))
     (tmp_path / "run.mcap").touch()
     assert load_experiment(str(tmp_path / "experiment.toml")).hash == recorded.hash
+
+
+def test_a_step_may_fail_to_come_without_the_board_disarming() -> None:
+    load_experiment("pool", ["controller.period_s=0.04", "sim.board.neutral_after_s=0.08"])
+    with pytest.raises(ConfigError, match=r"controller.period_s = 0.05: .*neutral_after_s = 0.08 s .*allowed: up to 0.04"):
+        load_experiment("pool", ["sim.board.neutral_after_s=0.08"])
