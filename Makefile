@@ -58,8 +58,8 @@ format: $(INSTALLED) ## let ruff lay out and repair what it can
 page: ## build the operator's page again (needs Node 20 or newer; users have the built page in groundstation/web/static)
 	cd groundstation/web/page && npm ci --silent && npm run --silent build
 
-proto: $(INSTALLED) ## generate wire/fleet_pb2.py from wire/fleet.proto
-	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/fleet.proto
+proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fleet.proto
+	$(BIN)/python -m grpc_tools.protoc -I . --python_out=. --pyi_out=. wire/messages/fleet.proto
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
 	$(BIN)/python docs/messages.py > docs/messages.md

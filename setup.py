@@ -1,4 +1,4 @@
-"""What pyproject.toml cannot say: a built package knows the commit that it was built from (wire/version.py)."""
+"""What pyproject.toml cannot say: a built package knows the commit that it was built from (wire/process/version.py)."""
 
 import runpy
 from pathlib import Path
@@ -8,7 +8,7 @@ from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
 HERE = Path(__file__).parent
-VERSION = runpy.run_path(str(HERE / "wire" / "version.py"))
+VERSION = runpy.run_path(str(HERE / "wire" / "process" / "version.py"))
 
 
 def _write_down(folder: Path) -> None:

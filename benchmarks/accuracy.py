@@ -18,17 +18,17 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from benchmarks.harness import Row
-from groundstation import planner
-from localizer.calibration import PoolView
-from localizer.kcf import CorrelationFilter, FilterShape
-from localizer.locate import Locator
-from sim_bridge.camera import Renderer
-from sim_bridge.numeric import AgentFleet, BareWater
-from sim_bridge.optics import project
-from wire.experiment import Experiment, load_experiment
+from groundstation.planning import planner
+from localizer.camera_model import PoolView
+from localizer.detection.correlation_filter import CorrelationFilter, FilterShape
+from localizer.tracking.fleet_localizer import Locator
+from sim_bridge.camera.optics import project
+from sim_bridge.camera.renderer import Renderer
+from sim_bridge.in_process.fleet import AgentFleet, BareWater
+from wire.config.experiment import Experiment, load_experiment
+from wire.config.scene import Robot
 from wire.frames import Array, pool_to_body, wrap
-from wire.messages import Pose, Track, Trajectory
-from wire.scene import Robot
+from wire.messages.messages import Pose, Track, Trajectory
 
 SEEDS = range(1, 6)
 PERIOD_S = 0.05

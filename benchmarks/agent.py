@@ -13,10 +13,10 @@ from pathlib import Path
 import psutil
 
 from benchmarks.harness import Row
-from groundstation import keys
-from sim_bridge.ports import free_base_port, free_port
-from sim_bridge.processes import Child, Children
-from wire.experiment import load_experiment
+from groundstation.deploy import key_ring
+from sim_bridge.sil.ports import free_base_port, free_port
+from sim_bridge.sil.processes import Child, Children
+from wire.config.experiment import load_experiment
 
 STARTS = 5
 FLIGHT_S = 20
@@ -50,9 +50,9 @@ def run() -> Iterator[Row]:
     address, ports = f"tls/127.0.0.1:{free_port()}", free_base_port(load_experiment("pool").robot_ids)
     with tempfile.TemporaryDirectory() as folder:
         children, ring = Children(Path(folder) / "logs"), Path(folder) / "keys"
-        keys.init(ring, [], "shoal", datetime.now(UTC))
+        key_ring.init(ring, [], "shoal", datetime.now(UTC))
         for robot in (1, 2):
-            keys.add(ring, "robot", robot, datetime.now(UTC))
+            key_ring.add(ring, "robot", robot, datetime.now(UTC))
         common = ["--station", address, "--keys", str(ring)]
         try:
             command = [

@@ -17,11 +17,11 @@ from typing import Any
 
 from benchmarks.codec import examples
 from benchmarks.harness import Row, run_peer, time_us
-from sim_bridge.ports import free_port
-from wire import codec, topics
-from wire.bus import Bus, Inbox
-from wire.topics import Topic
-from wire.transport import Deliver, Endpoint, ZenohTransport
+from sim_bridge.sil.ports import free_port
+from wire.messages import codec, topics
+from wire.messages.topics import Topic
+from wire.transport.bus import Bus, Inbox
+from wire.transport.transport import Deliver, Endpoint, ZenohTransport
 
 ROUND_TRIPS = 2000
 FRAME_ROUND_TRIPS = 300

@@ -15,7 +15,7 @@ from typing import Any, get_type_hints
 import numpy as np
 
 from benchmarks.harness import Row, run_peer, time_us
-from wire import codec, messages
+from wire.messages import codec, messages
 
 CALLS = 3000
 FRAME_CALLS = 100

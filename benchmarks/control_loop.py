@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import Row
-from robot_agent.controller import Controller, Follow, Measurement, Neighbour, Sighting
-from robot_agent.model import Model, State
-from wire.experiment import Experiment, load_experiment
+from robot_agent.control.controller import Controller, Follow, Measurement, Neighbour, Sighting
+from robot_agent.vehicle.dynamics import Model, State
+from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, wrap
-from wire.messages import Plan, Solve, Trajectory
+from wire.messages.messages import Plan, Solve, Trajectory
 
 STEP_NS, STEP_S = 50_000_000, 0.05
 WARM_UP = 60  # steps, 3 s: from rest to speed

@@ -7,9 +7,9 @@ from dataclasses import asdict
 from typing import Any
 
 from benchmarks.control_loop import Case, fly
-from robot_agent.controller import Controller
-from robot_agent.qp import Solver
-from wire.experiment import Experiment
+from robot_agent.control.controller import Controller
+from robot_agent.control.qp import Solver
+from wire.config.experiment import Experiment
 
 MakeSolver = Callable[[int, int], Solver]  # unknowns, rows
 

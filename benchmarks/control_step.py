@@ -13,9 +13,9 @@ import numpy as np
 
 from benchmarks.control_loop import Case, Flown, fly
 from benchmarks.harness import Row, run_peer
-from robot_agent.controller import Controller
-from robot_agent.qp import Solution, Solver, make_solver
-from wire.experiment import Experiment
+from robot_agent.control.controller import Controller
+from robot_agent.control.qp import Solution, Solver, make_solver
+from wire.config.experiment import Experiment
 from wire.frames import Array
 
 BENCHMARK = "control_step"

@@ -15,11 +15,11 @@ from itertools import combinations
 import numpy as np
 
 from benchmarks.harness import Row
-from groundstation import planner
-from sim_bridge.numeric import AgentFleet, BareWater
-from wire.experiment import Experiment, load_experiment
+from groundstation.planning import planner
+from sim_bridge.in_process.fleet import AgentFleet, BareWater
+from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
-from wire.messages import Trajectory
+from wire.messages.messages import Trajectory
 
 SCENES = ("swap", "crossing-2", "crossing-4", "overtake", "drifting-obstacle")
 STARTS = 200

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from wire import topics
-from wire.codec import encode
-from wire.messages import (
+from wire.messages import topics
+from wire.messages.codec import encode
+from wire.messages.messages import (
     BoardReading,
     LocalizerStatus,
     Plan,
@@ -18,7 +18,7 @@ from wire.messages import (
     Truth,
     Video,
 )
-from wire.topics import Topic
+from wire.messages.topics import Topic
 
 ROBOTS, HORIZON = 20, 50
 FILM_BYTES = 26_000  # of a picture: 1280 x 960 as H.264 at 4 Mbit/s

@@ -5,11 +5,11 @@ from itertools import combinations
 
 import numpy as np
 
-from groundstation import planner
-from sim_bridge.numeric import AgentFleet, BareWater, fly
-from wire.experiment import Experiment
+from groundstation.planning import planner
+from sim_bridge.in_process.fleet import AgentFleet, BareWater, fly
+from wire.config.experiment import Experiment
 from wire.frames import Array, pose_error
-from wire.messages import RobotState
+from wire.messages.messages import RobotState
 
 SETTLED_S = 20.0
 

@@ -17,13 +17,13 @@ from pathlib import Path
 from benchmarks.bus import FRAME_ROUND_TRIPS, PATIENCE_S, ROUND_TRIPS, _back_through, _until_it_works
 from benchmarks.codec import examples
 from benchmarks.harness import Row, time_us
-from groundstation import keys
-from sim_bridge.ports import free_port
-from wire import codec, topics
-from wire.gate import Gate
-from wire.keys import Keys
-from wire.topics import Topic
-from wire.transport import Endpoint, ZenohTransport
+from groundstation.deploy import key_ring
+from sim_bridge.sil.ports import free_port
+from wire.messages import codec, topics
+from wire.messages.topics import Topic
+from wire.security.key_ring import Keys
+from wire.transport.gate import Gate
+from wire.transport.transport import Endpoint, ZenohTransport
 
 CASES: dict[str, tuple[Topic, int]] = {"RobotState": (topics.STATE, ROUND_TRIPS), "Frame": (topics.FRAME, FRAME_ROUND_TRIPS)}
 
@@ -79,8 +79,8 @@ def run() -> Iterator[Row]:
 
     with tempfile.TemporaryDirectory() as folder, ExitStack() as processes:
         ring, now = Path(folder) / "keys", datetime.now(UTC)
-        keys.init(ring, [], "shoal", now)
-        keys.add(ring, "robot", 1, now)
+        key_ring.init(ring, [], "shoal", now)
+        key_ring.add(ring, "robot", 1, now)
         public = f"tls/127.0.0.1:{free_port()}"
         inside = process(processes, "router", public)
         for case, message in examples().items():

@@ -22,16 +22,16 @@ import numpy as np
 
 from benchmarks.following import Begin, Picture, Place, Step, Task, follow
 from benchmarks.harness import ROOT, Row, run_peer
-from localizer.follow import Follower
-from localizer.locate import Locator
-from localizer.obstacles import ObstacleWatch
-from localizer.truth_files import read_idtracker
-from sim_bridge.camera import Renderer
-from sim_bridge.optics import project
-from wire.experiment import Experiment, load_experiment
+from localizer.detection.obstacles import ObstacleWatch
+from localizer.evaluation.ground_truth import read_idtracker
+from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.single_object import Follower
+from sim_bridge.camera.optics import project
+from sim_bridge.camera.renderer import Renderer
+from wire.config.experiment import Experiment, load_experiment
+from wire.config.scene import Robot
 from wire.frames import Array, wrap
-from wire.messages import Track
-from wire.scene import Robot
+from wire.messages.messages import Track
 
 FLEETS = (1, 3, 10, 20)
 FRAMES = 300

@@ -15,13 +15,13 @@ import numpy as np
 import psutil
 
 from benchmarks.harness import Row
-from sim_bridge.ports import free_port
-from sim_bridge.processes import Children
-from wire import topics
-from wire.bus import Bus
-from wire.experiment import load_experiment
-from wire.messages import Plan, Pose, StationHeartbeat, Track
-from wire.transport import Endpoint, ZenohTransport
+from sim_bridge.sil.ports import free_port
+from sim_bridge.sil.processes import Children
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.messages import Plan, Pose, StationHeartbeat, Track
+from wire.transport.bus import Bus
+from wire.transport.transport import Endpoint, ZenohTransport
 
 SAMPLES, SAMPLE_S = 4, 3.0
 START_S = 3.0

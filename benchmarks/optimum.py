@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.flights import Flight, flown
 from benchmarks.harness import Row, run_peer
-from wire.experiment import load_experiment
+from wire.config.experiment import load_experiment
 
 BENCHMARK = "optimum"
 UNIT = "RMS, m and rad"

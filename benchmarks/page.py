@@ -22,22 +22,22 @@ import psutil
 from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.harness import Row
-from groundstation import planner
 from groundstation.inboxes import listen
-from groundstation.phases import Phase
-from groundstation.web.desk import Desk, Post, Status
-from groundstation.web.guard import WebOptions
+from groundstation.mission.state_machine import Phase
+from groundstation.planning import planner
+from groundstation.web.auth import WebOptions
+from groundstation.web.live_backend import Desk, Post, Status
 from groundstation.web.server import STATIC, WebServer
-from sim_bridge.ports import free_port
-from wire import topics
-from wire.bus import Bus
-from wire.codec import Header, encode
-from wire.experiment import Experiment, load_experiment
-from wire.messages import CameraHealth, LocalizerStatus, Message, Mode, Plan, Pose, Preview, RobotState, Solve, Track
-from wire.options import DEFAULT_FLEET
-from wire.runtime import WallClock
-from wire.topics import Topic
-from wire.transport import Endpoint, ZenohTransport
+from sim_bridge.sil.ports import free_port
+from wire.config.experiment import Experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import CameraHealth, LocalizerStatus, Message, Mode, Plan, Pose, Preview, RobotState, Solve, Track
+from wire.messages.topics import Topic
+from wire.process.cli_options import DEFAULT_FLEET
+from wire.process.runtime import WallClock
+from wire.transport.bus import Bus
+from wire.transport.transport import Endpoint, ZenohTransport
 
 ROBOTS = 49  # as many as there are markers
 NODES = 50

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import Row, run_peer, time_us
-from groundstation.checks import PlanError
-from groundstation.detour import detour
-from groundstation.legs import first_leg
-from groundstation.route import NoRoute, route
-from wire.experiment import load_experiment
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.replanning import detour
+from groundstation.planning.route_planner import NoRoute, route
+from groundstation.planning.segment import first_leg
+from wire.config.experiment import load_experiment
 from wire.frames import Array
 
 WORLDS = 1000

@@ -33,23 +33,23 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from benchmarks.fleet_load import ROBOTS, VARIANTS, load
 from benchmarks.harness import Row
-from groundstation import planner
-from groundstation.recorder import Recorder
-from groundstation.recovery import recover, valid_records
-from groundstation.station_process import record_everything
+from groundstation.logs.recorder import Recorder
+from groundstation.logs.repair import recover, valid_records
+from groundstation.planning import planner
+from groundstation.station.process import record_everything
 from robot_agent.agent import Agent
+from robot_agent.command_check import StationView
 from robot_agent.inputs import Inputs, Seen
-from robot_agent.orders import StationView
-from sim_bridge.ports import free_port
-from wire import topics
-from wire.bus import Bus
-from wire.codec import Header, protobuf_class
-from wire.experiment import load_experiment
-from wire.mavlink import Telemetry
-from wire.messages import Pose, Track
-from wire.runtime import WallClock
-from wire.topics import Role, Topic
-from wire.transport import Endpoint, ZenohTransport
+from sim_bridge.sil.ports import free_port
+from wire.config.experiment import load_experiment
+from wire.mavlink.agent_link import Telemetry
+from wire.messages import topics
+from wire.messages.codec import Header, protobuf_class
+from wire.messages.messages import Pose, Track
+from wire.messages.topics import Role, Topic
+from wire.process.runtime import WallClock
+from wire.transport.bus import Bus
+from wire.transport.transport import Endpoint, ZenohTransport
 
 RATE_HZ = 20
 CONTROLLED = 99  # the robot whose control is measured: what it says of itself

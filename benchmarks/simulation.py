@@ -16,12 +16,12 @@ import numpy as np
 
 from benchmarks.flights import prepared
 from benchmarks.harness import Row
-from sim_bridge.camera import Renderer
-from sim_bridge.dynamics import Plant
-from sim_bridge.numeric import fly
-from wire.experiment import Experiment, dump_experiment, load_experiment
+from sim_bridge.camera.renderer import Renderer
+from sim_bridge.in_process.fleet import fly
+from sim_bridge.plant.fleet import Plant
+from wire.config.experiment import Experiment, dump_experiment, load_experiment
+from wire.config.scene import Robot
 from wire.frames import Array
-from wire.scene import Robot
 
 BENCHMARK = "simulation"
 LOCKSTEP_S = 30.0

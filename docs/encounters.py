@@ -7,7 +7,7 @@ import matplotlib
 import numpy as np
 
 from benchmarks.encounters import SCENES, meet
-from wire.experiment import load_experiment
+from wire.config.experiment import load_experiment
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt

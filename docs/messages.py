@@ -10,16 +10,17 @@ import types
 from collections.abc import Iterator
 from typing import Any, get_args, get_origin, get_type_hints
 
-from wire import codec, messages, topics
-from wire.messages import Message
-from wire.topics import TOPICS, Qos, Topic
+from wire.messages import codec, messages, topics
+from wire.messages.messages import Message
+from wire.messages.topics import TOPICS, Qos, Topic
 
 HEAD = """# Messages and topics
 
-Written by `make docs` from `wire/topics.py` and `wire/messages.py`; edit those. Frames and units: `docs/frames-and-units.md`.
+Written by `make docs` from `wire/messages/topics.py` and `wire/messages/messages.py`; edit those.
+Frames and units: `docs/frames-and-units.md`.
 
 Keys stand below the fleet's name (`--fleet`, default `shoal`). Beside every message travels a header of 28 bytes as its Zenoh
-attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`wire/codec.py`).
+attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 in ns (`wire/messages/codec.py`).
 """
 
 

@@ -8,11 +8,12 @@ import matplotlib.image
 import matplotlib.pyplot as plt
 from mcap.reader import make_reader
 
-from groundstation import alignment, figures_paths
-from groundstation.runlog import read_log
-from wire import codec, topics
-from wire.experiment import load_experiment
-from wire.messages import Preview
+from groundstation.analysis import alignment
+from groundstation.logs.reader import read_log
+from groundstation.report import figures_paths
+from wire.config.experiment import load_experiment
+from wire.messages import codec, topics
+from wire.messages.messages import Preview
 
 SHOW_AT = 0.45  # of the run: the transient is over, and the circle not yet closed
 

@@ -2,17 +2,17 @@
 
 import typer
 
-from groundstation.deploy_commands import deploy
-from groundstation.flight_commands import plan, run
-from groundstation.keys_commands import keys_cli
-from groundstation.order_commands import come_back, end, go, order, phases, stop, tune
-from groundstation.replay_commands import replay
-from groundstation.rerun_commands import moment, rerun
-from groundstation.run_commands import compare, comparison, export, record, recover, report
-from groundstation.viewer_commands import foxglove_layout
-from wire.extras import run_role
-from wire.options import Version
-from wire.runtime import run_app
+from groundstation.cli.deploy import deploy
+from groundstation.cli.foxglove import foxglove_layout
+from groundstation.cli.keys import keys_cli
+from groundstation.cli.mission import come_back, end, go, order, phases, stop, tune
+from groundstation.cli.replay import replay
+from groundstation.cli.rerun import moment, rerun
+from groundstation.cli.run import plan, run
+from groundstation.cli.runs import compare, comparison, export, record, recover, report
+from wire.process.cli_options import Version
+from wire.process.optional_packages import run_role
+from wire.process.runtime import run_app
 
 cli = typer.Typer(
     help="Ground station: plans trajectories, commands the fleet, records everything, writes the report.",

@@ -2,9 +2,9 @@
 
 from dataclasses import dataclass
 
-from wire import topics
-from wire.bus import Bus, Inbox
-from wire.messages import LocalizerStatus, Obstacles, Plan, Pose, RobotState
+from wire.messages import topics
+from wire.messages.messages import LocalizerStatus, Obstacles, Plan, Pose, RobotState
+from wire.transport.bus import Bus, Inbox
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,11 +4,10 @@ from typing import Annotated
 
 import typer
 
-from localizer.calibrate_commands import calibrate, check
-from localizer.measure_commands import SourceName, evaluate, latency
-from wire.experiment import load_experiment
-from wire.extras import run_role
-from wire.options import (
+from localizer.calibration.cli import calibrate, check
+from localizer.evaluation.cli import SourceName, evaluate, latency
+from wire.config.experiment import load_experiment
+from wire.process.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
@@ -21,7 +20,8 @@ from wire.options import (
     Verbose,
     Version,
 )
-from wire.runtime import Stop, run_app, start_log
+from wire.process.optional_packages import run_role
+from wire.process.runtime import Stop, run_app, start_log
 
 cli = typer.Typer(
     help="Localizer: tracks the robots from an overhead camera and publishes their poses.",
@@ -56,18 +56,18 @@ def run(
     """
     import cv2
 
-    from localizer import shell
-    from wire.network import endpoint
-    from wire.topics import Role, process_name
+    from localizer import node
+    from wire.messages.topics import Role, process_name
+    from wire.transport.network import endpoint
 
     start_log("localizer", verbose)
     cv2.setNumThreads(
         1
     )  # of this process: regions are small, and with the fleet's others on the machine more threads only fight
     loaded = load_experiment(experiment, settings or ())
-    options = shell.Options(source, publish_frames, show_port if show else None)
+    options = node.Options(source, publish_frames, show_port if show else None)
     where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
-    shell.run(loaded, where, fleet, Stop(), lockstep, options)
+    node.run(loaded, where, fleet, Stop(), lockstep, options)
 
 
 cli.command()(calibrate)

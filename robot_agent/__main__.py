@@ -7,10 +7,10 @@ from typing import Annotated
 import typer
 
 from robot_agent.commands import check, init, unit
-from robot_agent.config import DEFAULT_LINK, choose, open_board
-from robot_agent.params import cli as params
-from wire.experiment import load_experiment
-from wire.options import (
+from robot_agent.host.config import DEFAULT_LINK, choose, open_board
+from robot_agent.host.params import cli as params
+from wire.config.experiment import load_experiment
+from wire.process.cli_options import (
     DEFAULT_FLEET,
     DEFAULT_STATION,
     ExperimentName,
@@ -24,7 +24,7 @@ from wire.options import (
     Version,
     live_fleet,
 )
-from wire.runtime import Stop, log, run_app, start_log
+from wire.process.runtime import Stop, log, run_app, start_log
 
 cli = typer.Typer(
     help="The program on a robot's board: poses in, pulses for thrusters and ankles out.",
@@ -77,13 +77,13 @@ def run(
     Examples on a board:  robot-agent run pool --robot 1 --station tls/192.168.1.10:7447 --keys keys
                           robot-agent run --config /etc/shoal/agent.toml
     """
-    from robot_agent import realtime
-    from robot_agent.shell import Shell
-    from robot_agent.watchdog import Watchdog
-    from wire.bus import Bus
-    from wire.network import endpoint
-    from wire.topics import Role, process_name
-    from wire.transport import ZenohTransport, receive_on_one_thread
+    from robot_agent.host import realtime
+    from robot_agent.host.sd_notify import Watchdog
+    from robot_agent.process import Shell
+    from wire.messages.topics import Role, process_name
+    from wire.transport.bus import Bus
+    from wire.transport.network import endpoint
+    from wire.transport.transport import ZenohTransport, receive_on_one_thread
 
     given = {
         "experiment": experiment,
@@ -130,7 +130,7 @@ def rerun(
     For `groundstation rerun`, which reads a log and compares.
     """
     from robot_agent.rerun import Rerun
-    from wire.pipe import PipeWriter, read_pipe
+    from wire.messages.pipe import PipeWriter, read_pipe
 
     said = PipeWriter(sys.stdout.buffer, session=1)
     for topic, message, stamp_ns in Rerun(load_experiment(experiment, settings or ()), robot).run(read_pipe(sys.stdin.buffer)):
@@ -143,7 +143,7 @@ def link_key(file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to
 
     Example:  robot-agent link-key board-1.key
     """
-    from wire.link_key import new_key
+    from wire.mavlink.signing_key import new_key
 
     new_key(file)
     typer.echo(f"{file}: a new key, for its owner's eyes only")
@@ -155,7 +155,7 @@ def modes() -> None:
 
     Example:  robot-agent modes
     """
-    from robot_agent.mode import table
+    from robot_agent.safety.modes import table
 
     typer.echo(table(), nl=False)
 

@@ -2,10 +2,10 @@
 
 The data's way through `Agent.step`:
 
-    pose, board, station -> health -> mode (mode.py) -> goal -> controller (controller.py) -> pulses, or neutral
+    pose, board, station -> health -> mode (modes.py) -> goal -> controller (controller.py) -> pulses, or neutral
                                                                                            -> plan, state
 
-Nothing here knows whether it runs in a pool or in a simulator; robot_agent/shell.py has the sockets and the clock.
+Nothing here knows whether it runs in a pool or in a simulator; robot_agent/process.py has the sockets and the clock.
 """
 
 import math
@@ -15,24 +15,24 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.controller import Controller, ControlOutput, Goal, Hold, Measurement, Neighbour, Sighting
-from robot_agent.course import Course
-from robot_agent.gains import Gains, Prepared
+from robot_agent.command_check import StationView, begins_ns, unacceptable
+from robot_agent.control.controller import Controller, ControlOutput, Goal, Hold, Measurement, Neighbour, Sighting
+from robot_agent.control.live_tuning import Gains, Prepared
+from robot_agent.guidance.obstacles import Apart, Thing, islands, spread, things_seen
+from robot_agent.guidance.trajectory_clock import Course
 from robot_agent.inputs import Inputs
-from robot_agent.mode import ORDERS, POWERED, Health, react, refusal
-from robot_agent.obstacles import Apart, Thing, islands, spread, things_seen
-from robot_agent.orders import StationView, begins_ns, unacceptable
-from robot_agent.pulse_test import ThrusterTest
-from robot_agent.vitals import Vitals
-from wire.codec import Header
-from wire.experiment import Experiment
-from wire.mavlink import Telemetry
-from wire.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
-from wire.picture import outside_m
-from wire.unseen import blindness, is_old
+from robot_agent.safety.health import Vitals
+from robot_agent.safety.modes import ORDERS, POWERED, Health, react, refusal
+from robot_agent.safety.pulse_selftest import ThrusterTest
+from wire.camera_coverage import outside_m
+from wire.config.experiment import Experiment
+from wire.mavlink.agent_link import Telemetry
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
+from wire.obstacle_memory import blindness, is_old
 
 THRUSTERS = 4
-UNSEEN = frozenset({"pose late", "no pose"})  # reasons of mode.py
+UNSEEN = frozenset({"pose late", "no pose"})  # reasons of modes.py
 LEFT = ": it has left the camera's picture"
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 

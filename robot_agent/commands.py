@@ -6,15 +6,15 @@ from typing import Annotated
 
 import typer
 
-from robot_agent.check import Finding, Verdict, exit_code, to_json
-from robot_agent.config import DEFAULT_LINK, choose, load_board, template
-from wire.endpoint import parse_address
-from wire.experiment import Experiment, load_experiment
-from wire.network import refuse_open
-from wire.options import DEFAULT_FLEET, FleetName
-from wire.outputs import check_output, replace_text
-from wire.runtime import start_log
-from wire.toml_file import ConfigError, files_named
+from robot_agent.host.config import DEFAULT_LINK, choose, load_board, template
+from robot_agent.preflight.findings import Finding, Verdict, exit_code, to_json
+from wire.config.experiment import Experiment, load_experiment
+from wire.process.cli_options import DEFAULT_FLEET, FleetName
+from wire.process.output_files import check_output, replace_text
+from wire.process.runtime import start_log
+from wire.toml_loader import ConfigError, files_named
+from wire.transport.endpoint import parse_address
+from wire.transport.network import refuse_open
 
 ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The board's configuration (`robot-agent init`).")]
 DEFAULT_CONFIG = Path("agent.toml")
@@ -40,7 +40,7 @@ def init(
 
     Example:  robot-agent init --robot 2 --station tls/192.168.1.10:7447 --keys keys
     """
-    from wire.link import parse_link
+    from wire.mavlink.board_port import parse_link
 
     parse_address(station)
     if keys is None:
@@ -66,7 +66,7 @@ def unit(
 
     Example:  robot-agent unit --user pi | sudo tee /etc/systemd/system/shoal-agent.service
     """
-    from robot_agent.unit import unit as text
+    from robot_agent.host.unit import unit as text
 
     typer.echo(text(home, user), nl=False)
 
@@ -83,8 +83,8 @@ def check(
 
     Example:  robot-agent check --json
     """
-    from robot_agent.check_shell import look_over
-    from robot_agent.thruster_test import turn_thrusters
+    from robot_agent.preflight.board import look_over
+    from robot_agent.preflight.thruster_selftest import turn_thrusters
 
     start_log("check")
     board = load_board(config)

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from robot_agent.orders import StationView
-from wire.mavlink import Telemetry
-from wire.messages import Obstacles, Plan, Pose
+from robot_agent.command_check import StationView
+from wire.mavlink.agent_link import Telemetry
+from wire.messages.messages import Obstacles, Plan, Pose
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,4 +42,4 @@ class Inputs:
     emergency_stop: bool = False
     plans: Mapping[int, Heard] = field(default_factory=dict)
     watched: Watched | None = None
-    late_steps: int = 0  # by how much late steps outnumber timely ones of late (pace.py)
+    late_steps: int = 0  # by how much late steps outnumber timely ones of late (step_clock.py)

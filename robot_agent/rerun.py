@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from robot_agent.agent import Agent
-from robot_agent.journal import inputs_of, station_view
-from wire import topics
-from wire.codec import DecodeError, Header, decode
-from wire.experiment import Experiment
-from wire.messages import Event, Message, Obstacles, OrderTaken, Plan, RobotState, StepInputs
-from wire.topics import Topic
+from robot_agent.step_record import inputs_of, station_view
+from wire.config.experiment import Experiment
+from wire.messages import topics
+from wire.messages.codec import DecodeError, Header, decode
+from wire.messages.messages import Event, Message, Obstacles, OrderTaken, Plan, RobotState, StepInputs
+from wire.messages.topics import Topic
 
 Logged = tuple[Topic, int | None, Header, bytes]
 Again = tuple[Topic, Message, int]  # topic, message, stamp in ns

@@ -2,13 +2,13 @@
 
 import typer
 
-from sim_bridge.compare_commands import compare, tune
-from sim_bridge.conformance_shell import board_conformance
-from sim_bridge.flight_commands import campaign, numeric, sil
-from sim_bridge.pool_commands import board, pool
-from wire.extras import run_role
-from wire.options import Version
-from wire.runtime import run_app
+from sim_bridge.board_conformance.cli import board_conformance
+from sim_bridge.cli.compare import compare, tune
+from sim_bridge.cli.pool import board, pool
+from sim_bridge.cli.sil import campaign, numeric, sil
+from wire.process.cli_options import Version
+from wire.process.optional_packages import run_role
+from wire.process.runtime import run_app
 
 cli = typer.Typer(
     help="The pool in software: water, robots, thruster boards and an overhead camera, on the same wires as the real ones.",

@@ -3,7 +3,7 @@
     bytes from the robots' computers -> boards (board.py) -> pulses -> thrusters -> dynamics -> next state
                                                                        sensors -> boards -> bytes to the computers
 
-`step` moves everything by one plant step. sim_bridge/pool.py puts it on the wires; time here is only the plant's.
+`step` moves everything by one plant step. sim_bridge/node/pool.py puts it on the wires; time here is only the plant's.
 """
 
 from collections import deque
@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_bridge.board import Board
-from sim_bridge.dynamics import Harm, Plant, PlantState
-from sim_bridge.faults import BEFORE_S, Faults
-from wire.experiment import Experiment
+from sim_bridge.fault_schedule import BEFORE_S, Faults
+from sim_bridge.plant.fleet import Harm, Plant, PlantState
+from sim_bridge.thruster_board.board import Board
+from wire.config.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Truth
+from wire.messages.messages import Truth
 
 
 class World:

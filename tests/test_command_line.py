@@ -16,15 +16,15 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from groundstation import keys
 from groundstation.__main__ import cli as groundstation
+from groundstation.deploy import key_ring
 from sim_bridge.__main__ import cli as sim_bridge
-from sim_bridge.ports import free_port
-from wire.bus import Bus
-from wire.messages import Order, Outcome, Progress, Reply
-from wire.options import experiments
-from wire.toml_file import ConfigError
-from wire.transport import MemoryHub, MemoryTransport
+from sim_bridge.sil.ports import free_port
+from wire.messages.messages import Order, Outcome, Progress, Reply
+from wire.process.cli_options import experiments
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
 
 ROOT = Path(__file__).parents[1]
 PROGRAMS = {
@@ -234,7 +234,7 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
     done_by_one = Outcome(1, Order.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
     replies = {Order.START: Reply(0, True, outcome=done_by_one), Order.HOLD: Reply(0, False, "no")}
     station.serve(0, lambda header, command: replies[command.order])
-    monkeypatch.setattr("wire.transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
+    monkeypatch.setattr("wire.transport.transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):
         done = CliRunner().invoke(groundstation, ["order", order, "--json"])
         robots = {"1": "confirmed", "2": "not heard"} if accepted else {}
@@ -347,7 +347,7 @@ def test_a_run_does_not_write_over_another_ones_log(tmp_path: Path) -> None:
 
 
 def test_a_start_that_fails_leaves_no_folder(tmp_path: Path) -> None:
-    keys.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
+    key_ring.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
     with socket.create_server(("127.0.0.1", 0)) as taken:
         place = f"127.0.0.1:{taken.getsockname()[1]}"
         for how in (["--listen", f"tcp/{place}"], ["--listen", f"tls/{place}", "--keys", str(tmp_path / "keys")]):

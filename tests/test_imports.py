@@ -13,11 +13,82 @@ from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).parents[1]
 PROCESSES = {"groundstation", "robot_agent", "localizer", "sim_bridge"}
-GENERATED = {"wire/fleet_pb2.py"}
+GENERATED = {"wire/messages/fleet_pb2.py"}
 
 # Numeric flights step agents and plant in one process, from the start or from a moment of a run; nothing else may see another
 # package. `groundstation rerun` needs no exception: the robots' own program does the steps.
-ALLOWED = {"sim_bridge/numeric.py": {"robot_agent"}, "sim_bridge/branch.py": {"robot_agent"}}
+ALLOWED = {"sim_bridge/in_process/fleet.py": {"robot_agent"}, "sim_bridge/in_process/resume.py": {"robot_agent"}}
+
+# What each part of a package may import from the same package: a table that reads downwards, so that nothing goes round. Every
+# edge is used; a new one is a decision about the architecture (docs/architecture.md).
+PARTS: dict[str, dict[str, set[str]]] = {
+    "wire": {
+        "frames": set(),
+        "toml_loader": set(),
+        "config": {"frames", "toml_loader"},
+        "camera_coverage": {"config", "frames"},
+        "mavlink": {"toml_loader"},
+        "messages": {"config", "frames", "toml_loader"},
+        "obstacle_memory": {"config", "frames", "messages"},
+        "security": {"messages", "toml_loader"},
+        "transport": {"messages", "security", "toml_loader"},
+        "process": {"config", "messages", "toml_loader", "transport"},
+    },
+    "localizer": {
+        "camera_model": set(),
+        "detection": {"camera_model"},
+        "sources": {"detection"},
+        "tracking": {"camera_model", "detection", "sources"},
+        "view": {"camera_model", "detection", "sources", "tracking"},
+        "calibration": {"camera_model", "detection", "sources", "view"},
+        "node": {"detection", "sources", "tracking", "view"},
+        "evaluation": {"detection", "node", "sources", "tracking"},
+    },
+    "robot_agent": {
+        "command_check": set(),
+        "guidance": {"command_check"},
+        "host": set(),
+        "inputs": {"command_check"},
+        "step_record": {"command_check", "inputs"},
+        "vehicle": set(),
+        "control": {"guidance", "vehicle"},
+        "safety": {"command_check", "control", "inputs", "vehicle"},
+        "agent": {"command_check", "control", "guidance", "inputs", "safety"},
+        "preflight": {"agent", "command_check", "host", "inputs", "vehicle"},
+        "commands": {"host", "preflight"},
+        "process": {"agent", "control", "host", "safety", "step_record"},
+        "rerun": {"agent", "step_record"},
+    },
+    "groundstation": {
+        "deploy": set(),
+        "inboxes": set(),
+        "logs": set(),
+        "analysis": {"logs"},
+        "palette": set(),
+        "export": {"analysis", "logs", "palette"},
+        "planning": set(),
+        "report": {"analysis", "logs", "palette"},
+        "replay": {"logs", "palette", "report"},
+        "telemetry": set(),
+        "mission": {"planning", "telemetry"},
+        "web": {"inboxes", "logs", "mission", "planning", "telemetry"},
+        "station": {"export", "inboxes", "logs", "mission", "planning", "telemetry", "web"},
+        "cli": {"deploy", "export", "logs", "mission", "planning", "replay", "report", "station", "web"},
+    },
+    "sim_bridge": {
+        "board_conformance": set(),
+        "plant": set(),
+        "camera": {"plant"},
+        "fault_schedule": {"plant"},
+        "sil": {"fault_schedule"},
+        "in_process": {"camera", "fault_schedule", "plant", "sil"},
+        "studies": {"fault_schedule", "in_process", "plant"},
+        "thruster_board": {"plant"},
+        "world": {"fault_schedule", "plant", "thruster_board"},
+        "node": {"camera", "fault_schedule", "plant", "thruster_board", "world"},
+        "cli": {"fault_schedule", "in_process", "node", "sil", "studies", "thruster_board"},
+    },
+}
 
 # What only a file that says "SHELL:" may touch: the network, clocks, threads, processes, files, chance.
 SHELL_MODULES = {
@@ -92,8 +163,8 @@ def test_the_rules_notice_offenders() -> None:
     """The checks below are only worth something if they bite."""
     offender = ast.parse("def f(p):\n    import time\n    from os.path import join\n    p.write_text('x')\n    open('y')\n")
     assert len(list(_impure(offender))) == 4
-    assert list(_imports(ast.parse("from robot_agent.mpc import Mpc\nimport sim_bridge.world"), "wire")) == [
-        "robot_agent.mpc",
+    assert list(_imports(ast.parse("from robot_agent.control.mpc import Mpc\nimport sim_bridge.world"), "wire")) == [
+        "robot_agent.control.mpc",
         "sim_bridge.world",
     ]
     assert list(_imports(ast.parse("from . import mpc"), "robot_agent")) == ["robot_agent."]
@@ -117,6 +188,35 @@ def test_packages_do_not_import_one_another(source: str) -> None:
 def test_packages_do_not_reach_into_one_another_on_disk(source: str) -> None:
     forbidden = set(_reached_on_disk(_tree(source))) & (PROCESSES | {"tests", "benchmarks"}) - {source.partition("/")[0]}
     assert not forbidden, f"{source} names files of {', '.join(sorted(forbidden))}; what processes share belongs in wire/"
+
+
+def _part(module: str) -> str:
+    """The subpackage, or the module beside the subpackages, that a full name belongs to."""
+    return module.split(".")[1] if "." in module else ""
+
+
+def _own_imports(source: str) -> set[str]:
+    """Modules of the same package that a file imports; `from a.b import c` counts as a.b.c where that is a module."""
+    package, found = source.partition("/")[0], set()
+    for node in ast.walk(_tree(source)):
+        if isinstance(node, ast.ImportFrom) and node.level == 0:
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return {name for name in found if name.startswith(f"{package}.")}
+
+
+@pytest.mark.parametrize("package", sorted(PROCESSES | {"wire"}))
+def test_parts_of_a_package_import_downwards_and_as_the_table_says(package: str) -> None:
+    edges: dict[str, set[str]] = {}
+    for source in _sources():
+        own = _part(source.removesuffix(".py").replace("/", "."))
+        if source.startswith(f"{package}/") and own not in ("__init__", "__main__"):
+            edges.setdefault(own, set()).update({_part(name) for name in _own_imports(source)} - {own})
+    assert edges == PARTS[package]
+    parts = list(PARTS[package])
+    for i, part in enumerate(parts):
+        assert PARTS[package][part] <= set(parts[:i]), f"{package}/{part} imports what stands below it in the table"
 
 
 def test_the_exceptions_are_needed() -> None:

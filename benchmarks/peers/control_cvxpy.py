@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.control_peer import in_place_of_ours, print_rows
-from robot_agent.qp import Solution
+from robot_agent.control.qp import Solution
 from wire.frames import Array
 
 cp: Any = importlib.import_module("cvxpy")
@@ -23,7 +23,7 @@ class Cvxpy:
         self._problem = cp.Problem(cp.Minimize(cost), [self._a @ self._x >= self._low, self._a @ self._x <= self._high])
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
-        """See robot_agent.qp.Solver."""
+        """See robot_agent.control.qp.Solver."""
         self._root.value = np.linalg.cholesky(p + 1e-9 * np.eye(len(p))).T
         self._q.value, self._low.value, self._high.value = q, lower, upper
         if a is not None:

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.control_peer import print_rows
-from robot_agent.controller import Controller
-from robot_agent.model import State
-from robot_agent.mpc import MpcPlan
-from wire.experiment import Experiment
+from robot_agent.control.controller import Controller
+from robot_agent.control.mpc import MpcPlan
+from robot_agent.vehicle.dynamics import State
+from wire.config.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Solve
+from wire.messages.messages import Solve
 
 ca: Any = importlib.import_module("casadi")
 do_mpc: Any = importlib.import_module("do_mpc")

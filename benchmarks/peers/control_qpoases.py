@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.control_peer import in_place_of_ours, print_rows
-from robot_agent.qp import Solution
+from robot_agent.control.qp import Solution
 from wire.frames import Array
 
 ca: Any = importlib.import_module("casadi")
@@ -21,7 +21,7 @@ class QpOases:
         self._n, self._a, self._last = n, np.zeros((rows - n, n)), np.zeros(n)
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
-        """See robot_agent.qp.Solver."""
+        """See robot_agent.control.qp.Solver."""
         n = self._n
         if a is not None:
             self._a = a[n:]
@@ -31,7 +31,7 @@ class QpOases:
         return Solution(self._last.copy(), solved, 0)
 
     def start_from(self, x: Array) -> None:
-        """See robot_agent.qp.Solver."""
+        """See robot_agent.control.qp.Solver."""
         self._last = x
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import sparse
 
 from benchmarks.control_peer import in_place_of_ours, print_rows
-from robot_agent.qp import Solution
+from robot_agent.control.qp import Solution
 from wire.frames import Array
 
 qpsolvers: Any = importlib.import_module("qpsolvers")
@@ -21,7 +21,7 @@ class QpSolvers:
         self._g = sparse.csc_matrix((2 * (rows - n), n))
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
-        """See robot_agent.qp.Solver."""
+        """See robot_agent.control.qp.Solver."""
         n = self._n
         if a is not None:
             self._g = sparse.csc_matrix(np.vstack([a[n:], -a[n:]]))
@@ -35,7 +35,7 @@ class QpSolvers:
         return Solution(x, True, 0)
 
     def start_from(self, x: Array) -> None:
-        """See robot_agent.qp.Solver."""
+        """See robot_agent.control.qp.Solver."""
         self._last = x
 
 

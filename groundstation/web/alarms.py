@@ -1,17 +1,17 @@
 """What an operator must know now, worst first. Pure: made anew from the newest of everything, so an alarm goes with its cause.
 
-What is amiss with a robot is decided in groundstation/fleet.py, for preflight too. Levels: `critical` robots stop or
+What is amiss with a robot is decided in groundstation/telemetry.py, for preflight too. Levels: `critical` robots stop or
 must be stopped; `warning` the run is at risk; `notice` worth a look.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from groundstation.fleet import Fleet, findings
-from wire import topics
-from wire.access import INSECURE
-from wire.experiment import Experiment
-from wire.messages import CameraHealth, LocalizerStatus
+from groundstation.telemetry import Fleet, findings
+from wire.config.experiment import Experiment
+from wire.messages import topics
+from wire.messages.messages import CameraHealth, LocalizerStatus
+from wire.security.access_control import INSECURE
 
 LEVELS = ("critical", "warning", "notice")
 

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from groundstation.web.underlay import mesh
-from wire import topics
-from wire.experiment import Experiment
+from groundstation.web.camera_underlay import mesh
+from wire.config.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Trajectory
-from wire.tunable import knobs
+from wire.messages import topics
+from wire.messages.live_gains import knobs
+from wire.messages.messages import Trajectory
 
 MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pixel
 LOCKSTEP_STALE_S = 1.0  # there a slow machine is no fault; periods are the simulator's

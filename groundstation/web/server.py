@@ -19,13 +19,13 @@ from starlette.responses import FileResponse, PlainTextResponse
 from starlette.routing import Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 
-from groundstation.web import requests
-from groundstation.web.crowd import HANDSHAKE_WITHIN_S, Crowd, http_class
-from groundstation.web.desk import Source
-from groundstation.web.guard import HEADERS, WebOptions, host_allowed
-from groundstation.web.hub import Hub
-from wire.runtime import log
-from wire.toml_file import ConfigError
+from groundstation.web import protocol
+from groundstation.web.auth import HEADERS, WebOptions, host_allowed
+from groundstation.web.client_hub import Hub
+from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, Crowd, http_class
+from groundstation.web.live_backend import Source
+from wire.process.runtime import log
+from wire.toml_loader import ConfigError
 
 STATIC = Path(__file__).parent / "static"
 START_WITHIN_S = 30.0  # on a starved machine; then the station does not start, and says why
@@ -120,7 +120,7 @@ class WebServer:
             loop="asyncio",
             http=http_class(Crowd()),
             ws="websockets-sansio",
-            ws_max_size=requests.LONGEST_BYTES,
+            ws_max_size=protocol.LONGEST_BYTES,
             ws_per_message_deflate=False,  # costs more time than a local network's bytes
             ws_ping_interval=5.0,
             ws_ping_timeout=20.0,

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.fleet import Finding
-from groundstation.laps import Lap
-from groundstation.tuner import Stage, TuningStatus
+from groundstation.mission.gain_update import Stage, TuningStatus
+from groundstation.mission.lap_statistics import Lap
+from groundstation.telemetry import Finding
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from wire.frames import Array
-from wire.messages import LocalizerStatus, Obstacles, Order, Outcome, Plan, Pose, RobotState
+from wire.messages.messages import LocalizerStatus, Obstacles, Order, Outcome, Plan, Pose, RobotState
 
 NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
 

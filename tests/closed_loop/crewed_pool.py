@@ -4,22 +4,22 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from groundstation import planner
-from groundstation.asking import Answer
-from groundstation.checks import PlanError
-from groundstation.fleet import RobotView
-from groundstation.legs import first_leg
-from groundstation.lookout import Surroundings
-from groundstation.mission import Mission
-from groundstation.phases import Phase
+from groundstation.mission.command_dispatcher import Answer
+from groundstation.mission.mission import Mission
+from groundstation.mission.obstacle_monitor import Surroundings
+from groundstation.mission.state_machine import Phase
+from groundstation.planning import planner
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.segment import first_leg
+from groundstation.telemetry import RobotView
 from robot_agent.agent import Agent
-from robot_agent.orders import StationView
-from sim_bridge.numeric import STATION_SESSION
+from robot_agent.command_check import StationView
+from sim_bridge.in_process.fleet import STATION_SESSION
 from tests.closed_loop.dry_pool import DryPool
-from wire.codec import Header
-from wire.experiment import Experiment
+from wire.config.experiment import Experiment
 from wire.frames import Array
-from wire.messages import Command, Order, Reply
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Order, Reply
 
 NS = 1_000_000_000
 

@@ -8,17 +8,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from groundstation import planner
+from groundstation.planning import planner
 from robot_agent.agent import Outputs
+from robot_agent.command_check import StationView
 from robot_agent.inputs import Heard
-from robot_agent.orders import StationView
-from sim_bridge.numeric import STATION_SESSION, AgentFleet
+from sim_bridge.in_process.fleet import STATION_SESSION, AgentFleet
 from sim_bridge.world import World
-from wire.experiment import Experiment
+from wire.config.experiment import Experiment
+from wire.config.simulation import Numeric
 from wire.frames import Array
-from wire.mavlink import AgentLink, Telemetry
-from wire.messages import Order
-from wire.sim_settings import Numeric
+from wire.mavlink.agent_link import AgentLink, Telemetry
+from wire.messages.messages import Order
 
 
 class BoardWater:

@@ -16,20 +16,20 @@ from typing import Any
 
 import numpy as np
 
-from groundstation import station_process
-from localizer import shell as localizer_shell
-from robot_agent import shell as agent_shell
-from sim_bridge.pool import Pool
-from sim_bridge.ports import free_base_port
-from sim_bridge.sockets import Sockets
-from wire import topics
-from wire.bus import Bus
-from wire.codec import Header, decode
-from wire.experiment import Experiment, dump_experiment
-from wire.link import UdpLink
-from wire.runtime import LockstepClock, Stop, log
-from wire.topics import Qos, Topic
-from wire.transport import Answer, Deliver, MemoryHub, MemoryTransport, Presence
+from groundstation.station import process as station_process
+from localizer import node as localizer_shell
+from robot_agent import process as agent_shell
+from sim_bridge.node.pool import Pool
+from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.sil.ports import free_base_port
+from wire.config.experiment import Experiment, dump_experiment
+from wire.mavlink.board_port import UdpLink
+from wire.messages import topics
+from wire.messages.codec import Header, decode
+from wire.messages.topics import Qos, Topic
+from wire.process.runtime import LockstepClock, Stop, log
+from wire.transport.bus import Bus
+from wire.transport.transport import Answer, Deliver, MemoryHub, MemoryTransport, Presence
 
 SHORT_S, LONG_S = 0.002, 0.03  # how long something is held up: mostly, and where chance is against it
 LATEST_S = (0.0, 0.0, SHORT_S, LONG_S)  # how late a listener may hear: one of these, drawn for each

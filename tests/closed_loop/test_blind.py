@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from groundstation.fleet import findings
-from groundstation.phases import Phase
+from groundstation.mission.state_machine import Phase
+from groundstation.telemetry import findings
 from tests.closed_loop.crewed_pool import CrewedPool
-from wire.experiment import load_experiment
-from wire.messages import Mode
+from wire.config.experiment import load_experiment
+from wire.messages.messages import Mode
 
 LAMP = "the light changed or the camera moved"
 

@@ -5,9 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-from sim_bridge.ports import free_base_port, free_port
-from sim_bridge.programs import Way, programs
-from wire.experiment import dump_experiment, load_experiment
+from sim_bridge.sil.commands import Way, programs
+from sim_bridge.sil.ports import free_base_port, free_port
+from wire.config.experiment import dump_experiment, load_experiment
 
 
 def test_a_station_whose_run_met_not_every_limit_says_so_in_its_exit_code(tmp_path: Path) -> None:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.encounters import SCENES, meet
-from groundstation import planner
-from sim_bridge.numeric import AgentFleet, BareWater
-from wire.experiment import load_experiment
-from wire.messages import Mode
+from groundstation.planning import planner
+from sim_bridge.in_process.fleet import AgentFleet, BareWater
+from wire.config.experiment import load_experiment
+from wire.messages.messages import Mode
 
 
 @pytest.mark.parametrize("name", SCENES)

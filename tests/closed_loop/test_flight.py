@@ -8,8 +8,8 @@ import pytest
 
 from robot_agent.inputs import Seen
 from tests.closed_loop.dry_pool import DryPool
-from wire.experiment import load_experiment
-from wire.messages import Mode, Order
+from wire.config.experiment import load_experiment
+from wire.messages.messages import Mode, Order
 
 NEUTRAL_US = 1500
 

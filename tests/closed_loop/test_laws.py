@@ -7,11 +7,11 @@ import pytest
 
 from benchmarks.flights import Flight
 from tests.closed_loop.test_numeric import flown
-from wire.experiment import load_experiment
+from wire.config.baseline_controllers import LawName
+from wire.config.experiment import load_experiment
 from wire.frames import Array
-from wire.laws import LawName
-from wire.messages import Mode, Solve
-from wire.toml_file import ConfigError
+from wire.messages.messages import Mode, Solve
+from wire.toml_loader import ConfigError
 
 LAWS = get_args(LawName)
 FOLLOWING = "formation.kind=leader-follower"

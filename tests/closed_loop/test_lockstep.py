@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_bridge.board import SENT_BETWEEN, Board
-from sim_bridge.ports import free_base_port
-from sim_bridge.sockets import Sockets
+from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.sil.ports import free_base_port
+from sim_bridge.thruster_board.board import SENT_BETWEEN, Board
 from sim_bridge.world import World
 from tests.closed_loop.slow_network import fly
-from wire.experiment import Experiment, load_experiment
-from wire.link import UdpLink
-from wire.mavlink import AgentLink
-from wire.mavlink_signing import Key
-from wire.messages import Mode
+from wire.config.experiment import Experiment, load_experiment
+from wire.mavlink.agent_link import AgentLink
+from wire.mavlink.board_port import UdpLink
+from wire.mavlink.signing import Key
+from wire.messages.messages import Mode
 
 ADRIFT = "sim.drifters=[{radius_m=0.2, start_m=[-3.0, 0.2, 0.5], from_s=0.0, velocity_mps=[0.1, 0.0, 0.0]}]"
 NOISY = "t=0.1 for=0.6 link 1 noisy 0.3"

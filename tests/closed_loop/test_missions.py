@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from groundstation.legs import at
-from groundstation.mission import START_IN_S
-from groundstation.phases import Phase
-from sim_bridge.dynamics import Harm
+from groundstation.mission.mission import START_IN_S
+from groundstation.mission.state_machine import Phase
+from groundstation.planning.segment import at
+from sim_bridge.plant.fleet import Harm
 from tests.closed_loop.crewed_pool import CrewedPool
-from wire.experiment import load_experiment
-from wire.messages import Mode, Order
+from wire.config.experiment import load_experiment
+from wire.messages.messages import Mode, Order
 
 
 def flying(scene: str, *settings: str) -> CrewedPool:

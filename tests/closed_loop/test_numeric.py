@@ -12,13 +12,13 @@ from scipy.interpolate import CubicHermiteSpline
 
 from benchmarks import flights
 from benchmarks.flights import Flight, prepared
-from sim_bridge.measures import measures
-from sim_bridge.numeric import fly
-from wire import topics
-from wire.experiment import load_experiment
+from sim_bridge.in_process.fleet import fly
+from sim_bridge.studies.metrics import measures
+from wire.config.experiment import load_experiment
 from wire.frames import Array
-from wire.messages import Mode, RobotState, Solve
-from wire.toml_file import ConfigError
+from wire.messages import topics
+from wire.messages.messages import Mode, RobotState, Solve
+from wire.toml_loader import ConfigError
 
 # Whole-run optimum of x^2 + y^2 + z^2 + yaw^2 (m^2 + rad^2, integrated over time in s) per robot, for one who knows plant and
 # disturbance beforehand: direct multiple shooting over 20 s of 0.05 s steps, RK4, the limits (39, 40), solved with IPOPT.

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from sim_bridge.ports import free_base_port, free_port
-from sim_bridge.processes import Children
-from wire.experiment import dump_experiment, load_experiment
+from sim_bridge.sil.ports import free_base_port, free_port
+from sim_bridge.sil.processes import Children
+from wire.config.experiment import dump_experiment, load_experiment
 
 
 class Lab:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import flown
-from groundstation import planner
-from wire.experiment import Experiment, load_experiment
+from groundstation.planning import planner
+from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 
 

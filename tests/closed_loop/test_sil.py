@@ -20,17 +20,17 @@ import pytest
 from mcap.reader import make_reader
 from rich.console import Console
 
-from groundstation.alignment import align
-from groundstation.runlog import read_log
-from groundstation.series import Series
-from sim_bridge import sil
-from sim_bridge.processes import Child, Children
-from sim_bridge.programs import Program, Way
-from wire import codec, topics
-from wire.experiment import load_experiment
-from wire.messages import Mode, RobotState
-from wire.runtime import Stop
-from wire.transport import Endpoint, ZenohTransport
+from groundstation.analysis.alignment import align
+from groundstation.analysis.series import Series
+from groundstation.logs.reader import read_log
+from sim_bridge.sil import launcher
+from sim_bridge.sil.commands import Program, Way
+from sim_bridge.sil.processes import Child, Children
+from wire.config.experiment import load_experiment
+from wire.messages import codec, topics
+from wire.messages.messages import Mode, RobotState
+from wire.process.runtime import Stop
+from wire.transport.transport import Endpoint, ZenohTransport
 
 
 def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
@@ -324,10 +324,10 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
         threading.Timer(0.2, stop.request).start()  # while it waits
         return ZenohTransport(endpoint, stopped)
 
-    monkeypatch.setattr(sil, "programs", silent)
-    monkeypatch.setattr(sil, "Children", Watched)
-    monkeypatch.setattr(sil, "ZenohTransport", open_and_stop)
+    monkeypatch.setattr(launcher, "programs", silent)
+    monkeypatch.setattr(launcher, "Children", Watched)
+    monkeypatch.setattr(launcher, "ZenohTransport", open_and_stop)
     said = Console(record=True, file=io.StringIO())
-    assert sil.run(load_experiment("pool"), tmp_path / "run", Way(), stop, said) == 130
+    assert launcher.run(load_experiment("pool"), tmp_path / "run", Way(), stop, said) == 130
     assert "interrupted: every process is stopped" in said.export_text()
     assert [child.exit_code is not None for child in started] == [True]

@@ -4,16 +4,16 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from groundstation.asking import Answer
-from groundstation.fleet import Fleet, RobotView
-from groundstation.laps import Laps
-from groundstation.tuner import START_IN_S, Stage, Tuner
+from groundstation.mission.command_dispatcher import Answer
+from groundstation.mission.gain_update import START_IN_S, Stage, Tuner
+from groundstation.mission.lap_statistics import Laps
+from groundstation.telemetry import Fleet, RobotView
 from tests.closed_loop.dry_pool import DryPool
-from wire.codec import Header
-from wire.experiment import Experiment, load_experiment
+from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
-from wire.messages import Command, Mode, Order, Reply, RobotState
-from wire.tunable import knobs, tuning
+from wire.messages.codec import Header
+from wire.messages.live_gains import knobs, tuning
+from wire.messages.messages import Command, Mode, Order, Reply, RobotState
 
 SHORT_LAPS = ("path.lap_s=25", "duration_s=100")
 B = {  # of every part of the controller one

@@ -9,8 +9,8 @@ import time
 import numpy as np
 
 from tests.wire.strategies import CLASSES, example
-from wire import codec, topics
-from wire.transport import Endpoint, ZenohTransport
+from wire.messages import codec, topics
+from wire.transport.transport import Endpoint, ZenohTransport
 
 RATE_HZ, BATCH_S = 10_000, 0.01
 OVERSIZED = bytes(codec.MAX_MESSAGE_BYTES + 1)

@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.qp import OsqpSolver, Solution
-from sim_bridge import stepped_clock
-from wire.bus import Bus
-from wire.messages import Command, Order
+from robot_agent.control.qp import OsqpSolver, Solution
+from sim_bridge.sil import clock_shim
+from wire.messages.messages import Command, Order
+from wire.transport.bus import Bus
 
 SLOW_S, FOR_EVER_S = 0.03, 1e6
 START_LATE, SWITCH_LOST = signal.SIGRTMIN, signal.SIGRTMIN + 1
@@ -93,7 +93,7 @@ class Flaws:
 
 if __name__ == "__main__":
     file, module, *arguments = sys.argv[1:]
-    stepped_clock.install(Path(file))
+    clock_shim.install(Path(file))
     Flaws().install()
     sys.argv = [module, *arguments]
     runpy.run_module(module, run_name="__main__", alter_sys=True)

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from sim_bridge.ports import free_base_port, free_port
-from sim_bridge.processes import Child, Children
+from sim_bridge.sil.ports import free_base_port, free_port
+from sim_bridge.sil.processes import Child, Children
 from tests.faults.onlooker import PATIENCE_S, Onlooker, Stuck
 from tests.faults.wires import NetWire, SerialWire
-from wire import topics
-from wire.bus import Bus
-from wire.experiment import dump_experiment, load_experiment
-from wire.messages import Command, Mode, Order, Reply
-from wire.transport import Endpoint, ZenohTransport
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.messages import Command, Mode, Order, Reply
+from wire.transport.bus import Bus
+from wire.transport.transport import Endpoint, ZenohTransport
 
 MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
 CRUISES = 10  # attempts at a flight in one piece

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
-from sim_bridge.ports import free_port
+from sim_bridge.sil.ports import free_port
 from tests.faults.rig import Rig
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tests.faults.rig import Rig
-from wire.messages import Mode
+from wire.messages.messages import Mode
 
 Random = np.random.Generator
 Sample = Mapping[str, float]

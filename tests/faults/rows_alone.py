@@ -13,9 +13,9 @@ import tomli_w
 
 from tests.faults import targets
 from tests.faults.row import Random, Sample
-from tests.localizer.test_crossings import check_encounter
-from wire.experiment import Experiment, load_experiment
-from wire.toml_file import ConfigError, check
+from tests.localizer.tracking.test_crossings import check_encounter
+from wire.config.experiment import Experiment, load_experiment
+from wire.toml_loader import ConfigError, check
 
 MODULES = ("groundstation", "robot_agent", "localizer", "sim_bridge")
 NO_VALUES: tuple[Any, ...] = ("nonsense", -1e9, True, [], {}, float("nan"), float("inf"), 10**30)
@@ -39,11 +39,14 @@ def not_finite(rig: None, random: Random) -> Sample:
 
 
 def stranger(rig: None, random: Random) -> Sample:
-    return {"let in, heard or obeyed": _failed("tests/wire/test_guarded.py")}
+    return {"let in, heard or obeyed": _failed("tests/wire/transport/test_guarded.py")}
 
 
 def old_traffic(rig: None, random: Random) -> Sample:
-    return {"obeyed": _failed("tests/wire/test_replay.py") + _failed("tests/wire/test_once.py")}
+    return {
+        "obeyed": _failed("tests/wire/transport/test_replay.py")
+        + _failed("tests/wire/transport/test_command_deduplication.py")
+    }
 
 
 def _failed(tests: str) -> float:

@@ -10,7 +10,7 @@ from tests.faults.onlooker import Heard, Stuck
 from tests.faults.patched import DEAF_ROBOT, START_LATE, SWITCH_LOST
 from tests.faults.rig import Rig
 from tests.faults.row import HELD, OFF, RESUMED, Random, Sample, resumed
-from wire.messages import Mode, Order
+from wire.messages.messages import Mode, Order
 
 LATE_BY_S = 0.5  # at least this long after the others a robot must have begun, or its START was not late
 

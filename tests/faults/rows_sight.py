@@ -5,7 +5,7 @@ import time
 
 from tests.faults.rig import Rig
 from tests.faults.row import HELD, RESUMED, Random, Sample, resumed
-from wire.messages import Mode
+from wire.messages.messages import Mode
 
 LEARNS_S = 6.0  # what the localizer takes to learn the water anew, and more
 TRACKS = "states that track again unasked"

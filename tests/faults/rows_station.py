@@ -16,14 +16,14 @@ from mcap.reader import make_reader
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from groundstation.recovery import recover
-from sim_bridge.processes import Child
+from groundstation.logs.repair import recover
+from sim_bridge.sil.processes import Child
 from tests.faults.onlooker import Stuck
 from tests.faults.patched import END_THREAD
 from tests.faults.rig import Rig
 from tests.faults.row import Random, Sample
-from wire import topics
-from wire.messages import Event, Mode
+from wire.messages import topics
+from wire.messages.messages import Event, Mode
 
 LEFT = "robots that left their path"
 GAP = "longest gap between heartbeats"

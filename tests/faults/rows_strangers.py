@@ -10,16 +10,16 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from groundstation import keys
-from sim_bridge.ports import free_port
+from groundstation.deploy import key_ring
+from sim_bridge.sil.ports import free_port
 from tests.faults.onlooker import PATIENCE_S, Stuck
 from tests.faults.row import Random, Sample
 from tests.wire.strangers import Strangers
-from wire.bus import Bus
-from wire.gate import nearest
-from wire.messages import Command, Order
-from wire.network import endpoint
-from wire.transport import Endpoint, Unreached, ZenohTransport
+from wire.messages.messages import Command, Order
+from wire.transport.bus import Bus
+from wire.transport.gate import nearest
+from wire.transport.network import endpoint
+from wire.transport.transport import Endpoint, Unreached, ZenohTransport
 
 ATTACKS: tuple[dict[str, float], ...] = (
     {"knocks_hz": 12.0},
@@ -79,8 +79,8 @@ def strangers_knock(rig: None, random: Random) -> Sample:
     source = "127.0.0.2" if "handshakes_hz" in attack or random.integers(2) else "127.0.0.1"
     folder = Path(tempfile.mkdtemp(prefix="shoal-strangers-"))
     ring, now, port = folder / "keys", datetime.now(UTC), free_port()
-    keys.init(ring, [], "shoal", now)
-    keys.add(ring, "robot", 1, now)
+    key_ring.init(ring, [], "shoal", now)
+    key_ring.add(ring, "robot", 1, now)
     address = f"tls/127.0.0.1:{port}"
     station = ["groundstation", "run", "pool", "--listen", address, "--keys", str(ring), "--no-web"]
     with (

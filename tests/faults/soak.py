@@ -28,15 +28,15 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from groundstation.runlog import read_log
-from sim_bridge.programs import Way, check
+from groundstation.logs.reader import read_log
+from sim_bridge.sil.commands import Way, check
 from tests.faults.onlooker import Stuck
 from tests.faults.rig import Rig, moment
 from tests.faults.table import ROWS
-from wire.experiment import EXPERIMENTS, load_experiment
+from wire.config.experiment import EXPERIMENTS, load_experiment
 from wire.frames import Array
-from wire.messages import Mode
-from wire.toml_file import ConfigError
+from wire.messages.messages import Mode
+from wire.toml_loader import ConfigError
 
 SAMPLE_S = 5.0
 IN_WATER = ("thruster {r}/{t} dead", "thruster {r}/{t} stuck", "thruster {r}/{t} reversed", "thruster {r}/{t} weak {f}",
@@ -51,7 +51,7 @@ WAYS = {
 }
 # Growth from the second quarter of the samples to the last that is no leak: allocators and caches move by as much.
 MAY_GROW = {"memory MB": 8.0, "handles": 3.0, "threads": 3.0, "latency ms": 5.0}
-GROWS_PER_H = {("groundstation", "memory MB"): 16.0}  # by design: the log's index (groundstation/recorder.py)
+GROWS_PER_H = {("groundstation", "memory MB"): 16.0}  # by design: the log's index (groundstation/logs/recorder.py)
 KILLING = 0.25  # share of the time by the wall clock in which processes are killed too
 
 

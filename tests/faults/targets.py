@@ -14,29 +14,29 @@ from pathlib import Path
 
 import numpy as np
 
-from groundstation.asking import Answer
-from groundstation.checks import PlanError
-from groundstation.fleet import RobotView
-from groundstation.legs import Leg
-from groundstation.mission import Mission
-from groundstation.planner import plan
-from groundstation.recovery import valid_records
-from groundstation.web.requests import BadRequest, read_request
-from localizer.locate import Locator
+from groundstation.logs.repair import valid_records
+from groundstation.mission.command_dispatcher import Answer
+from groundstation.mission.mission import Mission
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.planner import plan
+from groundstation.planning.segment import Leg
+from groundstation.telemetry import RobotView
+from groundstation.web.protocol import BadRequest, read_request
+from localizer.tracking.fleet_localizer import Locator
 from robot_agent.agent import Agent
+from robot_agent.command_check import StationView
 from robot_agent.inputs import Heard, Inputs, Seen, Watched
-from robot_agent.mode import POWERED
-from robot_agent.orders import StationView
-from sim_bridge.board import Board
+from robot_agent.safety.modes import POWERED
+from sim_bridge.thruster_board.board import Board
 from tests.faults.bites import Bites
 from tests.wire.strategies import CLASSES, example
-from wire.codec import DecodeError, Header, decode, encode
-from wire.experiment import Experiment, load_experiment
-from wire.mavlink import AgentLink, Telemetry
-from wire.mavlink_board import BoardLink
-from wire.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory
-from wire.toml_file import ConfigError, apply_setting, check, read_toml
-from wire.vehicle import Vehicle
+from wire.config.experiment import Experiment, load_experiment
+from wire.config.vehicle import Vehicle
+from wire.mavlink.agent_link import AgentLink, Telemetry
+from wire.mavlink.board_link import BoardLink
+from wire.messages.codec import DecodeError, Header, decode, encode
+from wire.messages.messages import Command, Obstacles, Order, Plan, Pose, Reply, RobotState, Track, Trajectory
+from wire.toml_loader import ConfigError, apply_setting, check, read_toml
 
 PERIOD_NS = 50_000_000
 SMALL = ("camera.size_px=[96,64]", "camera.focal_px=[60,60]", "camera.centre_px=[47.5,31.5]")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import prepared, rough_water
-from sim_bridge.measures import measures
-from sim_bridge.numeric import fly
+from sim_bridge.in_process.fleet import fly
+from sim_bridge.studies.metrics import measures
 from tests.faults.soak import Watch, random_faults
-from wire.experiment import load_experiment
-from wire.messages import Event
+from wire.config.experiment import load_experiment
+from wire.messages.messages import Event
 
 
 def soak(name: str, seed: int, duration_s: float) -> None:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from wire.mavlink import AgentLink
-from wire.mavlink_board import BoardLink, Override
-from wire.mavlink_frames import MARKER
+from wire.mavlink.agent_link import AgentLink
+from wire.mavlink.board_link import BoardLink, Override
+from wire.mavlink.framing import MARKER
 
 READ_BYTES = 65536
 NUMBER_AT = 4  # in a frame

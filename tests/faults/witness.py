@@ -18,22 +18,22 @@ from typing import Any
 
 import numpy as np
 
-import sim_bridge.pool
-from sim_bridge.board import Board
-from sim_bridge.board_memory import MakeBoard
-from sim_bridge.faults import Faults
-from sim_bridge.pool import Pool
-from sim_bridge.sensors import Reading
-from sim_bridge.sockets import Sockets
+import sim_bridge.node.pool
+from sim_bridge.fault_schedule import Faults
+from sim_bridge.node.pool import Pool
+from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.plant.sensors import Reading
+from sim_bridge.thruster_board.board import Board
+from sim_bridge.thruster_board.nonvolatile import MakeBoard
 from sim_bridge.world import World
 from tests.faults.patched import end_thread
-from wire.bus import Bus
-from wire.experiment import Experiment, load_experiment
-from wire.faults import Fault
+from wire.config.experiment import Experiment, load_experiment
+from wire.config.fault_injection import Fault
 from wire.frames import Array
-from wire.mavlink_frames import Peer
-from wire.runtime import Stop, run_app, start_log
-from wire.transport import Endpoint, ZenohTransport
+from wire.mavlink.framing import Peer
+from wire.process.runtime import Stop, run_app, start_log
+from wire.transport.bus import Bus
+from wire.transport.transport import Endpoint, ZenohTransport
 
 OWN = ("board", "depth", "thread")  # what is broken here, and not by sim.faults
 
@@ -148,7 +148,7 @@ def main() -> None:
     start_log("sim-bridge")
     line, stop, experiment = Line(int(harness)), Stop(), load_experiment(name)
     sockets = Sockets(int(ports), experiment.robot_ids, experiment.seed)
-    vars(sim_bridge.pool)["World"] = watched_world(line)
+    vars(sim_bridge.node.pool)["World"] = watched_world(line)
     with Bus(ZenohTransport(Endpoint(station))) as bus:
         poses, make = "--poses" in options, watched_board(line)
         Pool(experiment, bus, sockets, stop, lockstep=False, poses=poses, make=make).run()

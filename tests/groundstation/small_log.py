@@ -6,10 +6,10 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
-from groundstation.recorder import Recorder
-from wire import topics
-from wire.codec import Header, encode
-from wire.messages import Pose, Track
+from groundstation.logs.recorder import Recorder
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import Pose, Track
 
 SECOND = 1_000_000_000
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.planner import plan
-from groundstation.recorder import Recorder
-from wire import topics
-from wire.codec import Header, encode
-from wire.experiment import Experiment, dump_experiment, load_experiment
+from groundstation.logs.recorder import Recorder
+from groundstation.planning.planner import plan
+from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.frames import Array, wrap
-from wire.messages import Event, LocalizerStatus, Message, Mode, Pose, RobotState, Solve, Track, Truth
-from wire.topics import Topic
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import Event, LocalizerStatus, Message, Mode, Pose, RobotState, Solve, Track, Truth
+from wire.messages.topics import Topic
 
 PERIOD_S = 0.05
 START_S = 7.0  # of the trajectories, on the log's clock

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from localizer.board_views import BoardView
-from sim_bridge.optics import Rays, project, rays
+from localizer.calibration.targets import BoardView
+from sim_bridge.camera.optics import Rays, project, rays
+from wire.config.perception import Camera
 from wire.frames import Array
-from wire.sight import Camera
 
 Pixels = NDArray[np.uint8]
 Float = NDArray[np.float32]

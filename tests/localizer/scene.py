@@ -12,8 +12,8 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from localizer.calibration import PoolView
-from wire.experiment import Experiment
+from localizer.camera_model import PoolView
+from wire.config.experiment import Experiment
 from wire.frames import Array, pool_to_body
 
 Pixels = NDArray[np.uint8]

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from localizer.patch import Pixels
-from localizer.shot import Shot
-from wire.bus import Received
+from localizer.detection.image_regions import Pixels
+from localizer.sources.base import Shot
+from wire.transport.bus import Received
 
 MS = 1_000_000
 

@@ -18,25 +18,25 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
-from groundstation import planner
-from groundstation.fleet import Finding
 from groundstation.inboxes import listen
-from groundstation.logfile import open_log
-from groundstation.phases import Phase
-from groundstation.rerun import rerun
-from groundstation.runlog import read_log
-from groundstation.web.desk import Desk, Post, Status
-from groundstation.web.guard import WebOptions
+from groundstation.logs.logfile import open_log
+from groundstation.logs.reader import read_log
+from groundstation.mission.state_machine import Phase
+from groundstation.planning import planner
+from groundstation.replay.step_replay import rerun
+from groundstation.telemetry import Finding
+from groundstation.web.auth import WebOptions
+from groundstation.web.live_backend import Desk, Post, Status
 from groundstation.web.server import WebServer
-from sim_bridge.ports import free_port
+from sim_bridge.sil.ports import free_port
 from tests.page.conftest import Asked, Flight, open_page, wait_for_port
-from wire import topics
-from wire.bus import Bus
-from wire.codec import decode
-from wire.experiment import Experiment, load_experiment
-from wire.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
-from wire.runtime import WallClock
-from wire.transport import MemoryHub, MemoryTransport
+from wire.config.experiment import Experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import decode
+from wire.messages.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
+from wire.process.runtime import WallClock
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.timeout(600)  # what waits for a browser waits for a loaded machine
 

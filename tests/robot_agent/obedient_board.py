@@ -2,8 +2,8 @@
 
 import math
 
-from wire.link import Link
-from wire.mavlink_board import BoardLink
+from wire.mavlink.board_link import BoardLink
+from wire.mavlink.board_port import Link
 
 ME = 1
 

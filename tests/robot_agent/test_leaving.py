@@ -13,15 +13,15 @@ from socket import AF_INET, SOCK_DGRAM, socket
 import numpy as np
 import pytest
 
-from sim_bridge.board import Board
-from sim_bridge.ports import free_port
-from wire import topics
-from wire.bus import Bus
-from wire.experiment import load_experiment
-from wire.mavlink import AgentLink
-from wire.mavlink_board import Arm, BoardLink, Override
-from wire.messages import Command, Mode, Order, Pose, RobotState, StationHeartbeat, Track
-from wire.transport import Endpoint, ZenohTransport
+from sim_bridge.sil.ports import free_port
+from sim_bridge.thruster_board.board import Board
+from wire.config.experiment import load_experiment
+from wire.mavlink.agent_link import AgentLink
+from wire.mavlink.board_link import Arm, BoardLink, Override
+from wire.messages import topics
+from wire.messages.messages import Command, Mode, Order, Pose, RobotState, StationHeartbeat, Track
+from wire.transport.bus import Bus
+from wire.transport.transport import Endpoint, ZenohTransport
 
 # Nothing that the thrusters do moves this robot; its steps are slow, so that a busy machine makes few of them late.
 SETTINGS = ("safety.watch_thrusters=false", "controller.period_s=0.1")
@@ -29,14 +29,14 @@ POOL = load_experiment("pool", SETTINGS)
 PATIENCE_S, NEUTRAL_US = 60.0, (1500,) * 4
 TURN_THRUSTERS = """
 import sys
-from robot_agent.config import Board
-from robot_agent.thruster_test import turn_thrusters
-from wire.experiment import load_experiment
+from robot_agent.host.config import Board
+from robot_agent.preflight.thruster_selftest import turn_thrusters
+from wire.config.experiment import load_experiment
 print(list(turn_thrusters(load_experiment("pool"), Board(robot=1, experiment="pool", station="", link=sys.argv[1]))))
 """
 BROKEN_ON_PURPOSE = """
 import runpy, signal, sys
-from robot_agent.controller import Controller
+from robot_agent.control.controller import Controller
 step, broken = Controller.step, []
 signal.signal(signal.SIGUSR1, lambda *_: broken.append(True))
 def stumble(*arguments):

@@ -9,18 +9,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from groundstation import planner
+from groundstation.planning import planner
+from robot_agent.process import Shell
 from robot_agent.rerun import Rerun
-from robot_agent.shell import Shell
 from tests.robot_agent.obedient_board import Board
-from wire import topics
-from wire.bus import Bus, Received
-from wire.codec import Header, encode
-from wire.experiment import Experiment, load_experiment
-from wire.messages import Command, Event, Mode, Obstacles, Order, Plan, Pose, Reply, RobotState, StationHeartbeat, Track
-from wire.runtime import Stop
-from wire.topics import Topic
-from wire.transport import MemoryHub, MemoryTransport
+from wire.config.experiment import Experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import (
+    Command,
+    Event,
+    Mode,
+    Obstacles,
+    Order,
+    Plan,
+    Pose,
+    Reply,
+    RobotState,
+    StationHeartbeat,
+    Track,
+)
+from wire.messages.topics import Topic
+from wire.process.runtime import Stop
+from wire.transport.bus import Bus, Received
+from wire.transport.transport import MemoryHub, MemoryTransport
 
 ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000

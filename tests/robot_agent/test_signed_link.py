@@ -7,17 +7,17 @@ from socket import SOCK_DGRAM
 
 import pytest
 
-from robot_agent.shell import Shell
-from sim_bridge.ports import free_port
-from tests.sim_bridge.test_bench import board
-from wire import topics
-from wire.bus import Bus
-from wire.experiment import load_experiment
-from wire.link import open_link
-from wire.link_key import Signing, new_key
-from wire.messages import RobotState
-from wire.runtime import Stop
-from wire.transport import MemoryHub, MemoryTransport
+from robot_agent.process import Shell
+from sim_bridge.sil.ports import free_port
+from tests.sim_bridge.node.test_bench import board
+from wire.config.experiment import load_experiment
+from wire.mavlink.board_port import open_link
+from wire.mavlink.signing_key import Signing, new_key
+from wire.messages import topics
+from wire.messages.messages import RobotState
+from wire.process.runtime import Stop
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
 
 
 @pytest.mark.parametrize("same", [True, False], ids=["one key", "two keys"])

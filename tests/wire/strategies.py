@@ -10,8 +10,8 @@ from google.protobuf.descriptor import FieldDescriptor
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from wire import codec
-from wire.messages import Event, Frame, Message, Picture, Preview, Video
+from wire.messages import codec
+from wire.messages.messages import Event, Frame, Message, Picture, Preview, Video
 
 CLASSES: tuple[type, ...] = get_args(Message)
 FOREIGN = (Frame, Preview, Video, Picture, Event)

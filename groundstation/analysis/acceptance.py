@@ -1,0 +1,106 @@
+"""Whether a run passed: its figures against what every run must keep and what its experiment asks for. Pure."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from groundstation.analysis.results import Check, Errors, Result
+from groundstation.analysis.series import Series
+from wire.config.controller_benchmark import settled
+
+MISSED_FRACTION = 0.001  # of all control steps; more is a run that did not keep time
+AXES = ("x", "y", "z")
+
+
+def went_all_the_way(series: Series) -> bool:
+    """Whether the slowest robot got to the end of what was to be flown, to within two control periods, and the evaluation with
+    it. A fleet that turned home before has not."""
+    spare_s = 2.0 * series.experiment.controller.period_s
+    turned = series.sent_home_s is not None and series.sent_home_s < series.experiment.duration_s - spare_s
+    return series.started and not turned and min(series.reached_s, series.end_s) >= series.asked_s - spare_s
+
+
+def checks(result: Result, series: Series) -> Iterator[Check]:
+    """Requirements of every run, and the experiment's limits."""
+    errors: dict[str, Errors] = {**{f"robot {k}": r for k, r in result.robots.items()}, **result.pairs}
+    yield from _of_every_run(result, series)
+    yield from _of_errors(errors, series)
+    yield from _of_the_end(series)
+    yield from _of_the_means(result, series)
+
+
+def _of_every_run(result: Result, series: Series) -> Iterator[Check]:
+    experiment = series.experiment
+    flown_s = min(series.reached_s, series.end_s)
+    missing = float(result.log_dropped) if result.log_complete else None
+    yield Check("messages missing from the log", result.log_trouble.partition(":")[0], missing, 0.0, not result.log_trouble)
+    yield Check("whole run flown, s", "slowest robot", flown_s, series.asked_s, went_all_the_way(series))
+    yield Check("faults", "", float(len(result.faults)), 0.0, not result.faults)
+    fraction = result.missed_deadlines_fraction
+    yield _at_most("missed deadlines, fraction", "all robots", fraction, MISSED_FRACTION)
+    closest, allowed = result.min_separation_m, 2.0 * experiment.safety.radius_m
+    if result.pairs:
+        closest_pair = next(pair for pair, found in result.pairs.items() if found.min_separation_m == closest)
+        passed = closest is not None and closest >= allowed
+        yield Check("separation, m, at least", closest_pair, closest, allowed, passed)
+
+
+def _of_errors(errors: dict[str, Errors], series: Series) -> Iterator[Check]:
+    limits, settles = series.experiment.limits, settled(series.asked_s)
+    for name in ("rms_m", "rms_after_20s_m", "max_after_20s_m"):
+        limit = getattr(limits, name)
+        if limit is not None and (settles or name == "rms_m"):
+            yield _at_most(name, *_worst_cell(errors, name), limit)
+    if limits.rms_yaw_after_20s_rad is not None and settles:
+        turned = {subject: found.rms_yaw_after_20s_rad for subject, found in errors.items()}
+        known = {subject: value for subject, value in turned.items() if value is not None}
+        where = max(known, key=lambda subject: known[subject]) if len(known) == len(turned) else ""
+        yield _at_most("rms_yaw_after_20s_rad", where, known.get(where), limits.rms_yaw_after_20s_rad)
+
+
+def _of_the_end(series: Series) -> Iterator[Check]:
+    limits = series.experiment.limits
+    if limits.arrived_m is not None:
+        ends = {robot: r.error[-1, :2] for robot, r in series.robots.items() if went_all_the_way(series)}
+        away = {robot: float(np.hypot(*end)) for robot, end in ends.items() if np.isfinite(end).all()}
+        last = max(away, key=lambda robot: away[robot]) if len(away) == len(series.robots) else None
+        where = f"robot {last}" if last is not None else "the end was not reached"
+        yield _at_most("from its place at the end, m", where, away.get(last) if last else None, limits.arrived_m)
+
+
+def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
+    """How well the localizer saw, how hard thrusters were worked, how late the pulses were."""
+    experiment, limits = series.experiment, series.experiment.limits
+    if limits.pose_rms_m is not None:
+        rms = result.pose_error_m.rms if result.pose_error_m else None
+        yield _at_most("pose error rms, m", "all robots", rms, limits.pose_rms_m)
+    if limits.wrench_step_rms is not None and settled(series.asked_s):
+        share = _shares(result.dtau_rms_after_20s, experiment.wrench_step)
+        where = ("surge", "heave", "yaw")[int(np.argmax(share))] if share else ""
+        yield _at_most(
+            "rms of input steps after 20 s, fraction of bound", where, max(share, default=None), limits.wrench_step_rms
+        )
+    if limits.exposure_to_pwm_p99_ms is not None and result.mode != "numeric":  # where nothing is exposed, nor sent
+        late = result.exposure_to_pwm_ms.p99 if result.exposure_to_pwm_ms else None
+        yield _at_most("exposure to PWM p99, ms", "all robots", late, limits.exposure_to_pwm_p99_ms)
+
+
+def _at_most(name: str, where: str, value: float | None, limit: float) -> Check:
+    """A figure that is missing has not been shown to be good."""
+    return Check(name, where, value, limit, value is not None and value <= limit)
+
+
+def _worst_cell(errors: dict[str, Errors], name: str) -> tuple[str, float | None]:
+    cells = {
+        f"{subject}, {axis}": value
+        for subject, found in errors.items()
+        for axis, value in zip(AXES, getattr(found, name) or (), strict=False)
+    }
+    if not cells or any(getattr(found, name) is None for found in errors.values()):
+        return "", None
+    worst = max(cells, key=lambda cell: cells[cell])
+    return worst, cells[worst]
+
+
+def _shares(values: Sequence[float] | None, bounds: Sequence[float]) -> list[float]:
+    return [value / bound for value, bound in zip(values or (), bounds, strict=False)]

@@ -1,0 +1,414 @@
+"""From a log to aligned arrays: truth, reference and estimate of every robot on one clock. Pure.
+
+A robot's reference at an instant is where its own trajectory clock (RobotState.trajectory_s) says it should be. A clock that
+stands (holding, dead) leaves the reference standing, and the run counts as incomplete.
+
+A log may hold several flights. One of them is looked at: the last that was more than the way home, or the one asked for.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from groundstation.analysis.series import CHANNELS, HOPS, Flight, Happening, RobotSeries, Series, States
+from groundstation.logs.reader import Entry, RunLog
+from wire.config.experiment import Experiment
+from wire.config.scene import Circle, PathSpec
+from wire.frames import Array, pose_error
+from wire.messages import topics
+from wire.messages.messages import (
+    Event,
+    LocalizerStatus,
+    Mode,
+    Pose,
+    RobotState,
+    StationHeartbeat,
+    StepInputs,
+    Track,
+    Trajectory,
+    Truth,
+)
+from wire.toml_loader import ConfigError
+
+LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
+OLD_POSE_MS = 150.0  # a step that goes by an older one came without a pose: its age is no latency
+WARNING = 3  # level of an Event from which on something is wrong
+BACK_S = 5.0  # who held goes on from where the slowest was, a little further back; who goes back further begins again
+FRESH_S = 2.0  # a clock that begins anew after 0 and is below this has been started; a robot that rejoins is further on
+TURNED_S = 1.0  # a flight that is on its way home so soon was nothing else
+HOMEWARD = "RETURNING"  # the mission's state in the station's heartbeat (groundstation/mission/state_machine.py)
+SPARE_S = 3600.0  # a flight may take twice its duration and this: longer is a clock that leaps, and would fill the memory
+PERIODS_S = (0.001, 10.0)  # of a trajectory's samples; the agent takes up to 1 s
+
+
+@dataclass(frozen=True, eq=False)
+class _Samples:
+    """Poses at instants, yaw unwrapped: (k,) ns and (k, columns)."""
+
+    stamp_ns: Array
+    values: Array
+
+    def at(self, stamp_ns: Array) -> Array:
+        """Linear in between, NaN outside and across gaps, (n, columns)."""
+        columns = self.values.shape[1]
+        if len(self.stamp_ns) < 2 or len(stamp_ns) == 0:
+            return np.full((len(stamp_ns), columns), np.nan)
+        found = np.column_stack([np.interp(stamp_ns, self.stamp_ns, self.values[:, c]) for c in range(columns)])
+        after = np.clip(np.searchsorted(self.stamp_ns, stamp_ns), 1, len(self.stamp_ns) - 1)
+        gap = self.stamp_ns[after] - self.stamp_ns[after - 1]
+        outside = (stamp_ns < self.stamp_ns[0]) | (stamp_ns > self.stamp_ns[-1])
+        found[outside | (gap > LONGEST_GAP_S * 1e9)] = np.nan
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Recorded:
+    """What one robot left in the log."""
+
+    states: list[Entry[RobotState]]
+    trajectory: Trajectory | None
+    truth: _Samples
+    disturbance: _Samples
+    poses: list[Entry[Pose]]
+    inputs: dict[int, StepInputs]  # by their stamps
+    lost: dict[str, int]
+    clock_ns: Array  # (m,) stamps, and
+    clock_s: Array  # (m,) where on its trajectory the robot was; empty if it never flew
+
+    @property
+    def flew(self) -> bool:
+        return len(self.clock_s) > 0
+
+    @property
+    def start_ns(self) -> int:
+        return _start_ns(self.clock_ns, self.clock_s)
+
+
+def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Series:
+    """Bring a flight of a log onto one clock: the one of that number, from 1, else the last that was more than the way home.
+    Works for any part of a run, also for one in which nothing ever moved. Raises ConfigError where there is no such flight."""
+    known = bool(log.of(topics.TRUTH, Truth))
+    flights = _flights(log, experiment.robot_ids)
+    number = _chosen(flights, flight)
+    window = (flights[number - 1].begin_ns, flights[number - 1].until_ns) if number else (0, 0)
+    recorded = {robot: _gather(log, robot, known, window) for robot in experiment.robot_ids}
+    flown = [r for r in recorded.values() if r.flew]
+    start_ns = max((r.start_ns for r in flown), default=_first_stamp_ns(log))
+    whole_s = _end_s(recorded, flown, start_ns, experiment.duration_s)
+    end_s = min(whole_s, 2.0 * experiment.duration_s + SPARE_S)
+    rows = int(end_s / experiment.controller.period_s + 1e-6) + 1 if flown else 0
+    time_s = np.arange(rows, dtype=np.float64) * experiment.controller.period_s
+    located = any(len(r.truth.stamp_ns) > 1 for r in recorded.values())
+    return Series(
+        experiment=experiment,
+        start_ns=start_ns,
+        end_s=end_s,
+        started=bool(flown),
+        reached_s=min((float(r.clock_s.max()) if r.flew else 0.0 for r in recorded.values()), default=0.0),
+        asked_s=_asked_s(experiment, recorded),
+        ended_s=(window[1] - start_ns) * 1e-9,
+        time_s=time_s,
+        robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, known) for robot, r in recorded.items()},
+        errors_against=None if not flown or not located else "truth" if known else "localizer",
+        frame_ms=_frame_times(log, start_ns),
+        happenings=_happenings(log, recorded, start_ns),
+        sent_home_s=_sent_home_s(log, flights[number - 1], start_ns) if number else None,
+        cut_short=whole_s > end_s,
+        flights=tuple(flights),
+        flight=number,
+    )
+
+
+def zero_ns(log: RunLog, robots: Sequence[int]) -> int:
+    """The stamp of time 0, as `align` has it; needs the states only."""
+    flights = _flights(log, robots)
+    number = _chosen(flights, None)
+    if not number:
+        return _first_stamp_ns(log)
+    window = (flights[number - 1].begin_ns, flights[number - 1].until_ns)
+    clocks = [_clock(log.of(topics.STATE, RobotState, robot), window) for robot in robots]
+    return max(_start_ns(clock_ns, clock_s) for clock_ns, clock_s in clocks if len(clock_s))
+
+
+# --- flights
+
+
+def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
+    """All flights of the fleet. A new one begins when a robot begins again that has flown in this one, or when nobody of this
+    one flies any more."""
+    parts = sorted(part for robot in robots for part in _robot_flights(log.of(topics.STATE, RobotState, robot), robot))
+    groups: list[list[tuple[int, int, float, int]]] = []
+    for part in parts:
+        here = groups[-1] if groups else []
+        if not here or part[3] in {robot for *_, robot in here} or part[0] > max(over_ns for _, over_ns, _, _ in here):
+            groups.append([part])
+        else:
+            here.append(part)
+    ends = [group[0][0] for group in groups[1:]] + ([_last_stamp_ns(log) + 1] if groups else [])
+    flights = []
+    for group, until_ns in zip(groups, ends, strict=True):
+        begin_ns, over_ns = group[0][0], max(over_ns for _, over_ns, _, _ in group)
+        flight = Flight(begin_ns, over_ns, until_ns, max(flown_s for _, _, flown_s, _ in group))
+        turned_s = _sent_home_s(log, flight, begin_ns)
+        flights.append(replace(flight, home=turned_s is not None and turned_s < TURNED_S))
+    return flights
+
+
+def _robot_flights(states: Sequence[Entry[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
+    """Of one robot: stamps of the first and the last step under way, how far it came, and its number."""
+    found: list[tuple[int, int, float, int]] = []
+    last_s, stood_at_zero = 0.0, False
+    for e in states:
+        clock_s = e.message.trajectory_s
+        if clock_s <= 0.0:
+            stood_at_zero = True
+        elif e.message.mode is Mode.TRACKING:
+            again = clock_s < last_s - BACK_S or (stood_at_zero and clock_s < min(last_s, FRESH_S))
+            if not found or again:
+                found.append((e.stamp_ns, e.stamp_ns, clock_s, robot))
+            begin_ns, _, reached_s, _ = found[-1]
+            found[-1] = (begin_ns, e.stamp_ns, max(reached_s, clock_s), robot)
+            last_s, stood_at_zero = clock_s, False
+    return found
+
+
+def _chosen(flights: Sequence[Flight], wanted: int | None) -> int:
+    """Number of the flight to look at, from 1; 0 if there is none."""
+    if wanted is not None:
+        if not 1 <= wanted <= len(flights):
+            raise ConfigError(f"--flight {wanted}: the log holds {len(flights)} (allowed: 1 to {len(flights)})")
+        return wanted
+    outward = [number for number, flight in enumerate(flights, start=1) if not flight.home]
+    return outward[-1] if outward else len(flights)
+
+
+def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
+    """When in a flight the station first said that the fleet is on its way home."""
+    for beat in log.of(topics.HEARTBEAT, StationHeartbeat):
+        if flight.begin_ns <= beat.stamp_ns <= flight.over_ns and beat.message.mission == HOMEWARD:
+            return (beat.stamp_ns - start_ns) * 1e-9
+    return None
+
+
+def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float:
+    """How far along the trajectory the flight was to go. Trajectories are a controller's horizon longer than that."""
+    ahead_s = experiment.controller.mpc.horizon * experiment.controller.period_s
+    flown = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
+    ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in flown]
+    return max(0.0, min([experiment.duration_s, *ends]))
+
+
+# --- one robot
+
+
+def _clock(states: Sequence[Entry[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:
+    """Stamps and where on its trajectory the robot was, from its first step under way in a window on, whatever the mode: while
+    it holds, its clock stands. Empty if it did not fly."""
+    inside = [e for e in states if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
+    first = next((k for k, e in enumerate(inside) if e.message.mode is Mode.TRACKING), len(inside))
+    clock_ns = np.array([e.stamp_ns for e in inside[first:]], dtype=np.float64)
+    return clock_ns, np.array([e.message.trajectory_s for e in inside[first:]], dtype=np.float64)
+
+
+def _start_ns(clock_ns: Array, clock_s: Array) -> int:
+    """When the robot's trajectory began, by its first step under way."""
+    return round(float(clock_ns[0]) - float(clock_s[0]) * 1e9)
+
+
+def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _Recorded:
+    states = log.of(topics.STATE, RobotState, robot)
+    inputs = log.of(topics.INPUTS, StepInputs, robot)
+    poses = [entry for entry in log.of(topics.POSE, Pose, robot) if entry.message.track is not Track.LOST]
+    flown = [e.message for e in states if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
+    named = [m.trajectory_id for m in flown if m.mode is Mode.TRACKING]
+    trajectories = [e.message for e in log.of(topics.TRAJECTORY, Trajectory, robot) if _is_path(e.message)]
+    # the last that was flown holds what was flown before it as well
+    chosen = [t for t in trajectories if named and t.id == named[-1]] or trajectories
+    truth, disturbance = _truth(log, robot) if known else (_located(states, poses), _samples([], []))
+    clock_ns, clock_s = _clock(states, window)
+    return _Recorded(
+        states=states,
+        trajectory=chosen[-1] if chosen else None,
+        truth=truth,
+        disturbance=disturbance,
+        poses=poses,
+        inputs={e.stamp_ns: e.message for e in inputs},
+        lost={"poses": _lost(log.of(topics.POSE, Pose, robot)), "states": _lost(states), "inputs": _lost(inputs)},
+        clock_ns=clock_ns,
+        clock_s=clock_s,
+    )
+
+
+def _is_path(trajectory: Trajectory) -> bool:
+    """Whether there is anything to be flown in it."""
+    return len(trajectory.eta) > 1 and PERIODS_S[0] <= trajectory.period_s <= PERIODS_S[1]
+
+
+def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
+    """True pose and true disturbance of a robot."""
+    found = [
+        (e.stamp_ns, e.message, e.message.robots.index(robot))
+        for e in log.of(topics.TRUTH, Truth)
+        if robot in e.message.robots
+    ]
+    found = [(ns, m, row) for ns, m, row in found if len(m.eta) > row]
+    stamps = [ns for ns, _, _ in found]
+    explained = all(len(m.disturbance) > row for _, m, row in found)
+    disturbance = [m.disturbance[row] for _, m, row in found] if explained else []
+    return _samples(stamps, [m.eta[row] for _, m, row in found]), _samples(stamps if explained else [], disturbance)
+
+
+def _located(states: Sequence[Entry[RobotState]], poses: Sequence[Entry[Pose]]) -> _Samples:
+    """Instead of the truth: the localizer's poses, with the depth that the robot measured."""
+    stamps = np.array([e.stamp_ns for e in poses], dtype=np.float64)
+    depth = np.array([(e.stamp_ns, e.message.depth_m) for e in states], dtype=np.float64).reshape(-1, 2)
+    depth_m = np.interp(stamps, depth[:, 0], depth[:, 1]) if len(depth) else np.full(len(stamps), np.nan)
+    rows = [[e.message.x_m, e.message.y_m, z, e.message.yaw_rad] for e, z in zip(poses, depth_m, strict=True)]
+    return _samples(list(stamps), [np.array(row) for row in rows])
+
+
+def _samples(stamps: Sequence[float], rows: Sequence[Array]) -> _Samples:
+    values = np.array(rows, dtype=np.float64).reshape(-1, 4)
+    values[:, 3] = np.unwrap(values[:, 3])
+    return _Samples(np.array(stamps, dtype=np.float64), values)
+
+
+def _first_stamp_ns(log: RunLog) -> int:
+    states = [e.stamp_ns for (name, _), found in log.entries.items() for e in found if name == topics.STATE.name]
+    anything = [e.stamp_ns for found in log.entries.values() for e in found]
+    return min(states or anything, default=0)
+
+
+def _last_stamp_ns(log: RunLog) -> int:
+    return max((e.stamp_ns for found in log.entries.values() for e in found[-1:]), default=0)
+
+
+def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
+    """When the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
+    ends = []
+    for r in flown:
+        there = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
+        moving = np.flatnonzero(np.diff(r.clock_s) > 0.0)
+        ends.append(r.clock_ns[there[0]] if len(there) else r.clock_ns[moving[-1] + 1] if len(moving) else r.clock_ns[0])
+    known_until = [r.truth.stamp_ns[-1] for r in recorded.values() if len(r.truth.stamp_ns)]
+    return max(0.0, (float(min([max(ends, default=start_ns), *known_until])) - start_ns) * 1e-9)
+
+
+def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Array, start_ns: int, known: bool) -> RobotSeries:
+    stamps = start_ns + time_s * 1e9
+    states = _states(r.states, r.inputs, start_ns)
+    state_stamps = np.array([e.stamp_ns for e in r.states], dtype=np.float64)
+    pose = np.array([[e.message.x_m, e.message.y_m, e.message.yaw_rad] for e in r.poses], dtype=np.float64).reshape(-1, 3)
+    pose_stamps = np.array([e.stamp_ns for e in r.poses], dtype=np.float64)
+    true_pose = r.truth.at(pose_stamps)
+    seen = np.column_stack([pose[:, :2], true_pose[:, 2], pose[:, 2]])
+    error = pose_error(seen, true_pose)[:, [0, 1, 3]] if known else np.full_like(pose, np.nan)
+    return RobotSeries(
+        truth=r.truth.at(stamps),
+        reference=_reference(r, stamps),
+        still=_middle(experiment.path_of(experiment.robot(robot)), experiment.duration_s, r.trajectory),
+        states=states,
+        truth_at_states=r.truth.at(state_stamps),
+        disturbance_at_states=r.disturbance.at(state_stamps),
+        pose_time_s=(pose_stamps - start_ns) * 1e-9,
+        pose=pose,
+        pose_error=error,
+        lost=r.lost,
+    )
+
+
+def _reference(r: _Recorded, stamps: Array) -> Array:
+    """Where the robot should be at each stamp, (n, 4)."""
+    if r.trajectory is None:
+        return np.full((len(stamps), 4), np.nan)
+    time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
+    curve = CubicHermiteSpline(time_s, r.trajectory.eta, r.trajectory.velocity)
+    clock_s = np.interp(stamps, r.clock_ns, r.clock_s) if r.flew else np.zeros(len(stamps))
+    return np.asarray(curve(np.clip(clock_s, 0.0, time_s[-1])))
+
+
+def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) -> Array | None:
+    """The middle of a reference (4,): a circle's centre, else the mean over the run."""
+    if trajectory is None:
+        return None
+    if isinstance(path, Circle):
+        rate_radps = 2.0 * np.pi / path.lap_s
+        return np.asarray(trajectory.eta[0] + trajectory.acceleration[0] / rate_radps**2)  # a = -rate^2 (p - centre)
+    return np.asarray(trajectory.eta[: round(duration_s / trajectory.period_s) + 1].mean(axis=0))
+
+
+def _hops_ms(state: Entry[RobotState], inputs: StepInputs | None) -> Array:
+    """How the time from the exposure to the PWM was spent, by HOPS; NaN where the pose was an old one, or nothing is known."""
+    unknown = np.full(len(HOPS), np.nan)
+    if inputs is None or inputs.pose is None or state.message.exposure_to_pwm_ms <= 0.0:
+        return unknown
+    told_ms, age_ms = inputs.pose_told_age_ns * 1e-6, (state.stamp_ns - inputs.pose_instant_ns) * 1e-6
+    answered_ms, step_ms = state.message.exposure_to_pwm_ms - state.message.pose_age_ms, state.message.step_us * 1e-3
+    hops = np.array([told_ms, age_ms - told_ms, step_ms, max(answered_ms - step_ms, 0.0)])
+    return hops if age_ms <= OLD_POSE_MS else unknown
+
+
+def _lost(entries: Sequence[Entry[Any]]) -> int:
+    """Numbers left out; a sender that begins anew begins at 1."""
+    steps = np.diff([e.sequence for e in entries]) if len(entries) > 1 else np.zeros(0)
+    return int((steps[steps > 1] - 1).sum())
+
+
+def _states(entries: Sequence[Entry[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
+    messages = [e.message for e in entries]
+
+    def column(values: Sequence[float]) -> Array:
+        return np.array(values, dtype=np.float64)
+
+    def rows(values: Sequence[Array], width: int) -> Array:
+        return np.array(values, dtype=np.float64).reshape(-1, width)
+
+    pulses = np.full((len(entries), CHANNELS), np.nan)
+    for k, message in enumerate(messages):
+        pulses[k, : len(message.pulse_us[:CHANNELS])] = message.pulse_us[:CHANNELS]
+    return States(
+        time_s=column([(e.stamp_ns - start_ns) * 1e-9 for e in entries]),
+        mode=column([m.mode for m in messages]),
+        trajectory_s=column([m.trajectory_s for m in messages]),
+        eta=rows([m.eta for m in messages], 4),
+        eta_reference=rows([m.eta_reference for m in messages], 4),
+        eta_command=rows([m.eta_command for m in messages], 4),
+        disturbance=rows([m.disturbance for m in messages], 4),
+        wrench=rows([m.wrench for m in messages], 3),
+        wrench_step=rows([m.wrench_step for m in messages], 3),
+        wrench_wanted=rows([m.wrench_wanted for m in messages], 3),
+        pulse_us=pulses,
+        exposure_to_pwm_ms=column([m.exposure_to_pwm_ms for m in messages]),
+        step_us=column([m.step_us for m in messages]),
+        iterations=column([m.iterations for m in messages]),
+        missed_deadlines=column([m.missed_deadlines for m in messages]),
+        slack_m=column([m.slack_m for m in messages]),
+        board_loss=column([m.board_loss for m in messages]),
+        hops_ms=rows([_hops_ms(e, inputs.get(e.stamp_ns)) for e in entries], len(HOPS)),
+    )
+
+
+def _frame_times(log: RunLog, start_ns: int) -> Array:
+    statuses = log.of(topics.LOCALIZER, LocalizerStatus)  # none has a frame where the simulator stands for the localizer
+    found = [((e.stamp_ns - start_ns) * 1e-9, e.message.frame_ms) for e in statuses if e.message.frame_ms > 0.0]
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[Happening, ...]:
+    """Every change of a robot's mode or fault, and every event, in order."""
+    found = []
+    for robot, r in recorded.items():
+        before: tuple[Mode, str] | None = None
+        for e in r.states:
+            now = (e.message.mode, e.message.fault)
+            if now != before:
+                text = now[0].name.lower() + (f": {now[1]}" if now[1] else "")
+                found.append(Happening((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
+            before = now
+    for event in log.of(topics.EVENT, Event):
+        m = event.message
+        found.append(Happening((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
+    return tuple(sorted(found, key=lambda h: h.time_s))

@@ -1,0 +1,293 @@
+"""From aligned arrays to the figures of a run; acceptance.py says whether they are good enough. Pure."""
+
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from groundstation.analysis.acceptance import checks, went_all_the_way
+from groundstation.analysis.results import Errors, FlightPart, PairResult, Quantiles, Result, RobotResult, Spread, Three
+from groundstation.analysis.series import (
+    HOPS,
+    SETTLED_S,
+    THRUSTERS,
+    Flight,
+    Happening,
+    Mask,
+    RobotSeries,
+    Series,
+    active_limits,
+)
+from groundstation.logs.reader import RunLog
+from wire.config.experiment import ArticleRow, Experiment
+from wire.frames import Array, pose_error, wrap_angle
+
+
+def evaluate(series: Series, log: RunLog) -> Result:
+    """The figures of a run. Works for any part of one; what is missing is None and said in `notes`."""
+    experiment, each = series.experiment, series.robots.values()
+    robots = {str(robot): _robot(series, robot) for robot in experiment.robot_ids}
+    pairs = {f"{a}-{b}": _pair(series, a, b) for a, b in combinations(experiment.robot_ids, 2)}
+    flying = [r.states.tracking & _within(r.states.time_s, series) for r in each]
+    step_us = np.concatenate([r.states.step_us[rows] for r, rows in zip(each, flying, strict=True)])
+    latency_ms = np.concatenate([r.states.exposure_to_pwm_ms[rows] for r, rows in zip(each, flying, strict=True)])
+    located = np.concatenate([r.pose_error[_within(r.pose_time_s, series)] for r in each])
+    steps, missed = sum(r.control_steps for r in robots.values()), sum(r.missed_deadlines for r in robots.values())
+    wear = [r.dtau_rms for r in robots.values() if r.dtau_rms is not None]
+    settled_wear = [r.dtau_rms_after_20s for r in robots.values() if r.dtau_rms_after_20s is not None]
+    result = Result(
+        scene=experiment.name,
+        seed=experiment.seed,
+        mode=log.metadata.get("mode", "unknown"),
+        passed=False,
+        duration_s=round(series.end_s, 6),
+        planned_duration_s=experiment.duration_s,
+        real_time_factor=_real_time_factor(series, log),
+        errors_against=series.errors_against,
+        robots=robots,
+        pairs=pairs,
+        min_separation_m=_least(p.min_separation_m for p in pairs.values()),
+        control_step_us=_quantiles(step_us[step_us > 0.0]),
+        pose_error_m=_spread(np.hypot(located[:, 0], located[:, 1])),
+        pose_error_rad=_spread(np.abs(located[:, 2])),
+        exposure_to_pwm_ms=_quantiles(latency_ms[latency_ms > 0.0]),
+        dtau_rms=_three(np.max(wear, axis=0)) if wear else None,
+        dtau_rms_after_20s=_three(np.max(settled_wear, axis=0)) if settled_wear else None,
+        pulse_step_rms_us=max((r.pulse_step_rms_us or 0.0 for r in robots.values()), default=None) if wear else None,
+        missed_deadlines=missed,
+        missed_deadlines_fraction=missed / steps if steps else None,
+        log_complete=log.complete,
+        log_dropped=log.dropped,
+        experiment_hash=experiment.hash,
+        notes=tuple(_notes(series, log)),
+        checks=(),
+        latency_hops_ms=_hops(each, flying),
+        at_limit=_at_limit(series, flying),
+        slack_m=_most(r.states.slack_m[rows] for r, rows in zip(each, flying, strict=True)),
+        board_loss=_most(r.states.board_loss[rows] for r, rows in zip(each, flying, strict=True)),
+        messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
+        faults=tuple(h for h in series.happenings if h.fault and _in_flight(h, series)),
+        asked_s=round(series.asked_s, 6),
+        log_trouble=log.trouble,
+        version=log.metadata.get("version", "unknown"),
+        commit=log.metadata.get("commit", "unknown"),
+        flight=series.flight,
+        flights=tuple(_part(flight, series.start_ns) for flight in series.flights),
+    )
+    judged = tuple(checks(result, series))
+    return dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
+
+
+def _in_flight(happening: Happening, series: Series) -> bool:
+    """Whether something happened in the flight that is judged. What ended a flight early comes after its last step under way;
+    what comes after a flight that went to its end is none of its faults."""
+    if not series.started:
+        return True
+    until_s = series.end_s if went_all_the_way(series) else series.ended_s
+    return 0.0 <= happening.time_s <= until_s
+
+
+def _part(flight: Flight, start_ns: int) -> FlightPart:
+    begin_s, over_s = ((ns - start_ns) * 1e-9 for ns in (flight.begin_ns, flight.over_ns))
+    return FlightPart(round(begin_s, 6), round(over_s, 6), round(flight.flown_s, 6), flight.home)
+
+
+# --- errors
+
+
+def _robot(series: Series, robot: int) -> RobotResult:
+    mine = series.robots[robot]
+    states = mine.states
+    window = _within(states.time_s, series)
+    tracking = window & states.tracking
+    yaw = wrap_angle(mine.truth_at_states[tracking, 3] - states.eta_command[tracking, 3])
+    settled = states.time_s[tracking] >= SETTLED_S
+    unexplained = states.disturbance[tracking] - mine.disturbance_at_states[tracking]
+    missed = np.diff(states.missed_deadlines[window])
+    steps = states.wrench_step[tracking]
+    pulses = np.diff(states.pulse_us[tracking][:, :THRUSTERS], axis=0)
+    return RobotResult(
+        **_fields(_errors(mine.error, series.time_s)),
+        rms_yaw_command_rad=_rms(yaw),
+        rms_yaw_command_after_20s_rad=_rms(yaw[settled]),
+        dtau_rms=_three(np.sqrt(np.mean(steps**2, axis=0))) if tracking.any() else None,
+        dtau_rms_after_20s=_three(np.sqrt(np.mean(steps[settled] ** 2, axis=0))) if settled.any() else None,
+        pulse_step_rms_us=_rms(pulses),
+        disturbance_error_rms=_column_rms(unexplained),
+        control_steps=int(window.sum()),
+        missed_deadlines=int(missed[missed > 0.0].sum()),  # falls only when a restarted process counts anew
+        baseline=_still(mine, mine.reference, series.time_s),
+        article=_article(series.experiment, str(robot)),
+    )
+
+
+def _pair(series: Series, a: int, b: int) -> PairResult:
+    one, other = series.robots[a], series.robots[b]
+    apart = series.separation_m(a, b)
+    baseline = None
+    if one.still is not None and other.still is not None:
+        still = np.tile(one.still - other.still, (len(series.time_s), 1))
+        baseline = _without_yaw(_errors(pose_error(still, one.reference - other.reference), series.time_s))
+    return PairResult(
+        **_fields(_errors(series.pair_error(a, b), series.time_s)),
+        min_separation_m=float(np.nanmin(apart)) if np.isfinite(apart).any() else None,
+        baseline=baseline,
+        article=_article(series.experiment, f"{a}-{b}"),
+    )
+
+
+def _still(robot: RobotSeries, reference: Array, time_s: Array) -> Errors | None:
+    if robot.still is None or len(time_s) == 0:
+        return None
+    return _without_yaw(_errors(pose_error(np.tile(robot.still, (len(time_s), 1)), reference), time_s))
+
+
+def _without_yaw(errors: Errors) -> Errors:
+    """A robot that does not move has no heading to speak of."""
+    return dataclasses.replace(errors, rms_yaw_rad=None, rms_yaw_after_20s_rad=None)
+
+
+def _errors(error: Array, time_s: Array) -> Errors:
+    """Statistics of an error (n, 4) at n instants; rows with NaN do not count."""
+    known = np.isfinite(error).all(axis=1)
+    whole, settled = error[known], error[known & (time_s >= SETTLED_S)]
+    return Errors(
+        rms_m=_axes(whole, _root_mean_square),
+        rms_yaw_rad=_rms(whole[:, 3]),
+        rms_after_20s_m=_axes(settled, _root_mean_square),
+        rms_yaw_after_20s_rad=_rms(settled[:, 3]),
+        max_m=_axes(whole, _largest),
+        max_after_20s_m=_axes(settled, _largest),
+    )
+
+
+# --- the controller's limits, and its links
+
+
+def _hops(robots: Iterable[RobotSeries], flying: Sequence[Mask]) -> dict[str, Quantiles | None]:
+    hops = np.concatenate([r.states.hops_ms[rows] for r, rows in zip(robots, flying, strict=True)])
+    known = hops[np.isfinite(hops).all(axis=1)]
+    return {name: _quantiles(known[:, k]) for k, name in enumerate(HOPS)} if len(known) else {}
+
+
+def _at_limit(series: Series, flying: Sequence[Mask]) -> dict[str, float]:
+    shares = [
+        {name: float(active[rows].mean()) for name, active in active_limits(series, r).items()}
+        for r, rows in zip(series.robots.values(), flying, strict=True)
+        if rows.any()
+    ]
+    return {name: max(share[name] for share in shares) for name in shares[0]} if shares else {}
+
+
+def _most(values: Iterable[Array]) -> float | None:
+    found = np.concatenate(list(values))
+    return float(found.max()) if found.size else None
+
+
+# --- statistics; None for no values
+
+
+def _within(time_s: Array, series: Series) -> Mask:
+    return np.asarray((time_s >= 0.0) & (time_s <= series.end_s))
+
+
+def _root_mean_square(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+
+
+def _largest(values: Array) -> Array:
+    return np.asarray(np.max(np.abs(values), axis=0))
+
+
+def _axes(error: Array, measure: Callable[[Array], Array]) -> Three | None:
+    return _three(measure(error[:, :3])) if len(error) else None
+
+
+def _three(values: Array) -> Three:
+    return float(values[0]), float(values[1]), float(values[2])
+
+
+def _rms(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(_root_mean_square(known)) if known.size else None
+
+
+def _column_rms(values: Array) -> tuple[float, ...] | None:
+    known = values[np.isfinite(values).all(axis=1)]
+    return tuple(float(v) for v in _root_mean_square(known)) if len(known) else None
+
+
+def _quantiles(values: Array) -> Quantiles | None:
+    if values.size == 0:
+        return None
+    p50, p99 = np.percentile(values, [50.0, 99.0])
+    return Quantiles(float(p50), float(p99), float(values.max()), values.size)
+
+
+def _spread(values: Array) -> Spread | None:
+    known = values[np.isfinite(values)]
+    return Spread(float(_root_mean_square(known)), float(known.max())) if known.size else None
+
+
+def _fields(errors: Errors) -> dict[str, Any]:
+    return {field.name: getattr(errors, field.name) for field in dataclasses.fields(Errors)}
+
+
+def _article(experiment: Experiment, subject: str) -> ArticleRow | None:
+    return next((row for row in experiment.article if row.subject == subject), None)
+
+
+def _real_time_factor(series: Series, log: RunLog) -> float | None:
+    """Run time over wall-clock time, between the flushes of the log that lie in the run."""
+    first_ns, last_ns = series.start_ns, series.start_ns + series.end_s * 1e9
+    inside = [(stamp_ns, wall_ns) for stamp_ns, wall_ns in log.pace if first_ns <= stamp_ns <= last_ns]
+    if len(inside) < 2 or inside[-1][1] <= inside[0][1]:
+        return None
+    return (inside[-1][0] - inside[0][0]) / (inside[-1][1] - inside[0][1])
+
+
+# --- words
+
+
+def _notes(series: Series, log: RunLog) -> Iterator[str]:
+    """What a reader must know before the figures. What is wrong with the log comes first."""
+    if log.trouble:
+        yield log.trouble
+    yield from _of_the_flight(series)
+    if series.started and series.errors_against is None:
+        yield "Neither truth nor poses were recorded: there are no errors."
+    if series.errors_against == "localizer":
+        yield "No truth was recorded: errors are against the localizer's poses, and cannot show the localizer's own."
+    absent = [str(robot) for robot, r in series.robots.items() if not r.states.tracking.any()]
+    if series.started and absent:
+        yield f"Never under way: robot {', '.join(absent)}."
+    if series.cut_short:
+        yield f"Only {series.end_s:.0f} s are evaluated: by its stamps the flight lasts longer than it can; a clock leaps."
+    if log.undecodable:
+        yield f"{log.undecodable} recorded messages could not be decoded: they are damaged, or of another version."
+
+
+def _of_the_flight(series: Series) -> Iterator[str]:
+    planned_s = series.experiment.duration_s
+    if len(series.flights) > 1:
+        yield (
+            f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "
+            "`groundstation report RUN --flight N` makes one of another."
+        )
+    if not series.started:
+        yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
+    elif series.sent_home_s is not None and not went_all_the_way(series):
+        yield f"The run is not complete: the fleet was sent home after {series.sent_home_s:.1f} s of {planned_s:g} s."
+    elif not went_all_the_way(series):
+        yield f"The run is not complete: {series.reached_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
+        first = next((h for h in series.happenings if h.fault and _in_flight(h, series)), None)
+        if first is not None:
+            yield f"The first fault was at {first.time_s:.1f} s, {first.source}: {first.text}."
+    elif series.asked_s < planned_s - series.experiment.controller.period_s:
+        yield f"The path was over after {series.asked_s:.1f} s, before the {planned_s:g} s of the experiment."
+
+
+def _least(values: Iterable[float | None]) -> float | None:
+    return min((value for value in values if value is not None), default=None)

@@ -1,0 +1,135 @@
+"""A recorded run on one clock, as arrays: what the figures and the results are made from. Pure; alignment.py fills it.
+
+Time 0 is the common start: the first instant at which every robot that flew was under way on its trajectory. Errors are
+against the plant's truth, or in a real pool, which has none, against the localizer's poses.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.config.controller_benchmark import (
+    SETTLED_S as SETTLED_S,  # ambiguity A14: errors are given for the whole run and from here on
+)
+from wire.config.experiment import Experiment
+from wire.frames import Array, pose_error
+from wire.messages.messages import Mode
+
+THRUSTERS, CHANNELS = 4, 8
+HOPS = ("localizer", "network, waiting", "control step", "to the board")  # of a pose, from the exposure to the PWM
+SLACK_M = 0.001  # less is the solver's own tolerance
+AT_LIMIT = 0.999  # of a bound: the solver stops that close to it
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class States:
+    """A robot's own account, one row per recorded control step, m rows."""
+
+    time_s: Array
+    mode: Array  # Mode as a number
+    trajectory_s: Array
+    eta: Array  # (m, 4) estimated
+    eta_reference: Array  # (m, 4)
+    eta_command: Array  # (m, 4)
+    disturbance: Array  # (m, 4) estimated
+    wrench: Array  # (m, 3)
+    wrench_step: Array  # (m, 3)
+    wrench_wanted: Array  # (m, 3) before it was limited
+    pulse_us: Array  # (m, 8), NaN where none was sent
+    exposure_to_pwm_ms: Array
+    step_us: Array
+    iterations: Array
+    missed_deadlines: Array  # cumulative
+    slack_m: Array  # by how much the plan enters the space of another robot
+    board_loss: Array  # fraction of the board's messages lost, last 5 s
+    hops_ms: Array  # (m, len(HOPS)) from the exposure on; NaN where the log does not say
+
+    @property
+    def tracking(self) -> Mask:
+        """The rows under way on the trajectory, (m,)."""
+        return np.asarray((self.mode == Mode.TRACKING) & (self.trajectory_s > 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class RobotSeries:
+    """One robot. Rows with index n are on Series.time_s; NaN is unknown."""
+
+    truth: Array  # (n, 4)
+    reference: Array  # (n, 4)
+    still: Array | None  # (4,) where a robot would sit that never moves: the middle of its reference
+    states: States
+    truth_at_states: Array  # (m, 4)
+    disturbance_at_states: Array  # (m, 4) true
+    pose_time_s: Array  # (k,)
+    pose: Array  # (k, 3) x, y, yaw as located
+    pose_error: Array  # (k, 3) against the truth, NaN where there is none
+    lost: dict[str, int] = field(default_factory=dict)  # messages that never reached the log, by kind: gaps in their numbers
+
+    @property
+    def error(self) -> Array:
+        """Tracking error (n, 4), yaw to the path's tangent and wrapped."""
+        return pose_error(self.truth, self.reference)
+
+
+@dataclass(frozen=True)
+class Happening:
+    """Something that happened, for people; `fault` if it should not have."""
+
+    time_s: float
+    source: str
+    text: str
+    fault: bool
+
+
+@dataclass(frozen=True)
+class Flight:
+    """One flight of a log: from a START of the fleet to the next, or to the log's end."""
+
+    begin_ns: int  # stamp of the first step under way
+    over_ns: int  # of the last step under way
+    until_ns: int  # where the next flight begins
+    flown_s: float  # along the trajectory, by the robot that came farthest
+    home: bool = False  # it was only the way home
+
+
+@dataclass(frozen=True, eq=False)
+class Series:
+    """A flight of a run on one clock."""
+
+    experiment: Experiment
+    start_ns: int  # stamp of time 0
+    end_s: float  # of the evaluation
+    started: bool  # at least one robot flew
+    reached_s: float  # along the trajectory, by the slowest robot
+    asked_s: float  # along the trajectory, what was to be flown: the experiment's duration, or less where the path was over
+    ended_s: float  # of the flight: its log goes on so long, also after the evaluation
+    time_s: Array  # (n,) one row per control period, 0 to end_s
+    robots: dict[int, RobotSeries]
+    errors_against: str | None  # "truth", "localizer", or None when there is nothing to compare with
+    frame_ms: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (f, 2) time in s, processing time of a frame in ms
+    happenings: tuple[Happening, ...] = ()
+    sent_home_s: float | None = None  # when the fleet turned home before the end
+    cut_short: bool = False  # the evaluation ends before the flight does: its clock leaps
+    flights: tuple[Flight, ...] = ()  # all of the log
+    flight: int = 0  # number of this one, from 1; 0 if there is none
+
+    def pair_error(self, a: int, b: int) -> Array:
+        """Formation error (p_a - p_b) - (ref_a - ref_b), (n, 4), yaw wrapped."""
+        one, other = self.robots[a], self.robots[b]
+        return pose_error(one.truth - other.truth, one.reference - other.reference)
+
+    def separation_m(self, a: int, b: int) -> Array:
+        """Distance of the two centres, (n,)."""
+        return np.asarray(np.linalg.norm(self.robots[a].truth[:, :3] - self.robots[b].truth[:, :3], axis=1))
+
+
+def active_limits(series: Series, robot: RobotSeries) -> dict[str, Mask]:
+    """Which limits held a robot's inputs back, (m,) each, by name; and where its plan entered another's space."""
+    experiment, states = series.experiment, robot.states
+    found = {}
+    for k, axis in enumerate(("surge", "heave", "yaw")):
+        found[axis] = np.asarray(np.abs(states.wrench[:, k]) >= AT_LIMIT * experiment.vehicle.limits.wrench[k])
+        found[f"step of {axis}"] = np.asarray(np.abs(states.wrench_step[:, k]) >= AT_LIMIT * experiment.wrench_step[k])
+    return found | {"others' space": np.asarray(states.slack_m > SLACK_M)}

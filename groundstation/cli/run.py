@@ -1,0 +1,160 @@
+"""SHELL: `groundstation run`, and `plan`: what it would fly."""
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from groundstation.cli.foxglove import Foxglove, address
+from wire.config.experiment import Experiment, dump_experiment, load_experiment
+from wire.process.cli_options import (
+    DEFAULT_FLEET,
+    DEFAULT_STATION,
+    DEFAULT_WEB,
+    ExperimentName,
+    ExternalRouter,
+    FleetName,
+    Insecure,
+    KeyRing,
+    ListenAddress,
+    LockstepMode,
+    Settings,
+    Verbose,
+    WebAddress,
+    caution,
+)
+from wire.process.runtime import Stop, start_log
+from wire.toml_loader import ConfigError, files_named
+
+NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
+
+
+def run(
+    experiment: ExperimentName,
+    out: Annotated[Path, typer.Option(help="Folder for the run's own folder.")] = Path("runs"),
+    run_dir: Annotated[Path | None, typer.Option(help="Use exactly this folder, without a log so far.")] = None,
+    auto: Annotated[bool, typer.Option("--auto", help="Load, arm, start and finish without being asked.")] = False,
+    listen: ListenAddress = DEFAULT_STATION,
+    external_router: ExternalRouter = False,
+    settings: Settings = None,
+    fleet: FleetName = DEFAULT_FLEET,
+    lockstep: LockstepMode = False,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    verbose: Verbose = False,
+    web: WebAddress = DEFAULT_WEB,
+    no_web: NoWeb = False,
+    web_certificate: Annotated[
+        Path | None, typer.Option(exists=True, dir_okay=False, help="TLS certificate (PEM) of the page.")
+    ] = None,
+    web_key: Annotated[Path | None, typer.Option(exists=True, dir_okay=False, help="Its private key (PEM).")] = None,
+    web_token_file: Annotated[Path | None, typer.Option(help="File with the token that a page must know.")] = None,
+    foxglove: Foxglove = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would be flown, or why it cannot be.")] = False,
+) -> None:
+    """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
+
+    Without --auto the station waits for orders: from the operator's page, or from another terminal
+    (`groundstation order start`), until somebody ends the run (`groundstation end`, or Ctrl-C).
+    Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
+
+    Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
+               groundstation run pool --auto --dry-run
+    """
+    loaded = load_experiment(experiment, settings or ())  # before what takes a second to import: a bad one is told at once
+    caution(loaded)
+
+    from groundstation.report.report import write_report
+    from groundstation.station import process
+    from groundstation.station.discovery import announced
+    from groundstation.web.auth import web_options
+    from wire.messages.topics import Role, process_name
+    from wire.transport.bus import Bus
+    from wire.transport.network import endpoint
+    from wire.transport.transport import ZenohTransport
+
+    token = _token(web_token_file) if web_token_file is not None else ""
+    page = None if no_web else web_options(web, web_certificate, web_key, token)
+    viewer = address(foxglove) if foxglove is not None else None
+    start_log("groundstation", verbose)
+    me = process_name(Role.STATION)
+    where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, lossless=lockstep, fleet=fleet)
+    if dry_run:
+        typer.echo(_intent(loaded, run_dir or out))
+        return
+    stop = Stop()
+    folder = run_dir or out / f"{loaded.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    text = dump_experiment(loaded)
+    if (folder / "run.mcap").exists():
+        raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
+    with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
+        succeeded = process.run(
+            loaded,
+            text,
+            bus,
+            folder,
+            automatic=auto,
+            lockstep=lockstep,
+            stop=stop,
+            web=page,
+            insecure=where.insecure,
+            viewer=viewer,
+        )
+    if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
+        passed = write_report(folder).passed
+        typer.echo(f"report: {folder / 'report.html'} ({'passed' if passed else 'failed'})")
+        succeeded = succeeded and passed
+    raise typer.Exit(0 if succeeded else 1)
+
+
+def _token(file: Path) -> str:
+    with files_named(file):
+        try:
+            token = file.read_text(encoding="utf-8").strip()
+        except UnicodeDecodeError:
+            raise ConfigError(f"--web-token-file {file}: not a text") from None
+    if not token:
+        raise ConfigError(f"--web-token-file {file}: is empty, anybody would know that token")
+    return token
+
+
+def _intent(experiment: Experiment, folder: Path) -> str:
+    """What a run of it would be. Raises ConfigError for what cannot be flown."""
+    from groundstation.logs.recorder import check_room
+    from groundstation.planning import planner
+
+    starts = planner.start_poses(experiment, planner.plan(experiment))
+    check_room(folder, experiment.recording.min_free_gb)
+    lines = [
+        f"{experiment.title or experiment.name}: {experiment.duration_s:g} s, experiment {experiment.hash[:8]}, into {folder}"
+    ]
+    for robot, (x_m, y_m, z_m, yaw_rad) in starts.items():
+        lines.append(f"robot {robot} starts at x {x_m:.2f}, y {y_m:.2f}, z {z_m:.2f} m, yaw {yaw_rad:.2f} rad")
+    return "\n".join(lines)
+
+
+def plan(experiment: ExperimentName, settings: Settings = None) -> None:
+    """Plan an experiment's trajectories without flying: prints them as JSON, or says why they cannot be flown.
+
+    Example:  groundstation plan islands > plan.json
+    """
+    from groundstation.planning import planner
+
+    loaded = load_experiment(experiment, settings or ())
+    caution(loaded)
+    trajectories = planner.plan(loaded)
+    starts = planner.start_poses(loaded, trajectories)
+    robots = {
+        robot: {
+            "id": t.id,
+            "start": starts[robot].tolist(),
+            "period_s": t.period_s,
+            "eta": t.eta.tolist(),
+            "velocity": t.velocity.tolist(),
+            "acceleration": t.acceleration.tolist(),
+        }
+        for robot, t in trajectories.items()
+    }
+    typer.echo(json.dumps({"experiment": loaded.name, "hash": loaded.hash, "robots": robots}))

@@ -1,0 +1,173 @@
+"""SHELL: what there is to do with a run: `groundstation report`, `compare`, `comparison`, `export`, `recover`, `record`."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.config.experiment import load_experiment
+from wire.process.cli_options import AsJson
+from wire.process.output_files import RUN, check_output
+from wire.toml_loader import ConfigError
+
+
+def record(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder with experiment.toml; run.mcap goes there.")],
+    mode: Annotated[str, typer.Option(help="How time went in the run; told in the report.")] = "numeric",
+) -> None:
+    """Write the log of a run that another program hands over on stdin, as `sim-bridge numeric` does.
+
+    Example:  sim-bridge numeric numeric        (starts it, and hands over what is flown)
+    """
+    from groundstation.logs import pipe_recorder
+
+    problem = pipe_recorder.record(load_experiment(str(run_folder / "experiment.toml")), run_folder, mode, sys.stdin.buffer)
+    if problem:
+        typer.echo(f"{run_folder / 'run.mcap'}: {problem}", err=True)
+    raise typer.Exit(1 if problem else 0)
+
+
+def report(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    pdf: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Write every figure there as a PDF, too.")] = None,
+    flight: Annotated[int | None, typer.Option(min=1, help="Of several flights in one log: which. Default: the last.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write result.json and report.html of a run again, from its log.
+
+    What is wrong with the log as a whole (none, empty, cut off, gaps) is the first line. Exit code 0 if the run passed, 1 if
+    it did not or its log is not whole.
+
+    Example:  groundstation report runs/pool-20260101-120000 --pdf figures
+    """
+    from groundstation.report import report as reporting
+
+    result = reporting.write_report(run_folder, flight)
+    figures = reporting.write_figures(run_folder, pdf, flight) if pdf is not None else []
+    if as_json:
+        typer.echo(result.to_json(), nl=False)
+        raise typer.Exit(0 if result.passed else 1)
+    if result.log_trouble:
+        typer.echo(result.log_trouble)
+    typer.echo(f"report: {run_folder / 'report.html'} ({'passed' if result.passed else 'failed'})")
+    for path in figures:
+        typer.echo(path)
+    raise typer.Exit(0 if result.passed else 1)
+
+
+def compare(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN", help="Folders of two or more runs.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The page to write.")] = Path("compare.html"),
+    as_json: AsJson = False,
+) -> None:
+    """Put runs side by side: their figures, in what their experiments differ, and a page with their errors over time.
+
+    Example:  groundstation compare runs/pool-20260101-120000 runs/pool-20260101-130000 --out why.html
+    """
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from groundstation.report import report as reporting
+    from groundstation.report.run_comparison import Run, differences, figures_of
+
+    if len(runs) < 2:
+        raise ConfigError("compare: two runs or more are needed")
+    check_output(out, [run / name for run in runs for name in RUN])
+    missing = [str(run) for run in runs if not (run / "run.mcap").is_file()]
+    if missing:
+        raise ConfigError(f"{missing[0]}: no run.mcap there")
+    names = [run.resolve().name for run in runs]
+    names = names if len(set(names)) == len(names) else [str(run) for run in runs]
+    read = []
+    for name, folder in zip(names, runs, strict=True):
+        series, _, result = reporting.evaluated(folder)
+        read.append(Run(name, series, result))
+        if result.log_trouble:
+            typer.echo(f"{name}: {result.log_trouble}", err=True)
+    reporting.write_comparison(read, out)
+    if as_json:
+        figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in figures_of(read)]
+        changed = [{"key": key, "values": values} for key, values in differences(read)]
+        typer.echo(json.dumps({"runs": names, "figures": figures, "differences": changed}, indent=1))
+        return
+    console = Console()
+    for title, rows in (
+        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in figures_of(read)]),
+        ("what was different", [(key, *values) for key, values in differences(read)]),
+    ):
+        table = Table(title=title)
+        for column in ("", *names):
+            table.add_column(column, overflow="fold")
+        for row in rows:
+            table.add_row(*(f"{v:.4g}" if isinstance(v, float) else "–" if v is None else escape(str(v)) for v in row))
+        console.print(table)
+    console.print(f"page: {out}", soft_wrap=True)
+
+
+def export(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    out: Annotated[Path, typer.Option(metavar="FOLDER", help="Where the files go.")],
+    parquet: Annotated[bool, typer.Option("--parquet", help="Parquet instead of CSV.")] = False,
+    foxglove: Annotated[bool, typer.Option("--foxglove", help="For Foxglove-family viewers instead.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write every recorded message of a run as tables, one per topic and robot, with columns of named units.
+
+    The first column, time_s, is 0 where the report's is. Exit code 1 if the log is not whole or holds messages that cannot be
+    decoded. Or, for 3-D viewers, the log with the scene in it, and a layout that shows it.
+
+    Examples:  groundstation export runs/pool-20260101-120000 --out tables
+               groundstation export runs/pool-20260101-120000 --out viewer --foxglove
+    """
+    from groundstation.export import foxglove_file, tables
+
+    written: list[tuple[Path, int | None]]
+    trouble: list[str] = []
+    if foxglove:
+        written = [(path, None) for path in foxglove_file.export(run_folder, out)]
+    else:
+        done = tables.export(run_folder, out, parquet)
+        written = [*done.files]
+        trouble += [done.trouble] if done.trouble else []
+        trouble += [f"{done.undecodable} messages cannot be decoded: they are in no table"] if done.undecodable else []
+    for line in trouble:
+        typer.echo(line, err=True)
+    if as_json:
+        typer.echo(json.dumps([{"file": str(path), "rows": rows} for path, rows in written], indent=1))
+    else:
+        for path, rows in written:
+            typer.echo(path if rows is None else f"{path}: {rows} rows")
+    raise typer.Exit(1 if trouble else 0)
+
+
+def recover(
+    log_file: Annotated[Path, typer.Argument(metavar="FILE", help="A log that was cut off.")], as_json: AsJson = False
+) -> None:
+    """Make a cut log whole: everything up to the cut, and the index that readers want. Reports do this by themselves.
+
+    Example:  groundstation recover runs/pool-20260101-120000/run.mcap
+    """
+    from groundstation.logs import repair
+
+    mended = repair.recover(log_file)
+    if as_json:
+        typer.echo(json.dumps({"file": str(log_file), "mended": mended}))
+        return
+    typer.echo(f"{log_file}: {'mended up to the cut' if mended else 'is whole, nothing to mend'}")
+
+
+def comparison(
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Where comparison.json is, as `sim-bridge compare` writes it.")
+    ],
+) -> None:
+    """Print the table of a comparison and write comparison.html beside it. Exit code 1 if a flight failed.
+
+    Example:  groundstation comparison runs/compare-pool
+    """
+    from groundstation.report import compare_report
+
+    raise typer.Exit(0 if compare_report.write(folder) else 1)

@@ -1,0 +1,139 @@
+"""SHELL: the key ring on disk: made, added to, cut down. wire/security/key_ring.py says what lies where.
+
+Private files are created with mode 0600 in folders of 0700, before the first byte is in them, and never printed.
+"""
+
+import os
+import re
+import shutil
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+from pathlib import Path
+
+import tomli_w
+
+from groundstation.deploy import certificate_authority
+from groundstation.deploy.certificate_authority import Pair
+from wire.messages.topics import Role, process_name
+from wire.security.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
+from wire.toml_loader import ConfigError, files_named
+
+AUTHORITY_KEY = "authority.key"
+ALWAYS_HOSTS = ("localhost", "127.0.0.1", "::1")
+
+
+def init(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[Issued]:
+    """A new ring: authority, and the members that every fleet has. Raises ConfigError where there is one already."""
+    for host in hosts:
+        if not _is_host(host):
+            raise ConfigError(
+                f"--host {host!r}: no name or address of a host (letters, digits, . and -; not a port, no brackets)"
+            )
+    with files_named(ring):
+        if (ring / CA).exists() or (ring / AUTHORITY_KEY).exists():
+            raise ConfigError(f"{ring}: has keys already; a new authority would lock every robot out (choose another folder)")
+        ring.mkdir(parents=True, exist_ok=True)
+        ring.chmod(0o700)
+        root = certificate_authority.make_authority(fleet, now)
+        _write(ring / CA, root.certificate, 0o644)
+        _write(ring / AUTHORITY_KEY, root.private_key, 0o600)
+        _write_members(ring, MemberList(hosts=tuple(dict.fromkeys([*hosts, *ALWAYS_HOSTS]))))
+    return [add(ring, role, 0, now) for role in ("station", "operator", "localizer", "simulator", "viewer")]
+
+
+def _is_host(text: str) -> bool:
+    try:
+        ip_address(text)
+        return True
+    except ValueError:
+        return re.fullmatch(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?", text) is not None
+
+
+def add(ring: Path, role: str, robot: int, now: datetime, days: float = certificate_authority.MEMBER_DAYS) -> Issued:
+    """A certificate for one process, in a folder of its name. An earlier one of that process no longer counts."""
+    if role not in ROLE_NAMES:
+        raise ConfigError(f"{role!r} is no role (allowed: {', '.join(ROLE_NAMES)})")
+    if (ROLE_NAMES[role] is Role.ROBOT) != (robot != 0) or not 0 <= robot <= 999:
+        raise ConfigError(f"{role} {robot or ''}".rstrip() + ": a robot needs its number, 1 to 999; nobody else has one")
+    longest = certificate_authority.AUTHORITY_YEARS * 365
+    if not 0.0 < days <= longest:
+        raise ConfigError(f"--days {days:g}: no time for a certificate (allowed: up to {longest} days)")
+    process = process_name(ROLE_NAMES[role], robot)
+    members, root = read_members(ring), _authority(ring)
+    common_name = certificate_authority.new_common_name(process)
+    try:
+        pair = certificate_authority.issue(root, common_name, members.hosts if role == "station" else (), now, days)
+    except ValueError as error:
+        raise ConfigError(f"{ring / CA} and {ring / AUTHORITY_KEY}: make no certificate: {error}") from None
+    with files_named(ring):
+        _lay_down(ring / process, root.certificate, pair)
+    issued = Issued(
+        process=process,
+        role=role,
+        robot=robot,
+        common_name=common_name,
+        issued=_seconds(now),
+        expires=_seconds(now + timedelta(days=days)),
+    )
+    earlier = _without(members, process, now)
+    with files_named(ring):
+        _write_members(ring, earlier.model_copy(update={"member": (*earlier.member, issued)}))
+    return issued
+
+
+def revoke(ring: Path, process: str, now: datetime) -> None:
+    """Strike a process off the list. Raises ConfigError where it is not on it."""
+    members = read_members(ring)
+    valid = [m.process for m in members.member if m.revoked is None]
+    if process not in valid:
+        raise ConfigError(f"{process}: has no certificate (there are: {', '.join(valid) or 'none'})")
+    with files_named(ring):
+        _write_members(ring, _without(members, process, now))
+        if (ring / process).is_dir():
+            shutil.rmtree(ring / process)
+
+
+def _without(members: MemberList, process: str, now: datetime) -> MemberList:
+    """The list with whatever that process had revoked."""
+    stamp = _seconds(now)
+    kept = (
+        m.model_copy(update={"revoked": stamp}) if m.process == process and m.revoked is None else m for m in members.member
+    )
+    return members.model_copy(update={"member": tuple(kept)})
+
+
+def _authority(ring: Path) -> Pair:
+    with files_named(ring):
+        for path in (ring / CA, ring / AUTHORITY_KEY):
+            if not path.is_file():
+                raise ConfigError(f"{path}: missing (`groundstation keys init` makes it; put it back if it is in a safe)")
+        return Pair((ring / CA).read_bytes(), (ring / AUTHORITY_KEY).read_bytes())
+
+
+def _lay_down(folder: Path, ca: bytes, pair: Pair) -> None:
+    folder.mkdir(exist_ok=True)
+    folder.chmod(0o700)
+    _write(folder / CA, ca, 0o644)
+    _write(folder / CERTIFICATE, pair.certificate, 0o644)
+    _write(folder / PRIVATE_KEY, pair.private_key, 0o600)
+
+
+def _write_members(ring: Path, members: MemberList) -> None:
+    table = members.model_dump(mode="python", exclude_none=True)
+    _write(ring / MEMBERS, tomli_w.dumps(table).encode(), 0o600)
+
+
+def _write(path: Path, data: bytes, mode: int) -> None:
+    """All of it or nothing, and never readable by others on the way: written beside, then put in place."""
+    beside = path.with_name(f".{path.name}.new")
+    beside.unlink(missing_ok=True)
+    with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        os.fchmod(file.fileno(), mode)
+        file.write(data)
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
+def _seconds(when: datetime) -> datetime:
+    return when.astimezone(UTC).replace(microsecond=0)

@@ -1,0 +1,123 @@
+"""What goes onto a robot's board, and what of it is there already. Pure: bytes and answers are arguments.
+
+A board's software, keys, experiment and settings are four parts, each with a digest of its content. The board keeps the list
+of the digests that it has; what is the same does not travel, so a second deployment changes nothing and restarts nothing.
+"""
+
+import hashlib
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from wire.toml_loader import ConfigError
+
+PARTS = ("software", "keys", "experiment", "settings")
+PLATFORMS = {  # of wheels that run there, newest last; 2.28 is Debian 10 and later
+    "x86_64": ("manylinux_2_17", "manylinux2014", "manylinux_2_24", "manylinux_2_27", "manylinux_2_28"),
+    "aarch64": ("manylinux_2_17", "manylinux2014", "manylinux_2_24", "manylinux_2_27", "manylinux_2_28"),
+}
+OLDEST_PYTHON = (3, 11)
+
+
+@dataclass(frozen=True)
+class Target:
+    """One board: how ssh calls it, and which robot it is."""
+
+    host: str
+    robot: int
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What a board says of itself."""
+
+    machine: str
+    python: str  # 3.11
+    manifest: Mapping[str, str]
+    agent: str = ""  # what the agent does, if it runs and is not disarmed: a mode's name, or "unknown"
+
+    @property
+    def platforms(self) -> tuple[str, ...]:
+        """Wheel platforms, as pip calls them."""
+        return tuple(f"{name}_{self.machine}" for name in PLATFORMS[self.machine])
+
+
+def parse_target(text: str) -> Target:
+    """[USER@]HOST=ROBOT. Raises ConfigError."""
+    host, equals, robot = text.rpartition("=")
+    # A host that begins with a dash would be an option to ssh.
+    if not equals or not re.fullmatch(r"[A-Za-z0-9_][\w.@:-]*", host) or not robot.isdecimal() or not 0 < int(robot) < 1000:
+        raise ConfigError(f"{text!r}: not a board (write [USER@]HOST=ROBOT, for example pi@192.168.1.21=1)")
+    return Target(host, int(robot))
+
+
+def parse_targets(texts: Sequence[str]) -> tuple[Target, ...]:
+    """All of them, each robot once."""
+    targets = tuple(map(parse_target, texts))
+    for values, what in (([str(t.robot) for t in targets], "robot"), ([t.host for t in targets], "board")):
+        doubled = [v for v in values if values.count(v) > 1]
+        if doubled:
+            raise ConfigError(f"{what} {doubled[0]} is named twice")
+    return targets
+
+
+def check_home(home: str) -> None:
+    """Whether a folder can be a board's home. Raises ConfigError."""
+    if not re.fullmatch(r"/[\w./-]+", home, re.ASCII):
+        raise ConfigError(f"--home {home!r}: no folder for a board (allowed: an absolute path of letters, digits, . _ - /)")
+
+
+PROBE = (  # behind templates/armed.sh
+    "uname -m; python3 -c 'import sys, venv, ensurepip; print(\"%d.%d\" % sys.version_info[:2])' 2>/dev/null || echo none; "
+    "armed | sed 's/^/agent /'; cat {home}/manifest 2>/dev/null || true"
+)
+
+
+def read_probe(host: str, said: str) -> Probe:
+    """A board's answer to PROBE. Raises ConfigError for a board that cannot run the agent, saying what it lacks."""
+    machine, python, *manifest = [*said.splitlines(), "", ""]
+    if machine not in PLATFORMS:
+        raise ConfigError(f"{host}: is a {machine or 'silent machine'} (the packages exist for {', '.join(PLATFORMS)})")
+    if not re.fullmatch(r"\d+\.\d+", python):
+        raise ConfigError(f"{host}: no Python with venv (Debian: apt install python3-venv)")
+    if tuple(map(int, python.split("."))) < OLDEST_PYTHON:
+        raise ConfigError(f"{host}: Python {python}, needs {'.'.join(map(str, OLDEST_PYTHON))} or newer")
+    known = dict(line.split(" ", 1) for line in manifest if " " in line)
+    return Probe(machine, python, {part: known[part] for part in PARTS if part in known}, known.get("agent", ""))
+
+
+def refuse_to_restart(target: Target, probe: Probe) -> None:
+    """Raises ConfigError for a board whose agent is not surely disarmed: a restart would disarm a robot in flight."""
+    if probe.agent == "unknown":
+        raise ConfigError(
+            f"{target.host}: the agent of robot {target.robot} runs, and does not say whether it is armed (an older version): "
+            "see that it rests, then --force; or --no-restart"
+        )
+    if probe.agent:
+        raise ConfigError(
+            f"{target.host}: robot {target.robot} is {probe.agent}, and a restart would disarm it at once: "
+            "disarm it first (groundstation order disarm); or --no-restart, or --force"
+        )
+
+
+def digest(files: Iterable[tuple[str, bytes]]) -> str:
+    """Of names and contents, in any order: 16 hex digits."""
+    total = hashlib.sha256()
+    for name, content in sorted(files):
+        total.update(f"{name}\0{hashlib.sha256(content).hexdigest()}\n".encode())
+    return total.hexdigest()[:16]
+
+
+def changed(wanted: Mapping[str, str], there: Mapping[str, str]) -> tuple[str, ...]:
+    """Parts that must travel."""
+    return tuple(part for part in PARTS if part in wanted and wanted[part] != there.get(part))
+
+
+def write_manifest(wanted: Mapping[str, str]) -> bytes:
+    """As the board keeps it: a part and its digest per line."""
+    return "".join(f"{part} {wanted[part]}\n" for part in PARTS if part in wanted).encode()
+
+
+def read_report(said: str) -> dict[str, str]:
+    """The key=value lines that the board's script prints."""
+    return dict(line.split("=", 1) for line in said.splitlines() if re.match(r"[a-z]+=", line))

@@ -1,0 +1,174 @@
+"""SHELL: boards over SSH: ask, pack, send, have the board's script put it in place, and hear what came of it.
+
+Everything goes through the user's own `ssh` (its agent, its configuration, its known hosts); what travels is one tar archive
+on its standard input, so no secret is ever part of a command line. Only `sh`, `tar` and Python must be on the board.
+"""
+
+import io
+import shlex
+import subprocess
+import tarfile
+from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from groundstation.deploy import manifest, wheelhouse
+from groundstation.deploy.manifest import Probe, Target
+from wire.config.experiment import Experiment, dump_experiment
+from wire.mavlink.board_port import parse_link
+from wire.messages.topics import Role, process_name
+from wire.security.key_ring import open_keys
+from wire.toml_loader import ConfigError
+from wire.transport.endpoint import parse_address
+from wire.transport.network import refuse_open
+
+ANSWER_S = 30.0
+INSTALL_S = 900.0  # a small board unpacks and compiles for minutes
+AT_ONCE = 4
+SCRIPT = Path(__file__).parent / "templates" / "board.sh"
+ARMED = Path(__file__).parent / "templates" / "armed.sh"
+
+Files = list[tuple[str, bytes]]
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What is to be on every board."""
+
+    experiment: Experiment
+    station: str
+    fleet: str
+    link: str
+    link_key: str | None  # a file on the board: it never leaves it
+    home: str
+    ring: Path | None
+    insecure: bool = False
+    wheels: Path | None = None  # ready-made; else made here
+    ssh: tuple[str, ...] = ("ssh",)
+    restart: bool = True
+    dry_run: bool = False
+    force: bool = False  # restart also an agent that is armed
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one board."""
+
+    target: Target
+    changed: tuple[str, ...] = ()
+    version: str = ""
+    service: str = ""
+    trouble: str = ""
+
+
+def check(targets: Sequence[Target], wanted: Wanted) -> None:
+    """What can be said before any board is asked. Raises ConfigError."""
+    parse_address(wanted.station)
+    if wanted.ring is None:
+        refuse_open(wanted.station, wanted.insecure)
+    parse_link(wanted.link)
+    manifest.check_home(wanted.home)
+    if wanted.wheels is not None:
+        _found(wanted.wheels)
+    for target in targets:
+        wanted.experiment.robot(target.robot)
+        if wanted.ring is not None:
+            open_keys(wanted.ring, process_name(Role.ROBOT, target.robot))
+
+
+def deploy_all(targets: Sequence[Target], wanted: Wanted) -> Iterable[Outcome]:
+    """All boards, a few at once; one that fails does not keep the others from theirs."""
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        yield from pool.map(lambda target: _tried(target, wanted), targets)
+
+
+def _tried(target: Target, wanted: Wanted) -> Outcome:
+    try:
+        return deploy_one(target, wanted)
+    except (ConfigError, OSError) as error:  # a file here that cannot be read is no reason to say nothing of the other boards
+        return Outcome(target, trouble=str(error))
+
+
+def deploy_one(target: Target, wanted: Wanted) -> Outcome:
+    """One board. Raises ConfigError with the reason why not."""
+    home = shlex.quote(wanted.home)
+    asked = ARMED.read_text(encoding="utf-8") + manifest.PROBE.format(home=home)
+    probe = manifest.read_probe(target.host, _ssh(wanted, target, asked, b"", ANSWER_S))
+    parts = _parts(target, wanted, probe)
+    digests = {part: manifest.digest(files) for part, files in parts.items()}
+    travels = manifest.changed(digests, probe.manifest)
+    if not travels:
+        return Outcome(target, travels, service="not touched")
+    if wanted.restart and not wanted.force:
+        manifest.refuse_to_restart(target, probe)
+    if wanted.dry_run:
+        return Outcome(target, travels, service="not touched")
+    files = [file for part in travels for file in parts[part]]
+    archive = _tar(
+        [*files, ("manifest", manifest.write_manifest(digests)), ("board.sh", ARMED.read_bytes() + SCRIPT.read_bytes())]
+    )
+    restart = "no" if not wanted.restart else "force" if wanted.force else "yes"
+    command = (
+        f"set -e; umask 077; mkdir -p {home}; rm -rf {home}/incoming; mkdir {home}/incoming; "
+        f"tar -xf - -C {home}/incoming; sh {home}/incoming/board.sh {home} {restart}"
+    )
+    report = manifest.read_report(_ssh(wanted, target, command, archive, INSTALL_S))
+    return Outcome(target, travels, report.get("version", ""), report.get("service", ""))
+
+
+def _parts(target: Target, wanted: Wanted, probe: Probe) -> dict[str, Files]:
+    found = _found(wanted.wheels if wanted.wheels is not None else wheelhouse.wheels(probe))
+    parts: dict[str, Files] = {
+        "software": [(f"software/{path.name}", path.read_bytes()) for path in found],
+        "experiment": [("experiment.toml", dump_experiment(wanted.experiment).encode())],
+        "settings": [("init.args", "".join(f"{line}\n" for line in _init(target, wanted)).encode())],
+    }
+    if wanted.ring is not None:
+        process = process_name(Role.ROBOT, target.robot)
+        keys = open_keys(wanted.ring, process)
+        secret = (keys.ca, keys.certificate, keys.private_key)
+        parts["keys"] = [(f"keys/{process}/{path.name}", path.read_bytes()) for path in secret]
+    return parts
+
+
+def _found(wheels: Path) -> list[Path]:
+    """The wheels in a folder. Raises ConfigError where ours is not among them."""
+    found = sorted(wheels.glob("*.whl"))
+    if not any(path.name.startswith("shoal-") for path in found):
+        raise ConfigError(f"{wheels}: holds no wheel of shoal")
+    return found
+
+
+def _init(target: Target, wanted: Wanted) -> list[str]:
+    """What `robot-agent init` is given on the board."""
+    arguments = ["--force", "--robot", str(target.robot), "--station", wanted.station, "--fleet", wanted.fleet]
+    arguments += ["--link", wanted.link, "--experiment", "experiment.toml"]
+    arguments += ["--link-key", wanted.link_key] if wanted.link_key is not None else []
+    return arguments + (["--keys", "keys"] if wanted.ring is not None else ["--insecure"] if wanted.insecure else [])
+
+
+def _tar(files: Files) -> bytes:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode="w") as archive:
+        for name, content in files:
+            entry = tarfile.TarInfo(name)
+            entry.size, entry.mode = len(content), 0o600
+            archive.addfile(entry, io.BytesIO(content))
+    return packed.getvalue()
+
+
+def _ssh(wanted: Wanted, target: Target, command: str, data: bytes, timeout_s: float) -> str:
+    """Run a command on a board. Raises ConfigError with what ssh or the board says."""
+    full = [*wanted.ssh, "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "--", target.host, f"sh -c {shlex.quote(command)}"]
+    try:
+        done = subprocess.run(full, input=data, capture_output=True, timeout=timeout_s, check=False)
+    except subprocess.TimeoutExpired:
+        raise ConfigError(f"{target.host}: no answer within {timeout_s:g} s") from None
+    except OSError as error:
+        raise ConfigError(f"{wanted.ssh[0]}: {error.strerror}") from None
+    if done.returncode != 0:
+        lines = done.stderr.decode(errors="replace").strip().splitlines()
+        why = "; ".join(lines[-3:]) or f"exit code {done.returncode}"
+        raise ConfigError(f"{target.host}: {why}")
+    return done.stdout.decode(errors="replace")

@@ -1,0 +1,65 @@
+"""SHELL: the wheels that a board installs from, made here: it needs no compiler and no way to the Internet.
+
+This project's own wheel, and what its base installation needs, pinned by constraints.txt, for the board's CPU and Python.
+Kept in the user's cache until the source or a pin changes.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+from groundstation.deploy.manifest import Probe, digest
+from wire.toml_loader import ConfigError
+
+ROOT = Path(__file__).parents[2]
+_TURN = threading.Lock()  # several boards are brought up to date at once: what one has made serves the others
+SOURCES = ("wire", "robot_agent", "groundstation", "localizer", "sim_bridge")
+
+
+def wheels(probe: Probe, source: Path = ROOT) -> Path:
+    """A folder with the wheels for such a board. Raises ConfigError where they cannot be had."""
+    if not (source / "constraints.txt").is_file():
+        raise ConfigError(f"{source}: no constraints.txt there; run this from a checkout, or give --wheelhouse FOLDER")
+    key = f"{probe.machine}-{probe.python}-{_source_digest(source)}"
+    folder = _cache() / key
+    with _TURN:
+        if not folder.is_dir():
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=folder.parent) as building:
+                fresh = Path(building) / "wheels"
+                _build(probe, source, fresh)
+                fresh.rename(folder)
+    return folder
+
+
+def _source_digest(source: Path) -> str:
+    files = [source / "pyproject.toml", source / "constraints.txt"]
+    for package in SOURCES:
+        files += [path for path in (source / package).rglob("*") if path.is_file() and "__pycache__" not in path.parts]
+    return digest((str(path.relative_to(source)), path.read_bytes()) for path in files if "node_modules" not in path.parts)
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "shoal" / "wheels"
+
+
+def _build(probe: Probe, source: Path, folder: Path) -> None:
+    with tempfile.TemporaryDirectory() as own:
+        _pip("wheel", "--no-deps", "--wheel-dir", own, str(source))
+        built = next(Path(own).glob("shoal-*.whl"))
+        where = [option for platform in probe.platforms for option in ("--platform", platform)]
+        constraints = ["--constraint", str(source / "constraints.txt")]
+        python = ["--python-version", probe.python, "--implementation", "cp", "--only-binary=:all:"]
+        _pip("download", "--dest", str(folder), *where, *python, *constraints, str(built))
+        shutil.copy(built, folder)
+
+
+def _pip(*arguments: str) -> None:
+    command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL)
+    if done.returncode != 0:
+        raise ConfigError(f"pip {arguments[0]}: {done.stderr.strip() or done.stdout.strip()}")

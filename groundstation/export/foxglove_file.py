@@ -1,0 +1,114 @@
+"""SHELL: a log for 3-D viewers: all that is in it, bytes unchanged, with the scene that they draw added."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.writer import Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from groundstation.export.foxglove_layout import layout
+from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, Picture, upright
+from groundstation.logs.logfile import open_log
+from groundstation.logs.reader import key_topic
+from groundstation.logs.recorder import CHUNK_BYTES
+from groundstation.logs.repair import valid_records
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.codec import DecodeError, decode
+from wire.process.output_files import RUN, check_output, replace_text, replacing
+
+LAYOUT_NAME = "foxglove-layout.json"
+COPY_ENDING = "-viewer.mcap"  # never run.mcap: an export is no run
+SCENE_NS = 100_000_000  # a new scene this often: smooth to the eye
+STANDING_NS = 5_000_000_000  # and what stands, for whoever jumps into the middle
+DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)
+
+
+def export(run: Path, folder: Path) -> list[Path]:
+    """Write the log of a run with the scene in it, and a layout that shows it. Returns the files. Raises ConfigError for what
+    is no run, and for a folder where one of the files would be written over the run's own."""
+    experiment = load_experiment(str(run / "experiment.toml"))
+    copy, described = folder / f"{run.resolve().name}{COPY_ENDING}", folder / LAYOUT_NAME
+    for path in (copy, described):
+        check_output(path, [run / name for name in RUN])
+    with open_log(run) as log:
+        folder.mkdir(parents=True, exist_ok=True)
+        with replacing(copy) as file:
+            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), Picture(experiment)).run(log.readable)
+    replace_text(described, json.dumps(layout(experiment, fleet.removesuffix("/")), indent=1) + "\n")
+    return [copy, described]
+
+
+class _Copy:
+    """One pass through a log."""
+
+    def __init__(self, writer: Any, picture: Picture) -> None:
+        self._writer, self._picture = writer, picture
+        self._schemas: dict[int, int] = {0: 0}
+        self._channels: dict[int, int] = {}
+        self._topics: dict[int, tuple[Any, int]] = {}
+        self._viewer: dict[str, int] = {}
+        self._fleet = ""
+        self._next_ns, self._next_standing_ns, self._scenes = 0, 0, 0
+
+    def run(self, path: Path) -> str:
+        """Copy a log. Returns what its keys begin with."""
+        self._writer.start(library="shoal")
+        for record in valid_records(path):
+            match record:
+                case Schema() if record.id not in self._schemas:
+                    self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
+                case Channel() if record.id not in self._channels:
+                    self._channel(record)
+                case Message() if record.channel_id in self._channels:
+                    channel, times = self._channels[record.channel_id], (record.publish_time, record.sequence)
+                    self._writer.add_message(channel, record.log_time, record.data, *times)
+                    self._look(record)
+                case Attachment():
+                    self._writer.add_attachment(
+                        record.create_time, record.log_time, record.name, record.media_type, record.data
+                    )
+                case Metadata():
+                    self._writer.add_metadata(record.name, record.metadata)
+        self._writer.finish()
+        return self._fleet
+
+    def _channel(self, record: Channel) -> None:
+        schema = self._schemas.get(record.schema_id, 0)
+        self._channels[record.id] = self._writer.register_channel(
+            record.topic, record.message_encoding, schema, record.metadata
+        )
+        found = key_topic(record.topic)
+        if found is None:
+            return
+        self._topics[record.id] = found
+        if not self._viewer:
+            self._fleet = record.topic.removesuffix(found[0].key(found[1] or None))
+            for name, cls in SCHEMAS.items():
+                files = build_file_descriptor_set(cls).SerializeToString()
+                viewed = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+                self._viewer[name] = self._writer.register_channel(f"{self._fleet}{name}", "protobuf", viewed)
+
+    def _look(self, record: Message) -> None:
+        """A scene shows what was there before its own instant."""
+        topic, robot = self._topics.get(record.channel_id, (None, 0))
+        if self._viewer and record.log_time >= self._next_ns:
+            self._draw(record.log_time)
+        if topic in DRAWN:
+            try:
+                message: Any = decode(topic.type, record.data, "log", topic.name)
+            except DecodeError:
+                return
+            self._picture.take(topic, robot, message, record.log_time)
+
+    def _draw(self, now_ns: int) -> None:
+        self._next_ns = now_ns + SCENE_NS
+        drawn: list[tuple[str, Any]] = [(MOVING, self._picture.moving(now_ns))]
+        if self._picture.replanned or now_ns >= self._next_standing_ns:
+            self._next_standing_ns = now_ns + STANDING_NS
+            drawn += [(STANDING, self._picture.standing(now_ns)), (FRAMES, upright(now_ns))]
+        for name, message in drawn:
+            self._writer.add_message(self._viewer[name], now_ns, message.SerializeToString(), now_ns, self._scenes)
+        self._scenes += 1

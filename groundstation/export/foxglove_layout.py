@@ -1,0 +1,119 @@
+"""A layout for Foxglove-family viewers: the pool in 3-D, the camera, errors, inputs, timing, and the log's lines. Pure."""
+
+from collections.abc import Iterable
+from typing import Any
+
+from groundstation.export.foxglove_scene import FRAMES, MOVING, STANDING, UPRIGHT_FRAME
+from groundstation.palette import colour
+from wire.config.experiment import Experiment
+from wire.messages import topics
+
+Layout = dict[str, Any]
+
+_SEEN = {"none": topics.PREVIEW, "h264": topics.VIDEO, "jpeg": topics.PICTURE}  # what shows the camera, by `recording.video`
+
+
+def layout(experiment: Experiment, fleet: str) -> Layout:
+    """The layout's file, for the robots of an experiment."""
+    length, width, _ = experiment.pool.size_m
+    panels: Layout = {
+        "3D!pool": {
+            "cameraState": {
+                "perspective": True,
+                "distance": 1.2 * max(length, width),
+                "phi": 35.0,
+                "thetaOffset": 0.0,
+                "targetOffset": [0.0, 0.0, 0.0],
+                "target": [0.0, 0.0, 0.0],
+                "targetOrientation": [0.0, 0.0, 0.0, 1.0],
+                "fovy": 45.0,
+                "near": 0.01,
+                "far": 1000.0,
+            },
+            "followMode": "follow-none",
+            "followTf": UPRIGHT_FRAME,
+            "scene": {"enableStats": False, "transforms": {"visible": False}},
+            "topics": {f"{fleet}/{name}": {"visible": True} for name in (MOVING, STANDING)},
+            "layers": {},
+        },
+        "Image!camera": {
+            "imageMode": {"imageTopic": f"{fleet}/{_SEEN[experiment.recording.video].name}"},
+            "foxglovePanelTitle": "camera",
+        },
+        "Plot!error": _plot("distance from the reference [m]", _each(experiment, fleet, topics.PLAN, ".tracking_error_m")),
+        "Plot!wrench": _plot(
+            "surge [N], yaw [N m]",
+            [*_each(experiment, fleet, topics.STATE, ".wrench[0]"), *_each(experiment, fleet, topics.STATE, ".wrench[2]")],
+        ),
+        "Plot!timing": _plot("exposure to PWM [ms]", _each(experiment, fleet, topics.STATE, ".exposure_to_pwm_ms")),
+        "StateTransitions!mode": {
+            "paths": [
+                {
+                    "value": f"{fleet}/{topics.STATE.key(robot)}.mode",
+                    "label": f"robot {robot}",
+                    "timestampMethod": "receiveTime",
+                }
+                for robot in experiment.robot_ids
+            ],
+            "isSynced": True,
+        },
+        "RosOut!log": {"topicToRender": f"{fleet}/{topics.EVENT.name}", "searchTerms": [], "minLogLevel": 2},
+    }
+    arranged = _split("row", "3D!pool", _split("column", "Image!camera", "RosOut!log", 60), 62)
+    plots = _split("row", _split("row", "Plot!error", "Plot!wrench"), _split("row", "Plot!timing", "StateTransitions!mode"))
+    return {
+        "configById": panels,
+        "globalVariables": {},
+        "userNodes": {},
+        "playbackConfig": {"speed": 1},
+        "layout": _split("column", arranged, plots, 65),
+    }
+
+
+def used_topics(made: Layout) -> set[str]:
+    """Every topic that a layout looks at."""
+    panels = made["configById"]
+    plotted = [path["value"].partition(".")[0] for panel in panels.values() for path in panel.get("paths", ())]
+    shown = [
+        *panels["3D!pool"]["topics"],
+        panels["Image!camera"]["imageMode"]["imageTopic"],
+        panels["RosOut!log"]["topicToRender"],
+    ]
+    return {*plotted, *shown}
+
+
+def viewer_topics(fleet: str) -> set[str]:
+    """Those that only an exported log and a live viewer have."""
+    return {f"{fleet}/{name}" for name in (MOVING, STANDING, FRAMES)}
+
+
+def _each(experiment: Experiment, fleet: str, topic: topics.Topic, path: str) -> list[Layout]:
+    return [
+        {
+            "value": f"{fleet}/{topic.key(robot)}{path}",
+            "label": f"robot {robot}{path}",
+            "color": colour(index),
+            "enabled": True,
+            "timestampMethod": "receiveTime",
+        }
+        for index, robot in enumerate(experiment.robot_ids)
+    ]
+
+
+def _plot(title: str, paths: Iterable[Layout]) -> Layout:
+    return {
+        "foxglovePanelTitle": title,
+        "paths": list(paths),
+        "showXAxisLabels": True,
+        "showYAxisLabels": True,
+        "showLegend": True,
+        "legendDisplay": "floating",
+        "showPlotValuesInLegend": True,
+        "isSynced": True,
+        "xAxisVal": "timestamp",
+        "sidebarDimension": 240,
+    }
+
+
+def _split(direction: str, first: Any, second: Any, percent: float = 50.0) -> Layout:
+    return {"direction": direction, "first": first, "second": second, "splitPercentage": percent}

@@ -1,0 +1,108 @@
+"""SHELL: a run on the WebSocket that Foxglove-family viewers speak, by their own SDK, for the eyes only: no viewer can send.
+
+Bytes go through as they are on the wire. The SDK keeps a queue for each viewer and drops the oldest when one is slow; nobody
+else waits for it.
+"""
+
+import importlib
+import threading
+import time
+from types import TracebackType
+from typing import Any
+
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, Picture, upright
+from wire.config.experiment import Experiment
+from wire.messages import topics
+from wire.messages.codec import DecodeError, Header, decode, protobuf_class
+from wire.messages.topics import Topic
+from wire.process.runtime import Clock, LockstepClock
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus
+
+SCENE_S = 0.1
+STANDING_S = 2.0  # a viewer that comes later waits no longer for the pool
+DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)
+SHOWN = (*DRAWN, topics.PREVIEW, topics.VIDEO, topics.PICTURE, topics.POSE, topics.LOCALIZER, topics.HEARTBEAT, topics.EVENT)
+
+
+class ViewerServer:
+    """Listens to the bus, serves viewers, draws the scene. Closed by `with`."""
+
+    def __init__(self, experiment: Experiment, bus: Bus, clock: Clock, host: str, port: int) -> None:
+        """Raises ConfigError if the SDK is not installed or the port is taken."""
+        try:
+            self._sdk: Any = importlib.import_module("foxglove")
+        except ModuleNotFoundError:
+            raise ConfigError("--foxglove: not installed here (pip install 'shoal[foxglove]')") from None
+        self._clock, self._context = clock, self._sdk.Context()
+        self._channels: dict[str, Any] = {}
+        self._heard: dict[tuple[Topic, int], tuple[int, bytes]] = {}  # what is drawn: the newest of each
+        self._picture, self._turn = Picture(experiment), threading.Lock()
+        self._closing = threading.Event()
+        try:
+            self._server = self._sdk.start_server(name=f"shoal {experiment.name}", host=host, port=port, context=self._context)
+        except (RuntimeError, OSError) as error:
+            raise ConfigError(f"--foxglove {host}:{port}: {error}") from None
+        self.port: int = self._server.port
+        for topic in SHOWN:
+            bus.subscribe(topic, None, self._hear)
+        self._drawer = threading.Thread(target=self._draw, name="viewer", daemon=True)
+        self._drawer.start()
+
+    def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        """From a network thread: bytes only."""
+        now_ns = self._now_ns(header.stamp_ns)
+        self._channel(key, protobuf_class(topic.type)).log(payload, log_time=now_ns)
+        if topic in DRAWN:
+            robot = int(key.split("/")[-2]) if "{robot}" in topic.name else 0
+            with self._turn:
+                self._fleet = key.removesuffix(topic.key(robot or None))
+                self._heard[topic, robot] = now_ns, payload
+
+    def _channel(self, key: str, cls: Any) -> Any:
+        with self._turn:
+            if key not in self._channels:
+                files = build_file_descriptor_set(cls).SerializeToString()
+                schema = self._sdk.Schema(name=cls.DESCRIPTOR.full_name, encoding="protobuf", data=files)
+                options = {"schema": schema, "message_encoding": "protobuf", "context": self._context}
+                self._channels[key] = self._sdk.Channel(key, **options)
+            return self._channels[key]
+
+    def _now_ns(self, stamp_ns: int) -> int:
+        return max(stamp_ns if isinstance(self._clock, LockstepClock) else self._clock.now_ns(), 0)
+
+    def _draw(self) -> None:
+        standing_s = 0.0
+        while not self._closing.wait(SCENE_S):
+            with self._turn:
+                heard, self._heard = self._heard, {}
+            for (topic, robot), (at_ns, payload) in heard.items():
+                try:
+                    self._picture.take(topic, robot, decode(topic.type, payload, "bus", topic.name), at_ns)
+                except DecodeError:
+                    continue
+            if not heard:
+                continue
+            now_ns = max(at_ns for at_ns, _ in heard.values())
+            self._log(MOVING, self._picture.moving(now_ns), now_ns)
+            if self._picture.replanned or time.monotonic() - standing_s >= STANDING_S:
+                standing_s = time.monotonic()
+                self._log(STANDING, self._picture.standing(now_ns), now_ns)
+                self._log(FRAMES, upright(now_ns), now_ns)
+
+    def _log(self, name: str, message: Any, now_ns: int) -> None:
+        self._channel(f"{self._fleet}{name}", SCHEMAS[name]).log(message.SerializeToString(), log_time=now_ns)
+
+    def close(self) -> None:
+        """Let the viewers go."""
+        self._closing.set()
+        self._drawer.join(1.0)
+        self._server.stop()
+
+    def __enter__(self) -> "ViewerServer":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()

@@ -1,0 +1,167 @@
+"""What robots say and see, as foxglove.* messages that 3-D viewers draw: hulls with headings, plans, paths, obstacles, pool.
+Pure.
+
+    picture = Picture(experiment)
+    picture.take(topic, robot, message)         # every message of the run, in order
+    picture.moving(stamp_ns)                    # SceneUpdate: robots, horizons, obstacles; all of it each time
+    picture.standing(stamp_ns)                  # SceneUpdate: pool, islands, paths
+    upright(stamp_ns)                           # FrameTransform: viewers like z up, the pool's frame has it down
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+
+from groundstation.palette import colour
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages import topics
+from wire.messages.messages import Obstacles, Plan, RobotState, Trajectory, Truth
+from wire.messages.topics import Topic
+
+POOL_FRAME, UPRIGHT_FRAME = "pool", "upright"
+MOVING, STANDING, FRAMES = "viewer/scene", "viewer/pool", "viewer/frame"  # topics, below the fleet's name
+SCHEMAS: dict[str, Any] = {MOVING: SceneUpdate, STANDING: SceneUpdate, FRAMES: FrameTransform}
+GONE_NS = 500_000_000  # what is not told again is not drawn any longer
+GREY, RED = "#767676", "#CC0000"
+FULL, FAINT, GLASS = 1.0, 0.45, 0.25  # opacities
+PATH_POINTS = 400  # of a trajectory: enough for the eye
+
+
+class Picture:
+    """The newest of everything that is drawn."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._experiment = experiment
+        self._states: dict[int, tuple[int, RobotState]] = {}
+        self._plans: dict[int, tuple[int, Plan]] = {}
+        self._trajectories: dict[int, Trajectory] = {}
+        self._obstacles: tuple[int, Obstacles] | None = None
+        self._truth: tuple[int, Truth] | None = None
+        self.replanned = True  # whether what stands has changed since `standing`
+
+    def take(self, topic: Topic, robot: int, message: Any, stamp_ns: int) -> None:
+        """Take in a message of the run."""
+        if topic is topics.STATE:
+            self._states[robot] = stamp_ns, message
+        elif topic is topics.PLAN:
+            self._plans[robot] = stamp_ns, message
+        elif topic is topics.OBSTACLES:
+            self._obstacles = stamp_ns, message
+        elif topic is topics.TRUTH:
+            self._truth = stamp_ns, message
+        elif topic is topics.TRAJECTORY:
+            self._trajectories[robot], self.replanned = message, True
+
+    def moving(self, stamp_ns: int) -> SceneUpdate:
+        """Robots, their horizons, the truth behind them, obstacles; without what has not been heard of lately."""
+        scene, fresh_ns = SceneUpdate(), stamp_ns - GONE_NS
+        for index, robot in enumerate(self._experiment.robot_ids):
+            state, plan = self._states.get(robot), self._plans.get(robot)
+            if state is not None and state[0] >= fresh_ns:
+                entity = _entity(scene, f"robot {robot}", stamp_ns)
+                _hull(entity, state[1].eta, self._experiment.vehicle.radius_m, _colour(colour(index), FULL))
+                entity.texts.add(
+                    text=f"{robot} {state[1].mode.name.lower()}", billboard=True, font_size=14.0, scale_invariant=True
+                )
+                above = np.array([0.0, 0.0, -1.6 * self._experiment.vehicle.radius_m, 0.0])
+                _place(entity.texts[0], state[1].eta + above)
+                entity.texts[0].color.CopyFrom(_colour(colour(index), FULL))
+            if plan is not None and plan[0] >= fresh_ns:
+                _line(_entity(scene, f"plan {robot}", stamp_ns), plan[1].eta[:, :3], _colour(colour(index), FULL), 4.0)
+        if self._truth is not None and self._truth[0] >= fresh_ns:
+            for robot, eta in zip(self._truth[1].robots, self._truth[1].eta, strict=False):
+                _hull(_entity(scene, f"truth {robot}", stamp_ns), eta, self._experiment.vehicle.radius_m, _colour(GREY, GLASS))
+        if self._obstacles is not None and self._obstacles[0] >= fresh_ns:
+            self._draw_obstacles(scene, self._obstacles[1], stamp_ns)
+        return scene
+
+    def _draw_obstacles(self, scene: SceneUpdate, seen: Obstacles, stamp_ns: int) -> None:
+        for number, outline in zip(seen.ids, seen.outline, strict=False):
+            corners = np.column_stack([outline, np.full(len(outline), seen.depth_m)])
+            _line(_entity(scene, f"obstacle {number}", stamp_ns), corners, _colour(RED, FULL), 3.0, closed=True)
+
+    def standing(self, stamp_ns: int) -> SceneUpdate:
+        """Pool, islands, paths."""
+        self.replanned = False
+        scene = SceneUpdate()
+        length, width, depth = self._experiment.pool.size_m
+        pool = _entity(scene, "pool", stamp_ns, lasting=True)
+        corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length / 2, width / 2]
+        for z in (0.0, depth):
+            _line(pool, np.column_stack([corners, np.full(4, z)]), _colour(GREY, FULL), 2.0, closed=True)
+        for k, island in enumerate(self._experiment.islands):
+            entity = _entity(scene, f"island {k + 1}", stamp_ns, lasting=True)
+            cylinder = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
+            _place(cylinder, np.array([*island.position_m, depth / 2, 0.0]))
+            cylinder.size.x = cylinder.size.y = 2.0 * island.radius_m
+            cylinder.size.z = depth
+            cylinder.color.CopyFrom(_colour(GREY, FAINT))
+        for index, robot in enumerate(self._experiment.robot_ids):
+            trajectory = self._trajectories.get(robot)
+            if trajectory is not None and len(trajectory.eta):
+                every = max(1, len(trajectory.eta) // PATH_POINTS)
+                entity = _entity(scene, f"path {robot}", stamp_ns, lasting=True)
+                _line(entity, trajectory.eta[::every, :3], _colour(colour(index), FAINT), 1.5)
+        return scene
+
+
+def upright(stamp_ns: int) -> FrameTransform:
+    """The pool's frame in one with z up: half a turn about x."""
+    frame = FrameTransform(parent_frame_id=UPRIGHT_FRAME, child_frame_id=POOL_FRAME)
+    frame.timestamp.FromNanoseconds(stamp_ns)
+    frame.rotation.x = 1.0
+    return frame
+
+
+def _entity(scene: SceneUpdate, name: str, stamp_ns: int, lasting: bool = False) -> SceneEntity:
+    entity = scene.entities.add(frame_id=POOL_FRAME, id=name)
+    entity.timestamp.FromNanoseconds(stamp_ns)
+    if not lasting:
+        entity.lifetime.FromNanoseconds(GONE_NS)
+    return entity
+
+
+def _hull(entity: SceneEntity, eta: Array, radius_m: float, paint: Color) -> None:
+    """A sphere, and an arrow that says where it looks."""
+    sphere = entity.spheres.add()
+    _place(sphere, eta)
+    sphere.size.x = sphere.size.y = sphere.size.z = 2.0 * radius_m
+    sphere.color.CopyFrom(Color(r=paint.r, g=paint.g, b=paint.b, a=paint.a * FAINT))
+    arrow = entity.arrows.add(
+        shaft_length=1.2 * radius_m, shaft_diameter=0.12 * radius_m, head_length=0.4 * radius_m, head_diameter=0.35 * radius_m
+    )
+    _place(arrow, eta)
+    arrow.color.CopyFrom(paint)
+
+
+def _place(primitive: Any, eta: Array) -> None:
+    """Put a primitive at a pose (4,)."""
+    x, y, z, yaw_rad = eta.tolist()
+    primitive.pose.position.x, primitive.pose.position.y, primitive.pose.position.z = x, y, z
+    primitive.pose.orientation.z, primitive.pose.orientation.w = math.sin(yaw_rad / 2), math.cos(yaw_rad / 2)
+
+
+def _line(entity: SceneEntity, points: Array, paint: Color, width_px: float, closed: bool = False) -> None:
+    """A line through points (n, 3)."""
+    kind = LinePrimitive.LINE_LOOP if closed else LinePrimitive.LINE_STRIP
+    line = entity.lines.add(type=kind, thickness=width_px, scale_invariant=True, color=paint)
+    line.pose.orientation.w = 1.0
+    line.points.extend(_points(points.tolist()))
+
+
+def _points(rows: Iterable[Any]) -> Iterable[Point3]:
+    return (Point3(x=x, y=y, z=z) for x, y, z in rows)
+
+
+def _colour(text: str, opacity: float) -> Color:
+    r, g, b = (int(text[i : i + 2], 16) / 255.0 for i in (1, 3, 5))
+    return Color(r=r, g=g, b=b, a=opacity)

@@ -1,0 +1,345 @@
+"""SHELL: a run's messages as tables of plain numbers with named units, for whoever has no reader of MCAP.
+
+One table per topic and robot, a row per message in the order of arrival; of what is a list itself (the truth of all robots, a
+plan's nodes, a trajectory's samples, obstacles, gains) a row per entry. Every recorded topic has its table; of pictures it
+holds the sizes. Fields of a message within a message have its name and a dot before theirs. docs/runs.md says more.
+"""
+
+import csv
+import dataclasses
+import importlib
+import io
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
+
+import numpy as np
+from mcap.records import Channel, Message
+
+from groundstation.analysis.alignment import zero_ns
+from groundstation.logs.reader import EVERYTHING, key_topic, read_log
+from groundstation.logs.repair import checked_records
+from wire.config.experiment import load_experiment
+from wire.messages import messages, topics
+from wire.messages.codec import DecodeError, decode
+from wire.messages.log_records import Damaged
+from wire.messages.topics import Topic
+from wire.process.output_files import RUN, check_output, replacing
+from wire.toml_loader import ConfigError
+
+AT_ONCE = 5_000  # rows that are kept until they are written: a few MB
+
+POSE = ("x_m", "y_m", "z_m", "yaw_rad")  # pool frame
+VELOCITY = ("surge_mps", "sway_mps", "heave_mps", "yaw_radps")  # body frame
+ACCELERATION = ("surge_mps2", "sway_mps2", "heave_mps2", "yaw_radps2")  # body frame
+WRENCH = ("surge_n", "heave_n", "yaw_nm")
+CHANNELS = (*(f"thruster_{k}_us" for k in range(1, 5)), *(f"ankle_{k}_us" for k in range(1, 5)))
+
+
+def _named(prefix: str, names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(prefix + name for name in names)
+
+
+# What the entries of arrays and of lists of a fixed length are called. A matrix is told row by row.
+NAMES: dict[tuple[type, str], tuple[str, ...]] = {
+    (messages.Truth, "eta"): POSE,
+    (messages.Truth, "nu"): VELOCITY,
+    (messages.Truth, "wrench"): WRENCH,
+    (messages.Truth, "disturbance"): _named("disturbance_", ACCELERATION),
+    (messages.Pose, "covariance"): tuple(
+        f"covariance_{a}_{b}_{unit}"
+        for a, row in (("x", ("m2", "m2", "m_rad")), ("y", ("m2", "m2", "m_rad")), ("yaw", ("m_rad", "m_rad", "rad2")))
+        for b, unit in zip(("x", "y", "yaw"), row, strict=True)
+    ),
+    (messages.Plan, "eta"): POSE,
+    (messages.Plan, "eta_reference"): _named("reference_", POSE),
+    (messages.RobotState, "eta"): POSE,
+    (messages.RobotState, "nu"): VELOCITY,
+    (messages.RobotState, "disturbance"): _named("disturbance_", ACCELERATION),
+    (messages.RobotState, "eta_reference"): _named("reference_", POSE),
+    (messages.RobotState, "eta_command"): _named("command_", POSE),
+    (messages.RobotState, "wrench"): WRENCH,
+    (messages.RobotState, "wrench_step"): _named("step_", WRENCH),
+    (messages.RobotState, "wrench_wanted"): _named("wanted_", WRENCH),
+    (messages.RobotState, "wrench_delivered"): _named("delivered_", WRENCH),
+    (messages.RobotState, "pulse_us"): _named("pulse_", CHANNELS),
+    (messages.RobotState, "echo_us"): _named("echo_", CHANNELS),
+    (messages.Trajectory, "eta"): POSE,
+    (messages.Trajectory, "velocity"): ("x_mps", "y_mps", "z_mps", "yaw_radps"),  # pool frame
+    (messages.Trajectory, "acceleration"): ("x_mps2", "y_mps2", "z_mps2", "yaw_radps2"),  # pool frame
+    (messages.Obstacles, "outline"): tuple(f"corner_{k}_{axis}_m" for k in range(1, 13) for axis in "xy"),
+    (messages.Obstacles, "velocity"): ("x_mps", "y_mps"),  # pool frame
+    (messages.Obstacles, "unseen_s"): ("unseen_s",),
+    (messages.Tuning, "values"): ("value",),
+    (messages.BoardReading, "acceleration_mps2"): _named("acceleration_", ACCELERATION[:3]),
+    (messages.BoardReading, "echo_us"): _named("echo_", CHANNELS),
+}
+# Messages that are lists: what a row's own column is called, and the field that fills it; "": rows are numbered from 0.
+LISTS: dict[type, tuple[str, str]] = {
+    messages.Truth: ("robot", "robots"),
+    messages.Obstacles: ("obstacle", "ids"),
+    messages.Plan: ("node", ""),
+    messages.Trajectory: ("sample", ""),
+    messages.Tuning: ("key", "keys"),
+}
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: its name, the type of its cells (float, int, bool, str), and a cell of a message and a row of it;
+    None where there is nothing."""
+
+    name: str
+    kind: type
+    cell: Callable[[Any, int], Any]
+
+
+@dataclass
+class Exported:
+    """What was written."""
+
+    files: list[tuple[Path, int]] = field(default_factory=list)  # with their rows
+    trouble: str = ""  # what is wrong with the log as a whole
+    undecodable: int = 0  # messages that are in no table
+
+
+def export(run: Path, folder: Path, parquet: bool) -> Exported:
+    """Write all tables of a run's log. Raises ConfigError if Parquet cannot be written, for a log without messages, and for a
+    folder where a table would take the place of a run's file."""
+    log, kind = run / "run.mcap", _parquet() if parquet else _CsvFile
+    states = read_log(log, (topics.STATE, topics.HEARTBEAT))
+    if not states.messages:
+        raise ConfigError(f"{log}: holds no messages")
+    robots = load_experiment(str(run / "experiment.toml")).robot_ids if (run / "experiment.toml").exists() else ()
+    zero = zero_ns(states, robots or sorted({robot for _, robot in states.entries if robot}))
+    folder.mkdir(parents=True, exist_ok=True)
+    done, open_tables = Exported(trouble=states.trouble), dict[tuple[Topic, int], _Table]()
+    with ExitStack() as stack:
+
+        def table(topic: Topic, robot: int) -> _Table:
+            if (topic, robot) not in open_tables:
+                name = topic.name.replace("/{robot}", f"-{robot}").replace("/", "-")
+                path = folder / f"{name}{'.parquet' if parquet else '.csv'}"
+                check_output(path, [run / own for own in RUN])
+                open_tables[topic, robot] = stack.enter_context(_Table(topic, path, zero, kind))
+            return open_tables[topic, robot]
+
+        for (topic, robot), session, record in _messages(log):
+            try:
+                message: Any = decode(topic.type, record.data, "log", topic.name)
+            except DecodeError:
+                done.undecodable += 1
+                continue
+            table(topic, robot).add(message, session, record)
+    done.files = [(t.path, t.rows) for _, t in sorted(open_tables.items(), key=lambda item: (item[0][0].name, item[0][1]))]
+    return done
+
+
+def _messages(log: Path) -> Iterator[tuple[tuple[Topic, int], str, Message]]:
+    """Topic and robot, session, and record of every message of ours, in the order of the file."""
+    channels: dict[int, tuple[tuple[Topic, int], str]] = {}
+    with log.open("rb") as file:
+        try:
+            for record in checked_records(file):
+                if isinstance(record, Channel):
+                    found = key_topic(record.topic)
+                    if found is not None and found[0] in EVERYTHING:
+                        channels[record.id] = found, record.metadata.get("session", "")
+                elif isinstance(record, Message) and record.channel_id in channels:
+                    yield *channels[record.channel_id], record
+        except Damaged:  # `trouble` tells it
+            return
+
+
+# --- columns
+
+
+def columns(cls: type, prefix: str = "") -> list[Column]:
+    """The columns of a message's table; with a prefix, of a message within another one."""
+    listed, filled_by = ("", "") if prefix else LISTS.get(cls, ("", ""))
+    found: list[Column] = []
+    if listed:
+        kind = int if filled_by != "keys" else str
+        found.append(Column(listed, kind, _entry(filled_by) if filled_by else lambda m, row: row))
+    if listed and cls is messages.Plan:
+        found.append(Column("ahead_s", float, lambda m, row: row * m.period_s))
+    if listed and cls is messages.Trajectory:
+        found.append(Column("trajectory_s", float, lambda m, row: m.begin_s + row * m.period_s))
+    hints = get_type_hints(cls)
+    for f in dataclasses.fields(cls):
+        if f.name != filled_by or not listed:
+            found += _of_field(cls, f.name, hints[f.name], f.metadata.get("shape"), prefix, bool(listed))
+    return found
+
+
+def rows(message: Any) -> int:
+    """How many rows a message has; one that is an empty list has one, which says so."""
+    if type(message) not in LISTS:
+        return 1
+    lists = [getattr(message, f.name) for f in dataclasses.fields(message)]
+    return max([1, *(len(value) for value in lists if isinstance(value, np.ndarray | tuple))])
+
+
+def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[Column]:
+    """The columns of one field."""
+    names = NAMES.get((cls, name))
+    if shape is not None and -1 in shape and not listed:  # a list within a message
+        if cls is messages.Trajectory:  # it has a table of its own
+            return [Column(f"{prefix}{name}_samples", int, lambda m, row: len(getattr(m, name)))]
+        return [Column(f"{prefix}{name}", str, lambda m, row: json.dumps(getattr(m, name).tolist()))]
+    if shape is not None:
+        size = int(np.prod([n for n in shape if n != -1]))
+        of_row = -1 in shape
+        named = names or tuple(f"{name}_{k}" for k in range(size))
+        return [Column(prefix + named[k], float, _number(name, k, of_row)) for k in range(size)]
+    if names is not None:
+        return [Column(prefix + names[k], int, _entry(name, k)) for k in range(len(names))]
+    if get_origin(hint) is tuple:
+        return [Column(prefix + name, str, _text(name))]
+    nested = next((part for part in get_args(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)), None)
+    if nested is not None:
+        return [Column(c.name, c.kind, _within(name, c)) for c in columns(nested, f"{prefix}{name}.")]
+    if isinstance(hint, type) and issubclass(hint, IntEnum):
+        return [Column(prefix + name, str, lambda m, row: getattr(m, name).name)]
+    if hint is bytes:
+        return [Column(f"{prefix}{name}_bytes", int, lambda m, row: len(getattr(m, name)))]
+    if name.endswith("session") or name == "recipient":  # 64 bits without a sign
+        return [Column(prefix + name, str, lambda m, row: f"{getattr(m, name):x}")]
+    return [Column(prefix + name, hint if hint in (float, int, bool) else str, lambda m, row: getattr(m, name))]
+
+
+def _number(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:
+    def cell(message: Any, row: int) -> Any:
+        values = getattr(message, name)
+        if of_row:
+            return float(values[row].flat[k]) if row < len(values) else None
+        return float(values.flat[k])
+
+    return cell
+
+
+def _entry(name: str, k: int | None = None) -> Callable[[Any, int], Any]:
+    def cell(message: Any, row: int) -> Any:
+        values, place = getattr(message, name), row if k is None else k
+        return values[place] if place < len(values) else None
+
+    return cell
+
+
+def _text(name: str) -> Callable[[Any, int], Any]:
+    """A list of any length in one cell, with spaces; sessions as everywhere in hexadecimal digits."""
+
+    def cell(message: Any, row: int) -> Any:
+        return " ".join(f"{value:x}" if name.endswith("sessions") else str(value) for value in getattr(message, name))
+
+    return cell
+
+
+def _within(name: str, column: Column) -> Callable[[Any, int], Any]:
+    def cell(message: Any, row: int) -> Any:
+        inner = getattr(message, name)
+        return None if inner is None else column.cell(inner, row)
+
+    return cell
+
+
+# --- files
+
+
+class _Rows(Protocol):
+    """A kind of file that takes rows."""
+
+    def __init__(self, file: IO[bytes], columns: Sequence[tuple[str, type]]) -> None: ...
+    def write(self, rows: Sequence[Sequence[Any]]) -> None: ...
+    def close(self) -> None: ...
+
+
+WHEN = (("time_s", float), ("stamp_ns", int), ("arrived_ns", int), ("session", str), ("sequence", int))
+
+
+class _Table:
+    """One table, open. Use it with `with`: it is whole, or not there."""
+
+    def __init__(self, topic: Topic, path: Path, zero: int, kind: type[_Rows]) -> None:
+        self.path, self.rows = path, 0
+        self._columns, self._zero, self._kind = columns(topic.type), zero, kind
+        self._waiting: list[list[Any]] = []
+
+    def __enter__(self) -> "_Table":
+        self._stack = ExitStack()
+        file = self._stack.enter_context(replacing(self.path))
+        self._file = self._kind(file, [*WHEN, *((c.name, c.kind) for c in self._columns)])
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if kind is None:
+            try:
+                self._write()
+                self._file.close()
+            except BaseException:
+                self._stack.__exit__(*sys.exc_info())
+                raise
+        self._stack.__exit__(kind, error, trace)
+
+    def add(self, message: Any, session: str, record: Message) -> None:
+        """Add a message's rows."""
+        when = [(record.publish_time - self._zero) * 1e-9, record.publish_time, record.log_time, session, record.sequence]
+        for row in range(rows(message)):
+            self._waiting.append([*when, *(column.cell(message, row) for column in self._columns)])
+            self.rows += 1
+        if len(self._waiting) >= AT_ONCE:
+            self._write()
+
+    def _write(self) -> None:
+        self._file.write(self._waiting)
+        self._waiting = []
+
+
+class _CsvFile:
+    """Comma-separated values, the names of the columns first; what is not there is an empty cell."""
+
+    def __init__(self, file: IO[bytes], columns: Sequence[tuple[str, type]]) -> None:
+        self._text = io.TextIOWrapper(file, encoding="utf-8", newline="")
+        self._writer = csv.writer(self._text)
+        self._writer.writerow([name for name, _ in columns])
+
+    def write(self, rows: Sequence[Sequence[Any]]) -> None:
+        self._writer.writerows(rows)
+
+    def close(self) -> None:
+        self._text.flush()
+        self._text.detach()
+
+
+def _parquet() -> type[_Rows]:
+    """Parquet files. Raises ConfigError where the package is not installed."""
+    try:
+        arrow, files = importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    except ModuleNotFoundError:
+        raise ConfigError("--parquet: not installed here (pip install pyarrow, or leave --parquet out for CSV)") from None
+    types = {float: arrow.float64(), int: arrow.int64(), bool: arrow.bool_(), str: arrow.string()}
+
+    class ParquetFile:
+        def __init__(self, file: IO[bytes], columns: Sequence[tuple[str, type]]) -> None:
+            self._schema = arrow.schema([(name, types[kind]) for name, kind in columns])
+            self._writer = files.ParquetWriter(file, self._schema)
+
+        def write(self, rows: Sequence[Sequence[Any]]) -> None:
+            try:
+                cells = zip(zip(*rows, strict=True), self._schema, strict=True) if rows else ()
+                arrays = [arrow.array(column, of.type) for column, of in cells]
+            except OverflowError:
+                raise ConfigError("--parquet: the log holds a number of more than 63 bits (CSV takes it)") from None
+            if arrays:
+                self._writer.write_table(arrow.Table.from_arrays(arrays, schema=self._schema))
+
+        def close(self) -> None:
+            self._writer.close()
+
+    return ParquetFile

@@ -1,0 +1,296 @@
+"""SHELL: writes a run into an MCAP file from its own thread, so that a crash loses half a second and a full disk loses the
+log, never the run.
+
+    recorder = Recorder(run_dir / "run.mcap", experiment_toml, {"mode": "lockstep", "hash": experiment.hash})
+    recorder.gather([bus.collect(topic) for topic in topics.TOPICS if topic.recorded], lambda header: clock.now_ns())
+    ...
+    recorder.close()                    # in a finally; what a killed process leaves behind, groundstation/logs/repair.py mends
+
+When the disk fills, pictures are given up first: the rest of a log is small, and worth more.
+
+The wire's bytes go in unchanged, with protobuf schemas, so the usual viewers open the file. `log_time` is the arrival by the
+caller's clock (in lockstep the simulated one), `publish_time` the header's stamp. How fast the run went by the wall clock is
+told by pairs (stamp, monotonic time) in the closing metadata. The file's index stays in memory until the end: with 25 topics
+some 16 MB an hour. A sender's restart opens a second channel on the same topic:
+its session is in the channel's metadata.
+"""
+
+import fcntl
+import importlib.metadata
+import itertools
+import json
+import math
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any, cast
+
+from mcap.writer import Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from wire.config.experiment import Experiment
+from wire.messages.codec import Header, protobuf_class
+from wire.messages.topics import STATE, Qos, Role, Topic
+from wire.process.version import code
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Collected
+
+FLUSH_PERIOD_S = 0.5  # what a kill -9 loses at most, plus the time of one write; the requirement is 1 s
+GATHER_S = 0.01  # how far `log_time` may be behind the arrival; a control step's messages come in bursts
+CHUNK_BYTES = 256 * 1024  # only previews reach it between flushes; several chunks a flush compress as well as one
+MAX_PENDING_BYTES = 64 * 1024 * 1024  # a disk that stalls this long (minutes of messages) must not eat the memory
+JOIN_S = 10.0  # a disk that hangs must not keep the process from ending
+
+EXPERIMENT_NAME = "experiment.toml"
+RUN_METADATA = "run"
+END_METADATA = "recorder"
+
+
+def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
+    """What a log says of its run; `mode` is how time went."""
+    return {
+        "scene": experiment.name,
+        "seed": str(experiment.seed),
+        "mode": mode,
+        "experiment_hash": experiment.hash,
+        "version": code().version,
+        "commit": code().commit,
+        "zenoh": importlib.metadata.version("eclipse-zenoh"),
+    }
+
+
+def disk_free(folder: Path) -> int:
+    """Bytes that can still be written there."""
+    return shutil.disk_usage(folder).free
+
+
+def claim(fd: int, path: Path, how: int, taken: str) -> None:
+    """Lock a log, for as long as it is open. Raises OSError saying `taken` where another process has it; a file system that
+    knows no locks lets everybody in."""
+    try:
+        fcntl.flock(fd, how | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise OSError(error.errno, taken, str(path)) from None
+    except OSError:
+        return
+
+
+class _Output:
+    """What mcap's Writer writes to: collects bytes, hands them to the file in one go, and knows how far the file is good."""
+
+    def __init__(self, path: Path) -> None:
+        try:  # a log is never written over, nor through a link
+            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
+        except FileExistsError as error:
+            raise FileExistsError(error.errno, "is there already, and would be lost (take a new folder)", str(path)) from None
+        claim(self._fd, path, fcntl.LOCK_EX, "another program has it")
+        self._pending = bytearray()
+        self.good_bytes = 0
+
+    def write(self, data: bytes) -> int:
+        self._pending += data
+        return len(data)
+
+    def tell(self) -> int:
+        return self.good_bytes + len(self._pending)
+
+    def flush(self) -> None:
+        rest = memoryview(bytes(self._pending))
+        while rest:
+            rest = rest[os.write(self._fd, rest) :]
+        self.good_bytes += len(self._pending)
+        self._pending.clear()
+
+    def sync(self) -> None:
+        os.fsync(self._fd)
+
+    def close(self, cut: bool = False) -> None:
+        """Close the file; with `cut`, without what a failed write left behind its last good byte."""
+        try:
+            if cut:
+                os.ftruncate(self._fd, self.good_bytes)
+        finally:
+            os.close(self._fd)
+
+
+class Recorder:
+    """Records messages into one file. `put` may be called from any thread and never waits for the disk."""
+
+    def __init__(
+        self,
+        path: Path,
+        experiment_toml: str,
+        metadata: Mapping[str, str],
+        stop_pictures_below: int = 0,
+        free_bytes: Callable[[Path], int] = disk_free,
+    ) -> None:
+        """Open the file and put what must survive any crash into it: the experiment and the metadata (mode, seed, hash,
+        versions). With fewer than `stop_pictures_below` bytes free on its disk no pictures are recorded any longer. Raises
+        OSError when the file cannot be made: without a log no run should begin."""
+        self._free_bytes, self._folder = free_bytes, path.parent
+        self._stop_pictures_below, self._no_pictures, self._warning = stop_pictures_below, False, ""
+        self.whole_until_ns: int | None = None  # robots' messages with later stamps wait; those left at the end are left out
+        self._dropped = 0
+        self._error = ""
+        self._lock = threading.Lock()
+        self._pending: list[tuple[Topic, str, Header, bytes, int, int]] = []
+        self._pending_bytes = 0
+        self._pace: list[tuple[int, int]] = []  # (stamp, monotonic time of arrival) of one state message per flush
+        self._closing = threading.Event()
+        self._gathered = threading.Event()  # to be ended: the last messages are fetched before the log is closed
+        self._gatherer: threading.Thread | None = None
+        self._schemas: dict[type, int] = {}
+        self._channels: dict[tuple[str, int], int] = {}
+        self._output = _Output(path)
+        self._writer: Any = Writer(cast(IO[bytes], self._output), chunk_size=CHUNK_BYTES)  # Any: mcap is typed in part
+        self._writer.start(library="shoal")
+        now_ns = time.time_ns()
+        self._writer.add_attachment(now_ns, now_ns, EXPERIMENT_NAME, "application/toml", experiment_toml.encode())
+        self._writer.add_metadata(RUN_METADATA, dict(metadata))
+        try:
+            self._flush()
+        except OSError:
+            self._output.close()
+            raise
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    @property
+    def error(self) -> str:
+        """Why nothing is recorded any more; empty while all is well."""
+        return self._error
+
+    @property
+    def warning(self) -> str:
+        """What is not recorded any more, and why; empty while everything is."""
+        return self._warning
+
+    @property
+    def dropped(self) -> int:
+        """Messages that did not get into the log."""
+        return self._dropped
+
+    def put(self, topic: Topic, key: str, header: Header, payload: bytes, log_time_ns: int) -> None:
+        """Record a message that arrived at `log_time_ns`. Returns at once; counts what it must drop. After `close` the run
+        is over, and what still arrives is no part of it."""
+        with self._lock:
+            if self._closing.is_set() or (self._no_pictures and topic.qos is Qos.IMAGE):
+                return
+            if self._error or self._pending_bytes + len(payload) > MAX_PENDING_BYTES:
+                self._dropped += 1
+                return
+            self._pending.append((topic, key, header, payload, log_time_ns, time.monotonic_ns()))
+            self._pending_bytes += len(payload)
+
+    def gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
+        """Record what has come to these, from now until `close`, in a thread of its own: one that waited for the disk would
+        leave messages lying. `arrival_ns` tells what `log_time` becomes. Call it once."""
+        self._gatherer = threading.Thread(target=self._gather, args=(sources, arrival_ns), name="gatherer", daemon=True)
+        self._gatherer.start()
+
+    def _gather(self, sources: Sequence[Collected], arrival_ns: Callable[[Header], int]) -> None:
+        ended = False
+        try:
+            while not ended:
+                ended = self._gathered.wait(GATHER_S)
+                for topic, key, header, payload in itertools.chain.from_iterable(source() for source in sources):
+                    self.put(topic, key, header, payload, arrival_ns(header))
+        except BaseException as error:  # nothing comes into the log any more, and without this nobody would be told
+            with self._lock:
+                self._error = self._error or f"log stopped: {type(error).__name__}: {error}"
+            raise
+
+    def close(self) -> None:
+        """Fetch what has come, write what is pending and the file's index. Idempotent; does not raise for a failing disk,
+        see `error`."""
+        self._gathered.set()
+        if self._gatherer is not None:
+            self._gatherer.join(JOIN_S)
+        self._closing.set()
+        self._thread.join(JOIN_S)
+        if self._thread.is_alive():
+            self._error = self._error or f"the disk did not take the log's end within {JOIN_S:g} s"
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.wait(FLUSH_PERIOD_S):
+                self._look_at_disk()
+                self._write_pending()
+                self._flush()
+            self._write_pending()
+            self._writer.flush()  # the end comes behind the last message, or a log cut between them would count as whole
+            self._writer.add_metadata(END_METADATA, {"dropped": str(self._dropped), "pace": json.dumps(self._pace)})
+            self._writer.finish()
+            self._output.flush()
+            self._output.sync()
+        except OSError as error:
+            self._fail(f"{error.strerror or error} (errno {error.errno})")
+        except BaseException as error:  # SystemExit too would end a thread without a word
+            self._fail(f"{type(error).__name__}: {error}")
+            raise  # a bug: threading's hook prints where; the operator already sees that the log has stopped
+        else:
+            self._output_close()
+
+    def _look_at_disk(self) -> None:
+        """Pictures given up stay so: a film that comes and goes with the last megabyte is of no use."""
+        if self._no_pictures or not self._stop_pictures_below:
+            return
+        free = self._free_bytes(self._folder)
+        if free < self._stop_pictures_below:
+            self._no_pictures = True
+            self._warning = f"pictures are not recorded any longer: {free / 1e9:.2f} GB are free on the log's disk"
+
+    def _write_pending(self) -> None:
+        with self._lock:
+            until_ns = math.inf if self.whole_until_ns is None else self.whole_until_ns
+            waits = [topic.writers == (Role.ROBOT,) and header.stamp_ns > until_ns for topic, _, header, *_ in self._pending]
+            batch = [entry for entry, later in zip(self._pending, waits, strict=True) if not later]
+            self._pending = [entry for entry, later in zip(self._pending, waits, strict=True) if later]
+            self._pending_bytes = sum(len(payload) for _, _, _, payload, *_ in self._pending)
+        states = [(header.stamp_ns, arrived_ns) for topic, _, header, _, _, arrived_ns in batch if topic is STATE]
+        self._pace += states[-1:]
+        for topic, key, header, payload, log_time_ns, _ in batch:
+            channel = self._channel(topic, key, header.session)
+            # MCAP's times and sequence numbers are unsigned; a stranger's header must not stop the log
+            stamp_ns, sequence = max(header.stamp_ns, 0), header.sequence & 0xFFFFFFFF
+            self._writer.add_message(channel, max(log_time_ns, 0), payload, stamp_ns, sequence)
+
+    def _channel(self, topic: Topic, key: str, session: int) -> int:
+        cls = protobuf_class(topic.type)
+        if cls not in self._schemas:
+            files = build_file_descriptor_set(cls).SerializeToString()
+            self._schemas[cls] = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+        if (key, session) not in self._channels:
+            self._channels[key, session] = self._writer.register_channel(
+                key, "protobuf", self._schemas[cls], {"session": f"{session:x}", "publisher": topic.publisher}
+            )
+        return self._channels[key, session]
+
+    def _flush(self) -> None:
+        self._writer.flush()
+        self._output.sync()
+
+    def _fail(self, reason: str) -> None:
+        with self._lock:
+            self._error = f"log stopped: {reason}"
+            self._dropped += len(self._pending)
+            self._pending, self._pending_bytes = [], 0
+        self._output_close(cut=True)
+
+    def _output_close(self, cut: bool = False) -> None:
+        try:
+            self._output.close(cut)
+        except OSError as error:
+            self._error = self._error or f"log stopped: {error.strerror} (errno {error.errno})"
+
+
+def check_room(folder: Path, least_gb: float) -> None:
+    """Raises ConfigError where there is no room for a log in a folder, which need not be there yet."""
+    free_gb = disk_free(next(place for place in (folder, *folder.resolve().parents) if place.is_dir())) / 1e9
+    if free_gb < least_gb:
+        raise ConfigError(
+            f"{folder}: {free_gb:.2f} GB free, a run needs {least_gb:g} (recording.min_free_gb): make room, or --out elsewhere"
+        )

@@ -1,0 +1,59 @@
+"""How well each lap was tracked, and with which gains: two sets are compared lap by lap. Pure."""
+
+import math
+from dataclasses import dataclass
+
+from groundstation.telemetry import Fleet
+from wire.messages.messages import Mode
+
+KEPT = 12
+BACK_S = 5.0  # who held goes on from where the slowest was, a little further back; who goes back further begins again
+
+
+@dataclass(frozen=True)
+class Lap:
+    """A lap, or the part of it that was flown with one set of gains; all robots together."""
+
+    number: int  # from 1; 0 on a path that has none
+    tuning_id: str
+    time_s: float  # how long
+    rms_m: float  # distance from the reference
+    max_m: float
+
+
+class Laps:
+    """Filled from the robots' states as they come."""
+
+    def __init__(self, lap_s: float | None) -> None:
+        self._lap_s = lap_s
+        self._last_s: dict[int, float] = {}
+        self._rows: dict[tuple[int, str], tuple[float, float, int, float]] = {}  # robot seconds, sum of squares, count, max
+
+    def note(self, fleet: Fleet) -> None:
+        """Take in the newest states. A trajectory that begins again is another run."""
+        for robot, seen in fleet.items():
+            state = seen.state
+            if state is None or state.mode is not Mode.TRACKING or state.trajectory_s <= 0.0:
+                continue
+            last_s = self._last_s.get(robot, state.trajectory_s)
+            if state.trajectory_s < last_s - BACK_S:
+                self._rows.clear()
+                self._last_s.clear()
+                last_s = state.trajectory_s
+            elif state.trajectory_s == last_s and robot in self._last_s:
+                continue
+            self._last_s[robot] = state.trajectory_s
+            key = (int(state.trajectory_s // self._lap_s) + 1 if self._lap_s else 0, state.tuning_id)
+            error_m = math.dist(state.eta[:3], state.eta_reference[:3])
+            time_s, squares, count, largest = self._rows.get(key, (0.0, 0.0, 0, 0.0))
+            self._rows[key] = time_s + state.trajectory_s - last_s, squares + error_m**2, count + 1, max(largest, error_m)
+        while len(self._rows) > KEPT:
+            del self._rows[next(iter(self._rows))]
+
+    def rows(self) -> list[Lap]:
+        """The newest last. May be asked from another thread: the copy is one step of the interpreter."""
+        robots = max(len(self._last_s), 1)
+        return [
+            Lap(number, tuning_id, time_s / robots, math.sqrt(squares / count), largest)
+            for (number, tuning_id), (time_s, squares, count, largest) in list(self._rows.items())
+        ]

@@ -1,0 +1,66 @@
+"""What keeps the station from doing what a person asks for, in a phase in which it counts. Pure."""
+
+from collections.abc import Mapping, Sequence
+
+from groundstation.mission.roster import Crew
+from groundstation.planning.replanning import can_detour
+from groundstation.planning.segment import Leg
+from groundstation.telemetry import Fleet, RobotView, preflight
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages.messages import Mode, Order
+
+UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
+
+
+def objection(
+    order: Order,
+    experiment: Experiment,
+    fleet: Fleet,
+    crew: Crew,
+    leg: Leg,
+    starts: Mapping[int, Array],
+    via: Sequence[tuple[float, float]],
+) -> str:
+    """Why not; empty if it can be done."""
+    if order in (Order.ARM, Order.START):
+        return "; ".join(preflight(experiment, fleet, starts))
+    if order is Order.TEST:
+        return "; ".join(preflight(experiment, fleet, but=("thrusters",)))
+    if order is Order.RESUME:
+        moving = [f"robot {r} does not hold yet ({_name(fleet[r])})" for r in crew.active if fleet[r].mode is not Mode.HOLDING]
+        return "; ".join(moving)
+    if order is Order.HOLD and all(fleet[r].mode is Mode.DISARMED for r in crew.active):
+        return "no robot is armed"
+    if order is Order.GO and leg.home:
+        return "the robots are on their way back to the start, each on its own"
+    if order is Order.GO and not via:
+        return "where to? (places for the formation's centre, x and y in m)"
+    if order is Order.GO and not can_detour(experiment):
+        return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
+    if order is Order.GO:
+        return "; ".join(f"({x:g}, {y:g}) m is outside the pool" for x, y in via if not _inside(experiment, x, y))
+    if order is Order.REJOIN and not crew.out:
+        return "nobody is out"
+    if order is Order.REJOIN and leg.home:
+        return "the others are on their way back to the start, where nobody has a place to take"
+    if order is Order.REJOIN:
+        return "; ".join(preflight(experiment, {r: fleet[r] for r in crew.out}, but=("thrusters",)))
+    if order is Order.RETURN and not any(can_move(fleet[r]) for r in crew.active):
+        return "no robot is fit to move"
+    return ""
+
+
+def _inside(experiment: Experiment, x: float, y: float) -> bool:
+    """Where a robot accepts a path to: also in open water, which has no walls."""
+    length, width, _ = experiment.pool.size_m
+    return abs(x) <= length / 2.0 and abs(y) <= width / 2.0
+
+
+def _name(robot: RobotView) -> str:
+    return robot.mode.name if robot.mode is not None else "never heard"
+
+
+def can_move(robot: RobotView) -> bool:
+    """Whether it hears orders and has no reason to refuse them."""
+    return robot.heard and robot.mode not in UNFIT

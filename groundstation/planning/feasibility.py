@@ -1,0 +1,113 @@
+"""What keeps a plan from being flown: limits of the robots, walls, islands, one another. Pure."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from groundstation.planning.formation import NodeMotion
+from wire.camera_coverage import outside_m
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.toml_loader import ConfigError
+
+PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: what a robot that is tracked well is off its path
+TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
+
+
+class PlanError(ConfigError):
+    """A plan that must not be flown. One line per problem: robot, time, place, by how much."""
+
+
+@dataclass(frozen=True)
+class _Worst:
+    """The sample at which a quantity exceeds its limit most."""
+
+    index: int
+    value: float
+
+
+def too_fast(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
+    """By what factor the worst robot should be slower, at each sample (n,); 1 is at its limit."""
+    limited = (entry for m in motions.values() for entry in experiment.vehicle.demands(m.velocity, m.acceleration))
+    return np.asarray(np.max([(value / limit) ** (1.0 / power) for _, _, power, limit, value in limited], axis=0))
+
+
+def robot_problems(
+    experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
+) -> Iterator[str]:
+    """What each robot could not fly of its first `flown` samples, the first of them at `begin_s`: one line for each kind."""
+    for robot, motion in motions.items():
+        eta = motion.eta[:flown]
+        for what, unit, _, limit, values in experiment.vehicle.demands(motion.velocity, motion.acceleration):
+            worst = _worst(values[:flown], limit)
+            if worst is not None:
+                over = f"{what} {worst.value:.3f} {unit} exceeds the limit {limit:g} by {worst.value - limit:.3f}"
+                yield f"robot {robot}: {over} {_moment(experiment, begin_s, worst.index, eta[worst.index])}"
+        for what, excess in outside(experiment, eta[:, :3]).items():
+            worst = _worst(excess, 0.0)
+            if worst is not None:
+                where = _moment(experiment, begin_s, worst.index, eta[worst.index])
+                yield f"robot {robot}: {worst.value:.3f} m beyond {what} {where}"
+
+
+def pair_problems(
+    experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
+) -> Iterator[str]:
+    """Who comes too near to whom; on different paths only at the end."""
+    closest_m = 2.0 * experiment.safety.radius_m
+    for a, b in combinations(sorted(motions), 2):
+        together = experiment.path_of(experiment.robot(a)) == experiment.path_of(experiment.robot(b))
+        counts = slice(flown) if together else slice(flown - 1, flown)
+        apart = np.full(flown, np.inf)
+        apart[counts] = np.linalg.norm(motions[a].eta[counts, :3] - motions[b].eta[counts, :3], axis=1)
+        index = int(np.argmin(apart))
+        if apart[index] < closest_m - TOLERANCE:
+            short = f"{apart[index]:.3f} m apart, {closest_m - apart[index]:.3f} less than 2 safety.radius_m = {closest_m:g}"
+            yield f"robots {a} and {b}: {short} {_moment(experiment, begin_s, index, motions[a].eta[index])}"
+
+
+def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
+    """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of islands and each side of the basin, and in the
+    picture of the camera that locates it, in m.
+
+    At the surface the centre counts, not the hull: a robot may float. Open water has no sides.
+    """
+    radius = experiment.vehicle.radius_m
+    x, y, z = position_m.T
+    beyond = {}
+    for i, island in enumerate(experiment.islands, 1):
+        shore_m = np.hypot(x - island.position_m[0], y - island.position_m[1]) - island.radius_m
+        beyond[f"the clearance of island {i}"] = radius - shore_m
+    if experiment.pool.walls:
+        length, width, depth = experiment.pool.size_m
+        beyond |= {
+            "the wall's clearance in x": np.abs(x) + radius - length / 2.0,
+            "the wall's clearance in y": np.abs(y) + radius - width / 2.0,
+            "the floor's clearance": z + radius - depth,
+            "the surface": -z,
+        }
+    if experiment.localizer.uses_camera:
+        beyond["the camera's picture"] = beyond_picture(experiment, position_m)
+    return beyond
+
+
+def beyond_picture(experiment: Experiment, position_m: Array) -> Array:
+    """How far (n,) positions (n, 3) lie beyond where the camera surely sees a robot's hull, in m. Of a camera that moves the
+    pose counts that the experiment gives."""
+    return outside_m(experiment.camera, position_m, experiment.vehicle.radius_m + PICTURE_MARGIN_M)
+
+
+def _worst(values: Array, limit: float) -> _Worst | None:
+    index = int(np.argmax(values))
+    return _Worst(index, float(values[index])) if values[index] > limit + TOLERANCE else None
+
+
+def _moment(experiment: Experiment, begin_s: float, index: int, eta: Array) -> str:
+    return f"at t = {begin_s + index * experiment.controller.period_s:.2f} s, {place(eta)}"
+
+
+def place(eta: Array) -> str:
+    """A position for people."""
+    return f"({eta[0]:.2f}, {eta[1]:.2f}, {eta[2]:.2f}) m"

@@ -1,0 +1,169 @@
+"""From an experiment to one trajectory per robot, refused when a robot could not fly it or should not.
+
+trajectories = plan(experiment)                     # raises PlanError, one line per problem
+starts = start_poses(experiment, trajectories)      # where each robot is put into the water
+"""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from groundstation.planning.feasibility import TOLERANCE, PlanError, outside, pair_problems, place, robot_problems, too_fast
+from groundstation.planning.formation import Course, NodeMotion, courses, node_motion
+from groundstation.planning.paths import Path, PathState, make_path
+from groundstation.planning.time_scaling import slowed
+from groundstation.planning.way import ways
+from wire.config.experiment import Experiment
+from wire.config.scene import PathSpec, Robot, Route
+from wire.frames import Array
+from wire.messages.codec import MAX_MESSAGE_BYTES
+from wire.messages.messages import Trajectory
+
+BYTES_PER_SAMPLE = 3 * 4 * 8
+
+
+@dataclass(frozen=True, eq=False)
+class FleetPlan:
+    """What the robots are to fly, and the motion of the formation's centre, which nobody flies."""
+
+    trajectories: dict[int, Trajectory]
+    centre: Trajectory
+
+
+def plan(experiment: Experiment) -> dict[int, Trajectory]:
+    """Each robot's trajectory; see `plan_fleet`."""
+    return plan_fleet(experiment).trajectories
+
+
+def plan_fleet(experiment: Experiment) -> FleetPlan:
+    """Each robot's trajectory: samples every controller period from 0 to the run's end, and a controller's horizon more.
+
+    Raises PlanError if a robot would exceed its speed, heave, yaw-rate or thrust limits (with `path.slow` only if slowing
+    down does not help), touch a wall, floor or surface, or come closer than 2 R (36) to another on the same path. Those on
+    different paths need to be apart at the end only: on the way they give way to one another.
+    """
+    period_s = experiment.controller.period_s
+    flown = round(experiment.duration_s / period_s) + 1
+    samples = flown + horizon(experiment)
+    if samples * BYTES_PER_SAMPLE > MAX_MESSAGE_BYTES - 1024:
+        longest = (MAX_MESSAGE_BYTES - 1024) // BYTES_PER_SAMPLE * period_s
+        raise PlanError(f"duration_s = {experiment.duration_s:g}: a trajectory message holds {longest:.0f} s")
+    paths = [experiment.path_of(robot) for robot in experiment.robots]
+    motions: dict[int, NodeMotion] = {}
+    centre: NodeMotion | None = None
+    for k, path in enumerate(paths):
+        if path not in paths[:k]:
+            group = [robot for robot, flies in zip(experiment.robots, paths, strict=True) if flies == path]
+            found, middle = _flown(experiment, path, group, samples)
+            motions.update(found)
+            centre = middle if centre is None or path == experiment.path else centre
+    motions = {robot: motions[robot] for robot in experiment.robot_ids}
+    problems = [*robot_problems(experiment, motions, flown), *pair_problems(experiment, motions, flown)]
+    if problems:
+        raise PlanError("\n".join(problems))
+    assert centre is not None  # there is at least one robot
+    sent = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
+    return FleetPlan(sent, trajectory(centre, period_s))
+
+
+def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[int, Array]:
+    """Pose (4,) in which each robot begins: its `start`, else its first reference plus `start_offset`.
+
+    Raises PlanError if a robot would begin in a wall or in another robot.
+    """
+    starts = {
+        robot.id: np.array(robot.start)
+        if robot.start is not None
+        else trajectories[robot.id].eta[0] + np.array(robot.start_offset)
+        for robot in experiment.robots
+    }
+    problems = []
+    for robot, eta in starts.items():
+        for what, excess in outside(experiment, eta[None, :3]).items():
+            if excess[0] > TOLERANCE:
+                problems.append(f"robot {robot} starts at {place(eta)}: {excess[0]:.3f} m beyond {what}")
+    for a, b in combinations(sorted(starts), 2):
+        distance = float(np.linalg.norm(starts[a][:3] - starts[b][:3]))
+        if distance < 2.0 * experiment.vehicle.radius_m - TOLERANCE:
+            problems.append(f"robots {a} and {b} start {distance:.3f} m apart: less than twice their radius")
+    if problems:
+        raise PlanError("\n".join(problems))
+    return starts
+
+
+def starts_json(starts: Mapping[int, Array]) -> str:
+    """Start poses as JSON `{"1": [x_m, y_m, z_m, yaw_rad], ...}`, for whoever puts the robots into the water."""
+    return json.dumps({str(robot): starts[robot].tolist() for robot in sorted(starts)}, indent=1) + "\n"
+
+
+def _flown(
+    experiment: Experiment, given: PathSpec, group: Sequence[Robot], samples: int
+) -> tuple[dict[int, NodeMotion], NodeMotion]:
+    """The motion of the robots on a path, and of its centre, at `samples` control periods from 0 on; slower than the path says
+    where they could not follow."""
+    period_s, formation = experiment.controller.period_s, experiment.formation
+    time_s = period_s * np.arange(samples, dtype=np.float64)
+    nodes = courses(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
+    path = centre_path(experiment, given, group, nodes)
+    if given.slow:
+
+        def _excess(slower: Path) -> Array:
+            return too_fast(experiment, node_motions(experiment, slower.at(time_s), group, nodes))
+
+        path = slowed(path, _excess, samples, period_s)
+    if experiment.duration_s > path.end_s + period_s:
+        before_s = time_s[: max(int(np.count_nonzero(time_s <= path.end_s)), 2)]
+        short = [Course(n.place_m[: len(before_s)], n.rate_mps[: len(before_s)], n.bend_mps2[: len(before_s)]) for n in nodes]
+        motions = node_motions(experiment, path.at(before_s), group, short)
+        problems = robot_problems(experiment, motions, len(before_s))  # first: what is flown too fast is over too soon
+        over = f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s"
+        raise PlanError("\n".join([*problems, over]))
+    centre = path.at(time_s)
+    return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
+
+
+def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[Robot], nodes: Sequence[Course]) -> Path:
+    """The centre's path; of a route the first way on which no node touches anything."""
+    time_s = np.arange(len(nodes[0].place_m), dtype=np.float64) * experiment.controller.period_s
+    try:
+        if not isinstance(given, Route):
+            return make_path(given)
+        for way in ways(experiment, given, nodes):
+            path = make_path(way)
+            motions = node_motions(experiment, path.at(time_s), group, nodes).values()
+            beyond = (excess.max() for m in motions for excess in outside(experiment, m.eta[:, :3]).values())
+            if max(beyond, default=0.0) <= TOLERANCE:
+                break
+        return path  # if none is clear, the last: the planner then says where it touches
+    except ValueError as error:
+        raise PlanError(str(error)) from None
+
+
+def horizon(experiment: Experiment) -> int:
+    """How many samples a robot looks ahead of the instant it is at."""
+    return experiment.controller.mpc.horizon
+
+
+def at_centre(samples: int) -> Course:
+    """The node at the centre, which no change of form moves."""
+    return Course(np.zeros((samples, 3)), np.zeros((samples, 3)), np.zeros((samples, 3)))
+
+
+def node_motions(
+    experiment: Experiment, centre: PathState, group: Sequence[Robot], nodes: Sequence[Course]
+) -> dict[int, NodeMotion]:
+    """The robots' motions around the centre's, all sampled every control period."""
+    mode, period_s = experiment.formation.mode, experiment.controller.period_s
+    return {robot.id: node_motion(centre, node, mode, period_s) for robot, node in zip(group, nodes, strict=True)}
+
+
+def trajectory(motion: NodeMotion, period_s: float, begin_s: float = 0.0) -> Trajectory:
+    """A motion as it is sent; its id is a digest of its numbers."""
+    digest = hashlib.sha256(np.array([period_s, begin_s]).tobytes())
+    for array in (motion.eta, motion.velocity, motion.acceleration):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return Trajectory(digest.hexdigest()[:12], period_s, motion.eta, motion.velocity, motion.acceleration, begin_s)

@@ -1,0 +1,193 @@
+"""Robots from wherever they rest to wherever they should rest, one clear of the other: the way home, and into place. Pure.
+
+Each robot has a trip of its own (transfer.py), around islands and things, from rest to rest. Robots are planned one after
+the other; each leaves as early as it stays clear of those planned before it, all along, and of those not yet planned, which
+wait where they are. Where no order of robots works (two stand on one another's goals), one first makes room.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from groundstation.planning.feasibility import PlanError, beyond_picture, place
+from groundstation.planning.formation import NodeMotion
+from groundstation.planning.route_planner import NoRoute
+from groundstation.planning.transfer import Basin, Trip, basin, is_free, joined, padded, planned_trip, with_heading
+from wire.config.experiment import Experiment
+from wire.frames import Array
+
+WAIT_STEP_S = 1.0
+LONGEST_WAIT_S = 120.0
+NEAR_M = 1e-3  # of the distance to keep: rounding
+ABSURD_M = 1.0  # beyond twice the basin nobody is,
+ABSURD_RAD = 1e4  # and nobody has turned so often
+ORDERS = 6  # orders of the robots that are tried
+ASIDE_M = (0.8, 1.2, 1.8, 2.6)  # how far a robot goes to make room
+ASIDE_WAYS = 12
+MAKING_ROOM = 2  # robots that do so at most
+MOST_TRIES = 1500  # orders of robots, in all: a quarter of a minute; a dense fleet has more than anybody can wait for
+
+
+class _Enough(Exception):
+    """MOST_TRIES have been made."""
+
+
+def marshal(
+    experiment: Experiment, starts: Mapping[int, Array], goals: Mapping[int, Array], things: Array
+) -> dict[int, NodeMotion]:
+    """Motions of all robots, equally long, from `starts` to `goals`, poses (4,). Raises PlanError with the reason."""
+    for robot, rest in starts.items():
+        if not np.all(np.abs(rest[:3]) <= np.array(experiment.pool.size_m) + ABSURD_M):
+            raise PlanError(f"robot {robot} says that it is at ({rest[0]:.3g}, {rest[1]:.3g}, {rest[2]:.3g}) m")
+        if not abs(rest[3]) <= ABSURD_RAD:  # true for NaN too
+            raise PlanError(f"robot {robot} says that it heads {rest[3]:.3g} rad")
+    around = basin(experiment, things)
+    try:
+        trips = _marshal(experiment, around, dict(starts), dict(goals), MAKING_ROOM, iter(range(MOST_TRIES)))
+    except _Enough:
+        raise PlanError(f"no ways clear of one another have been found in {MOST_TRIES} tries") from None
+    for robot, trip in trips.items():
+        _stays_in_sight(experiment, robot, trip)
+    return {robot: with_heading(trip, float(starts[robot][3]), experiment) for robot, trip in trips.items()}
+
+
+def _stays_in_sight(experiment: Experiment, robot: int, trip: Trip) -> None:
+    """Raise PlanError if the camera would lose sight of a robot on its way. One that rests at the picture's edge may leave it
+    from there, and come to rest at it."""
+    if not experiment.localizer.uses_camera:
+        return
+    beyond_m = beyond_picture(experiment, trip.position)
+    worst = int(np.argmax(beyond_m))
+    if beyond_m[worst] > max(0.0, beyond_m[0], beyond_m[-1]) + NEAR_M:
+        where = place(trip.position[worst])
+        raise PlanError(f"robot {robot}: its way leads {beyond_m[worst]:.3f} m beyond the camera's picture, at {where}")
+
+
+def _marshal(
+    experiment: Experiment,
+    around: Basin,
+    starts: dict[int, Array],
+    goals: dict[int, Array],
+    depth: int,
+    tries: Iterator[int],
+) -> dict[int, Trip]:
+    reason = "no robots"
+    for order in _orders(starts, goals):
+        try:
+            return _one_after_the_other(experiment, around, starts, goals, order, tries)
+        except PlanError as error:
+            reason = str(error)
+    if depth:
+        for robot, aside in _asides(experiment, around, starts, goals):
+            elsewhere = {**starts, robot: aside}
+            try:
+                first = _one_after_the_other(experiment, around, starts, elsewhere, list(starts), tries)
+                rest = _marshal(experiment, around, elsewhere, goals, depth - 1, tries)
+            except PlanError:
+                continue
+            return {r: joined(first[r], rest[r]) for r in starts}
+    raise PlanError(reason)
+
+
+def _orders(starts: Mapping[int, Array], goals: Mapping[int, Array]) -> Iterator[list[int]]:
+    """Orders worth trying: who has the shorter way first, and turned about."""
+    by_way = sorted(starts, key=lambda r: (float(np.linalg.norm(goals[r][:3] - starts[r][:3])), r))
+    for turn in range(min(ORDERS // 2, len(by_way))):
+        turned = by_way[turn:] + by_way[:turn]
+        yield turned
+        yield turned[::-1]
+
+
+def _in_sight(experiment: Experiment, eta: Array) -> bool:
+    return not experiment.localizer.uses_camera or float(beyond_picture(experiment, eta[None, :3])[0]) <= 0.0
+
+
+def _asides(
+    experiment: Experiment, around: Basin, starts: Mapping[int, Array], goals: Mapping[int, Array]
+) -> Iterator[tuple[int, Array]]:
+    """Who stands on whose goal, and where it might go meanwhile, near places first."""
+    keep_m = 2.0 * experiment.safety.radius_m
+    blockers = [r for r in starts if any(s != r and np.linalg.norm(goals[s][:2] - starts[r][:2]) < keep_m for s in goals)]
+    for far_m in ASIDE_M:
+        for robot in blockers:
+            for angle in 2.0 * np.pi / ASIDE_WAYS * np.arange(ASIDE_WAYS):
+                aside = starts[robot].copy()
+                aside[:2] += far_m * np.array([np.cos(angle), np.sin(angle)])
+                others = [p for r in starts for p in (starts[r], goals[r]) if r != robot]
+                clear = all(np.linalg.norm(aside[:2] - p[:2]) > keep_m for p in others)
+                if clear and is_free(aside[:2], around) and _in_sight(experiment, aside):
+                    yield robot, aside
+
+
+def _one_after_the_other(
+    experiment: Experiment,
+    around: Basin,
+    starts: Mapping[int, Array],
+    goals: Mapping[int, Array],
+    order: Sequence[int],
+    tries: Iterator[int],
+) -> dict[int, Trip]:
+    if next(tries, None) is None:
+        raise _Enough
+    done: dict[int, Trip] = {}
+    for robot in order:
+        waiting = {r: starts[r] for r in order if r not in done and r != robot}
+        done[robot] = _earliest(experiment, around, robot, starts, goals, done, waiting)
+    longest = max(map(len, done.values()))
+    return {robot: padded(done[robot], 0, longest) for robot in starts}
+
+
+def _earliest(
+    experiment: Experiment,
+    around: Basin,
+    robot: int,
+    starts: Mapping[int, Array],
+    goals: Mapping[int, Array],
+    done: Mapping[int, Trip],
+    waiting: Mapping[int, Array],
+) -> Trip:
+    """The first trip of a robot that is clear of everybody: straight there, or around where others stand."""
+    reasons = []
+    step = round(WAIT_STEP_S / experiment.controller.period_s)
+    for detour in (False, True):
+        parked = [*waiting.values(), *(goals[r] for r in done)] if detour else []
+        try:
+            trip = planned_trip(experiment, around, starts[robot], goals[robot], parked)
+        except NoRoute as error:
+            reasons.append(f"robot {robot}: {error}")
+            continue
+        if _conflict(experiment, robot, trip, starts, goals, {}, waiting):
+            reasons.append(f"robot {robot} would pass too near a robot that waits")
+            continue
+        for wait in range(round(LONGEST_WAIT_S / WAIT_STEP_S)):
+            later = padded(trip, wait * step, 0)
+            if not _conflict(experiment, robot, later, starts, goals, done, {}):
+                return later
+            if wait * step > max(map(len, done.values()), default=0):
+                break
+        reasons.append(f"robot {robot} would pass too near another robot")
+    raise PlanError(reasons[-1])
+
+
+def _conflict(
+    experiment: Experiment,
+    robot: int,
+    trip: Trip,
+    starts: Mapping[int, Array],
+    goals: Mapping[int, Array],
+    done: Mapping[int, Trip],
+    waiting: Mapping[int, Array],
+) -> bool:
+    for other in (*done, *waiting):
+        length = max(len(trip), len(done[other]) if other in done else 0)
+        there = padded(done[other], 0, length).position if other in done else waiting[other][None, :3]
+        apart_m = float(np.linalg.norm(padded(trip, 0, length).position - there, axis=1).min())
+        if apart_m < _keep_m(experiment, starts, goals, robot, other):
+            return True
+    return False
+
+
+def _keep_m(experiment: Experiment, starts: Mapping[int, Array], goals: Mapping[int, Array], a: int, b: int) -> float:
+    """2 R; less where two rest nearer, now or at the end: they may come no nearer than that."""
+    rests = (float(np.linalg.norm(places[a][:3] - places[b][:3])) for places in (starts, goals))
+    return min(2.0 * experiment.safety.radius_m, *rests) - NEAR_M

@@ -1,0 +1,183 @@
+"""What a robot did beside what it would have done: step by step, field by field. Pure; step_replay.py does the steps."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from groundstation.palette import COLOURS
+from groundstation.report.plotting import Line, Panel, stack
+from wire.frames import Array, wrap_angle
+from wire.messages import topics
+from wire.messages.codec import decode
+from wire.messages.messages import Event, Plan, RobotState
+from wire.messages.topics import Topic
+
+# By the robot's program, not by its agent.
+MEASURED = ("step_us", "exposure_to_pwm_ms", "missed_deadlines", "board_round_trip_ms", "board_clock_offset_s")
+NAMED_SO = ("experiment_hash",)  # differs with any other experiment
+ANGLES = {"eta": 3, "eta_reference": 3, "eta_command": 3}  # columns that are angles
+MOST_GAPS = 5  # told one by one
+DRAWN = ("wrench", "eta_command", "nu", "disturbance")
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One field of the states or plans: in how many steps it differs, and by how much. The figures are None where it is no
+    number."""
+
+    field: str
+    steps: int
+    first_s: float  # since the start of the trajectory
+    largest: float | None
+    rms: float | None  # over all steps compared
+
+
+@dataclass(frozen=True, eq=False)
+class Again:
+    """One robot's steps, done again."""
+
+    robot: int
+    steps: int  # done again
+    compared: int  # with a state in the log
+    differing: int  # steps in which anything differs, to the last bit
+    differences: tuple[Difference, ...]
+    left_out: tuple[str, ...]  # what the log does not hold
+    time_s: Array  # (compared,) since the start of the trajectory
+    before: dict[str, Array]  # per field (compared, columns), as it was
+    after: dict[str, Array]  # and as it would have been
+
+    @property
+    def exact(self) -> bool:
+        """Every step is there, and the same to the last bit."""
+        return self.compared > 0 and self.compared == self.steps and not self.differing
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        plain = ("robot", "steps", "compared", "differing", "left_out")
+        told = {name: getattr(self, name) for name in plain}
+        return told | {"exact": self.exact, "differences": [dataclasses.asdict(d) for d in self.differences]}
+
+
+@dataclass
+class Told:
+    """States and plans by their stamps, and what was said about gaps."""
+
+    states: dict[int, bytes] = field(default_factory=dict)
+    plans: dict[int, bytes] = field(default_factory=dict)
+    gaps: list[str] = field(default_factory=list)
+
+    def add(self, topic: Topic, stamp_ns: int, payload: bytes) -> None:
+        """Take in one message."""
+        if topic is topics.EVENT:
+            self.gaps.append(decode(Event, payload, "rerun", topic.name).message)
+        else:
+            (self.states if topic is topics.STATE else self.plans)[stamp_ns] = payload
+
+
+def compare(robot: int, before: Told, after: Told, same_experiment: bool) -> Again:
+    """What was, and what would have been. Only in the same experiment its name must be the same."""
+    stamps = sorted(before.states.keys() & after.states.keys())
+    was = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
+    would = [decode(RobotState, after.states[stamp], "rerun", "state") for stamp in stamps]
+    time_s: Array = (np.array(stamps, dtype=np.int64) - _start_ns(stamps, was)).astype(np.float64) * 1e-9
+    left_out = MEASURED if same_experiment else (*MEASURED, *NAMED_SO)
+    names = [f.name for f in dataclasses.fields(RobotState) if f.name not in left_out]
+    columns = {name: ([getattr(s, name) for s in was], [getattr(s, name) for s in would]) for name in names}
+    columns |= _plan_columns(before, after, stamps)
+    differing, differences = np.zeros(len(stamps), dtype=bool), []
+    for name, (old, new) in columns.items():
+        differs = np.array([not _same(a, b) for a, b in zip(old, new, strict=True)], dtype=bool)
+        if differs.any():
+            differences.append(_difference(name, old, new, differs, time_s))
+        differing |= differs
+    return Again(
+        robot=robot,
+        steps=len(after.states),
+        compared=len(stamps),
+        differing=int(differing.sum()),
+        differences=tuple(differences),
+        left_out=_gaps(after.gaps),
+        time_s=time_s,
+        before={name: _rows(columns[name][0]) for name in DRAWN},
+        after={name: _rows(columns[name][1]) for name in DRAWN},
+    )
+
+
+def draw(again: Again) -> Figure | None:
+    """What the robot did and what it would have done, over time."""
+
+    def lines(name: str, column: int) -> list[Line]:
+        old, new = again.before[name][:, column], again.after[name][:, column]
+        return [Line("as it was", again.time_s, old, COLOURS[0]), Line("rerun", again.time_s, new, COLOURS[1], "--")]
+
+    panels = [
+        Panel("surge [N]", lines("wrench", 0)),
+        Panel("heave [N]", lines("wrench", 1)),
+        Panel("yaw [N m]", lines("wrench", 2)),
+        Panel("heading command [rad]", lines("eta_command", 3)),
+        Panel("surge est. [m/s]", lines("nu", 0)),
+        Panel("disturbance, surge [m/s²]", lines("disturbance", 0)),
+    ]
+    return stack(panels) if len(again.time_s) else None
+
+
+def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
+    """When the trajectory began; if it never did, the first step."""
+    flown = (ns - round(s.trajectory_s * 1e9) for ns, s in zip(stamps, states, strict=True) if s.trajectory_s > 0.0)
+    return next(flown, min(stamps, default=0))
+
+
+def _plan_columns(before: Told, after: Told, stamps: Sequence[int]) -> dict[str, tuple[list[Any], list[Any]]]:
+    """The plans' fields at each step; None where there was no plan."""
+
+    def read(told: Told) -> list[Plan | None]:
+        found = (told.plans.get(stamp) for stamp in stamps)
+        return [None if payload is None else decode(Plan, payload, "log", "plan") for payload in found]
+
+    old, new = read(before), read(after)
+    names = [f.name for f in dataclasses.fields(Plan)]
+    return {f"plan.{name}": ([getattr(p, name, None) for p in old], [getattr(p, name, None) for p in new]) for name in names}
+
+
+def _same(one: Any, other: Any) -> bool:
+    """To the last bit."""
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return one.shape == other.shape and one.tobytes() == other.tobytes()
+    return type(one) is type(other) and bool(one == other)
+
+
+def _difference(name: str, old: Sequence[Any], new: Sequence[Any], differs: Array, time_s: Array) -> Difference:
+    steps, first_s = int(differs.sum()), float(time_s[np.flatnonzero(differs)[0]])
+    pairs = [(_row(a), _row(b)) for a, b in zip(old, new, strict=True)]
+    if not all(a is not None and b is not None and a.shape == b.shape for a, b in pairs):
+        return Difference(name, steps, first_s, None, None)
+    apart = np.array([b - a for a, b in pairs if a is not None and b is not None])
+    if name in ANGLES:
+        apart[:, ANGLES[name]] = wrap_angle(apart[:, ANGLES[name]])
+    rms = float(np.sqrt((apart**2).mean(axis=0)).max())
+    return Difference(name, steps, first_s, float(np.abs(apart).max()), rms)
+
+
+def _row(value: Any) -> Array | None:
+    """A field as numbers (k,); None if it is no number, or none whose size says anything."""
+    if isinstance(value, np.ndarray):
+        return value.ravel()
+    if isinstance(value, tuple) and value:
+        return np.array(value, dtype=np.float64)
+    if isinstance(value, float | int) and not isinstance(value, IntEnum | bool):
+        return np.array([value], dtype=np.float64)
+    return None
+
+
+def _rows(values: Sequence[Array]) -> Array:
+    return np.array(values, dtype=np.float64).reshape(len(values), -1)
+
+
+def _gaps(gaps: Sequence[str]) -> tuple[str, ...]:
+    more = len(gaps) - MOST_GAPS
+    return (*gaps[:MOST_GAPS], f"and {more} more") if more > 0 else tuple(gaps)

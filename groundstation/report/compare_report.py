@@ -1,0 +1,88 @@
+"""SHELL: from comparison.json to a table and one self-contained comparison.html."""
+
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from rich.console import Console
+from rich.table import Table
+
+from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
+from groundstation.report.plotting import to_svg
+from wire.config.controller_benchmark import Comparison
+from wire.process.output_files import replace_text
+from wire.toml_loader import ConfigError
+
+FIGURES = (
+    ("errors", "Errors, law by law", "A dot per seed; bars are means with their 95 % confidence intervals.", errors),
+    ("course", "Over time", "On the first seed. What comes after the dotted line is in the columns after 20 s.", course),
+    (
+        "wanted",
+        "What the laws want, and what they get",
+        "Surge on the first seed, of the robot that wants most (the article's Figure 14). What is applied keeps the limit.",
+        wanted,
+    ),
+    (
+        "demands",
+        "Limits and wear",
+        "Steps in which more was wanted than is allowed; and how much what was applied changes.",
+        demands,
+    ),
+)
+CAPTION = "RMS distances from the reference; largest, yaw and formation after 20 s; wanted: before limits cut it off"
+HEADINGS = ("×", *(f"{c.heading} [{c.unit}]" for c in COLUMNS))
+
+
+def write(folder: Path) -> bool:
+    """Print the table and write comparison.html. Returns whether everybody was under way all the time."""
+    path = folder / "comparison.json"
+    try:
+        comparison = Comparison.from_json(path.read_text(encoding="utf-8"))
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ConfigError(f"{path}: no comparison that can be read: {error!r}") from None
+    failed = failures(comparison)
+    replace_text(folder / "comparison.html", _render(comparison, failed))
+    console = Console()
+    console.width = max(console.width, 170)  # a table that wraps cannot be read
+    console.print(_table(comparison))
+    for line in failed:
+        console.print(f"[red]{line}[/]", soft_wrap=True)
+    console.print(f"report: {folder / 'comparison.html'}", soft_wrap=True)
+    return not failed
+
+
+def _table(comparison: Comparison) -> Table:
+    table = Table(title=_title(comparison), caption=CAPTION, padding=(0, 1, 0, 0))
+    table.add_column("", no_wrap=True)
+    for c in ("×", *(f"{c.heading}\n{c.unit}" for c in COLUMNS)):
+        table.add_column(c, justify="right", no_wrap=True)
+    for name, row in cells(comparison):
+        table.add_row(name, *row)
+    return table
+
+
+def _title(comparison: Comparison) -> str:
+    flights = comparison.variants[0].flights
+    seeds = f"{len(flights)} seeds" if len(flights) > 1 else "1 seed"
+    return f"{comparison.scene}: {comparison.duration_s:g} s, {seeds}, starts moved by up to {comparison.scatter:g} m and rad"
+
+
+def _render(comparison: Comparison, failed: list[str]) -> str:
+    environment = Environment(
+        loader=PackageLoader("groundstation.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    drawn = [(name, title, caption, draw(comparison)) for name, title, caption, draw in FIGURES]
+    return environment.get_template("comparison.html").render(
+        comparison=comparison,
+        title=_title(comparison),
+        headings=HEADINGS,
+        rows=cells(comparison),
+        failed=failed,
+        closest=closest(comparison),
+        # our own figures, with texts that matplotlib has escaped
+        figures=[(n, t, c, Markup(to_svg(figure, n))) for n, t, c, figure in drawn if figure is not None],
+    )

@@ -1,0 +1,226 @@
+"""Means over seeds and their confidence intervals, and the figures of a comparison. Pure; compare_report.py writes."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from scipy.stats import t as student
+
+from groundstation.palette import COLOURS, colour
+from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, Line, Panel, stack
+from wire.config.controller_benchmark import SETTLED_S, Comparison, Traces, Variant
+
+CONFIDENCE = 0.95
+NAMES_IN = 1.75  # room for the variants' names
+ROW_IN = 0.27
+SOLID, DASHED = "-", "--"
+
+
+@dataclass(frozen=True)
+class Column:
+    """A figure of the table: its heading, which one it is, in what unit, and how much of that unit is one in the JSON."""
+
+    heading: str
+    key: str
+    unit: str
+    scale: float
+
+
+COLUMNS = (
+    Column("whole run", "rms_m", "mm", 1000.0),
+    Column("after 20 s", "rms_after_20s_m", "mm", 1000.0),
+    Column("largest", "max_after_20s_m", "mm", 1000.0),
+    Column("yaw", "rms_yaw_after_20s_rad", "mrad", 1000.0),
+    Column("formation, whole", "formation_rms_m", "mm", 1000.0),
+    Column("formation", "formation_after_20s_m", "mm", 1000.0),
+    Column("input change", "input_step_rms", "% of limit", 100.0),
+    Column("wanted beyond", "wanted_beyond", "% of steps", 100.0),
+    Column("most wanted", "wanted_most", "limits", 1.0),
+)
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean with the half width of its confidence interval (0 for values that are all the same, NaN for a single one)."""
+
+    value: float
+    half: float
+
+    def __str__(self) -> str:
+        """To as many places as its uncertainty allows."""
+        if not math.isfinite(self.half):
+            return _short(self.value)
+        places = 0 if self.half <= 0.0 else max(0, -math.floor(math.log10(self.half)))
+        places = min(max(places, _places(self.value)), 3)
+        return f"{self.value:.{places}f} ± {self.half:.{places}f}"
+
+
+def mean(values: Sequence[float]) -> Mean:
+    """Mean and 95 % confidence interval by Student's t."""
+    n = len(values)
+    centre = float(np.mean(values))
+    if n < 2:
+        return Mean(centre, math.nan)
+    return Mean(centre, float(student.ppf(0.5 + CONFIDENCE / 2.0, n - 1) * np.std(values, ddof=1) / math.sqrt(n)))
+
+
+def column(variant: Variant, key: str) -> list[float]:
+    """A figure of all flights, in the order of their seeds."""
+    return [float(getattr(flight.figures, key)) for flight in variant.flights]
+
+
+def ratio(variant: Variant, to: Variant, key: str = "rms_after_20s_m") -> tuple[float, float, float]:
+    """Geometric mean of one variant's figure over another's on the same seeds, with its confidence interval."""
+    shares = mean([math.log(a / b) for a, b in zip(column(variant, key), column(to, key), strict=True)])
+    return math.exp(shares.value), math.exp(shares.value - shares.half), math.exp(shares.value + shares.half)
+
+
+def cells(comparison: Comparison) -> list[tuple[str, list[str]]]:
+    """The table: a row per variant, its cells as text, the ratio first."""
+    first = comparison.variants[0]
+    rows = []
+    for variant in comparison.variants:
+        value, low, high = ratio(variant, first)
+        times = "1" if variant is first else f"{value:.3g} ({low:.3g}–{high:.3g})" if math.isfinite(low) else f"{value:.3g}"
+        figures = [mean([c.scale * v for v in column(variant, c.key)]) for c in COLUMNS]
+        rows.append((variant.name, [times, *map(str, figures)]))
+    return rows
+
+
+def failures(comparison: Comparison) -> list[str]:
+    """What a reader must know before the figures: flights that were not flown under way, and robots that came too close."""
+    return [
+        f"{variant.name}, seed {flight.seed}: under way in {100.0 * flight.figures.under_way:.1f} % of the control steps only"
+        for variant in comparison.variants
+        for flight in variant.flights
+        if flight.figures.under_way < 1.0
+    ]
+
+
+def closest(comparison: Comparison) -> list[tuple[str, float]]:
+    """Per variant the least distance of two robots in all flights; none for a single robot."""
+    return [
+        (variant.name, min(apart))
+        for variant in comparison.variants
+        if (apart := [d for flight in variant.flights if (d := flight.figures.min_separation_m) is not None])
+    ]
+
+
+# --- figures
+
+
+def errors(comparison: Comparison) -> Figure:
+    """Every flight as a dot, means with their intervals, on logarithmic axes."""
+    keys = [c for c in COLUMNS if c.key in ("rms_m", "rms_after_20s_m", "formation_after_20s_m")]
+    keys = keys if len(comparison.robots) > 1 else keys[:2]
+    figure, grid = _rows_of(comparison, len(keys))
+    with mpl.rc_context(STYLE):
+        for axes, c in zip(grid, keys, strict=True):
+            for i, variant in enumerate(comparison.variants):
+                values = c.scale * np.maximum(column(variant, c.key), 1e-6)
+                tone = colour(i)
+                axes.plot(values, np.full(len(values), i), "o", color=tone, markersize=4.0, alpha=0.4, markeredgewidth=0.0)
+                centre = mean(values.tolist())
+                low = (
+                    max(centre.value - centre.half, 0.2 * float(values.min())) if math.isfinite(centre.half) else centre.value
+                )
+                axes.plot([low, 2 * centre.value - low], [i, i], color=tone, linewidth=1.6)
+                axes.plot(centre.value, i, "|", color=tone, markersize=11, markeredgewidth=1.8)
+            axes.set_xscale("log")
+            axes.set_xlabel(f"{c.heading} [{c.unit}]")
+    return figure
+
+
+def demands(comparison: Comparison) -> Figure:
+    """Share of control steps in which more was wanted than is allowed, and how much input changes."""
+    figure, (left, right) = _rows_of(comparison, 2)
+    with mpl.rc_context(STYLE):
+        for i, variant in enumerate(comparison.variants):
+            for shift, key, tone in ((-0.2, "wanted_too_large", COLOURS[1]), (0.2, "wanted_too_fast", COLOURS[4])):
+                share = mean([100.0 * v for v in column(variant, key)])
+                error = share.half if math.isfinite(share.half) else 0.0
+                name = {"wanted_too_large": "too large", "wanted_too_fast": "too fast"}[key] if i == 0 else ""
+                left.barh(i + shift, share.value, 0.36, color=tone, xerr=error, ecolor=GREY, label=name)
+            wear = mean([100.0 * v for v in column(variant, "input_step_rms")])
+            right.barh(i, wear.value, 0.6, color=colour(i), xerr=wear.half if math.isfinite(wear.half) else 0.0, ecolor=GREY)
+        left.set_xlabel("wanted beyond limits [% of steps]")
+        right.set_xlabel("applied change per step [% of limit, RMS]")
+        left.legend(loc="lower right")
+        for axes in (left, right):
+            axes.set_xlim(left=0.0)
+    return figure
+
+
+def _rows_of(comparison: Comparison, count: int) -> tuple[Figure, Sequence[Axes]]:
+    """A figure whose axes share a row per variant."""
+    rows = len(comparison.variants)
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 0.15 + BOTTOM_IN + ROW_IN * rows))
+        grid = figure.subplots(1, count, sharey=True, squeeze=False)[0]
+        width_in, height_in = figure.get_size_inches()
+        figure.subplots_adjust(
+            left=NAMES_IN / width_in,
+            right=1 - RIGHT_IN / width_in,
+            top=1 - 0.15 / height_in,
+            bottom=BOTTOM_IN / height_in,
+            wspace=0.08,
+        )
+        grid[0].set_yticks(range(rows), [variant.name for variant in comparison.variants])
+        grid[0].set_ylim(rows - 0.5, -0.5)
+        for axes in grid:
+            axes.tick_params(axis="y", length=0)
+    return figure, list(grid)
+
+
+def course(comparison: Comparison) -> Figure | None:
+    """Distance from the reference over time, on the first seed."""
+    known = _traced(comparison)
+    if not known:
+        return None
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH_IN, 3.4))
+        axes = figure.subplots()
+        figure.subplots_adjust(left=0.11, right=0.69, top=0.97, bottom=0.14)
+        for i, (variant, traces) in enumerate(known):
+            values = np.maximum(1000.0 * np.array(traces.error_m), 1e-2)
+            time_s = traces.error_period_s * np.arange(len(values))
+            axes.plot(time_s, values, SOLID if i < len(COLOURS) else DASHED, color=colour(i), label=variant.name)
+        axes.axvline(SETTLED_S, color=GREY, linewidth=0.7, linestyle=(0, (1, 2)))
+        axes.set_yscale("log")
+        axes.set(xlabel="time since the start [s]", ylabel="distance, RMS over the robots [mm]")
+        axes.margins(x=0.01)
+        figure.legend(loc="upper left", bbox_to_anchor=(0.69, 0.985), borderaxespad=0.0)
+    return figure
+
+
+def wanted(comparison: Comparison) -> Figure | None:
+    """Surge of the robot that wanted most, per law: wanted (thin) and applied, with the limit."""
+    known = [(v, t) for v, t in _traced(comparison) if "-without-" not in v.name and not v.name.startswith("mpc-")]
+    if not known:
+        return None
+    panels = []
+    for variant, traces in known:
+        most = int(np.argmax([np.abs(each).max() for each in traces.wanted_n]))
+        time_s = np.array([traces.input_period_s * k for k in range(len(traces.wanted_n[most]))])
+        lines = [
+            Line("wanted", time_s, np.array(traces.wanted_n[most]), COLOURS[1]),
+            Line("applied", time_s, np.array(traces.applied_n[most]), COLOURS[0]),
+        ]
+        panels.append(Panel(f"{variant.name} [N]", lines, limit=comparison.surge_limit_n, unit="N"))
+    return stack(panels, height_in=1.0)
+
+
+def _traced(comparison: Comparison) -> list[tuple[Variant, Traces]]:
+    return [(v, v.flights[0].traces) for v in comparison.variants if v.flights and v.flights[0].traces is not None]
+
+
+def _places(value: float) -> int:
+    return 0 if abs(value) >= 100.0 else 1 if abs(value) >= 1.0 or value == 0.0 else 2
+
+
+def _short(value: float) -> str:
+    return f"{value:.{_places(value)}f}"

@@ -1,0 +1,120 @@
+"""The report's figures of what the controllers asked for, estimated, and how long it took them. Pure."""
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from groundstation.analysis.series import THRUSTERS, RobotSeries, Series
+from groundstation.palette import colour
+from groundstation.report.plotting import LIGHT, Line, Panel, stack, time_and_histogram
+from wire.frames import Array
+
+MOST_PULSE_PANELS = 6
+
+
+def inputs(series: Series) -> Figure | None:
+    """What the controllers asked for; where the law knows no limits, dotted what it would have asked for without."""
+    bounds = series.experiment.vehicle.limits.wrench
+    wanted = None if series.experiment.controller.law == "eso-mpc" else lambda r: r.states.wrench_wanted
+    return _wrench(series, lambda r: r.states.wrench, bounds, "", wanted)
+
+
+def input_steps(series: Series) -> Figure | None:
+    """How much each control step changed it: chatter is wear."""
+    bounds = series.experiment.wrench_step
+    return _wrench(series, lambda r: r.states.wrench_step, bounds, "step of ")
+
+
+def _wrench(
+    series: Series,
+    values: Callable[[RobotSeries], Array],
+    bounds: tuple[float, ...],
+    prefix: str,
+    dotted: Callable[[RobotSeries], Array] | None = None,
+) -> Figure | None:
+    def lines(axis: int) -> list[Line]:
+        each = list(enumerate(series.robots.items()))
+        under = [(dotted, ", wanted", ":")] if dotted is not None else []
+        return [
+            flown(series, r, f"robot {n}{suffix}", of(r)[:, axis], i, style)
+            for of, suffix, style in [*under, (values, "", "-")]
+            for i, (n, r) in each
+        ]
+
+    panels = [
+        Panel(
+            f"{prefix}{name} [{unit}]",
+            lines(axis),
+            limit=bounds[axis],
+            unit=unit,
+        )
+        for axis, (name, unit) in enumerate((("surge", "N"), ("heave", "N"), ("yaw", "N m")))
+    ]
+    return stack(panels)
+
+
+def flown(series: Series, r: RobotSeries, label: str, values: Array, index: int, style: str = "-") -> Line:
+    """A curve over the control steps of the run, broken where the robot was not under way."""
+    inside = (r.states.time_s >= 0.0) & (r.states.time_s <= series.end_s)
+    shown = np.where(r.states.tracking, values, np.nan)
+    return Line(label, r.states.time_s[inside], shown[inside], colour(index), style)
+
+
+def pulses(series: Series) -> Figure | None:
+    """Pulses to the thrusters, one plot per robot; the grey band is the dead zone."""
+    curve = np.array(series.experiment.vehicle.thruster.curve)
+    dead = curve[curve[:, 1] == 0.0, 0]
+    legs = series.experiment.vehicle.legs.position_m
+    names = [f"{'front' if ahead > 0 else 'rear'} {'right' if starboard > 0 else 'left'}" for ahead, starboard in legs]
+    panels = [
+        Panel(
+            f"robot {robot} [µs]",
+            [flown(series, r, names[k], r.states.pulse_us[:, k], k) for k in range(THRUSTERS)],
+            least=100.0,
+        )
+        for robot, r in list(series.robots.items())[:MOST_PULSE_PANELS]
+    ]
+    figure = stack(panels)
+    if figure is not None:
+        for axes in figure.axes:
+            axes.axhspan(float(dead.min()), float(dead.max()), color=LIGHT, alpha=0.6, linewidth=0.0, zorder=0)
+    return figure
+
+
+def disturbance(series: Series) -> Figure | None:
+    """Estimated disturbance against the true one."""
+    panels = []
+    for axis, (name, unit) in enumerate((("surge", "m/s²"), ("sway", "m/s²"), ("heave", "m/s²"), ("yaw", "rad/s²"))):
+        lines = []
+        for i, (robot, r) in enumerate(series.robots.items()):
+            lines.append(flown(series, r, f"robot {robot}, true", r.disturbance_at_states[:, axis], i, ":"))
+            lines.append(flown(series, r, f"robot {robot}, estimated", r.states.disturbance[:, axis], i))
+        panels.append(Panel(f"{name} [{unit}]", [line for line in lines if np.isfinite(line.values).any()]))
+    return stack(panels, height_in=1.2)
+
+
+def step_times(series: Series) -> Figure | None:
+    """How long a control step took on the robot."""
+    lines = []
+    for i, (robot, r) in enumerate(series.robots.items()):
+        lines.append(flown(series, r, f"robot {robot}", np.where(r.states.step_us > 0.0, r.states.step_us, np.nan), i))
+    budget_us = 0.5e6 * series.experiment.controller.period_s
+    return time_and_histogram("control step [µs]", lines, budget_us, "budget: half a period")
+
+
+def latency(series: Series) -> Figure | None:
+    """From the middle of an exposure to the PWM that answers it."""
+    lines = []
+    for i, (robot, r) in enumerate(series.robots.items()):
+        known = np.where(r.states.exposure_to_pwm_ms > 0.0, r.states.exposure_to_pwm_ms, np.nan)
+        lines.append(flown(series, r, f"robot {robot}", known, i))
+    limit = series.experiment.limits.exposure_to_pwm_p99_ms
+    return time_and_histogram("exposure to PWM [ms]", lines, limit, "limit of p99")
+
+
+def frame_times(series: Series) -> Figure | None:
+    """How long the localizer worked on a frame."""
+    inside = (series.frame_ms[:, 0] >= 0.0) & (series.frame_ms[:, 0] <= series.end_s)
+    time_s, took_ms = series.frame_ms[inside].T
+    return time_and_histogram("frame [ms]", [Line("localizer", time_s, took_ms, colour(0))])

@@ -1,0 +1,131 @@
+"""Runs side by side: their figures, their errors over time, and in what their experiments differ. Pure.
+
+runs = [Run(name, series, result, experiment), ...]
+figures_of(runs), differences(runs), drawn(runs)
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from groundstation.analysis.results import Errors, Result
+from groundstation.analysis.series import SETTLED_S, Series
+from groundstation.palette import colour
+from groundstation.report.plotting import Line, Panel, stack
+from wire.config.experiment import Experiment
+
+FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, which have no brackets
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One of the runs."""
+
+    name: str
+    series: Series
+    result: Result
+
+    @property
+    def experiment(self) -> Experiment:
+        """As it was run."""
+        return self.series.experiment
+
+
+@dataclass(frozen=True)
+class Row:
+    """A figure of all runs; None where a run has none."""
+
+    name: str
+    unit: str
+    values: tuple[float | None, ...]
+
+
+def figures_of(runs: Sequence[Run]) -> list[Row]:
+    """What one compares runs by. Of errors the worst robot or pair and its worst axis counts."""
+    rows: list[tuple[str, str, Callable[[Result], float | None]]] = [
+        ("tracking, RMS after 20 s", "m", lambda r: _worst(r.robots.values(), "rms_after_20s_m")),
+        ("tracking, RMS of the whole run", "m", lambda r: _worst(r.robots.values(), "rms_m")),
+        ("tracking, largest after 20 s", "m", lambda r: _worst(r.robots.values(), "max_after_20s_m")),
+        ("formation, RMS after 20 s", "m", lambda r: _worst(r.pairs.values(), "rms_after_20s_m")),
+        ("formation, RMS of the whole run", "m", lambda r: _worst(r.pairs.values(), "rms_m")),
+        ("least separation of centres", "m", lambda r: r.min_separation_m),
+        ("surge change per step, RMS after 20 s", "N", lambda r: r.dtau_rms_after_20s[0] if r.dtau_rms_after_20s else None),
+        ("yaw change per step, RMS after 20 s", "N m", lambda r: r.dtau_rms_after_20s[2] if r.dtau_rms_after_20s else None),
+        ("localizer, RMS", "m", lambda r: r.pose_error_m.rms if r.pose_error_m else None),
+        ("control step, median", "µs", lambda r: r.control_step_us.p50 if r.control_step_us else None),
+        ("control step, 99 %", "µs", lambda r: r.control_step_us.p99 if r.control_step_us else None),
+        ("exposure to PWM, 99 %", "ms", lambda r: r.exposure_to_pwm_ms.p99 if r.exposure_to_pwm_ms else None),
+        ("missed deadlines", "", lambda r: float(r.missed_deadlines)),
+        ("faults", "", lambda r: float(len(r.faults))),
+    ]
+    return [Row(name, unit, tuple(figure(run.result) for run in runs)) for name, unit, figure in rows]
+
+
+def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
+    known = [max(values) for error in errors if (values := getattr(error, key)) is not None]
+    return max(known, default=None)
+
+
+def differences(runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:
+    """Keys of the experiments whose values are not the same in all runs, and the values as text; before them how the runs were
+    flown, and by which code."""
+    tables = [_flown_by(run) | _flat(run.experiment.model_dump(mode="json", exclude_none=True)) for run in runs]
+    keys = [*FLOWN_BY, *sorted(set().union(*tables) - set(FLOWN_BY))]
+    return [(key, values) for key in keys if len(set(values := tuple(str(table.get(key, "–")) for table in tables))) > 1]
+
+
+def _flown_by(run: Run) -> dict[str, str]:
+    return dict(zip(FLOWN_BY, (run.result.mode, run.result.version, run.result.commit), strict=True))
+
+
+def _flat(value: Any, prefix: str = "") -> dict[str, Any]:
+    """A nested table as `a.b.0.c` to value; lists of plain values stay whole."""
+    if isinstance(value, list) and any(isinstance(entry, dict) for entry in value):
+        value = {str(i): entry for i, entry in enumerate(value)}
+    if not isinstance(value, dict):
+        return {prefix: value}
+    parts = (_flat(entry, f"{prefix}.{name}" if prefix else name) for name, entry in value.items())
+    return {key: found for part in parts for key, found in part.items()}
+
+
+def drawn(runs: Sequence[Run]) -> list[tuple[str, str, Figure | None]]:
+    """Title, caption and figure: errors over time, run over run, of robots and pairs that several runs have."""
+    robots = _shared([set(run.series.robots) for run in runs])
+    pairs = _shared([set(combinations(run.series.robots, 2)) for run in runs])
+    tracking = [Panel(f"robot {r} [m]", _lines(runs, (r,)), least=0.005) for r in robots]
+    pair = [Panel(f"{a}–{b} [m]", _lines(runs, (a, b)), least=0.005) for a, b in pairs]
+    return [
+        (
+            "Tracking error",
+            "Distance of each robot from its reference. The dotted line is at 20 s.",
+            stack(tracking, SETTLED_S),
+        ),
+        ("Formation error", "Length of a pair's distance vector less that of its references.", stack(pair, SETTLED_S)),
+        ("Thrust", "Surge asked for.", stack([_surge(runs, robot) for robot in robots], SETTLED_S)),
+    ]
+
+
+def _shared(known: Sequence[set[Any]]) -> list[Any]:
+    """What at least two of them have."""
+    every = sorted(set().union(*known))
+    return [entry for entry in every if sum(entry in one for one in known) > 1]
+
+
+def _lines(runs: Sequence[Run], whose: tuple[int, ...]) -> list[Line]:
+    """The tracking error of a robot or the formation error of a pair, its length over time, in each run that has it."""
+    lines = []
+    for i, run in enumerate(runs):
+        if set(whose) <= set(run.series.robots):
+            error = run.series.robots[whose[0]].error if len(whose) == 1 else run.series.pair_error(whose[0], whose[1])
+            lines.append(Line(run.name, run.series.time_s, np.linalg.norm(error[:, :3], axis=1), colour(i)))
+    return lines
+
+
+def _surge(runs: Sequence[Run], robot: int) -> Panel:
+    known = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
+    lines = [Line(run.name, states.time_s, states.wrench[:, 0], colour(i)) for i, run, states in known]
+    return Panel(f"robot {robot} [N]", lines, least=0.1)

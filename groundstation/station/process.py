@@ -1,0 +1,162 @@
+"""SHELL: the ground station's process: log, page and viewers around the station, and when its next cycle is due.
+
+By the wall clock a cycle a control period, at once when somebody has given an order that cannot wait; in lockstep one a tick,
+when all that counts at it has come.
+"""
+
+import contextlib
+import time
+from pathlib import Path
+
+from groundstation.export.foxglove_live import ViewerServer
+from groundstation.inboxes import listen
+from groundstation.logs.recorder import Recorder, check_room, run_metadata
+from groundstation.mission.gain_update import Tuner
+from groundstation.mission.lap_statistics import Laps
+from groundstation.mission.mission import Mission
+from groundstation.mission.state_machine import OVER, Phase
+from groundstation.planning import planner
+from groundstation.planning.segment import first_leg
+from groundstation.station.station import Station, workers
+from groundstation.web.auth import WebOptions
+from groundstation.web.live_backend import Desk, Post
+from groundstation.web.server import WebServer
+from wire.config.experiment import Experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header
+from wire.messages.topics import WHOLE_FLEET
+from wire.process.output_files import replace_text
+from wire.process.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus
+from wire.security.access_control import INSECURE
+from wire.toml_loader import ConfigError, files_named
+from wire.transport.bus import Bus
+
+FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
+
+
+def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
+    """Feed every recorded topic of the bus to the recorder, bytes unchanged."""
+
+    def arrival_ns(header: Header) -> int:
+        return header.stamp_ns if isinstance(clock, LockstepClock) else clock.now_ns()
+
+    recorder.gather([bus.collect(topic) for topic in topics.TOPICS if topic.recorded], arrival_ns)
+
+
+def run(
+    experiment: Experiment,
+    experiment_toml: str,
+    bus: Bus,
+    run_dir: Path,
+    *,
+    automatic: bool,
+    lockstep: bool,
+    stop: Stop,
+    web: WebOptions | None = None,
+    insecure: bool = False,
+    viewer: tuple[str, int] | None = None,
+) -> bool:
+    """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
+    are served. Makes `run_dir`. Returns whether the mission succeeded."""
+    clock: Clock = LockstepClock() if lockstep else WallClock()
+    leg = first_leg(experiment)
+    trajectories = dict(leg.trajectories)
+    starts = planner.start_poses(experiment, trajectories)
+    mode = "lockstep" if lockstep else "real-time"
+    metadata = run_metadata(experiment, mode)
+    stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
+    check_room(run_dir, experiment.recording.min_free_gb)
+    with files_named(run_dir):
+        run_dir.mkdir(parents=True, exist_ok=True)  # the router listens, the plan stands: a start that fails leaves no folder
+        _lay_down(run_dir / "experiment.toml", experiment, experiment_toml)
+        recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
+    recorder.whole_until_ns = -1 if lockstep else None
+    try:
+        record_everything(bus, recorder, clock)
+        with workers(len(trajectories)) as threads, contextlib.ExitStack() as served:
+            mission = Mission(experiment, leg, starts, automatic)
+            heard, tuner = listen(bus, experiment.robot_ids), Tuner(experiment)
+            laps = Laps(tuner.lap_s)
+            station = Station(
+                experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure
+            )
+            station.seen = station.fleet()
+            bus.serve(WHOLE_FLEET, station.wish)
+            log_to_bus(bus, clock, "groundstation")
+            if insecure:
+                log.warning(INSECURE)  # once more: now the recorder has it
+            station.publish_paths(clock.now_ns())
+            bus.watch_presence()
+            if web is not None:
+                post = Post(station.status, station.ask, station.tune, run_dir.resolve(), lambda: station.paths)
+                served.enter_context(WebServer(Desk(experiment, trajectories, bus, heard, clock, post, mode), web))
+                log.info("operator page: %s", web.url)
+            if viewer is not None:
+                served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
+                log.info("viewers: ws://%s:%d", *viewer)
+            ticks = Lockstep(bus, stop, clock) if isinstance(clock, LockstepClock) else None
+            bus.announce("groundstation")
+            started_s = time.monotonic()
+            if ticks is not None:
+                _lockstep_loop(station, ticks)
+            else:
+                _wall_loop(station, stop)
+            log.info("mission %s after %.1f s", mission.phase.value, time.monotonic() - started_s)
+            return mission.phase is Phase.DONE and not mission.failed and not recorder.error
+    finally:
+        recorder.close()
+
+
+def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
+    """Put what is flown into the run's folder. A file that is there, as a launcher has put it there, stays as it is; raises
+    ConfigError if it is another experiment, perhaps the very file that was named."""
+    if not file.exists():
+        replace_text(file, text)
+    elif load_experiment(str(file)).hash != loaded.hash:
+        raise ConfigError(f"{file}: is there already, is another experiment, and would be lost (allowed: a new folder)")
+
+
+class _End:
+    """When the run is over: an automatic mission by itself, any other when a person says so; then pages and terminals are told
+    for FAREWELL_S."""
+
+    def __init__(self, station: Station) -> None:
+        self._station = station
+        self._since_s = 0.0
+
+    def reached(self) -> bool:
+        """Whether to leave the loop."""
+        station, now_s = self._station, time.monotonic()
+        if station.ended and not self._since_s:
+            self._since_s = now_s
+        if station.ended:
+            return now_s - self._since_s > FAREWELL_S
+        return station.mission.automatic and station.mission.phase in OVER
+
+
+def _wall_loop(station: Station, stop: Stop) -> None:
+    period_ns = round(station.experiment.controller.period_s * 1e9)
+    due_ns, end = time.monotonic_ns(), _End(station)
+    while not stop.requested:
+        station.hurry.clear()
+        station.cycle(station.clock.now_ns(), lockstep=False)
+        if end.reached():
+            return
+        now_ns = time.monotonic_ns()
+        if now_ns >= due_ns:
+            due_ns = max(due_ns + period_ns, now_ns)
+        station.hurry.wait((due_ns - now_ns) * 1e-9)
+
+
+def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
+    heard, end = station.heard, _End(station)
+    while (tick := lockstep.next()) is not None:
+        # What the robots found in the step before, and where the picture shows them.
+        up_to_ns = lockstep.await_sight(tick, heard.localizer, heard.poses, heard.obstacles)
+        if up_to_ns is None or not lockstep.await_all([(heard.states[r], tick.previous_ns) for r in tick.robots]):
+            return
+        station.recorder.whole_until_ns = tick.previous_ns  # whenever it ends: no step of which some robots are missing
+        station.obstacles_up_to_ns = up_to_ns
+        station.cycle(tick.now_ns, lockstep=True)
+        if end.reached():
+            return

@@ -1,0 +1,92 @@
+"""Who may look in, and where: addresses, origins, tokens. Pure.
+
+On loopback the danger is another page in the same browser: so the request's Host must be this machine by a name that nobody
+else can own (no rebinding), and a WebSocket's Origin must be that same host. Off loopback the network is the danger: TLS and a
+token are then not optional.
+"""
+
+import hmac
+import re
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+
+from wire.toml_loader import ConfigError
+
+SHORTEST_TOKEN = 16
+_LOCAL_NAMES = frozenset({"127.0.0.1", "localhost", "::1"})
+_HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]{2,45})\]|([A-Za-z0-9.-]{1,253}))(?::([0-9]{1,5}))?")  # of a Host header: name, port
+
+HEADERS = {
+    "content-security-policy": "default-src 'self'; img-src 'self' blob: data:; style-src 'self' 'unsafe-inline'; "
+    "frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+}
+
+
+@dataclass(frozen=True)
+class WebOptions:
+    """Where the page is served, and to whom."""
+
+    host: str = "127.0.0.1"
+    port: int = 8000
+    certificate: Path | None = None
+    key: Path | None = None
+    token: str = ""
+
+    @property
+    def local(self) -> bool:
+        """Whether only this machine can reach it."""
+        return self.host in _LOCAL_NAMES or _is_loopback(self.host)
+
+    @property
+    def url(self) -> str:
+        """What a person opens."""
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{'https' if self.certificate else 'http'}://{host}:{self.port}/"
+
+
+def web_options(address: str, certificate: Path | None = None, key: Path | None = None, token: str = "") -> WebOptions:
+    """Checked options from `host:port`. Raises ConfigError for what would be open to others without TLS and a token."""
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise ConfigError(f"--web {address!r}: must be HOST:PORT, for example 127.0.0.1:8000")
+    if (certificate is None) != (key is None):
+        raise ConfigError("--web-certificate and --web-key: one without the other is of no use")
+    options = WebOptions(host, int(port), certificate, key, token)
+    if not options.local and (certificate is None or len(token) < SHORTEST_TOKEN):
+        raise ConfigError(
+            f"--web {address}: other machines could command the robots; off loopback the page needs "
+            f"--web-certificate, --web-key and --web-token-file with a token of {SHORTEST_TOKEN} characters or more"
+        )
+    return options
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def host_allowed(options: WebOptions, host: str) -> bool:
+    """Whether a request's Host header may be answered."""
+    found = _HOST.fullmatch(host)
+    if found is None:
+        return False
+    name = found[1] or found[2]
+    return not options.local or name.lower() in _LOCAL_NAMES or name == options.host
+
+
+def origin_allowed(options: WebOptions, host: str, origin: str) -> bool:
+    """Whether a WebSocket comes from our own page: scheme and host of its Origin are those of the request itself."""
+    return host_allowed(options, host) and origin == f"{'https' if options.certificate else 'http'}://{host}"
+
+
+def token_allowed(options: WebOptions, token: str) -> bool:
+    """Compared in constant time."""
+    return hmac.compare_digest(options.token.encode(), token.encode())

@@ -1,0 +1,318 @@
+"""SHELL: everyone who watches, and what they watch. Lives in the page's event loop (server.py).
+
+Frames to a page: u32 number, f32 round trip of the last one in ms, then a MessagePack map. From the page: small JSON texts
+(protocol.py). Nobody ever waits for a page: see send_window.py.
+"""
+
+import asyncio
+import contextlib
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import msgspec
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from groundstation.web import protocol
+from groundstation.web.auth import WebOptions, origin_allowed, token_allowed
+from groundstation.web.control_lease import Lease
+from groundstation.web.live_backend import Source
+from groundstation.web.send_window import Window
+from wire.messages.messages import Order
+from wire.process.runtime import log
+
+LOOK_S = 0.02  # how often the inboxes are looked at; a state waits half of this on average
+MOST_SHARE = 0.25  # of the interpreter, which the control cycle needs too: large fleets are shown less often
+AT_LEAST_S = 0.25  # ages go on also when nothing comes
+MOST_WATCHERS = 16
+HELLO_WITHIN_S = 5.0
+MOST_STRANGERS = 32  # connections that have not said who they are: one more ends the oldest
+KEPT_EVENTS = 60  # of the log, for a watcher who comes late: as many as the page shows
+ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
+COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
+HEAD = struct.Struct("<If")
+
+# WebSocket close codes of our own
+TOO_MANY, ELSEWHERE, NOT_ALLOWED, BAD_REQUEST = 4001, 4002, 4003, 4000
+
+T = TypeVar("T")
+
+
+@dataclass(eq=False)
+class Watcher:
+    """One open page."""
+
+    id: int
+    websocket: WebSocket
+    page: str = ""  # by which it is known when it comes back
+    window: Window = field(default_factory=Window)
+    wake: asyncio.Event = field(default_factory=asyncio.Event)
+    busy: bool = False  # an edit of this watcher is being planned
+    waiting: protocol.Try | None = None  # the newest one that came meanwhile
+
+    def note(self, message: dict[str, Any]) -> None:
+        self.window.note(msgspec.msgpack.encode(message))
+        self.wake.set()
+
+
+class Hub:
+    """All watchers, and what they watch. Lives in the event loop's thread."""
+
+    def __init__(self, source: Source, options: WebOptions) -> None:
+        self._source, self._options = source, options
+        self._watchers: dict[int, Watcher] = {}
+        self._lease = Lease()
+        self._history: deque[bytes] = deque(maxlen=KEPT_EVENTS)
+        self._picture = b""
+        self._count = 0
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._strangers: deque[asyncio.Task[protocol.Request]] = deque()
+        self._complained_s = -COMPLAIN_EVERY_S
+        # The emergency stop has a thread of its own: nothing else that a page may ask for ever keeps it waiting.
+        self._stops = ThreadPoolExecutor(1, "page-stop")
+        self._orders = ThreadPoolExecutor(2, "page-order")
+        self._plans = ThreadPoolExecutor(2, "page-plan")
+
+    def close(self) -> None:
+        """Wait for nothing that is still at work."""
+        for threads in (self._stops, self._orders, self._plans):
+            threads.shutdown(wait=False, cancel_futures=True)
+
+    async def pump(self) -> None:
+        """Look at the source for ever, and offer what is new to every watcher. Whatever goes wrong is told in the log, and
+        tried again at the next look: pages that hear nothing say so."""
+        told_s, took_s = 0.0, 0.0
+        while True:
+            await asyncio.sleep(LOOK_S if self._watchers else AT_LEAST_S)
+            try:
+                self._look()
+                now_s = time.monotonic()
+                rested = now_s - told_s >= took_s / MOST_SHARE
+                if self._watchers and rested and (self._source.changed() or now_s - told_s >= AT_LEAST_S):
+                    told_s = now_s
+                    self.tell()
+                    took_s = time.monotonic() - now_s
+            except Exception as error:
+                self._complain(error)
+
+    def _complain(self, error: Exception) -> None:
+        now_s = time.monotonic()
+        if now_s - self._complained_s >= COMPLAIN_EVERY_S:
+            self._complained_s = now_s
+            log.error("page: nothing new is shown: %s: %s", type(error).__name__, error)
+
+    def _look(self) -> None:
+        for note in self._source.notes():
+            self._history.append(msgspec.msgpack.encode(note))
+            self._each(lambda w: w.window.note(self._history[-1]))
+        paths = self._source.paths()
+        if paths is not None:
+            body = msgspec.msgpack.encode({"k": "paths", "paths": paths})
+            self._each(lambda w: w.window.offer("paths", body))
+        picture = self._source.picture() if self._watchers else None
+        if picture is not None:
+            self._picture = msgspec.msgpack.encode({"k": "picture", "stamp_ms": time.time() * 1e3, **picture})
+            self._each(lambda w: w.window.offer("picture", self._picture))
+
+    def tell(self) -> None:
+        """Offer the present state to everyone."""
+        self._lease.free(time.monotonic())  # a silent holder loses it
+        head: dict[str, Any] = {
+            "k": "state",
+            "stamp_ms": time.time() * 1e3,
+            "holder": self._lease.holder,
+            "watchers": len(self._watchers),
+        }
+        head["clock_ms"] = int(time.monotonic() * 1e3)  # comes back with orders
+        body = msgspec.msgpack.encode(head | self._source.snapshot())
+        self._each(lambda w: w.window.offer("state", body))
+
+    def _each(self, do: Callable[[Watcher], None]) -> None:
+        for watcher in self._watchers.values():
+            do(watcher)
+            watcher.wake.set()
+
+    async def watch(self, websocket: WebSocket) -> None:
+        """One page's connection, from hello to its end."""
+        headers = websocket.headers
+        if not origin_allowed(self._options, headers.get("host", ""), headers.get("origin", "")):
+            await websocket.close(NOT_ALLOWED)  # before accept: the handshake fails with 403
+            return
+        await websocket.accept()
+        if len(self._watchers) >= MOST_WATCHERS:
+            await websocket.close(TOO_MANY, f"{MOST_WATCHERS} pages are open already")
+            return
+        hello = await self._introduced(websocket)
+        if hello is None or not token_allowed(self._options, hello.token):
+            with contextlib.suppress(RuntimeError, WebSocketDisconnect):
+                await websocket.close(NOT_ALLOWED, "wrong token")
+            return
+        self._count += 1
+        watcher = Watcher(self._count, websocket, hello.page)
+        events = [msgspec.Raw(body) for body in self._history]
+        watcher.note({"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events})
+        if self._picture:
+            watcher.window.offer("picture", self._picture)
+        self._replace(watcher)
+        self._watchers[watcher.id] = watcher
+        self._tell_now()
+        sender = asyncio.create_task(_send(websocket, watcher))
+        try:
+            await self._listen(websocket, watcher)
+        finally:
+            sender.cancel()
+            del self._watchers[watcher.id]
+            self._lease.leave(watcher.id)
+
+    async def _introduced(self, websocket: WebSocket) -> protocol.Hello | None:
+        """The first thing that a connection says, if it is a hello and comes in time."""
+        first = asyncio.create_task(_receive(websocket))
+        self._strangers.append(first)
+        if len(self._strangers) > MOST_STRANGERS:
+            self._strangers[0].cancel()
+        try:
+            await asyncio.wait({first}, timeout=HELLO_WITHIN_S)
+        finally:
+            self._strangers.remove(first)
+            first.cancel()
+        if not first.done() or first.cancelled() or first.exception() is not None:
+            return None
+        said = first.result()
+        return said if isinstance(said, protocol.Hello) else None
+
+    def _replace(self, watcher: Watcher) -> None:
+        """A page that comes back over another connection keeps the control that it had: the one before it is dead, and does
+        not know it yet."""
+        for before in list(self._watchers.values()):
+            if watcher.page and before.page == watcher.page:
+                if self._lease.holder == before.id:
+                    self._lease.ask(watcher.id, time.monotonic(), over=True)
+                self._spawn(_close(before.websocket, ELSEWHERE, "the page has come back over another connection"))
+
+    async def _listen(self, websocket: WebSocket, watcher: Watcher) -> None:
+        while True:
+            try:
+                request = await _receive(websocket)
+            except WebSocketDisconnect:
+                return
+            except protocol.BadRequest as error:
+                log.warning("page: a message that is none of ours: %s", error)
+                await websocket.close(BAD_REQUEST, str(error)[:100])
+                return
+            self._lease.heard(watcher.id, time.monotonic())
+            self._take(watcher, request)
+
+    def _take(self, watcher: Watcher, request: protocol.Request) -> None:
+        now_s = time.monotonic()
+        if isinstance(request, protocol.Ack):
+            watcher.window.acknowledge(request.n, now_s)
+            watcher.wake.set()
+        elif isinstance(request, protocol.Take):
+            self._lease.ask(watcher.id, now_s, request.over)
+            self._tell_now()
+        elif isinstance(request, protocol.Release):
+            self._lease.leave(watcher.id)
+            self._tell_now()
+        elif isinstance(request, protocol.Wish):
+            self._spawn(self._order(watcher, request))
+        elif isinstance(request, protocol.Tune):
+            self._spawn(self._tune(watcher, request))
+        elif isinstance(request, protocol.Try):
+            watcher.waiting = request
+            if not watcher.busy:
+                self._spawn(self._attempt(watcher))
+        elif isinstance(request, protocol.Save):
+            self._spawn(self._save(watcher, request))
+        elif isinstance(request, protocol.Seek):
+            self._source.seek(request.time_s, request.rate)
+
+    def _spawn(self, work: Any) -> None:
+        task: asyncio.Task[None] = asyncio.create_task(work)
+        self._tasks.add(task)  # a task that nobody holds may vanish
+        task.add_done_callback(self._tasks.discard)
+
+    def _may_command(self, watcher: Watcher) -> str:
+        if self._lease.holder == watcher.id:
+            return ""
+        return "another page has control" if self._lease.holder else "take control first"
+
+    async def _at(self, threads: ThreadPoolExecutor, do: Callable[..., T], *arguments: Any) -> T:
+        return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
+
+    def _void(self, seen_ms: int) -> str:
+        """Why an order counts no longer, for what the page had seen; empty if it does."""
+        late_s = time.monotonic() - seen_ms * 1e-3
+        return f"this came {late_s:.0f} s late, and was not done" if late_s > ORDER_VALID_S else ""
+
+    async def _order(self, watcher: Watcher, wish: protocol.Wish) -> None:
+        order, number = Order[wish.order.upper().replace("-", "_")], 0
+        if order is Order.STOP:
+            reason, number = await self._at(self._stops, self._source.order, order)
+        else:
+            reason = self._may_command(watcher) or self._void(wish.seen_ms)
+            if not reason:
+                reason, number = await self._at(self._orders, self._source.order, order)
+        self._answer(watcher, wish.n, wish.order, reason, number)
+
+    async def _tune(self, watcher: Watcher, wish: protocol.Tune) -> None:
+        reason, number = self._may_command(watcher) or self._void(wish.seen_ms), 0
+        if not reason:
+            reason, number = await self._at(self._orders, self._source.tune, wish.values, wish.next_lap)
+        self._answer(watcher, wish.n, "tune", reason, number)
+
+    def _answer(self, watcher: Watcher, n: int, order: str, reason: str, number: int) -> None:
+        watcher.note({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
+        self._tell_now()
+
+    def _tell_now(self) -> None:
+        """As `tell`, where a state that cannot be told must end nothing else."""
+        try:
+            self.tell()
+        except Exception as error:
+            self._complain(error)
+
+    async def _attempt(self, watcher: Watcher) -> None:
+        """Plan the newest edit, and again while newer ones come; those in between were only passed over while dragging."""
+        watcher.busy = True
+        try:
+            while (tried := watcher.waiting) is not None:
+                watcher.waiting = None
+                watcher.note({"k": "tried", "n": tried.n} | await self._at(self._plans, self._source.attempt, tried.edit))
+        finally:
+            watcher.busy = False
+
+    async def _save(self, watcher: Watcher, request: protocol.Save) -> None:
+        reason = self._may_command(watcher)
+        done = (
+            {"ok": False, "problems": [reason]}
+            if reason
+            else await self._at(self._plans, self._source.save, request.edit, request.name)
+        )
+        watcher.note({"k": "saved", "n": request.n} | done)
+
+
+async def _close(websocket: WebSocket, code: int, why: str) -> None:
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):
+        await websocket.close(code, why)
+
+
+async def _receive(websocket: WebSocket) -> protocol.Request:
+    message = await websocket.receive()
+    if message["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(message.get("code", 1000))
+    return protocol.read_request(message.get("text") or message.get("bytes") or "")
+
+
+async def _send(websocket: WebSocket, watcher: Watcher) -> None:
+    with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):  # it has gone: `_listen` notices too
+        while True:
+            frame = watcher.window.next(time.monotonic())
+            if frame is None:
+                watcher.wake.clear()
+                await watcher.wake.wait()
+                continue
+            await websocket.send_bytes(HEAD.pack(frame[0], watcher.window.round_trip_s * 1e3) + frame[1])

@@ -1,0 +1,117 @@
+"""SHELL: the command line of `localizer calibrate` and `localizer check`."""
+
+from contextlib import ExitStack, closing
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.config.experiment import experiment_path, load_experiment
+from wire.process.cli_options import (
+    DEFAULT_FLEET,
+    DEFAULT_STATION,
+    ExperimentName,
+    FleetName,
+    Insecure,
+    KeyRing,
+    Settings,
+    StationAddress,
+)
+from wire.process.output_files import check_output
+
+Grey = Annotated[bool, typer.Option("--grey", help="Pictures of one channel are grey; otherwise they are raw Bayer RGGB.")]
+
+
+def calibrate(
+    sources: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="PICTURES", help="Files, folders or videos that show the board, in air.", show_default=False),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(help="chessboard:9x6:0.03 (inner corners, m) or charuco:7x5:0.04:0.03:DICT_4X4_50 (squares, m)."),
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Of a video, the sharpest of each so many frames.")] = 15,
+    lens: Annotated[Path | None, typer.Option(metavar="FILE", help="Take the lens from an earlier camera file.")] = None,
+    pool_points: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="TOML: at least four points of the pool, and where they are seen.")
+    ] = None,
+    pool_points_image: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The picture that they are seen in, if the file names no other.")
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=1, max=240, help="Written down: pictures per second; 20 if not known.")
+    ] = None,
+    exposure: Annotated[
+        float | None, typer.Option(min=1e-5, max=0.05, help="Written down: exposure in s; 0.008 if not known.")
+    ] = None,
+    water_index: Annotated[
+        float | None, typer.Option(min=1, max=2, help="Refractive index: 1.333 in fresh water (default), 1.34 in sea water.")
+    ] = None,
+    grey: Grey = False,
+    out: Annotated[Path, typer.Option(help="The camera file; a picture goes beside it.")] = Path("camera.toml"),
+) -> None:
+    """Find lens and pose of a camera from pictures of a board and points of the pool (docs/calibration.md).
+
+    Examples:  localizer calibrate board/ --board chessboard:9x6:0.03 --pool-points points.toml
+    localizer calibrate --lens camera.toml --pool-points points.toml --out moved.toml
+    """
+    from localizer.calibration.workflow import Request
+    from localizer.calibration.workflow import calibrate as run
+
+    files = tuple(sources or ())
+    request = Request(
+        files, board, every, lens, pool_points, pool_points_image, out,
+        rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey,
+    )  # fmt: skip
+    typer.echo("\n".join(run(request)))
+
+
+def check(
+    experiment: ExperimentName,
+    image: Annotated[Path | None, typer.Option(metavar="FILE", help="A picture of the experiment's camera.")] = None,
+    grey: Grey = False,
+    live: Annotated[bool, typer.Option("--live", help="Take the newest frame from the bus instead.")] = False,
+    show: Annotated[bool, typer.Option("--show", help="Every new frame, in a browser of this machine, until Ctrl-C.")] = False,
+    show_port: Annotated[int, typer.Option(help="Where --show serves them, on 127.0.0.1.")] = 8091,
+    depth: Annotated[float, typer.Option(min=-1, max=20, help="Depth of the grid, m.")] = 0.3,
+    out: Annotated[Path, typer.Option(help="The picture to write.")] = Path("check.png"),
+    station: StationAddress = DEFAULT_STATION,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    settings: Settings = None,
+) -> None:
+    """Draw the pool's grid where the calibration puts it, over a picture, or on black: does it lie on the pool?
+
+    Examples:  localizer check lab.toml --image pool.png          localizer check pool --show
+    """
+    from localizer.calibration.images import read_picture
+    from localizer.calibration.verify import LivePictures, check_camera, show_live
+    from localizer.view.mjpeg_server import Page
+    from wire.messages.topics import Role, process_name
+    from wire.process.runtime import Stop, start_log
+    from wire.transport.bus import Bus
+    from wire.transport.network import endpoint
+    from wire.transport.transport import ZenohTransport
+
+    loaded = load_experiment(experiment, settings or ())
+    check_output(out, [experiment_path(experiment), *([image] if image is not None else [])])
+    if image is not None and (live or show):
+        raise typer.BadParameter("give --image, or --live or --show, not both")
+    if not (live or show):
+        picture = None if image is None else read_picture(image, grey)
+        typer.echo("\n".join(check_camera(loaded, picture, str(image), depth, out)))
+        return
+    start_log("localizer", False)
+    stop = Stop()
+    with ExitStack() as stack:
+        page = stack.enter_context(closing(Page(show_port, stop))) if show else None
+        typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
+        where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
+        pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(where, stop), fleet)))
+        picture = pictures.next(stop)
+        if picture is not None:
+            typer.echo("\n".join(check_camera(loaded, picture, "the newest frame", depth, out)))
+        if page is not None:
+            show_live(loaded, pictures, page, depth, stop)

@@ -1,0 +1,162 @@
+"""Points of the pool in one picture -> where the camera hangs, looking through the water's surface.
+
+The rim's points are seen straight, the floor's through refraction; both go into one least squares fit of the pixels.
+Ignoring refraction puts a floor 1 m deep at 0.75 m, and the camera centimetres off. Pure.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.optimize import least_squares
+
+from localizer.calibration.intrinsics import Lens
+from localizer.calibration.survey_points import FEWEST_POINTS, PoolPoint, is_line
+from localizer.camera_model import PoolView
+from wire.config.perception import Camera
+from wire.frames import Array
+from wire.toml_loader import ConfigError
+
+_LEAST_SIGMA_PX = 0.2  # residuals of four points may be small by luck
+_SUSPECT_RATIO, _SUSPECT_PX = 3.0, 1.0
+_SUSPECT_STEPS = 20  # a start from the fit to all points needs five; points beyond hope would take hundreds
+_UNUSABLE_PX = 10.0  # of 1280: two places confused, not a careless click
+_LOWEST_CAMERA_M = -0.05
+_STEP = 1e-5  # m and rad, for derivatives: 0.01 px, far above rounding, far below curvature
+
+
+@dataclass(frozen=True, eq=False)
+class PoseFit:
+    """The camera over the pool. `seen_px` (points, 2) as given, `residuals_px` (points, 2): seen less predicted.
+    `covariance` (6, 6) of rotation_rad and position_m, from the points' scatter; `suspect`: the point without which the
+    others agree."""
+
+    camera: Camera
+    seen_px: Array
+    residuals_px: Array
+    covariance: Array
+    suspect: int | None
+
+    @property
+    def rms_px(self) -> float:
+        """Over points, of the distance."""
+        return _rms(self.residuals_px)
+
+    def place_sigma_m(self, pixels: Array, depth_m: float) -> Array:
+        """One standard deviation (n,) of where pixels (n, 2) lie at a depth, in the worse direction."""
+        at = _parameters(self.camera)
+
+        def place(step: Array) -> Array:
+            return PoolView(_moved(self.camera, at + step)).pool(pixels, depth_m)
+
+        steps = _STEP * np.eye(6)
+        jacobian = np.stack([(place(step) - place(-step)) / (2 * _STEP) for step in steps], axis=-1)  # (n, 2, 6)
+        spread = jacobian @ self.covariance @ jacobian.swapaxes(1, 2)
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(spread)[:, 1]))
+
+
+def fit_pose(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> PoseFit:
+    """The pose of `camera` (its lens and water_index are taken, its pose is not) that puts `points` at pixels (n, 2).
+
+    Raises ConfigError when the pixels cannot be used or no pose explains them.
+    """
+    places = np.array([point.pool_m for point in points])
+    _check_pixels(camera, points, pixels)
+    best = _best(camera, places, pixels)
+    fit = _judged(best, places, pixels)
+    if fit.rms_px > _UNUSABLE_PX * max(camera.size_px) / 1280.0:
+        worst = points[int(np.argmax(np.linalg.norm(fit.residuals_px, axis=1)) if fit.suspect is None else fit.suspect)].name
+        raise ConfigError(
+            f"points: no pose of the camera explains them: they are {fit.rms_px:.0f} px off (RMS), worst {worst!r}; "
+            "is z positive under water, x right and y down in the picture, the origin at the pool's centre?"
+        )
+    return fit
+
+
+def _check_pixels(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> None:
+    width, height = camera.size_px
+    for point, (u, v) in zip(points, pixels, strict=True):
+        if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
+            allowed = f"allowed: 0 to {width - 1}, 0 to {height - 1}"
+            raise ConfigError(f"points: {point.name!r}: pixel_px = [{u:g}, {v:g}] is outside the picture ({allowed})")
+    if is_line(pixels):
+        raise ConfigError("points: their pixels lie on one line; take some beside it")
+
+
+def _best(camera: Camera, places: Array, pixels: Array) -> Camera:
+    """The pose with the least squared error, from each start in turn."""
+    fits = [
+        least_squares(_errors, start, args=(camera, places, pixels), x_scale="jac")
+        for start in _starts(camera, places, pixels)
+    ]
+    above = [fit for fit in fits if fit.x[5] < _LOWEST_CAMERA_M]
+    if not above:
+        raise ConfigError(
+            "points: no camera above the water sees them so; is z positive under water, and y down in the picture?"
+        )
+    best = min(above, key=lambda fit: float(fit.cost)).x
+    best[:3] = cv2.Rodrigues(cv2.Rodrigues(best[:3])[0])[0].ravel()  # of all vectors for one turn the shortest
+    return _moved(camera, best)
+
+
+def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:
+    """Poses to refine: those that explain the points if each one under water is seen where it appears from right above,
+    at depth / n, straight."""
+    apparent = places.copy()
+    apparent[:, 2] = np.where(places[:, 2] > 0, places[:, 2] / camera.water_index, places[:, 2])
+    lens = Lens.of(camera)
+    _, turns, moves, _ = cv2.solvePnPGeneric(
+        apparent, pixels, lens.matrix, np.array(lens.distortion), flags=cv2.SOLVEPNP_SQPNP
+    )
+    starts = []
+    for turn, move in zip(turns, moves, strict=True):
+        position = -np.asarray(cv2.Rodrigues(turn)[0]).T @ move.ravel()
+        starts.append(np.concatenate([turn.ravel(), position[:2], [min(float(position[2]), 2 * _LOWEST_CAMERA_M)]]))
+    return starts
+
+
+def _judged(camera: Camera, places: Array, pixels: Array) -> PoseFit:
+    """Residuals, covariance, and the point that does not belong."""
+    at = _parameters(camera)
+    residuals = -_errors(at, camera, places, pixels)
+    steps = _STEP * np.eye(6)
+    jacobian = np.column_stack(
+        [(_errors(at + s, camera, places, pixels) - _errors(at - s, camera, places, pixels)) / (2 * _STEP) for s in steps]
+    )
+    spare = max(len(residuals) - 6, 1)
+    variance = max(float(residuals @ residuals) / spare, _LEAST_SIGMA_PX**2)
+    covariance: Array = np.asarray(variance * np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
+    residuals = residuals.reshape(-1, 2)
+    return PoseFit(camera, pixels, residuals, covariance, _suspect(camera, residuals, places, pixels))
+
+
+def _suspect(camera: Camera, residuals: Array, places: Array, pixels: Array) -> int | None:
+    """The point without which the rest fit at least three times better. Four points leave nothing to tell it from."""
+    if len(places) <= FEWEST_POINTS or _rms(residuals) < _SUSPECT_PX:
+        return None
+    without = []
+    for i in range(len(places)):
+        rest = np.delete(places, i, axis=0), np.delete(pixels, i, axis=0)
+        found = least_squares(_errors, _parameters(camera), args=(camera, *rest), x_scale="jac", max_nfev=_SUSPECT_STEPS)
+        without.append(_rms(found.fun.reshape(-1, 2)))
+    best = int(np.argmin(without))
+    return best if without[best] * _SUSPECT_RATIO < _rms(residuals) else None
+
+
+def _errors(parameters: Array, camera: Camera, places: Array, pixels: Array) -> Array:
+    """Predicted less seen, (2 n,)."""
+    return (PoolView(_moved(camera, parameters)).pixel(places) - pixels).ravel()
+
+
+def _moved(camera: Camera, parameters: Array) -> Camera:
+    turn, place = parameters[:3].tolist(), parameters[3:].tolist()
+    return camera.model_copy(update={"rotation_rad": tuple(turn), "position_m": tuple(place)})
+
+
+def _parameters(camera: Camera) -> Array:
+    return np.array([*camera.rotation_rad, *camera.position_m])
+
+
+def _rms(residuals: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))

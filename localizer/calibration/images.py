@@ -1,0 +1,90 @@
+"""SHELL: pictures for calibration, from files, folders and videos."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from localizer.detection.image_regions import Pixels
+from localizer.sources.base import SUFFIXES, as_colour
+from wire.process.output_files import replacing
+from wire.toml_loader import ConfigError
+
+
+def read_picture(path: Path, grey: bool = False) -> Pixels:
+    """A picture file as BGR (height, width, 3); one channel is raw Bayer RGGB, or (`grey`) grey. Raises
+    ConfigError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+    picture = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
+    if picture is None:
+        raise ConfigError(f"{path}: not a picture that OpenCV reads (allowed: {', '.join(s[1:] for s in SUFFIXES)})")
+    colour = as_colour(picture, grey)
+    if colour is None:
+        raise ConfigError(f"{path}: {picture.dtype}, must be a picture of 8 bits a channel")
+    return colour
+
+
+def write_picture(path: Path, picture: Pixels) -> None:
+    """Write a BGR picture (height, width, 3), as the kind of file that its suffix says, whole or not at all. Raises
+    ConfigError."""
+    if path.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"{path}: {path.suffix!r} is no kind of picture (allowed: {', '.join(SUFFIXES)})")
+    _, data = cv2.imencode(path.suffix, picture)
+    try:
+        with replacing(path) as file:
+            file.write(data.tobytes())
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def pictures(sources: Sequence[Path], every: int, grey: bool = False) -> Iterator[tuple[str, Pixels]]:
+    """(name, BGR picture) of files, of all picture files in folders (by name), and of videos the sharpest of every `every`
+    frames. Raises ConfigError for what is neither, and for pictures of different sizes."""
+    first: tuple[str, Pixels] | None = None
+    for name, picture in _all(sources, every, grey):
+        first = first or (name, picture)
+        if picture.shape != first[1].shape:
+            sizes = [f"{p.shape[1]}x{p.shape[0]}" for p in (picture, first[1])]
+            raise ConfigError(f"{name}: {sizes[0]}, but {first[0]} is {sizes[1]}: all must come from one camera at one size")
+        yield name, picture
+
+
+def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str, Pixels]]:
+    for source in sources:
+        if source.is_dir():
+            files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES)
+            if not files:
+                raise ConfigError(f"{source}: no pictures in this folder (looked for: {', '.join(SUFFIXES)})")
+            yield from ((str(path), read_picture(path, grey)) for path in files)
+        elif not source.is_file() or source.suffix.lower() in SUFFIXES:
+            yield str(source), read_picture(source, grey)
+        else:
+            yield from _sharp_frames(source, every)
+
+
+def _sharp_frames(path: Path, every: int) -> Iterator[tuple[str, Pixels]]:
+    """Of each `every` frames of a video the one with the most contrast between neighbours."""
+    video = cv2.VideoCapture(str(path))
+    try:
+        if not video.isOpened():
+            raise ConfigError(f"{path}: neither a picture nor a video that OpenCV reads")
+        index, sharpest, best = 0, -1.0, None
+        while (frame := video.read())[0]:
+            picture = np.asarray(frame[1], dtype=np.uint8)
+            sharpness = float(np.var(cv2.Laplacian(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.CV_32F)))
+            if sharpness > sharpest:
+                sharpest, best = sharpness, (f"{path}:{index}", picture)
+            index += 1
+            if best is not None and index % every == 0:
+                yield best
+                sharpest, best = -1.0, None
+        if best is not None:
+            yield best
+        if index == 0:
+            raise ConfigError(f"{path}: a video without a readable frame")
+    finally:
+        video.release()

@@ -1,0 +1,163 @@
+"""Views of a board -> the lens: focal lengths, centre, distortion, and how well they are known.
+
+    views -> fit -> worst view out while it is far worse than the rest -> k3 only if the views can tell it from zero
+
+Zhang (2000) by OpenCV. The pose over the pool comes after, from points of the pool (extrinsics.py). Pure.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+
+from localizer.calibration.targets import BoardView
+from wire.config.perception import Camera
+from wire.frames import Array
+from wire.toml_loader import ConfigError, Section
+
+FEWEST_VIEWS = 5  # nine numbers need three; five leave something to judge a bad view by
+ADVISED_VIEWS = 12
+_BAD_RATIO, _BAD_PX = 2.5, 0.3  # a view this many times worse than the median, and worse than this, is blurred or misread
+_BAD_SHARE = 1 / 3  # the most views to throw away: if more are bad, it is not the views
+_SIGNIFICANT = 3.0  # standard deviations; below, k3 fits noise and swings the picture's corners
+_MATTERS = 0.98  # of the RMS without k3
+CELLS = (8, 6)  # columns and rows that coverage is counted in
+_COVERED = 0.6  # share of cells that hold corners, below which distortion is guessed in places
+_REACHED = 0.7  # of the way from the centre to each of the picture's corners
+_LOOSE_FOCAL, _LOOSE_CENTRE_PX = 0.002, 2.0  # standard deviations worth a warning: 0.2 % is 2 mm at 1 m from the foot
+_POOR_RMS_PX = 1.0
+_FOLD_PX = 0.1
+_UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)  # as in camera_model.py
+
+
+class Lens(Section):
+    """The part of wire.config.experiment.Camera that belongs to lens and sensor, wherever they hang."""
+
+    size_px: tuple[int, int]
+    focal_px: tuple[float, float]
+    centre_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @classmethod
+    def of(cls, camera: Camera) -> "Lens":
+        """The lens of a camera."""
+        return cls(**{key: getattr(camera, key) for key in cls.model_fields})
+
+    @property
+    def matrix(self) -> Array:
+        """Camera matrix (3, 3)."""
+        (fx, fy), (cx, cy) = self.focal_px, self.centre_px
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+@dataclass(frozen=True, eq=False)
+class LensFit:
+    """A lens with what it was found from. `deviations` (9,): one standard deviation of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+
+    lens: Lens
+    deviations: Array
+    rms_px: float
+    views: tuple[BoardView, ...]
+    view_rms_px: Array  # (views,)
+    residuals_px: tuple[Array, ...]  # found less predicted, (corners, 2) per view
+    rejected: tuple[tuple[BoardView, float], ...] = ()  # with the RMS they had when they went
+
+    @property
+    def corners_px(self) -> Array:
+        """All corners of the views that were kept, (n, 2)."""
+        return np.concatenate([view.pixels for view in self.views])
+
+    @property
+    def coverage(self) -> Array:
+        """How many corners fell into each cell of the picture, (rows, columns)."""
+        width, height = self.lens.size_px
+        edges_x, edges_y = (np.linspace(-0.5, size - 0.5, n + 1) for size, n in zip((width, height), CELLS, strict=True))
+        counts, _, _ = np.histogram2d(self.corners_px[:, 1], self.corners_px[:, 0], bins=(edges_y, edges_x))
+        return np.asarray(counts)
+
+
+def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
+    """The lens that explains the views, bad ones left out. Raises ConfigError if there are too few."""
+    if len(views) < FEWEST_VIEWS:
+        names = ", ".join(view.name for view in views) or "none"
+        raise ConfigError(f"the board was found in {len(views)} pictures ({names}), at least {FEWEST_VIEWS} are needed")
+    kept, rejected = list(views), list[tuple[BoardView, float]]()
+    fit = _fit(kept, size_px)
+    while len(kept) > FEWEST_VIEWS and len(rejected) < int(len(views) * _BAD_SHARE):
+        worst = int(np.argmax(fit.view_rms_px))
+        if fit.view_rms_px[worst] <= max(_BAD_RATIO * float(np.median(fit.view_rms_px)), _BAD_PX):
+            break
+        rejected.append((kept.pop(worst), float(fit.view_rms_px[worst])))
+        fit = _fit(kept, size_px)
+    return replace(fit, rejected=tuple(rejected))
+
+
+def _fit(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
+    """With k3 only if it is significant, and matters: views of a video repeat one another, and so do their errors."""
+    plain, with_k3 = _solve(views, size_px, cv2.CALIB_FIX_K3), _solve(views, size_px, 0)
+    is_sure = abs(with_k3.lens.distortion[4]) > _SIGNIFICANT * with_k3.deviations[8]
+    return with_k3 if is_sure and with_k3.rms_px < _MATTERS * plain.rms_px else plain
+
+
+def _solve(views: Sequence[BoardView], size_px: tuple[int, int], flags: int) -> LensFit:
+    boards = [view.board_m.astype(np.float32)[:, None] for view in views]
+    pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
+    try:
+        rms, matrix, distortion, turns, moves, deviations, _, errors = cv2.calibrateCameraExtended(
+            boards, pixels, size_px, np.eye(3), np.zeros(5), flags=flags
+        )
+    except cv2.error as error:
+        raise ConfigError(f"no lens explains the {len(views)} views of the board: {error.err}") from None
+    found = np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *distortion.ravel()[:5]])
+    if not np.all(np.isfinite(found)) or min(found[:2]) <= 0:
+        raise ConfigError(f"no lens explains the {len(views)} views of the board: tilt it by 20 to 40 degrees, each way")
+    predicted = [
+        cv2.projectPoints(b, r, t, matrix, distortion)[0].reshape(-1, 2) for b, r, t in zip(boards, turns, moves, strict=True)
+    ]
+    residuals = tuple(view.pixels - place for view, place in zip(views, predicted, strict=True))
+    fx, fy, cx, cy, *ks = (float(value) for value in found)
+    lens = Lens(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
+    sigma, view_rms = (np.asarray(values, dtype=np.float64).ravel() for values in (deviations, errors))
+    return LensFit(lens, sigma[:9], float(rms), tuple(views), view_rms, residuals)
+
+
+def lens_warnings(fit: LensFit) -> list[str]:
+    """What a person should mend before trusting the lens."""
+    said = []
+    if len(fit.views) < ADVISED_VIEWS:
+        said.append(f"only {len(fit.views)} views: take {ADVISED_VIEWS} or more")
+    covered = float(np.mean(fit.coverage > 0))
+    if covered < _COVERED:
+        said.append(f"corners cover {covered:.0%} of the picture (wanted: {_COVERED:.0%}): show it where the map is empty")
+    if (reach := _least_reach(fit)) < _REACHED:
+        said.append(f"towards a corner of the picture the board goes only {reach:.0%} of the way: beyond, the lens is a guess")
+    if max(fit.deviations[:2] / fit.lens.focal_px) > _LOOSE_FOCAL or max(fit.deviations[2:4]) > _LOOSE_CENTRE_PX:
+        said.append("focal length or centre is loose: tilt the board by 20 to 40 degrees each way, and come near")
+    if fit.rms_px > _POOR_RMS_PX:
+        said.append(f"an RMS of {fit.rms_px:.2f} px is poor: is the board flat, the --board right, the picture sharp?")
+    if (fold := fold_px(fit.lens)) > _FOLD_PX:
+        said.append(f"the distortion folds over before the picture's edge ({fold:.1f} px off): places there will be wrong")
+    return said
+
+
+def _least_reach(fit: LensFit) -> float:
+    """How far towards each of the picture's corners the board's corners went, of the whole way; the least of the four."""
+    width, height = fit.lens.size_px
+    corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
+    way = corners - fit.lens.centre_px
+    went = (fit.corners_px - fit.lens.centre_px) @ (way / np.sum(way**2, axis=1, keepdims=True)).T
+    return float(went.max(axis=0).min())
+
+
+def fold_px(lens: Lens) -> float:
+    """How far undistorting and distorting the picture's edge misses it: more than nothing where the polynomial turns back."""
+    width, height = lens.size_px
+    x, y = np.linspace(0.0, width - 1.0, 33), np.linspace(0.0, height - 1.0, 25)
+    edge = np.concatenate([np.stack(np.broadcast_arrays(x, v), axis=-1) for v in (y[0], y[-1])])
+    edge = np.concatenate([edge, *(np.stack(np.broadcast_arrays(u, y), axis=-1) for u in (x[0], x[-1]))])
+    distortion = np.array(lens.distortion)
+    rays = cv2.undistortPoints(edge[:, None], lens.matrix, distortion, criteria=_UNDISTORT)[:, 0]
+    ahead = np.column_stack([rays, np.ones(len(rays))])
+    back, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), lens.matrix, distortion)
+    return float(np.abs(np.asarray(back)[:, 0] - edge).max())

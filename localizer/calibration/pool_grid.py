@@ -1,0 +1,142 @@
+"""The pool's grid as a camera should see it, drawn over a picture of what it does see; and what a pixel is worth there.
+
+Straight lines of the pool are curves in the picture: lens and water bend them, so they are drawn in short pieces.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from localizer.camera_model import PoolView
+from localizer.detection.image_regions import Pixels
+from wire.config.perception import Camera
+from wire.config.scene import Pool
+from wire.frames import Array
+
+Colour = tuple[int, int, int]
+
+GRID_M = 0.25
+_NAMED_M = 0.5
+GRID: Colour = (235, 120, 235)  # BGR; no pool is pink
+SURFACE: Colour = (80, 220, 255)
+FLOOR: Colour = (80, 160, 80)
+MARK: Colour = (60, 60, 230)
+_PIECE_M = 0.02  # a piece bends by less than 0.01 px
+_MARK_M = 0.15  # arms of the origin's mark
+_TRUE_M = 1e-3  # a lens's polynomial folds over outside the picture; points that do not map back are not drawn
+_FRACTION_BITS = 4  # OpenCV draws in 16ths of a pixel
+_SAMPLES = 41  # per axis, of the pool, to see how much of it is in the picture
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What the camera sees at one depth."""
+
+    field_m: tuple[float, float]  # width through the picture's middle, height
+    seen_share: float  # of the pool's area at that depth
+    mm_per_px: tuple[float, float]  # in the picture's middle, in its worst corner
+    mm_per_cm_depth: tuple[float, float]  # error of a place per cm of depth error, likewise
+
+
+def figures(camera: Camera, pool: Pool, depth_m: float) -> Figures:
+    """The figures for one depth."""
+    view = PoolView(camera)
+    width, height = camera.size_px
+    left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
+    middle = np.array([(left + right) / 2, (top + bottom) / 2])
+    ends = np.array([[left, middle[1]], [right, middle[1]], [middle[0], top], [middle[0], bottom]])
+    reach = view.pool(ends, depth_m)
+    corners = np.array([[0.0, 0.0], [width - 1.0, 0.0], [width - 1.0, height - 1.0], [0.0, height - 1.0]])
+    jacobian = view.jacobian(np.vstack([middle, corners]), depth_m)
+    scale = 1e3 * np.linalg.norm(jacobian[:, :, :2], axis=(1, 2), ord=2)
+    lean = 10.0 * np.linalg.norm(jacobian[:, :, 2], axis=1)  # mm per cm
+    x, y = (np.linspace(-size / 2, size / 2, _SAMPLES) for size in pool.size_m[:2])
+    plane = np.stack([*np.meshgrid(x, y), np.full((_SAMPLES, _SAMPLES), depth_m)], axis=-1).reshape(-1, 3)
+    return Figures(
+        field_m=(float(np.linalg.norm(reach[1] - reach[0])), float(np.linalg.norm(reach[3] - reach[2]))),
+        seen_share=float(np.mean(_in_picture(camera, _true_pixels(view, plane)))),
+        mm_per_px=(float(scale[0]), float(scale[1:].max())),
+        mm_per_cm_depth=(float(lean[0]), float(lean[1:].max())),
+    )
+
+
+def draw_grid(picture: Pixels, camera: Camera, pool: Pool, depth_m: float) -> None:
+    """Draw into a BGR picture (height, width, 3): a grid at `depth_m`, the pool's outline at surface and floor, its upright
+    edges, and the origin's mark with the axes' names."""
+    view = PoolView(camera)
+    for line in _grid_lines(pool, depth_m):
+        _curve(picture, view, line, GRID, 1)
+    half_x, half_y, floor = pool.size_m[0] / 2, pool.size_m[1] / 2, pool.size_m[2]
+    ring = np.array([[-half_x, -half_y], [half_x, -half_y], [half_x, half_y], [-half_x, half_y]])
+    for corner, after in zip(ring, np.roll(ring, -1, axis=0), strict=True):
+        _curve(picture, view, _line((*corner, floor), (*after, floor)), FLOOR, 2)
+        _curve(picture, view, _line((*corner, 0.0), (*corner, floor)), FLOOR, 1)
+        _curve(picture, view, _line((*corner, 0.0), (*after, 0.0)), SURFACE, 2)
+    for arm in ((_MARK_M, 0.0), (0.0, _MARK_M)):
+        _curve(picture, view, _line((-arm[0], -arm[1], 0.0), (*arm, 0.0)), MARK, 2)
+        _name(picture, view, "x" if arm[0] else "y", (1.3 * arm[0], 1.3 * arm[1], 0.0), MARK)
+    for x in _steps(half_x, _NAMED_M):
+        _name(picture, view, f"{x:g}", (x, 0.0, depth_m), GRID)
+    for y in _steps(half_y, _NAMED_M):
+        if y:
+            _name(picture, view, f"{y:g}", (0.0, y, depth_m), GRID)
+
+
+def write(picture: Pixels, text: str, at_px: Array, colour: Colour, size: float = 0.45) -> None:
+    """Small text with a shadow, which keeps it readable over anything."""
+    x, y = (round(float(value)) for value in np.clip(at_px, -1e4, 1e4))
+    for ink, shift in (((0, 0, 0), 1), (colour, 0)):
+        cv2.putText(picture, text, (x + shift, y + shift), cv2.FONT_HERSHEY_SIMPLEX, size, ink, 1, cv2.LINE_AA)
+
+
+def polyline(picture: Pixels, pixels: Array, colour: Colour, thickness: int = 1, closed: bool = False) -> None:
+    """A line through pixels (n, 2), to a 16th of a pixel."""
+    fixed = np.round(np.clip(pixels, -1e4, 1e4) * 2**_FRACTION_BITS).astype(np.int32)
+    cv2.polylines(picture, [fixed], closed, colour, thickness, cv2.LINE_AA, _FRACTION_BITS)
+
+
+def _grid_lines(pool: Pool, depth_m: float) -> Iterator[Array]:
+    half_x, half_y = pool.size_m[0] / 2, pool.size_m[1] / 2
+    yield from (_line((x, -half_y, depth_m), (x, half_y, depth_m)) for x in _steps(half_x))
+    yield from (_line((-half_x, y, depth_m), (half_x, y, depth_m)) for y in _steps(half_y))
+
+
+def _steps(half_m: float, step_m: float = GRID_M) -> Array:
+    """Multiples of a step within the walls: the origin is one."""
+    count = int(half_m / step_m + 1e-9)
+    return np.arange(-count, count + 1, dtype=np.float64) * step_m
+
+
+def _line(start: Sequence[float], end: Sequence[float]) -> Array:
+    """Points (n, 3) of a straight line."""
+    first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    pieces = max(int(np.ceil(np.linalg.norm(last - first) / _PIECE_M)), 1)
+    return np.asarray(first + np.linspace(0.0, 1.0, pieces + 1)[:, None] * (last - first))
+
+
+def _true_pixels(view: PoolView, points: Array) -> Array:
+    """Pixels (n, 2) of points (n, 3); NaN for those that lie behind the camera or where the lens model folds over."""
+    pixels = view.pixel(points)
+    true = np.linalg.norm(view.pool(pixels, points[:, 2]) - points[:, :2], axis=1) < _TRUE_M
+    return np.where(true[:, None], pixels, np.nan)
+
+
+def _in_picture(camera: Camera, pixels: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.all((pixels >= -0.5) & (pixels <= np.array(camera.size_px) - 0.5), axis=1))
+
+
+def _curve(picture: Pixels, view: PoolView, points: Array, colour: Colour, thickness: int) -> None:
+    pixels = _true_pixels(view, points)
+    good = np.isfinite(pixels[:, 0])
+    for run in np.split(np.arange(len(points)), np.flatnonzero(np.diff(good)) + 1):
+        if good[run[0]] and len(run) > 1:
+            polyline(picture, pixels[run], colour, thickness)
+
+
+def _name(picture: Pixels, view: PoolView, text: str, point: tuple[float, float, float], colour: Colour) -> None:
+    pixel = _true_pixels(view, np.array([point]))[0]
+    if np.all(np.isfinite(pixel)):
+        write(picture, text, pixel + np.array([3.0, -4.0]), colour)

@@ -1,0 +1,170 @@
+"""SHELL: how old a pose is when it is out, and how even the pictures come: a self-test of camera and computer.
+
+What is measured is the localizer as `run` runs it, with its obstacles, previews and film, on a bus of this process alone:
+nobody else hears the poses. Left out is what Zenoh needs to send them, the page of `--show`, and what robots report.
+
+What it cannot see is how far a driver's stamp is from the light: a constant of the camera, some milliseconds with USB
+cameras, that only a clock in the picture would show.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from localizer.node import Shell
+from localizer.sources.base import Shot, Source
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages import topics
+from wire.process.runtime import Clock, Stop
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+WARM_UP = 5  # pictures: caches, exposure control, a backlog from before
+_LARGEST_JITTER = 0.25  # of a period, p99: more, and the motion between pictures is no longer what the filter thinks
+_LARGEST_AGE_PERIODS = 1.5  # p99: one to expose, send and decode a picture, half of one to look at it
+_LARGEST_LOSS = 0.01
+_LARGEST_DRIFT = 0.1  # of the period, median
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One picture: middle of the exposure, arrival, poses ready, by the localizer's clock."""
+
+    instant_ns: int
+    arrived_ns: int
+    ready_ns: int
+    stamped: bool
+
+
+@dataclass(frozen=True)
+class Quantiles:
+    """Of a duration, in ms."""
+
+    p50: float
+    p99: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Latency:
+    """The result."""
+
+    pictures: int
+    dropped: int
+    unstamped: int
+    exposure_to_arrival_ms: Quantiles
+    arrival_to_pose_ms: Quantiles
+    exposure_to_pose_ms: Quantiles
+    interval_ms: Quantiles
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> str:
+        """All of it."""
+        return json.dumps(asdict(self), indent=1) + "\n"
+
+    def to_text(self) -> str:
+        """A table for people, then the warnings."""
+        rows = {
+            "exposure to arrival": self.exposure_to_arrival_ms,
+            "arrival to pose": self.arrival_to_pose_ms,
+            "exposure to pose": self.exposure_to_pose_ms,
+            "between exposures": self.interval_ms,
+        }
+        lines = [f"{'ms':<20}{'median':>9}{'p99':>9}{'max':>9}"]
+        lines += [f"{name:<20}{q.p50:9.2f}{q.p99:9.2f}{q.max:9.2f}" for name, q in rows.items()]
+        lines += [f"{self.pictures} pictures, {self.dropped} dropped, {self.unstamped} without the camera's own stamp"]
+        return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
+
+
+Told = Callable[[int], None]  # the poses of the picture with this stamp are out
+
+
+class _Watched:
+    """A source that notes its pictures, and ends after `seconds`."""
+
+    def __init__(self, source: Source, clock: Clock, seconds: float) -> None:
+        self.pictures: list[Shot] = []
+        self.ready_ns: dict[int, int] = {}  # by stamp
+        self._source, self._clock, self._seconds = source, clock, seconds
+
+    @property
+    def silent_after_s(self) -> float:
+        return self._source.silent_after_s
+
+    @property
+    def trouble(self) -> str:
+        return self._source.trouble
+
+    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        end_ns = self._clock.now_ns() + round(self._seconds * 1e9)
+        for shot in self._source.shots(stop):
+            self.pictures += [shot] if shot is not None else []
+            yield shot
+            if self._clock.now_ns() >= end_ns:
+                return
+
+    def told(self, stamp_ns: int) -> None:
+        self.ready_ns.setdefault(stamp_ns, self._clock.now_ns())
+
+    def close(self) -> None:
+        """The source is the caller's."""
+
+
+def measure(
+    source: Source, localize: Callable[[Source, Told], None], clock: Clock, seconds: float
+) -> tuple[list[Timing], int]:
+    """Localize for a while. Returns the pictures after WARM_UP and how many were dropped meanwhile.
+
+    `localize` works through a source until it ends, and tells when the poses of a picture are out."""
+    watched = _Watched(source, clock, seconds)
+    localize(watched, watched.told)
+    before, counted = watched.pictures[:WARM_UP], watched.pictures[WARM_UP:]
+    ready = [(shot, watched.ready_ns[shot.stamp_ns]) for shot in counted if shot.stamp_ns in watched.ready_ns]
+    timings = [Timing(shot.instant_ns, shot.arrived_ns, ready_ns, shot.stamped) for shot, ready_ns in ready]
+    return timings, counted[-1].dropped - before[-1].dropped if counted else 0
+
+
+def in_this_process(experiment: Experiment, clock: Clock, stop: Stop, source: Source, told: Told) -> None:
+    """Run the localizer on a source, with a bus that nobody else is on."""
+    hub = MemoryHub()
+    witness, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    witness.subscribe(topics.LOCALIZER, None, lambda topic, key, header, payload: told(header.stamp_ns))
+    Shell(experiment, own, stop, clock, source).run()
+    stop.raise_failure()
+
+
+def judge(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | None:
+    """The distributions, and what is not as it should be at `rate_hz`; None if there were not even two pictures."""
+    if len(timings) < 2:
+        return None
+    instants, arrivals, ready = (
+        np.array([getattr(t, name) for t in timings], dtype=np.float64) * 1e-6
+        for name in ("instant_ns", "arrived_ns", "ready_ns")
+    )
+    intervals, unstamped = np.diff(instants), sum(not t.stamped for t in timings)
+    age, period = _quantiles(ready - instants), 1e3 / rate_hz
+    jitter = float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99))
+    loss = dropped / (len(timings) + dropped)
+    found = (
+        (unstamped > 0, f"{unstamped} pictures without a usable stamp of the camera: their age is a guess"),
+        (jitter > _LARGEST_JITTER * period,
+         f"exposures {jitter:.1f} ms off their rhythm (p99; limit {_LARGEST_JITTER * period:.1f})"),
+        (abs(float(np.median(intervals)) - period) > _LARGEST_DRIFT * period,
+         f"a picture every {np.median(intervals):.1f} ms, the experiment says {period:.1f}"),
+        (age.p99 > _LARGEST_AGE_PERIODS * period,
+         f"poses {age.p99:.0f} ms old (p99; limit {_LARGEST_AGE_PERIODS * period:.0f})"),
+        (loss > _LARGEST_LOSS, f"{loss:.0%} of the pictures dropped (limit {_LARGEST_LOSS:.0%})"),
+    )  # fmt: skip
+    return Latency(
+        pictures=len(timings), dropped=dropped, unstamped=unstamped,
+        exposure_to_arrival_ms=_quantiles(arrivals - instants), arrival_to_pose_ms=_quantiles(ready - arrivals),
+        exposure_to_pose_ms=age, interval_ms=_quantiles(intervals),
+        warnings=tuple(text for wrong, text in found if wrong),
+    )  # fmt: skip
+
+
+def _quantiles(values_ms: Array) -> Quantiles:
+    return Quantiles(float(np.median(values_ms)), float(np.quantile(values_ms, 0.99)), float(np.max(values_ms)))

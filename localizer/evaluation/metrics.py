@@ -1,0 +1,151 @@
+"""How wrong a localizer was, where the truth is known: tables of errors. Pure; localizer/evaluation/runner.py reads the
+files."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from wire.frames import Array, wrap
+from wire.messages.messages import Pose, Track
+
+_LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
+_BAND = (0.025, 0.975)
+_COMPONENTS = 3  # of an error: x, y, yaw
+
+
+@dataclass(frozen=True)
+class PixelRow:
+    """One target followed in a plain video. A failure is an error of more than half the box; then it is shown again."""
+
+    subject: str
+    frames: int  # with a known place
+    median_px: float
+    p95_px: float
+    max_px: float
+    failures: int
+    failures_per_1000: float
+    median_ms: float
+    p95_ms: float
+
+
+@dataclass(frozen=True)
+class PoseRow:
+    """Errors of a group of poses. Position errors are distances; NEES is the mean of e' P^-1 e over x, y, yaw: 3 if the
+    published covariances are right, and inside the band 95 % of the time if errors are independent from frame to frame
+    (a wrong depth or calibration makes them anything but)."""
+
+    subject: str
+    poses: int
+    rms_mm: float
+    p95_mm: float
+    max_mm: float
+    rms_deg: float
+    max_deg: float
+    nees: float
+    nees_low: float
+    nees_high: float
+    swapped: int  # nearer to another robot's true place than to the own one
+    unflagged: int  # swapped, and said to be verified
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A robot's true way: instants (n,) in ns, rising, and [x, y, yaw] (n, 3)."""
+
+    stamp_ns: Array
+    pose: Array
+
+    def at(self, stamp_ns: int) -> Array | None:
+        """Linear in between, None outside and across gaps."""
+        after = int(np.searchsorted(self.stamp_ns, stamp_ns))
+        if after < len(self.stamp_ns) and self.stamp_ns[after] == stamp_ns:
+            return np.array(self.pose[after])
+        if not 0 < after < len(self.stamp_ns):
+            return None
+        start_ns, end_ns = float(self.stamp_ns[after - 1]), float(self.stamp_ns[after])
+        if end_ns - start_ns > _LONGEST_GAP_S * 1e9:
+            return None
+        step = self.pose[after] - self.pose[after - 1]
+        step[2] = wrap(step[2])
+        return np.asarray(self.pose[after - 1] + step * (stamp_ns - start_ns) / (end_ns - start_ns))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """A published pose of a robot."""
+
+    robot: int
+    stamp_ns: int
+    pose: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class _Error:
+    """Of one pose: x, y, yaw (3,), its square in units of the covariance, and whose place it really is."""
+
+    found: Found
+    error: Array
+    surprise: float
+    swapped: bool
+
+
+def pixel_row(subject: str, errors_px: Sequence[float], failures: int, times_ms: Sequence[float]) -> PixelRow:
+    """`errors_px` of all frames, those that failed included."""
+    errors, times = np.array(errors_px), np.array(times_ms)
+    return PixelRow(
+        subject, len(errors),
+        float(np.median(errors)), float(np.quantile(errors, 0.95)), float(np.max(errors)),
+        failures, 1e3 * failures / len(errors),
+        float(np.median(times)), float(np.quantile(times, 0.95)),
+    )  # fmt: skip
+
+
+def pose_rows(found: Sequence[Found], truth: Mapping[int, Way]) -> list[PoseRow]:
+    """Rows for every robot, every state of a track, and all together; lost robots only in the row of their own, as a lost
+    robot's pose is where it was last seen. Poses without a truth are left out."""
+    errors = [error for error in (_error(f, truth) for f in found) if error is not None]
+    seen = [e for e in errors if e.found.pose.track is not Track.LOST]
+    groups = {f"robot {robot}": [e for e in seen if e.found.robot == robot] for robot in sorted(truth)}
+    groups |= {track.name.lower(): [e for e in errors if e.found.pose.track is track] for track in sorted(Track, reverse=True)}
+    groups["all but lost"] = seen
+    return [_pose_row(subject, group) for subject, group in groups.items() if group]
+
+
+def _error(found: Found, truth: Mapping[int, Way]) -> _Error | None:
+    true = truth[found.robot].at(found.stamp_ns) if found.robot in truth else None
+    if true is None:
+        return None
+    pose = found.pose
+    error = np.array([pose.x_m - true[0], pose.y_m - true[1], wrap(pose.yaw_rad - true[2])])
+    others = (path.at(found.stamp_ns) for robot, path in truth.items() if robot != found.robot)
+    place = np.array([pose.x_m, pose.y_m])
+    own_m = float(np.linalg.norm(error[:2]))
+    swapped = any(float(np.linalg.norm(place - other[:2])) < own_m for other in others if other is not None)
+    return _Error(found, error, _surprise(error, pose.covariance), swapped)
+
+
+def _surprise(error: Array, covariance: Array) -> float:
+    """e' P^-1 e; NaN for a matrix that is no covariance."""
+    try:
+        half = np.linalg.solve(np.linalg.cholesky(covariance), error)
+    except np.linalg.LinAlgError:
+        return float("nan")
+    return float(half @ half)
+
+
+def _pose_row(subject: str, group: Sequence[_Error]) -> PoseRow:
+    errors = np.array([e.error for e in group])
+    distance_mm, turn_deg = 1e3 * np.linalg.norm(errors[:, :2], axis=1), np.degrees(np.abs(errors[:, 2]))
+    surprises = np.array([e.surprise for e in group])
+    usable = surprises[np.isfinite(surprises)]
+    count = max(len(usable), 1)
+    low, high = (float(chi2.ppf(share, _COMPONENTS * count)) / count for share in _BAND)
+    return PoseRow(
+        subject, len(group),
+        float(np.sqrt(np.mean(distance_mm**2))), float(np.quantile(distance_mm, 0.95)), float(np.max(distance_mm)),
+        float(np.sqrt(np.mean(turn_deg**2))), float(np.max(turn_deg)),
+        float(np.mean(usable)) if len(usable) else float("nan"), low, high,
+        sum(e.swapped for e in group), sum(e.swapped and e.found.pose.identity_verified for e in group),
+    )  # fmt: skip

@@ -1,0 +1,183 @@
+"""SHELL: `localizer evaluate`: a recording, and the truth about it, into tables of errors.
+
+Three kinds of recordings. A run's log has poses and the plant's truth in it. A video of an experiment's pool is localized
+again, with all of the localizer. A plain video, of which nobody knows the camera, is followed in pixels.
+"""
+
+import dataclasses
+import json
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from localizer.detection.image_regions import Pixels
+from localizer.evaluation.ground_truth import read_idtracker, read_poses, way
+from localizer.evaluation.metrics import Found, PixelRow, PoseRow, pixel_row, pose_rows
+from localizer.sources.base import as_bayer
+from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.single_object import Follower
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages import log_records, topics
+from wire.messages.codec import DecodeError, decode
+from wire.messages.messages import Pose, Truth
+from wire.toml_loader import ConfigError
+
+_READ = (topics.TRUTH.name, "/pose")
+
+Rows = Sequence[PixelRow] | Sequence[PoseRow]
+
+
+def table(rows: Rows) -> str:
+    """Rows for people: one line each, a column per field."""
+    fields = [field.name for field in dataclasses.fields(rows[0])]
+    cells = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(fields))]
+    first, *others = widths
+    return "\n".join(
+        "  ".join([line[0].ljust(first), *(cell.rjust(width) for cell, width in zip(line[1:], others, strict=True))])
+        for line in cells
+    )
+
+
+def to_json(rows: Rows) -> str:
+    """Rows for programs; what is not a number is null."""
+    plain = [{k: None if v != v else v for k, v in dataclasses.asdict(row).items()} for row in rows]
+    return json.dumps(plain, indent=1, allow_nan=False) + "\n"
+
+
+def _cell(value: Any) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+# --- a run's log
+
+
+def evaluate_log(path: Path) -> list[PoseRow]:
+    """Poses of a recorded run against the plant's truth in it. A log that was cut off counts as far as it goes."""
+    found: list[Found] = []
+    true: dict[int, list[tuple[int, Array]]] = {}
+    for topic, stamp_ns, data in _records(path):
+        parts = topic.split("/")
+        try:
+            if topic.endswith(topics.TRUTH.name):
+                truth = decode(Truth, data, "log", topic)
+                for robot, eta in zip(truth.robots, truth.eta, strict=False):
+                    true.setdefault(robot, []).append((stamp_ns, eta[[0, 1, 3]]))
+            elif parts[-3:-2] == ["robot"] and parts[-1] == "pose":
+                found.append(Found(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic)))
+        except (DecodeError, ValueError) as error:
+            raise ConfigError(f"{path}: {error}") from None
+    rows = pose_rows(found, {robot: way(samples) for robot, samples in true.items()})
+    if not rows:
+        raise ConfigError(f"{path}: no poses with a truth to compare with ({len(found)} poses, truth of {len(true)} robots)")
+    return rows
+
+
+def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, stamp and bytes of the poses and truths of a log, up to where it was cut or damaged."""
+    names: dict[int, str] = {}
+    try:
+        with path.open("rb") as file:
+            for opcode, body in log_records.records(file):
+                if opcode == log_records.CHANNEL:
+                    number, topic = log_records.channel_topic(body)
+                    names[number] = topic
+                elif opcode == log_records.MESSAGE:
+                    number, _, _, stamp_ns, data = log_records.message(body)
+                    if names.get(number, "").endswith(_READ):
+                        yield names[number], stamp_ns, data
+    except ImportError:
+        raise ConfigError(f"{path}: its chunks are packed: reading it needs pip install 'shoal[station]'") from None
+    except log_records.Damaged:  # the recorder was killed: what lies before is good
+        return
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from None
+
+
+# --- videos
+
+
+def pictures(path: Path, limit: int | None) -> Iterator[Pixels]:
+    """The pictures of a video, BGR (height, width, 3). Raises ConfigError if there are none."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    try:
+        count = 0
+        while limit is None or count < limit:
+            good, picture = capture.read()
+            if not good:
+                break
+            count += 1
+            yield np.asarray(picture, dtype=np.uint8)
+        if count == 0:
+            raise ConfigError(f"{path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
+    finally:
+        capture.release()
+
+
+class _Target:
+    """One target of a plain video, with its true places (frames, 2) px, and what came of following it."""
+
+    def __init__(self, number: int, places_px: Array, box_px: float) -> None:
+        self.number = number
+        self._places_px, self._box_px = places_px, box_px
+        self._follower: Follower | None = None
+        self._errors_px: list[float] = []
+        self._times_ms: list[float] = []
+        self._failures = 0
+
+    def see(self, frame: int, picture: Pixels) -> None:
+        """Follow it into the next picture. Farther off than half the box it is shown again, and that is a failure."""
+        place = self._places_px[frame]
+        known = bool(np.all(np.isfinite(place)))
+        if self._follower is None:
+            self._follower = Follower(picture, place, self._box_px) if known else None
+            return
+        started = time.perf_counter()
+        found, _ = self._follower.step(picture)
+        self._times_ms.append(1e3 * (time.perf_counter() - started))
+        if not known:
+            return
+        self._errors_px.append(float(np.linalg.norm(found - place)))
+        if self._errors_px[-1] > self._box_px / 2.0:
+            self._failures += 1
+            self._follower = Follower(picture, place, self._box_px)
+
+    def row(self, truth: Path) -> PixelRow:
+        """The figures. Raises ConfigError if it was never seen twice."""
+        if not self._errors_px:
+            raise ConfigError(f"{truth}: target {self.number} is nowhere in the video")
+        return pixel_row(f"target {self.number}", self._errors_px, self._failures, self._times_ms)
+
+
+def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) -> list[PixelRow]:
+    """Follow each target of an idTracker file from its first known place on, all in one pass through the video."""
+    places = read_idtracker(truth)
+    targets = [_Target(number, places_px, box_px) for number, places_px in enumerate(places, start=1)]
+    frames = min(len(places[0]), limit) if limit is not None else len(places[0])
+    for frame, picture in enumerate(pictures(path, frames)):
+        for target in targets:
+            target.see(frame, picture)
+    return [target.row(truth) for target in targets]
+
+
+def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> list[PoseRow]:
+    """Localize the robots of an experiment in a video, frame by frame, and compare with a truth file (see read_poses)."""
+    ways, depths = read_poses(truth, experiment)
+    locator, found = Locator(experiment), []
+    period_ns = round(1e9 / experiment.camera.rate_hz)
+    for frame, picture in enumerate(pictures(path, limit)):
+        pixels = as_bayer(picture)
+        assert pixels is not None, "a video's pictures are BGR"
+        located = locator.step(pixels, frame * period_ns, depths.get(frame, {}))
+        found += [Found(robot, frame * period_ns, pose) for robot, pose in located.poses]
+    rows = pose_rows(found, ways)
+    if not rows:
+        raise ConfigError(
+            f"{path}: no robot was ever found where {truth} has a truth ({located.status.message or 'no marker'})"
+        )
+    return rows

@@ -1,0 +1,103 @@
+"""SHELL: frames from the fleet's bus: of a camera process, or of the simulated pool."""
+
+import math
+import time
+from collections.abc import Iterator, Mapping
+
+from localizer.sources.base import Shot, silent_after_s
+from wire.messages import topics
+from wire.messages.messages import Frame, RobotState
+from wire.process.runtime import Clock, Lockstep, LockstepClock, Stop, wait
+from wire.transport.bus import Bus, Inbox, Received
+
+
+class _Sequence:
+    """Counts frames of a session that never came here."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        self._session = self._last = 0
+
+    def note(self, received: Received[Frame]) -> int:
+        session, sequence = received.header.session, received.header.sequence
+        if session == self._session and sequence > self._last:
+            self.dropped += sequence - self._last - 1
+        self._session, self._last = session, sequence
+        return self.dropped
+
+
+class BusSource:
+    """Frames that another process publishes, in real time. The newest wins; the sender's clock may be anything."""
+
+    def __init__(self, bus: Bus, clock: Clock, rate_hz: float) -> None:
+        self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
+        self._bus, self._clock = bus, clock
+        self._frames = bus.inbox(topics.FRAME, Frame)
+        self._sequence = _Sequence()
+
+    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        """See Source. Frames that cannot be read are as good as none."""
+        seen = given = self._frames.newest_header()
+        bad, silent_since = self._frames.bad, time.monotonic()
+        while not stop.requested:
+            left_s = self.silent_after_s - (time.monotonic() - silent_since)
+            if left_s > 0.0 and wait(self._bus, stop, lambda seen=seen: self._frames.newest_header() is not seen, left_s):  # type: ignore[misc]
+                seen = self._frames.newest_header()
+                received = self._frames.newest()
+                if received is None or received.header is given:  # unreadable; or it was newer than `seen` a moment ago
+                    continue
+                given, bad = received.header, self._frames.bad
+                yield self._shot(received)
+            elif not stop.requested:
+                self.trouble = self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
+                yield None
+            silent_since = time.monotonic()
+
+    def _shot(self, received: Received[Frame]) -> Shot:
+        header, instant_ns = received.header, self._clock.instant_ns(received)
+        return Shot(
+            received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns + received.late_ns,
+            dropped=self._sequence.note(received), stamped=header.age_ns > 0,
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """The bus is the caller's."""
+
+
+class LockstepSource:
+    """Frames of the simulator that owns the clock: each step waits for the frame and the robots' states that its tick
+    names, and the instants are the simulator's. All that counts at a tick is settled when its picture is taken, so poses are
+    made while the simulator moves on to the tick."""
+
+    trouble, silent_after_s = "", math.inf
+
+    def __init__(self, bus: Bus, clock: LockstepClock, stop: Stop, states: Mapping[int, Inbox[RobotState]]) -> None:
+        self._lockstep = Lockstep(bus, stop, clock, topics.EXPOSED)
+        self._clock, self._states = clock, states
+        self._frames = bus.inbox(topics.FRAME, Frame)
+        self._sequence = _Sequence()
+
+    def shots(self, stop: Stop) -> Iterator[Shot]:
+        """See Source. Without a tick time stands still, so nothing is ever late."""
+        done_ns = -1
+        while not stop.requested and (tick := self._lockstep.next()) is not None:
+            if tick.frame_ns <= done_ns:
+                continue
+            states = [(self._states[robot], tick.previous_ns) for robot in tick.robots]
+            if not self._lockstep.await_all([(self._frames, tick.frame_ns), *states]):
+                return
+            received = self._frames.newest(tick.frame_ns)
+            if received is not None:
+                done_ns = tick.frame_ns
+                stamp_ns, dropped = received.header.stamp_ns, self._sequence.note(received)
+                yield Shot(
+                    received.message.pixels,
+                    stamp_ns,
+                    stamp_ns,
+                    self._clock.now_ns(),
+                    dropped,
+                    inputs_up_to_ns=tick.previous_ns,
+                )
+
+    def close(self) -> None:
+        """The bus is the caller's."""

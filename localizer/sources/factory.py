@@ -1,0 +1,59 @@
+"""SHELL: opens the source of pictures that a command line names."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+from localizer.sources.base import Source
+from localizer.sources.bus import BusSource, LockstepSource
+from localizer.sources.files import FolderSource, VideoSource
+from localizer.sources.v4l2 import V4l2Source, check_device
+from wire.config.perception import Camera
+from wire.messages.messages import RobotState
+from wire.process.runtime import Clock, LockstepClock, Stop
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus, Inbox
+
+BUS = "bus"
+ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
+FASTEST = math.inf
+
+
+def open_bus(bus: Bus, clock: Clock, stop: Stop, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> Source:
+    """Frames of the fleet's camera, by the clock that is given."""
+    return LockstepSource(bus, clock, stop, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock, rate_hz)
+
+
+def open_own(name: str, camera: Camera, clock: Clock) -> Source:
+    """A camera at this machine, or recorded pictures in its place. Raises ConfigError, naming what is allowed."""
+    kind, _, where = name.partition(":")
+    if isinstance(clock, LockstepClock):
+        raise ConfigError(f"--source {name}: in lockstep the simulator is the camera (allowed: {BUS})")
+    if not where:
+        raise ConfigError(f"--source {name}: unknown (allowed: {ALLOWED})")
+    if kind == "v4l2":
+        check_device(where)
+        return V4l2Source(where, camera, clock)
+    path, rate_hz = _with_rate(where)
+    fastest = rate_hz == FASTEST
+    if kind == "video":
+        return VideoSource(Path(path), None if fastest else rate_hz, clock, fastest)
+    if kind == "folder":
+        return FolderSource(Path(path), camera.rate_hz if fastest or rate_hz is None else rate_hz, clock, fastest)
+    raise ConfigError(f"--source {name}: unknown (allowed: {ALLOWED})")
+
+
+def _with_rate(where: str) -> tuple[str, float | None]:
+    """`FILE:25` is FILE at 25 Hz, `FILE:max` as fast as possible. A colon before anything else belongs to the name."""
+    path, colon, last = where.rpartition(":")
+    if not colon:
+        return where, None
+    if last == "max":
+        return path, FASTEST
+    try:
+        rate_hz = float(last)
+    except ValueError:
+        return where, None
+    if not 0.0 < rate_hz <= 1000.0:
+        raise ConfigError(f"{where}: a frame rate of {last} is not possible (allowed: above 0 to 1000, or max)")
+    return path, rate_hz

@@ -1,0 +1,40 @@
+"""Is the camera alive and looking? Frozen, dark or wrongly sized pictures must never become poses."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.messages.messages import CameraHealth
+
+# Every seventh pixel of every seventh row: odd, so all four Bayer colours are among them. 25,000 samples of a live picture
+# differ somewhere even if its noise moves only one pixel in a thousand; comparing exactly, noise can never look frozen.
+_STRIDE = 7
+_BLACK_LEVEL = 8.0  # mean of 255: a covered lens shows 0-4, a pool by emergency light more than 20
+
+
+class CameraWatch:
+    """Judges each picture by itself and against the one before."""
+
+    def __init__(self, size_px: tuple[int, int], frozen_frames: int) -> None:
+        self._shape = (size_px[1], size_px[0])
+        self._frozen_frames = frozen_frames
+        self._last: NDArray[np.uint8] | None = None
+        self._same = 0
+
+    @property
+    def repeated(self) -> bool:
+        """The newest picture is the one before over again: it holds no news, whether frozen already or not."""
+        return self._same > 1
+
+    def judge(self, frame: NDArray[np.uint8]) -> CameraHealth:
+        """The camera's state after this picture, (height, width) uint8. `frozen_frames` identical ones in a row are FROZEN."""
+        if frame.shape != self._shape or frame.dtype != np.uint8:
+            self._last, self._same = None, 0
+            return CameraHealth.WRONG_SIZE
+        sample = np.ascontiguousarray(frame[::_STRIDE, ::_STRIDE])
+        if self._last is not None and np.array_equal(sample, self._last):
+            self._same += 1
+        else:
+            self._last, self._same = sample, 1
+        if float(sample.mean()) < _BLACK_LEVEL:
+            return CameraHealth.BLACK
+        return CameraHealth.FROZEN if self._same >= self._frozen_frames else CameraHealth.OK

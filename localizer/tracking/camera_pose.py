@@ -1,0 +1,184 @@
+"""The pose of a camera that moves, found anew in every picture from markers whose places are known.
+
+    last pose -> where each landmark must appear -> read it there -> fit the pose to all corners -> gates -> mapping
+
+Landmarks under water are seen through the surface like everything else: the fit goes through the exact mapping of
+camera_model.py. Corners found are weighted by how well they agree (Cauchy), and a landmark that disagrees with the rest -
+moved by a foot, misread - does not count. With fewer than LANDMARKS_NEEDED that agree the mapping stays as it was and grows
+stale.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from localizer.camera_model import PoolView, Tangent
+from localizer.detection.fiducials import find_markers, marker_detector, square
+from localizer.detection.image_regions import Pixels, cut, whole
+from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark
+from wire.frames import Array, body_to_pool
+
+STALE_AFTER_S = 0.3  # a pose this old says nothing of where robots are
+_MARGIN_PX = 30.0  # around where a landmark is expected: a drone moves by 3 px a frame, a gust by ten
+_SCAN_EVERY = 4  # frames, while the pose is not known: a whole picture costs 15 ms
+_AGREES_PX = 2.0  # RMS of a landmark's four corners; ripples over 1 m of water move them by 0.3 px
+_WEIGHT_PX = 0.7  # Cauchy's scale
+_LEAST_SPREAD_PX = 0.1  # of landmarks, one standard deviation: few of them may agree better by chance
+_ROUNDS = 20  # of Gauss-Newton; four from the last frame's pose, seven from the experiment's
+_SETTLED = 1e-5  # m and rad: a hundredth of a pixel
+_SAME_SLOPES = 0.02  # m and rad: after a move smaller than this the corners' derivatives are still good enough
+_STEP = 1e-4  # m and rad, of differences; below 1e-5 rad OpenCV's Rodrigues sees no turn at all
+# How an unseen camera may wander: a drone that sways by 0.25 m and tilts by 3 deg every 9 s, as it moves what it sees.
+_DRIFT_MPS, _DRIFT_RADPS = 0.2, 0.05
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A camera's pose, and the covariance (6, 6) of its place [m] and of a small turn in its own frame [rad]."""
+
+    camera: Camera
+    covariance: Array
+
+
+class StillCamera:
+    """A camera that hangs where the experiment says."""
+
+    fresh = usable = True
+    trouble = ""
+
+    def __init__(self, camera: Camera) -> None:
+        self.view = PoolView(camera)
+
+    def wait(self, elapsed_s: float) -> None:
+        """Time changes nothing."""
+
+    def look(self, frame: Pixels) -> None:
+        """Pictures change nothing."""
+
+    def uncertainty(self, tangents: Sequence[Tangent], depths_m: Sequence[float]) -> Array:
+        """A calibration's error is the same in every picture: none."""
+        return np.zeros((len(tangents), 3, 3))
+
+
+class LandmarkCamera:
+    """Follows the camera. `view` is the newest mapping; until a first pose was found it is the experiment's guess."""
+
+    def __init__(self, camera: Camera, landmarks: Sequence[Landmark]) -> None:
+        self.view = PoolView(camera)
+        self._pose = Pose(camera, np.zeros((6, 6)))
+        self._corners = np.array([_corners(landmark) for landmark in landmarks])  # (landmarks, 4, 3)
+        self._index = {landmark.id: i for i, landmark in enumerate(landmarks)}
+        self._detector = marker_detector()
+        self._age_s = np.inf  # of the pose
+        self._frames = 0
+        self._agreeing = 0
+
+    @property
+    def fresh(self) -> bool:
+        """The pose is this frame's."""
+        return self._age_s == 0.0
+
+    @property
+    def usable(self) -> bool:
+        """The pose is young enough to measure with."""
+        return bool(self._age_s <= STALE_AFTER_S)
+
+    @property
+    def trouble(self) -> str:
+        """For the operator; empty when all is well."""
+        if self._agreeing >= LANDMARKS_NEEDED:
+            return ""
+        age = f" for {self._age_s:.1f} s" if np.isfinite(self._age_s) else ""
+        return f"camera's pose unknown{age}: {self._agreeing} of {LANDMARKS_NEEDED} landmarks in view"
+
+    def wait(self, elapsed_s: float) -> None:
+        """Time has passed since the last picture."""
+        self._age_s += elapsed_s
+
+    def look(self, frame: Pixels) -> None:
+        """Find the pose in a picture (height, width)."""
+        self._frames += 1
+        found = self._read(frame)
+        if found is None:
+            return
+        self._agreeing = len(found)
+        if len(found) < LANDMARKS_NEEDED:
+            return
+        places, pixels = self._corners[list(found)], np.array(list(found.values()))
+        fitted, residuals = _fit(self._pose.camera, places, pixels)
+        agrees = np.sqrt(np.mean(np.sum(residuals**2, axis=2), axis=1)) < _AGREES_PX
+        self._agreeing = int(np.sum(agrees))
+        if self._agreeing < LANDMARKS_NEEDED or fitted.camera.position_m[2] >= 0.0:
+            return
+        self._pose, self.view, self._age_s = fitted, PoolView(fitted.camera), 0.0
+
+    def uncertainty(self, tangents: Sequence[Tangent], depths_m: Sequence[float]) -> Array:
+        """What the pose's error does to [x, y, yaw] measured at some places: covariances (n, 3, 3)."""
+        if not tangents:
+            return np.zeros((0, 3, 3))
+        pixels, depths = np.array([tangent.pixel for tangent in tangents]), np.array(depths_m)
+        moved = np.zeros((len(tangents), 3, 6))
+        here = self.view.pool(pixels, depths)
+        for k, step in enumerate(_STEP * np.eye(6)):
+            moved[:, :2, k] = (PoolView(_moved(self._pose.camera, step)).pool(pixels, depths) - here) / _STEP
+        moved[:, 2, 3:] = -self.view.down  # a camera turned about the vertical sees every heading turned back
+        drift = (self._age_s * np.array([_DRIFT_MPS, _DRIFT_MPS, _DRIFT_RADPS])) ** 2
+        return np.asarray(moved @ self._pose.covariance @ np.swapaxes(moved, 1, 2) + np.diag(drift))
+
+    def _read(self, frame: Pixels) -> dict[int, Array] | None:
+        """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None where it is not worth looking."""
+        if not self.usable:
+            return self._pick(frame, scan=True) if self._frames % _SCAN_EVERY == 1 else None
+        found = self._pick(frame, scan=False)
+        return found if len(found) >= LANDMARKS_NEEDED else self._pick(frame, scan=True)
+
+    def _pick(self, frame: Pixels, scan: bool) -> dict[int, Array]:
+        expected = self.view.pixel(self._corners.mean(axis=1))
+        reach = np.linalg.norm(self.view.pixel(self._corners) - expected[:, None], axis=2).max(axis=1) + _MARGIN_PX
+        regions = [whole(frame)] if scan else [cut(frame, *place) for place in zip(expected, reach, strict=True)]
+        images = [image for region in regions if region is not None for image in find_markers(self._detector, region)]
+        found = {self._index[image.id]: image.corners_px for image in images if image.id in self._index}
+        return {i: found[i] for i in sorted(found)}
+
+
+def _corners(landmark: Landmark) -> Array:
+    """Corners (4, 3) in the pool frame, in ArUco's order."""
+    flat = np.array(landmark.position_m[:2]) + body_to_pool(square(landmark.side_m), landmark.yaw_rad)
+    return np.column_stack([flat, np.full(4, landmark.position_m[2])])
+
+
+def _moved(camera: Camera, step: Array) -> Camera:
+    """The camera moved by `step` (6,): its place in the pool frame, and a small turn in its own."""
+    turn = np.asarray(cv2.Rodrigues(step[3:])[0]) @ np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0])
+    position = np.array(camera.position_m) + step[:3]
+    rotation = np.asarray(cv2.Rodrigues(turn)[0]).ravel()
+    return camera.model_copy(update={"position_m": tuple(position.tolist()), "rotation_rad": tuple(rotation.tolist())})
+
+
+def _fit(camera: Camera, places: Array, pixels: Array) -> tuple[Pose, Array]:
+    """The pose, starting at `camera`, that puts corners (n, 4, 3) where they were found (n, 4, 2); residuals (n, 4, 2) px.
+
+    The four corners of a landmark are moved together by the ripples above it, so that each landmark counts as one point
+    when it comes to how sure the pose is.
+    """
+    slope, move = np.empty((*pixels.shape, 6)), np.full(6, np.inf)
+    for _ in range(_ROUNDS):
+        seen = PoolView(camera).pixel(places)
+        if np.max(np.abs(move)) > _SAME_SLOPES:
+            for k, step in enumerate(_STEP * np.eye(6)):
+                slope[..., k] = (PoolView(_moved(camera, step)).pixel(places) - seen) / _STEP
+        residuals = pixels - seen
+        weight = 1.0 / (1.0 + np.sum(residuals**2, axis=2) / _WEIGHT_PX**2)
+        weighted = slope * weight[..., None, None]
+        normal = np.tensordot(weighted, slope, axes=((0, 1, 2), (0, 1, 2)))
+        move = np.linalg.solve(normal, np.tensordot(weighted, residuals, axes=((0, 1, 2), (0, 1, 2))))
+        camera = _moved(camera, move)
+        if np.max(np.abs(move)) < _SETTLED:
+            break
+    shifts = residuals.mean(axis=1)  # of whole landmarks: that corners are found 0.3 px inside all around shifts nothing
+    trust = weight.mean(axis=1)
+    variance = np.sum(trust[:, None] * shifts**2) / (2.0 * np.sum(trust)) * len(places) / max(len(places) - 3, 1)
+    covariance = 4.0 * max(variance, _LEAST_SPREAD_PX**2) * np.linalg.inv(normal)
+    return Pose(camera, covariance), residuals

@@ -1,0 +1,118 @@
+"""SHELL: the camera's film for the log, as `recording.video` says, in a thread that gives way to everything else.
+
+Nothing waits for it: of pictures that come faster than they can be packed the newest counts.
+"""
+
+import importlib
+import os
+import threading
+from collections.abc import Callable
+from fractions import Fraction
+from typing import Any
+
+import cv2
+import numpy as np
+
+from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
+from localizer.sources.base import Shot
+from localizer.view.preview import Rate
+from localizer.view.worker import Worker
+from wire.config.experiment import Experiment
+from wire.config.recording import Recording
+from wire.messages import topics
+from wire.messages.messages import Picture, Video
+from wire.process.runtime import Stop
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus
+
+NICENESS = 15
+KEY_EVERY_S = 1.0  # a picture that needs no other: where a viewer that jumps can begin
+CLOCK_HZ = 1000  # of the film's own time stamps
+
+
+class VideoMaker:
+    """The thread. Closed by `close`. A picture that cannot be packed is left out, and the packer is made anew."""
+
+    def __init__(self, experiment: Experiment, bus: Bus, stop: Stop) -> None:
+        """Raises ConfigError if what it takes is not installed."""
+        self._recording, self._size_px = experiment.recording, experiment.camera.size_px
+        self._pack = packer(self._recording, self._size_px)
+        self._due, self._bus = Rate(experiment.recording.video_rate_hz), bus
+        self._topic = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
+        self._worker: Worker[Shot] = Worker("video", self._send, stop, _give_way)
+
+    def offer(self, shot: Shot) -> None:
+        """A picture. Never waits."""
+        if self._due.due(shot.stamp_ns):
+            self._worker.offer(shot)
+
+    def close(self) -> None:
+        """Finish the last one."""
+        self._worker.close()
+
+    def _send(self, shot: Shot) -> None:
+        try:
+            packed = self._pack(shot.pixels, shot.stamp_ns)
+        except Exception:
+            self._pack = packer(self._recording, self._size_px)  # a codec that has failed is in no known state
+            raise
+        if packed:
+            message = Video(packed) if self._topic is topics.VIDEO else Picture(packed)
+            self._bus.publish(self._topic, message, shot.stamp_ns)
+
+
+def _give_way() -> None:
+    if hasattr(os, "setpriority"):
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)  # of this thread alone (Linux)
+
+
+Pack = Callable[[Pixels, int], bytes]
+
+
+def packer(recording: Recording, size_px: tuple[int, int]) -> Pack:
+    """What makes bytes of a Bayer picture (height, width) and its stamp."""
+    width, height = (max(2, round(n * recording.video_scale / 2) * 2) for n in size_px)  # even: colours come by the square
+
+    def coloured(pixels: Pixels) -> Pixels:
+        bgr = cv2.cvtColor(pixels, BAYER_TO_BGR)
+        if (bgr.shape[1], bgr.shape[0]) != (width, height):
+            bgr = cv2.resize(bgr, (width, height), interpolation=cv2.INTER_AREA)
+        return np.asarray(bgr, dtype=np.uint8)
+
+    if recording.video == "h264":
+        return _film(recording, width, height, coloured)
+
+    def still(pixels: Pixels, _: int) -> bytes:
+        return cv2.imencode(".jpg", coloured(pixels), [cv2.IMWRITE_JPEG_QUALITY, recording.jpeg_quality])[1].tobytes()
+
+    return still
+
+
+def _film(recording: Recording, width: int, height: int, coloured: Callable[[Pixels], Pixels]) -> Pack:
+    """H.264 as viewers want it: Annex B, parameters with each key picture, nothing that looks ahead."""
+    try:
+        av: Any = importlib.import_module("av")
+    except ModuleNotFoundError:
+        raise ConfigError(
+            'recording.video = "h264": not installed here (pip install \'shoal[video]\', or take "jpeg")'
+        ) from None
+    codec = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt = width, height, "yuv420p"
+    codec.bit_rate = round(recording.video_mbps * 1e6)
+    codec.framerate = Fraction(recording.video_rate_hz).limit_denominator(1000)
+    codec.time_base, codec.thread_count, codec.max_b_frames = Fraction(1, CLOCK_HZ), 1, 0
+    key_every = max(1, round(recording.video_rate_hz * KEY_EVERY_S))
+    codec.options = {
+        "preset": "ultrafast",
+        "tune": "zerolatency",
+        "x264-params": f"keyint={key_every}:min-keyint={key_every}:scenecut=0:repeat-headers=1:annexb=1:threads=1",
+    }
+    first_ns: list[int] = []
+
+    def pack(pixels: Pixels, stamp_ns: int) -> bytes:
+        frame = av.VideoFrame.from_ndarray(coloured(pixels), format="bgr24")
+        first_ns[:] = first_ns or [stamp_ns]
+        frame.pts = (stamp_ns - first_ns[0]) * CLOCK_HZ // 10**9
+        return b"".join(bytes(packet) for packet in codec.encode(frame))
+
+    return pack

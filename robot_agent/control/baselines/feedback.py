@@ -1,0 +1,117 @@
+"""READ FIRST (baselines): a feedback law in the place of the MPC: same estimate, same reference, same limits afterwards.
+
+    wanted = law.wrench(situation)      as the law's equations have it: it knows nothing of limits
+    wrench = wanted, limited            magnitude and rate (39, 40), as the thrusters must have it
+    plan   = the model under the law    so that the others' formation and collision terms have something to work with
+
+The plan is the shared model flown with the limited law over the horizon, its memory (integrals, network) as it is now.
+Half-spaces that keep robots apart (36) are constraints of the MPC: a feedback law has no place for them, and stays clear of
+the others only as far as its reference does.
+"""
+
+import math
+from typing import Protocol
+
+import numpy as np
+
+from robot_agent.control.baselines.tracking_errors import Situation, Three, situation
+from robot_agent.control.mpc import MpcPlan
+from robot_agent.guidance.formation import HalfSpaces
+from robot_agent.vehicle.dynamics import Model, State
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+from wire.messages.messages import Solve
+
+ABSURD = 1e6  # m, rad: no reference; NaN is none either
+
+
+class FeedbackLaw(Protocol):
+    """One law with its memory."""
+
+    def wrench(self, now: Situation) -> Three:
+        """What it wants, limits or not. Leaves its memory as it is."""
+
+    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+        """Once per control step: bring the memory up to date. `short` is wanted minus applied: not 0 on an axis at a limit."""
+
+    def reset(self) -> None:
+        """Forget what was learnt."""
+
+
+class Feedback:
+    """Puts a feedback law behind the interface of law.py."""
+
+    def __init__(self, law: FeedbackLaw, vehicle: Vehicle, model: Model, period_s: float, horizon: int) -> None:
+        self._law, self._model, self._period_s = law, model, period_s
+        self._limit, self._step_limit = vehicle.limits.wrench, vehicle.limits.wrench_step(period_s)
+        self._eta = np.zeros((2, horizon + 1, 2))
+        self._fresh = True
+
+    def reset(self) -> None:
+        """Forget plan and memory."""
+        self._fresh = True
+        self._law.reset()
+
+    def expected(self, state: State) -> Array:
+        """The last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
+        if self._fresh:
+            self._eta[0], self._eta[1] = state[:2], state[2:4]
+            self._fresh = False
+        return self._eta
+
+    def plan(
+        self,
+        state: State,
+        disturbance: Array,
+        wrench: Array,
+        reference: Array,
+        weight: Array,
+        keep_clear: HalfSpaces,
+        current: complex = 0j,
+        delivered: Array | None = None,
+    ) -> MpcPlan:
+        """One step of the law, see law.py. Weights and half-spaces are the MPC's business."""
+        if not np.abs(reference).max() < ABSURD:
+            return self._give_up(state)
+        unknown = disturbance.tolist()
+        goal, speed, change = (rows.tolist() for rows in _derivatives(reference, self._period_s, current))
+        now = situation(self._model, state, unknown, goal[0], speed[0], change[0])
+        wanted = self._law.wrench(now)
+        if not math.isfinite(sum(wanted)):
+            return self._give_up(state)
+        applied = self._limited(wanted, wrench.tolist())
+        short = (wanted[0] - applied[0], wanted[1] - applied[1], wanted[2] - applied[2])
+        eta, thrust = [state[:4]], applied
+        for k in range(1, len(goal)):
+            x, y, *rest = self._model.advance(state, unknown, thrust, self._period_s)
+            state = (x + self._period_s * current.real, y + self._period_s * current.imag, *rest)
+            eta.append(state[:4])
+            there = situation(self._model, state, unknown, goal[k], speed[k], change[k])
+            thrust = self._limited(self._law.wrench(there), thrust)
+        self._law.learn(now, short, self._period_s)
+        poses = np.array(eta)
+        self._eta[0], self._eta[1] = (np.append(part[1:], part[-1:], axis=0) for part in (poses[:, :2], poses[:, 2:]))
+        self._fresh = False
+        return MpcPlan(np.array(applied), poses, Solve.SOLVED, 0, 0.0, np.array(wanted))
+
+    def _give_up(self, state: State) -> MpcPlan:
+        """No wrench, and the memory that led to it is forgotten."""
+        self.reset()
+        return MpcPlan(np.zeros(3), np.tile(state[:4], (self._eta.shape[1], 1)), Solve.FAILED, 0, 0.0)
+
+    def _limited(self, wanted: Three, before: Three) -> Three:
+        surge, heave, yaw = (
+            min(max(w, b - step, -limit), b + step, limit)
+            for w, b, step, limit in zip(wanted, before, self._step_limit, self._limit, strict=True)
+        )
+        return surge, heave, yaw
+
+
+def _derivatives(reference: Array, period_s: float, current: complex) -> tuple[Array, Array, Array]:
+    """A reference (n, 4), its velocity through the water and its acceleration, by differences of second order."""
+    speed = np.gradient(reference, period_s, axis=0, edge_order=2)
+    speed[:, :2] -= current.real, current.imag
+    change = np.empty_like(reference)
+    change[1:-1] = (reference[2:] - 2.0 * reference[1:-1] + reference[:-2]) / period_s**2
+    change[0], change[-1] = change[1], change[-2]
+    return reference, speed, change

@@ -1,0 +1,67 @@
+"""Fuzzy control that knows no model: rules on error and velocity error (Mac Vicar-Whelan's table), and an integral of their
+verdict (fuzzy PID, Woo, Chung and Lin 2000), per axis.
+
+Five triangular sets per input, products for "and", singletons weighted by how true they are for the verdict.
+"""
+
+from bisect import bisect_right
+
+from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from wire.config.baseline_controllers import Fuzzy as Config
+
+PEAKS = (-1.0, -0.4, 0.0, 0.4, 1.0)  # negative big, negative small, zero, positive small, positive big: inputs and verdicts
+# If the error is ROW and the velocity error is COLUMN, both from negative big to positive big, push by the singleton PEAKS[.].
+RULES = ((0, 0, 0, 1, 2), (0, 0, 1, 2, 3), (0, 1, 2, 3, 4), (1, 2, 3, 4, 4), (2, 3, 4, 4, 4))
+
+
+class Fuzzy:
+    """Its integrals, as shares of the limits, are what it learns."""
+
+    def __init__(self, axes: Axes, config: Config) -> None:
+        self._limit = axes.limit
+        self._scales = tuple(zip(config.error, config.velocity, strict=True))
+        self._proportional, self._rate = config.proportional, config.integral
+        self._integral = [0.0, 0.0, 0.0]
+
+    def wrench(self, now: Situation) -> Three:
+        """See `FeedbackLaw`."""
+        surge, heave, yaw = (
+            limit * (gain * push + held)
+            for limit, gain, push, held in zip(
+                self._limit, self._proportional, self._verdicts(now), self._integral, strict=True
+            )
+        )
+        return surge, heave, yaw
+
+    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+        """See `FeedbackLaw`. Conditional integration, as in pid.py."""
+        for axis, push in enumerate(self._verdicts(now)):
+            if short[axis] * push <= 0.0:
+                held = self._integral[axis] + period_s * self._rate[axis] * push
+                self._integral[axis] = min(max(held, -1.0), 1.0)
+
+    def reset(self) -> None:
+        """See `FeedbackLaw`."""
+        self._integral = [0.0, 0.0, 0.0]
+
+    def _verdicts(self, now: Situation) -> list[float]:
+        return [
+            verdict(e / big, rate / fast)
+            for (big, fast), e, rate in zip(self._scales, now.error, now.speed_error, strict=True)
+        ]
+
+
+def verdict(error: float, rate: float) -> float:
+    """All rules on inputs in units of "big", -1 to 1."""
+    row, high = _sets(error)
+    column, fast = _sets(rate)
+    near = (1.0 - fast) * PEAKS[RULES[row][column]] + fast * PEAKS[RULES[row][column + 1]]
+    far = (1.0 - fast) * PEAKS[RULES[row + 1][column]] + fast * PEAKS[RULES[row + 1][column + 1]]
+    return (1.0 - high) * near + high * far
+
+
+def _sets(value: float) -> tuple[int, float]:
+    """Of neighbouring sets that add up to one: the lower one that is true, and how true the one above it is."""
+    value = min(max(value, -1.0), 1.0)
+    low = min(bisect_right(PEAKS, value), len(PEAKS) - 1) - 1
+    return low, (value - PEAKS[low]) / (PEAKS[low + 1] - PEAKS[low])

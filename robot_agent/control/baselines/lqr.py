@@ -1,0 +1,63 @@
+"""Linear-quadratic regulator, discrete in time (Anderson and Moore, Optimal Control, 1990), per axis.
+
+The model takes care of the load and of the reference's acceleration (inverse dynamics); what is left is a double integrator
+behind the thrusters' lag T, x = [e, e', f], where f is the part of the thrust beyond that, and c the part of the command:
+
+    e'' = -f / m        T f' = c - f        c = -K x minimises   sum q_e e^2 + q_v e'^2 + (c / limit)^2
+"""
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from wire.config.baseline_controllers import Lqr as Config
+from wire.frames import Array
+
+NOTHING: Three = (0.0, 0.0, 0.0)
+
+
+class Lqr:
+    """Without memory: gains are computed once, the disturbance is the estimator's."""
+
+    def __init__(self, axes: Axes, config: Config, lag_s: float, period_s: float) -> None:
+        self._axes = axes
+        self._lag = lag_s > 0.0
+        self._gains = [
+            gain(mass, lag_s, period_s, np.array([error, velocity]), 1.0 / limit**2).tolist()
+            for mass, error, velocity, limit in zip(axes.mass, config.error, config.velocity, axes.limit, strict=True)
+        ]
+
+    def wrench(self, now: Situation) -> Three:
+        """See `FeedbackLaw`."""
+        known = self._axes.wrench(now, NOTHING)
+        surge, heave, yaw = (
+            base - k[0] * e - k[1] * rate - (k[2] * (thrust - base) if self._lag else 0.0)
+            for k, base, e, rate, thrust in zip(self._gains, known, now.error, now.speed_error, now.thrust, strict=True)
+        )
+        return surge, heave, yaw
+
+    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+        """See `FeedbackLaw`."""
+
+    def reset(self) -> None:
+        """See `FeedbackLaw`."""
+
+
+def plant(mass: float, lag_s: float, period_s: float) -> tuple[Array, Array]:
+    """A (n, n) and B (n, 1) of one axis for a command held over each period; n = 3, or 2 without lag."""
+    flow = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0 / mass, 0.0], [0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0]])
+    if lag_s > 0.0:
+        flow[2, 2:] = -1.0 / lag_s, 1.0 / lag_s
+        step = expm(flow * period_s)
+        return step[:3, :3], step[:3, 3:]
+    step = expm(flow[:3, :3] * period_s)
+    return step[:2, :2], step[:2, 2:]
+
+
+def gain(mass: float, lag_s: float, period_s: float, weights: Array, effort: float) -> Array:
+    """K (n,) for weights (2,) of e and e', and `effort` of c."""
+    a, b = plant(mass, lag_s, period_s)
+    q = np.zeros_like(a)
+    q[[0, 1], [0, 1]] = weights
+    value = solve_discrete_are(a, b, q, np.array([[effort]]))
+    return np.asarray(np.linalg.solve(effort + b.T @ value @ b, b.T @ value @ a), dtype=np.float64).ravel()

@@ -1,0 +1,86 @@
+"""What a feedback law looks at: errors along the three axes that the robot can push, and what the model knows about them.
+
+The robot has no side force. Guidance turns lateral errors into heading, for every law alike; what is left to the law is the
+error along the robot's own x axis, in depth and in heading. With the reference p moving at p', body axes i (ahead), j (aside):
+
+    e = i . (p - position)    e' = V - u + r s    V = i . p'    s = j . (p - position)    s' = W - v - r e    W = j . p'
+
+Velocities are through the water, the reference's too: where it streams steadily, nothing else changes.
+
+r s only swings the error from one axis to the other: it drops out of (e^2 + s^2)' = 2 e (V - u) + 2 s (W - v). Laws that push
+against it (taking e' for V - u) made robots 0.1 m off the path of `pool` shake themselves away from it.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from robot_agent.vehicle.dynamics import Model, State
+from wire.frames import wrap
+
+Three = tuple[float, float, float]  # surge, heave, yaw
+
+
+class Situation(NamedTuple):
+    """Errors are reference minus robot. Everything in m, s, N; rad and N m for yaw."""
+
+    error: Three
+    speed_error: Three  # V - u, and the same in depth and heading, where it is the error's derivative
+    swing_mps: float  # r s
+    velocity: Three  # u, w, r
+    acceleration: Three  # of the velocity at which the speed error is zero: V', and the same in depth and heading
+    load: Three  # wrench at which the velocity stays as it is: drag, Coriolis force, disturbance
+    thrust: Three  # that acts now
+
+
+def situation(
+    model: Model,
+    state: State,
+    disturbance: Sequence[float],
+    goal: Sequence[float],
+    speed: Sequence[float],
+    change: Sequence[float],
+) -> Situation:
+    """`goal`, `speed` and `change` (4,) are the reference's pose, velocity and acceleration; Gamma (4,) the estimator's."""
+    x, y, z, yaw, u, v, w, r, *thrust = state
+    c, s = math.cos(yaw), math.sin(yaw)
+    away_x, away_y = goal[0] - x, goal[1] - y
+    along, across = c * speed[0] + s * speed[1], c * speed[1] - s * speed[0]
+    return Situation(
+        error=(c * away_x + s * away_y, goal[2] - z, wrap(goal[3] - yaw)),
+        speed_error=(along - u, speed[2] - w, speed[3] - r),
+        swing_mps=r * (c * away_y - s * away_x),
+        velocity=(u, w, r),
+        acceleration=(c * change[0] + s * change[1] + r * across, change[2], change[3]),
+        load=_load(model, (u, v, w, r), disturbance),
+        thrust=(thrust[0], thrust[1], thrust[2]),
+    )
+
+
+def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> Three:
+    """The model's equations (dynamics.py) solved for the wrench, at constant velocity."""
+    u, v, w, r = nu
+    mass_u, _, mass_w, mass_r = model.mass
+    linear_u, _, linear_w, linear_r = model.linear
+    quadratic_u, _, quadratic_w, quadratic_r = model.quadratic
+    return (
+        (linear_u + quadratic_u * math.hypot(u, v)) * u - mass_u * (model.coriolis * v * r + disturbance[0]),
+        (linear_w + quadratic_w * abs(w)) * w - mass_w * disturbance[2],
+        (linear_r + quadratic_r * abs(r)) * r - mass_r * disturbance[3],
+    )
+
+
+class Axes:
+    """Mass and limits of the three axes."""
+
+    def __init__(self, model: Model, limit: Three) -> None:
+        self.mass: Three = (model.mass[0], model.mass[2], model.mass[3])
+        self.limit = limit
+
+    def wrench(self, now: Situation, feedback: Sequence[float]) -> Three:
+        """Inverse dynamics: the wrench at which the speed errors fall by `feedback` (3,), m/s^2 and rad/s^2."""
+        surge, heave, yaw = (
+            mass * (acceleration + more) + load
+            for mass, acceleration, more, load in zip(self.mass, now.acceleration, feedback, now.load, strict=True)
+        )
+        return surge, heave, yaw

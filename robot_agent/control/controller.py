@@ -1,0 +1,308 @@
+"""READ FIRST (control): one control step, from what was sensed to pulse widths. Pure: time is an argument, nothing blocks.
+
+    controller = Controller(vehicle, config, safety)
+    output = controller.step(measurement, goal, neighbours, now_ns)     # once per config.period_s
+
+The data's way through `Controller.step`:
+
+    measurement -> Estimator (eso.py)       state at the exposure, predicted to now and to when a new command can act
+    goal        -> Reference (reference.py) path over the horizon, heading that lets surge thrust correct lateral errors
+                -> Passing (velocity_obstacles.py)         the same path, or one that leads round somebody who is in the way
+    neighbours  -> Formation (formation.py) weighted reference, half-spaces that keep robots apart, and from obstacles
+                -> Mpc (mpc.py, dynamics.py, qp.py)    wrench over the horizon; or another law (law.py)
+                -> Allocator (allocation.py)        4 thrusters and 4 ankles, as pulse widths
+
+The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: it goes on estimating, puts out
+neutral pulses and forgets its plan. All instants are on one clock, the robot's monotonic one (in lockstep the simulator's).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from robot_agent.control.heading import Guidance
+from robot_agent.control.law import Law, guidance_config, make_law
+from robot_agent.control.mpc import Mpc, MpcPlan
+from robot_agent.guidance.formation import Company, Formation, Neighbour, Rank
+from robot_agent.guidance.obstacles import Thing
+from robot_agent.guidance.reference import Follow, Goal, Hold, Path, Sampler
+from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, Passing, pieces, robots
+from robot_agent.vehicle.allocation import Allocator
+from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.eso import Estimate, Estimator, Measurement, Sighting
+from wire.config.controller import Controller as ControllerConfig
+from wire.config.controller import Safety
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+from wire.messages.messages import Solve
+
+__all__ = ["ControlOutput", "Controller", "Follow", "Goal", "Hold", "Measurement", "Neighbour", "Sighting"]
+
+NS = 1_000_000_000
+KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
+TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class ControlOutput:
+    """Everything one control step found out. Arrays are the caller's to keep: they are never written again."""
+
+    pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless `solve` is SOLVED or SHIFTED
+    wrench: Array  # (3,) asked for: surge N, heave N, yaw N m
+    wrench_step: Array  # (3,) its change in this step
+    wrench_wanted: Array  # (3,) what the law came to before it was limited; the MPC knows its limits
+    wrench_delivered: Array  # (3,) what the pulses give by the nominal thrust curve
+    estimated: bool  # False until the first pose, and after coasting too long: eta, nu, disturbance mean nothing
+    eta: Array  # (4,) estimated pose now
+    nu: Array  # (4,) estimated velocity now, body frame
+    disturbance: Array  # (4,) estimated acceleration that the nominal model in still water does not explain, body frame
+    eta_reference: Array  # (4,) the goal now: yaw is the path's tangent
+    eta_command: Array  # (4,) what the controller was given: yaw with crab angle and correction
+    plan_eta: Array  # (horizon + 1, 4) predicted poses at now + s * period_s; node 0 is `eta`
+    plan_reference: Array  # (horizon + 1, 4) the path that is meant to be flown, at the same instants, with the heading asked
+    tracking_error_m: float  # distance from the goal's position
+    solve: Solve
+    iterations: int
+    slack_m: float  # by how much the plan enters the space of another robot
+    pose_age_s: float  # of the pose the estimate rests on
+    depth_age_s: float  # of the last depth that did not contradict the estimate; 0 while there is no estimate
+    leap: str  # what was told and what had been believed, in a step that gave up the estimate's place for another one
+    depth_leap: str  # the same for the depth
+    is_free: bool  # to go along the path: nobody and nothing leads it round, or pushes it aside
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """Other gains, and the optimisation made for them; None with a law that has none."""
+
+    config: ControllerConfig
+    mpc: Mpc | None
+
+
+class Controller:
+    """One robot's controller with its memory and workspaces."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        config: ControllerConfig,
+        safety: Safety,
+        urgent: bool = False,
+        follows: bool = False,
+        room_m: tuple[float, float] | None = None,
+        islands: tuple[Thing, ...] = (),
+    ) -> None:
+        """`follows`: its one neighbour in the formation is its leader. `room_m` is the pool's length and width; None: there
+        are no walls to look out for."""
+        horizon, period_s = config.mpc.horizon, config.period_s
+        self._vehicle, self._config, self._urgent, self._follows, self._islands = vehicle, config, urgent, follows, islands
+        self._weight = np.array(config.mpc.q)
+        self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
+        self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
+        steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
+        nodes_s = vehicle.thruster.dead_time_s + steps_s
+        self._sampler = Sampler(nodes_s)
+        self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
+        self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
+        self._formation.weigh(self._formation_weight(config))
+        self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
+        self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)
+        self._allocator = Allocator(vehicle)
+        self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
+        self._wrench = np.zeros(3)  # asked for in the last step,
+        self._delivered = np.zeros(3)  # and what its pulses gave
+        self._rank = Rank(urgent, 0.0)
+        self._goal: Goal | None = None
+        self._turns: int | None = None  # of the heading against the path's; None: not known yet
+
+    def _formation_weight(self, config: ControllerConfig) -> tuple[float, float, float, float]:
+        return (1.0, 1.0, 1.0, 1.0) if self._follows else config.mpc.q_formation
+
+    def make_ready(self, config: ControllerConfig) -> Tuned:
+        """What it takes to fly with other gains (wire/messages/live_gains.py), made beforehand: solvers are scaled by the
+        weights, and to build them takes ten times as long as a step."""
+        mpc = None
+        if isinstance(self._law, Mpc):
+            mpc = Mpc(self._vehicle, self._model, config.mpc, config.period_s, self._formation.rows)
+        return Tuned(config, mpc)
+
+    def adopt(self, tuned: Tuned) -> None:
+        """Fly with other gains from the next step on. Estimate, heading and plan go on from where they are."""
+        self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
+        self._estimator.tune(tuned.config.estimator)
+        self._guidance.tune(guidance_config(tuned.config))
+        self._formation.weigh(self._formation_weight(tuned.config))
+        if tuned.mpc is not None and isinstance(self._law, Mpc):
+            tuned.mpc.go_on_from(self._law)
+            self._law = tuned.mpc
+
+    def step(
+        self,
+        measurement: Measurement,
+        goal: Goal | None,
+        neighbours: Sequence[Neighbour],
+        now_ns: int,
+        things: Sequence[Thing] = (),
+    ) -> ControlOutput:
+        """One control step at `now_ns`, whose pulses are taken to go out at once. `things` are obstacles. See the module's
+        docstring."""
+        estimate = self._estimator.update(measurement, now_ns)
+        if estimate is None or goal is None:
+            return self._neutral(estimate, now_ns)
+        self._take_up(goal)
+        path = self._sampler.path(goal)
+        company = self._formation.company(neighbours, now_ns)
+        lead = path if isinstance(goal, Hold) else self._lead(path, company, things, estimate, now_ns)
+        weight, command = self._command(goal, lead, company, estimate)
+        expected = self._law.expected(estimate.action)
+        keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns, (*self._islands, *things))
+        plan = self._law.plan(
+            estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
+            self._delivered,
+        )  # fmt: skip
+        is_free = lead is path and not keep_clear.bind(plan.eta)
+        return self._put_out(plan, estimate, path, lead, command, is_free, now_ns)
+
+    def acted(self, wrench: Array, delivered: Array, now_ns: int) -> None:
+        """These went out at `now_ns`, (3,) each, in the place of what the step of that instant came to."""
+        surge, heave, yaw = delivered.tolist()
+        self._estimator.applied((surge, heave, yaw), now_ns)
+        self._wrench, self._delivered = wrench, delivered
+
+    def _take_up(self, goal: Goal) -> None:
+        """A goal of another kind starts with a fresh heading memory."""
+        before, self._goal = self._goal, goal
+        if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
+            self._guidance.reset()
+            self._passing.reset()
+            self._turns = None
+
+    def _lead(self, path: Path, company: Company, things: Sequence[Thing], estimate: Estimate, now_ns: int) -> Path:
+        """The path itself, or one that leads round the others and round things."""
+        x, y, z, _ = estimate.eta.tolist()
+        traffic = robots(company, self._formation.keeps_m(company, now_ns), z, self._urgent)
+        for thing in things:
+            speed_mps = math.hypot(*path.velocity[0, :2].tolist()) + CATCH_UP_MPS
+            traffic = traffic.joined(pieces(thing, complex(x, y), speed_mps, now_ns))
+        return self._passing.lead(path, complex(x, y), traffic)
+
+    def _command(self, goal: Goal, path: Path, company: Company, estimate: Estimate) -> tuple[Array, Array]:
+        """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""
+        if isinstance(goal, Hold):
+            command = path.eta.copy()
+            command[:, 3] = self._guidance.hold(path, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
+            return self._weight, command
+        command = path.eta.copy()
+        weight = self._weight
+        if company.weight.any():
+            if self._follows:  # own node + (leader - leader's node) = leader + offset
+                pull = company.pull / company.weight
+            else:
+                weight = weight + company.weight
+                pull = company.pull / np.maximum(weight, 1e-12)
+            command[1:] += pull
+            command[0] += pull[0]
+        if self._config.guidance.enabled:
+            lead = Path(command, path.velocity, path.acceleration)
+            command[:, 3] = self._guidance.follow(lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
+        away = float(estimate.eta[3] - command[0, 3]) / TURN
+        if self._turns is None or abs(away - self._turns) > KEEP_TURN:
+            self._turns = round(away)
+        if self._turns:
+            command[:, 3] += TURN * self._turns
+        return weight, command
+
+    def _put_out(
+        self,
+        plan: MpcPlan,
+        estimate: Estimate,
+        path: Path,
+        lead: Path,
+        command: Array,
+        is_free: bool,
+        now_ns: int,
+    ) -> ControlOutput:
+        failed = plan.solve is Solve.FAILED
+        pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
+        delivered = self._allocator.delivered(pulses)
+        self._estimator.applied(delivered, now_ns)
+        wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, np.array(delivered)
+        error_m = math.dist(path.eta[0, :3].tolist(), estimate.eta[:3].tolist())
+        # Told from now on, at the command's instants: poses, and where they are meant to be. That is without the formation's
+        # pull: neighbours who shared a deviation would else see less of it, and the less the more of them there are.
+        told = np.empty((len(command), 8))
+        told[0, :4], told[1:, :4], told[:, 4:7], told[:, 7] = estimate.eta, plan.eta, lead.eta[:, :3], command[:, 3]
+        told = self._to_now @ told
+        self._rank = Rank(self._urgent, error_m)
+        return ControlOutput(
+            pulse_us=pulses,
+            wrench=plan.wrench,
+            wrench_step=wrench_step,
+            wrench_wanted=plan.wrench if plan.wanted is None else plan.wanted,
+            wrench_delivered=self._delivered,
+            estimated=True,
+            eta=estimate.eta,
+            nu=estimate.nu,
+            disturbance=estimate.lumped,
+            eta_reference=path.eta[0].copy(),
+            eta_command=command[0].copy(),
+            plan_eta=told[:, :4],
+            plan_reference=told[:, 4:],
+            tracking_error_m=error_m,
+            solve=plan.solve,
+            iterations=plan.iterations,
+            slack_m=plan.slack_m,
+            pose_age_s=estimate.pose_age_s,
+            depth_age_s=estimate.depth_age_s,
+            leap=estimate.leap,
+            depth_leap=estimate.depth_leap,
+            is_free=is_free,
+        )
+
+    def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
+        """Thrusters off, plan forgotten. The plan that is told to others: it stays where it is."""
+        self._law.reset()
+        self._guidance.reset()
+        self._passing.reset()
+        self._goal = None
+        wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
+        self._estimator.applied((0.0, 0.0, 0.0), now_ns)
+        self._rank = Rank(self._urgent, 0.0)
+        eta = np.zeros(4) if estimate is None else estimate.eta
+        stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))
+        return ControlOutput(
+            pulse_us=self._allocator.neutral_us,
+            wrench=np.zeros(3),
+            wrench_step=wrench_step,
+            wrench_wanted=np.zeros(3),
+            wrench_delivered=np.zeros(3),
+            estimated=estimate is not None,
+            eta=eta,
+            nu=np.zeros(4) if estimate is None else estimate.nu,
+            disturbance=np.zeros(4) if estimate is None else estimate.lumped,
+            eta_reference=eta,
+            eta_command=eta,
+            plan_eta=stay,
+            plan_reference=stay,
+            tracking_error_m=0.0,
+            solve=Solve.NONE,
+            iterations=0,
+            slack_m=0.0,
+            pose_age_s=math.inf if estimate is None else estimate.pose_age_s,
+            depth_age_s=0.0 if estimate is None else estimate.depth_age_s,
+            leap="" if estimate is None else estimate.leap,
+            depth_leap="" if estimate is None else estimate.depth_leap,
+            is_free=False,
+        )
+
+
+def _resampling(from_s: Array, to_s: Array) -> Array:
+    """Linear interpolation as a matrix (to, from): plans are computed from the instant of action and told from now."""
+    matrix = np.zeros((len(to_s), len(from_s)))
+    low = np.clip(np.searchsorted(from_s, to_s, side="right") - 1, 0, len(from_s) - 2)
+    share = (to_s - from_s[low]) / (from_s[low + 1] - from_s[low])
+    matrix[np.arange(len(to_s)), low] = 1.0 - share
+    matrix[np.arange(len(to_s)), low + 1] += share
+    return matrix

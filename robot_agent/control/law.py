@@ -1,0 +1,78 @@
+"""The control law: what turns estimate and reference into a wrench and a plan. One of them is the ESO-MPC."""
+
+from typing import Protocol
+
+from robot_agent.control.baselines.adaptive_nn import AdaptiveNn
+from robot_agent.control.baselines.backstepping import Backstepping
+from robot_agent.control.baselines.feedback import Feedback, FeedbackLaw
+from robot_agent.control.baselines.fuzzy import Fuzzy
+from robot_agent.control.baselines.lqr import Lqr
+from robot_agent.control.baselines.pid import Pid
+from robot_agent.control.baselines.sliding_mode import SlidingMode
+from robot_agent.control.baselines.tracking_errors import Axes
+from robot_agent.control.mpc import Mpc, MpcPlan
+from robot_agent.guidance.formation import HalfSpaces
+from robot_agent.vehicle.dynamics import Model, State
+from wire.config.controller import Controller as Config
+from wire.config.controller import Guidance as GuidanceConfig
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+
+
+class Law(Protocol):
+    """One robot's law with its memory and workspaces."""
+
+    def reset(self) -> None:
+        """Forget the last plan."""
+
+    def expected(self, state: State) -> Array:
+        """What the coming plan is expected to be: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
+
+    def plan(
+        self,
+        state: State,
+        disturbance: Array,
+        wrench: Array,
+        reference: Array,
+        weight: Array,
+        keep_clear: HalfSpaces,
+        current: complex = 0j,
+        delivered: Array | None = None,
+    ) -> MpcPlan:
+        """One step. `state` when a command given now begins to act, its velocities through water that streams at `current`
+        (x + iy, m/s); Gamma (4,); `wrench` (3,) asked for last, `delivered` (3,) what the thrusters gave of it (None: all);
+        `reference` (horizon + 1, 4) from that instant on, its yaw near the state's; `weight` W (4,)."""
+
+
+def guidance_config(config: Config) -> GuidanceConfig:
+    """Guidance as the law wants it: how fast a heading may correct depends on the loop that follows it."""
+    if config.law == "eso-mpc":
+        return config.guidance
+    gain = getattr(config, config.law.replace("-", "_")).guidance_per_s2
+    return config.guidance.model_copy(update={"position_gain_per_s2": gain})
+
+
+def make_law(vehicle: Vehicle, model: Model, config: Config, period_s: float, rows: int) -> Law:
+    """The law of that name. `rows` half-spaces there can be."""
+    if config.law == "eso-mpc":
+        return Mpc(vehicle, model, config.mpc, period_s, rows)
+    return Feedback(_feedback(vehicle, model, config, period_s), vehicle, model, period_s, config.mpc.horizon)
+
+
+def _feedback(vehicle: Vehicle, model: Model, config: Config, period_s: float) -> FeedbackLaw:
+    limits, axes = vehicle.limits, Axes(model, vehicle.limits.wrench)
+    match config.law:
+        case "backstepping":
+            return Backstepping(axes, config.backstepping)
+        case "pid":
+            return Pid(axes, config.pid)
+        case "lqr":
+            return Lqr(axes, config.lqr, model.lag_s, period_s)
+        case "sliding-mode":
+            return SlidingMode(axes, config.sliding_mode)
+        case "fuzzy":
+            return Fuzzy(axes, config.fuzzy)
+        case "adaptive-nn":
+            return AdaptiveNn(axes, config.adaptive_nn, (limits.speed_mps, limits.heave_mps, limits.yaw_rate_radps))
+        case "eso-mpc":
+            raise ValueError("the ESO-MPC is no feedback law")

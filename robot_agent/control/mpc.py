@@ -1,0 +1,220 @@
+"""Model predictive control (33-40), condensed: a quadratic program over move-blocked changes of the wrench.
+
+Unknowns, channel by channel, planar ones first: surge blocks, yaw blocks, heave blocks as differences to the wrench that acts
+now, and one slack in metres. Cost (35) halved: ||eta - reference||^2_W over the nodes, ||change between blocks||^2_R, slack.
+Rows: bounds (39) on every block, bounds (40) on every change, half-spaces that keep other robots away (36).
+
+Each plan is the trajectory the next step linearises along (`linearise = "trajectory"`), so that one solve per control step
+suffices; `"point"` is the article's single working point.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from robot_agent.control.linearisation import Prediction
+from robot_agent.control.qp import NO_BOUND, Solution, Solver, make_solver
+from robot_agent.guidance.formation import HalfSpaces
+from robot_agent.vehicle.dynamics import Model, State
+from wire.config.controller import Mpc as MpcConfig
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+from wire.messages.messages import Solve
+
+CHANNELS = (0, 2, 1)  # order of the unknowns: surge, yaw, heave
+RIDGE = 1e-9  # per N^2: keeps the problem strictly convex when every weight of a channel is zero
+BRIDGED_S = 0.15  # that the last good plan may bridge: three poses of a camera at 20 Hz
+WEIGHED_S = 0.05  # control period for which `r` weighs changes against the errors at the nodes
+
+
+def bridged_steps(period_s: float) -> int:
+    """How many control steps in a row may do without a solution."""
+    return int(BRIDGED_S / period_s + 1e-9)
+
+
+@dataclass(frozen=True, eq=False)
+class MpcPlan:
+    """What to do now, and what is expected of it."""
+
+    wrench: Array  # (3,)
+    eta: Array  # (horizon + 1, 4) predicted, node 0 is the start
+    solve: Solve
+    iterations: int
+    slack_m: float
+    wanted: Array | None = None  # (3,) before it was limited, by a law that knows no limits
+
+
+class Mpc:
+    """Workspaces and memory of one robot's controller.
+
+    Half-spaces are rare, and their rows would double the time of a solve: so there are two problems, `alone` with the limits
+    only and `beside` others with a slack and `rows` more.
+    """
+
+    def __init__(self, vehicle: Vehicle, model: Model, config: MpcConfig, period_s: float, rows: int) -> None:
+        self._config, self._n, self._h = config, len(config.blocks), config.horizon
+        self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step(period_s))
+        self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
+        self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)  # the last good plan, and what it changes
+        self._shifted, self._most_shifted = 0, bridged_steps(period_s)
+        self._fresh = True
+        n, size = self._n, 3 * self._n
+        ends = np.cumsum(config.blocks)
+        first = np.minimum(np.searchsorted(ends, np.arange(self._most_shifted + 1), side="right"), n - 1)
+        self._unknowns = first[:, None] + n * np.array([0, 2, 1])  # (steps, 3) where each step's wrench is among the unknowns
+        # What the errors at nodes 1..horizon depend on, weighted: x and y node by node, then yaw; z by itself
+        self._planar, self._depth = np.zeros((2 * n + 1, 3 * self._h)), np.zeros((n + 1, self._h))
+        self._root = np.zeros((self._h, 2))
+        difference = np.eye(n) - np.eye(n, k=-1)
+        per_node = WEIGHED_S / period_s  # twice as many nodes a second count twice: so must a change between two blocks
+        smooth = [per_node * config.r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
+        self._planar_cost, self._depth_cost = block_diag(*smooth[:2]), smooth[2]
+        self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
+        self._slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])
+        self._p_beside = block_diag(self._p, np.array([[self._slack]]))
+        self._a = np.vstack([np.eye(size), block_diag(difference, difference, difference)])
+        self._a_beside = block_diag(self._a, np.ones((rows, 1)))
+        channel_limits, channel_steps = self._limit.take(CHANNELS).repeat(n), self._step_limit.take(CHANNELS).repeat(n)
+        self._channel_limits, self._channel_of = channel_limits, np.array(CHANNELS).repeat(n)
+        self._upper = np.concatenate([channel_limits, channel_steps, np.full(rows, NO_BOUND)])
+        self._lower = -self._upper
+        self._alone, self._beside = self._make_solvers(rows)
+        self._in_company = False
+
+    def _make_solvers(self, rows: int) -> tuple[Solver, Solver]:
+        """Scaled so that the Hessian of a robot at rest has a unit diagonal: 16 iterations, 18-40 with the limits as scale."""
+        n, size = self._n, 3 * self._n
+        p_beside = block_diag(np.ones((2 * n, 2 * n)), np.ones((n, n)), np.ones((1, 1))) > 0.0
+        a_beside = self._a_beside != 0.0
+        a_beside[2 * size :, : 2 * n] = True
+        rest = (0.0,) * 11
+        self._prediction.restart(rest)
+        self._prediction.linearise(rest, np.zeros(3), np.zeros(4))
+        self._objective(np.zeros((self._h + 1, 4)), np.array(self._config.q) + self._config.q_formation)
+        scale = 1.0 / np.sqrt(np.diagonal(self._p))
+        slack = 1.0 / np.sqrt(self._slack)
+        row_scale, scale_beside = np.tile(1.0 / scale, 2), np.append(scale, slack)
+        name, row_scale_beside = self._config.solver, np.append(row_scale, np.full(rows, 1.0 / slack))
+        alone = make_solver(name, p_beside[:-1, :-1], self._a != 0.0, scale, row_scale, bounds=size)
+        alone.solve(self._p, self._q[:size], self._a, self._lower[: 2 * size], self._upper[: 2 * size])  # it has A from now on
+        return alone, make_solver(name, p_beside, a_beside, scale_beside, row_scale_beside, bounds=size)
+
+    def reset(self) -> None:
+        """Forget the last plan: until the next one stands, for some steps at most, the thrusters stay off."""
+        self._fresh, self._shifted = True, 0
+        self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)
+
+    def go_on_from(self, other: "Mpc") -> None:
+        """Take over the plan of a controller that has other weights, and nothing else of it."""
+        self._prediction, self._fresh, self._shifted = other._prediction, other._fresh, other._shifted
+        self._solution, self._base = other._solution, other._base
+        self._alone.start_from(self._solution[: 3 * self._n])  # without the slack of a plan beside others
+
+    def expected(self, state: State) -> Array:
+        """What the coming plan is linearised along, the last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all
+        nodes, shape (2, horizon + 1, 2)."""
+        if self._fresh or self._config.linearise == "point":
+            self._prediction.restart(state)
+            self._fresh = False
+        return self._prediction.eta
+
+    def plan(
+        self,
+        state: State,
+        disturbance: Array,
+        wrench: Array,
+        reference: Array,
+        weight: Array,
+        keep_clear: HalfSpaces,
+        current: complex = 0j,
+        delivered: Array | None = None,
+    ) -> MpcPlan:
+        """One solve. Velocities of `state` are through water that streams at `current` (x + iy, m/s). `reference` (horizon +
+        1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last: bounds (39, 40) count from there. What
+        the thrusters gave of it is `delivered`: the model goes on from that, and takes what lacked for lacking on."""
+        n, prediction = self._n, self._prediction
+        if self._fresh or self._config.linearise == "point":
+            prediction.restart(state)
+            self._fresh = False
+        prediction.linearise(state, wrench if delivered is None else delivered, disturbance, current)
+        self._objective(reference, weight)
+        self._limits(wrench)
+        solution = self._solve_alone() if len(keep_clear.node) == 0 else self._solve_beside(keep_clear)
+        if not solution.solved:
+            return self._fall_back(wrench, solution.iterations)
+        x = solution.x
+        prediction.follow(x[: 2 * n], x[2 * n : 3 * n])
+        self._solution, self._base, self._shifted = x, wrench, 0
+        eta = prediction.poses()
+        prediction.shift()
+        slack_m = max(0.0, float(x[-1])) if self._in_company else 0.0
+        return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, solution.iterations, slack_m)
+
+    def _objective(self, reference: Array, weight: Array) -> None:
+        """P and q as Gram matrices: unit responses, and the free response's error as one more row."""
+        n, h, prediction = self._n, self._h, self._prediction
+        root = np.sqrt(weight)
+        goal = reference[1:] * root
+        planar, depth = self._planar, self._depth
+        self._root[:] = root[:2]
+        np.multiply(prediction.position.view(np.float64)[:, 2:], self._root.reshape(-1), out=planar[:, : 2 * h])
+        np.multiply(prediction.yaw[:, 1:], root[3], out=planar[n:, 2 * h :])
+        np.multiply(prediction.heave[:, 1:], root[2], out=depth)
+        planar[-1, : 2 * h] -= goal[:, :2].reshape(-1)
+        planar[-1, 2 * h :] -= goal[:, 3]
+        depth[-1] -= goal[:, 2]
+        moving, sinking = planar @ planar.T, depth @ depth.T
+        np.add(moving[:-1, :-1], self._planar_cost, out=self._p[: 2 * n, : 2 * n])
+        np.add(sinking[:-1, :-1], self._depth_cost, out=self._p[2 * n :, 2 * n :])
+        self._q[: 2 * n], self._q[2 * n : 3 * n] = moving[-1, :-1], sinking[-1, :-1]
+
+    def _limits(self, wrench: Array) -> None:
+        """Bounds (39) on blocks that are changes to `wrench`."""
+        size, now = 3 * self._n, wrench.take(self._channel_of)
+        np.subtract(self._channel_limits, now, out=self._upper[:size])
+        np.negative(self._channel_limits, out=self._lower[:size])
+        self._lower[:size] -= now
+
+    def _solve_alone(self) -> Solution:
+        size = 3 * self._n
+        if self._in_company:
+            self._alone.start_from(self._solution[:size])
+            self._in_company = False
+        return self._alone.solve(self._p, self._q[:size], None, self._lower[: 2 * size], self._upper[: 2 * size])
+
+    def _solve_beside(self, keep_clear: HalfSpaces) -> Solution:
+        """With half-spaces (36) in the first of the rows that there are for them."""
+        n, size, count = self._n, 3 * self._n, len(keep_clear.node)
+        if not self._in_company:
+            self._beside.start_from(np.append(self._solution[:size], 0.0))
+            self._in_company = True
+        responses = self._prediction.position[:, keep_clear.node]
+        along = responses.real * keep_clear.normal.real + responses.imag * keep_clear.normal.imag
+        rows, lower = self._a_beside[2 * size :], self._lower[2 * size :]
+        rows[:count, : 2 * n], rows[count:, : 2 * n] = along[:-1].T, 0.0
+        rows[:count, -1] = 1.0 if keep_clear.give is None else keep_clear.give
+        lower[:count], lower[count:] = keep_clear.offset - along[-1], -NO_BOUND
+        self._p_beside[:-1, :-1] = self._p
+        return self._beside.solve(self._p_beside, self._q, self._a_beside, self._lower, self._upper)
+
+    def _step_of_plan(self, step: int, before: Array) -> Array:
+        """The last good plan's wrench (3,), exactly within the limits (the solver is right to 1e-4)."""
+        asked = self._solution[self._unknowns[step]]
+        asked += self._base
+        np.maximum(asked, before - self._step_limit, out=asked)
+        np.minimum(asked, before + self._step_limit, out=asked)
+        np.maximum(asked, -self._limit, out=asked)
+        np.minimum(asked, self._limit, out=asked)
+        return np.asarray(asked)
+
+    def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
+        """The last good plan, moved on by a step; nothing once it is used up."""
+        eta = self._prediction.poses()
+        if self._shifted >= self._most_shifted:
+            self.reset()
+            self._shifted = self._most_shifted
+            return MpcPlan(np.zeros(3), eta, Solve.FAILED, iterations, 0.0)
+        self._shifted += 1
+        self._prediction.shift()
+        return MpcPlan(self._step_of_plan(self._shifted, wrench), eta, Solve.SHIFTED, iterations, 0.0)

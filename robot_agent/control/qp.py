@@ -1,0 +1,205 @@
+"""Quadratic programs of one fixed size, solved over and over: min 1/2 x'Px + q'x with lower <= Ax <= upper.
+
+Both backends take dense arrays and own all bookkeeping. They are built once; a solve changes numbers, never structure, and
+starts from the last solution. Whatever comes in is checked first, because OSQP does not (all reproduced with 1.1): bounds
+that cross and vectors of a wrong size are printed and dropped, the old ones stay; a strided vector is misread; one NaN
+spoils every later solve; `update(Px=)` overwrites the caller's array; an infeasible problem returns a finite x of 2e9.
+"""
+
+import importlib
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import osqp
+from numpy.typing import NDArray
+from scipy import sparse
+
+from wire.frames import Array
+from wire.toml_loader import ConfigError
+
+Mask = NDArray[np.bool_]
+
+MAX_ITERATIONS = 2000  # 16-40 are usual, a cold start takes 240, a robot inside another's space up to 700; 2 ms at the worst
+SETTINGS = {
+    "verbose": 0,
+    "scaling": 0,
+    "rho": 0.1,
+    "adaptive_rho": 1,  # by iterations; the timed variant would make a run depend on the machine
+    "adaptive_rho_interval": 25,
+    "eps_abs": 1e-4,
+    "eps_rel": 1e-4,
+    "check_termination": 5,
+    "max_iter": MAX_ITERATIONS,
+    "polishing": 0,
+    "warm_starting": 1,
+    "time_limit": 1e10,
+}
+SOLVED = (int(osqp.SolverStatus.OSQP_SOLVED), int(osqp.SolverStatus.OSQP_SOLVED_INACCURATE))
+OUT_OF_ITERATIONS = int(osqp.SolverStatus.OSQP_MAX_ITER_REACHED)
+CLOSE = 0.01  # of what was asked for: a hundred times the tolerance
+NO_BOUND = 1e30  # what both solvers take for infinity
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """`x` is meaningful only if `solved`."""
+
+    x: Array
+    solved: bool
+    iterations: int
+
+
+class Solver(Protocol):
+    """A backend."""
+
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
+        """Solve for p (n, n) symmetric, q (n,), a (m, n), bounds (m,); 1e30 and beyond is no bound. `a` None: as it was."""
+
+    def start_from(self, x: Array) -> None:
+        """Begin the next solve at x (n,) instead of at the last solution."""
+
+
+class OsqpSolver:
+    """OSQP with a sparsity pattern frozen at the start: entries outside the masks must stay zero.
+
+    `scale` (n,) and `row_scale` (m,) bring unknowns and rows near one; the solver does no scaling of its own, which would
+    cost more than the solve and change from step to step.
+    """
+
+    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array) -> None:
+        rows, n = a_mask.shape
+        upper = np.triu(p_mask) | np.eye(n, dtype=bool)
+        self._scale, self._row_scale = scale.copy(), row_scale.copy()
+        self._p_entries, self._a_entries = _by_columns(upper), _by_columns(a_mask)
+        self._p_scale = np.multiply.outer(scale, scale).take(self._p_entries)
+        self._a_scale = np.multiply.outer(row_scale, scale).take(self._a_entries)
+        self._numbers, (self._p, self._a, self._q, self._low, self._high) = _workspace(
+            len(self._p_entries), len(self._a_entries), n, rows, rows
+        )
+        self._solver = _built(upper, a_mask)
+
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
+        """See `Solver`."""
+        p.take(self._p_entries, out=self._p, mode="clip")
+        self._p *= self._p_scale
+        if a is not None:
+            a.take(self._a_entries, out=self._a, mode="clip")
+            self._a *= self._a_scale
+        np.multiply(q, self._scale, out=self._q)
+        _scaled_bounds(lower, upper, self._row_scale, self._low, self._high)
+        solver = self._solver
+        if (
+            not _finite(self._numbers)
+            or solver.update_data_vec(q=self._q, l=self._low, u=self._high)  # refuses bounds that cross
+            or solver.update_data_mat(P_x=self._p, P_i=None, A_x=None if a is None else self._a, A_i=None)
+        ):
+            return Solution(np.zeros(len(q)), False, 0)
+        solver.solve()
+        x, info = solver.solution.x, solver.info
+        if not (_finite(x) and self._close(info, x)):
+            if info.status_val != OUT_OF_ITERATIONS or not _finite(x):  # else the next solve goes on from here
+                solver.warm_start(np.zeros(len(q)), np.zeros(len(lower)))
+            return Solution(np.zeros(len(q)), False, info.iter)
+        return Solution(x * self._scale, True, info.iter)
+
+    def start_from(self, x: Array) -> None:
+        """See `Solver`. The multipliers start at zero."""
+        self._solver.warm_start(x / self._scale, np.zeros(len(self._low)))
+
+    def _close(self, info: Any, x: Array) -> bool:
+        """Solved; or out of iterations so close to it that the plan is better than the last one (residuals are scaled, and
+        count beside the largest number there is: 2 mm of slack are close where 0.2 m are needed)."""
+        status = info.status_val
+        if status in SOLVED:
+            return True
+        size = max(1.0, float(np.abs(x).max()))
+        largest = max(size, float(np.abs(self._q).max()))
+        return bool(status == OUT_OF_ITERATIONS and info.prim_res < CLOSE * size and info.dual_res < CLOSE * largest)
+
+
+class DaqpSolver:
+    """DAQP: dual active set, exact, with a short tail. For small problems. It has no memory: `start_from` does nothing.
+
+    The first `bounds` rows of A must be those of the identity: they are handled at next to no cost.
+    """
+
+    def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0) -> None:
+        rows, n = a_mask.shape
+        self._bounds = bounds
+        self._scale, self._row_scale = scale.copy(), np.concatenate([1.0 / scale[:bounds], row_scale[bounds:]])
+        self._p_scale = np.multiply.outer(scale, scale)
+        self._a_scale = np.multiply.outer(self._row_scale[bounds:], scale)
+        self._numbers, (p, a, self._q, self._low, self._high) = _workspace(n * n, (rows - bounds) * n, n, rows, rows)
+        self._p, self._a = p.reshape(n, n), a.reshape(rows - bounds, n)
+        self._sense = np.zeros(rows, dtype=np.int32)
+        try:
+            self._daqp = importlib.import_module("daqp")
+        except ModuleNotFoundError:
+            raise ConfigError('controller.mpc.solver = "daqp": not installed here (pip install daqp, or use "osqp")') from None
+
+    def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
+        """See `Solver`."""
+        np.multiply(p, self._p_scale, out=self._p)
+        if a is not None:
+            np.multiply(a[self._bounds :], self._a_scale, out=self._a)
+        np.multiply(q, self._scale, out=self._q)
+        _scaled_bounds(lower, upper, self._row_scale, self._low, self._high)
+        if not _finite(self._numbers):
+            return Solution(np.zeros(len(q)), False, 0)
+        x, _, status, info = self._daqp.solve(self._p, self._q, self._a, self._high, self._low, self._sense)
+        if status <= 0 or not _finite(x):
+            return Solution(np.zeros(len(q)), False, info["iterations"])
+        return Solution(x * self._scale, True, info["iterations"])
+
+    def start_from(self, x: Array) -> None:
+        """See `Solver`."""
+
+
+def _workspace(*sizes: int) -> tuple[Array, list[Array]]:
+    """One array and its parts: all numbers of a problem can be checked at once."""
+    numbers = np.zeros(sum(sizes))
+    return numbers, np.split(numbers, np.cumsum(sizes[:-1]))
+
+
+def _finite(numbers: Array) -> bool:
+    """True if every one is; false too if their sum overflows."""
+    return math.isfinite(np.add.reduce(numbers))
+
+
+def _scaled_bounds(lower: Array, upper: Array, scale: Array, low: Array, high: Array) -> None:
+    """Write the bounds of scaled rows into `low` and `high`, with the solvers' own infinity for none."""
+    np.multiply(lower, scale, out=low)
+    np.maximum(low, -NO_BOUND, out=low)
+    np.multiply(upper, scale, out=high)
+    np.minimum(high, NO_BOUND, out=high)
+
+
+def _built(p_mask: Mask, a_mask: Mask) -> Any:
+    """OSQP's own solver object. Its Python wrapper takes another 50 us a step to look up constants and copy fields."""
+    ext = osqp.OSQP(algebra="builtin").ext
+    settings = ext.OSQPSettings()
+    ext.osqp_set_default_settings(settings)
+    for name, value in SETTINGS.items():
+        setattr(settings, name, value)
+    rows, n = a_mask.shape
+    free = np.full(rows, NO_BOUND)
+    p, a = (ext.CSC(sparse.csc_matrix(mask.astype(np.float64))) for mask in (p_mask, a_mask))
+    return ext.OSQPSolver(p, np.zeros(n), a, -free, free, rows, n, settings)
+
+
+def make_solver(
+    name: Literal["osqp", "daqp"], p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0
+) -> Solver:
+    """The backend of that name for problems with entries in these masks only, (n, n) and (m, n). The first `bounds` rows of
+    A are those of the identity."""
+    if name == "osqp":
+        return OsqpSolver(p_mask, a_mask, scale, row_scale)
+    return DaqpSolver(p_mask, a_mask, scale, row_scale, bounds)
+
+
+def _by_columns(mask: Mask) -> NDArray[np.intp]:
+    """Places in the flattened matrix of the entries in compressed-sparse-column order."""
+    columns, rows = np.nonzero(mask.T)
+    return np.asarray(rows * mask.shape[1] + columns)

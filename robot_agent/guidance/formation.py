@@ -1,0 +1,289 @@
+"""The other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36).
+
+Distances are horizontal: robots pass beside one another, never above, where the camera would lose the lower one and the
+upper one would break the surface (a controller left free to use depth did both). Only a robot 2R deeper is out of the way.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_agent.guidance.obstacles import Thing, border
+from robot_agent.guidance.reference import interpolate
+from wire.config.controller import Mpc as MpcConfig
+from wire.config.controller import Safety
+from wire.frames import TURN, Array
+from wire.messages.messages import Plan
+
+NS = 1e9
+NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the plane, without those it cannot run into first
+LONGEST_PLAN = 1000  # rows of a plan that is resampled
+NODES = 5  # of the horizon that keep their distance from each
+TOUCHING_M = 1e-6
+WALL_M = 0.05  # between a hull and a wall
+WALL_GIVES = 0.1  # of what a robot's lines give: 2R hold room enough that hulls do not touch, a wall holds none
+LEANS_M = 0.02  # a plan so near a half-space's border would be another one without it
+SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
+MOST_TURNED_RAD = 1e8  # a heading counts its turns: days of laps
+MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
+SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal,
+ERROR_RATE_MPS = 0.5  # and so do those that may have been since one was told: no robot moves faster
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """Another robot's last plan. Fresh plans count for the formation; stale ones only keep a growing distance."""
+
+    robot: int
+    stamp_ns: int  # instant of the plan's node 0, on our clock
+    plan: Plan
+    fresh: bool
+    formation: bool = True  # False: only stay clear of it
+    hears_us: bool = False  # its plan says so; a robot that does not hear us cannot give way to us
+
+
+@dataclass(frozen=True)
+class Rank:
+    """What the article ranks robots by (section 3.3): urgent task, then small tracking error. Higher goes first. Its third
+    mark, who hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
+
+    urgent: bool
+    tracking_error_m: float
+
+    def above(self, other: "Rank", age_s: float = 0.0) -> bool:
+        """True if the other, told so long ago, must yield to this one. Two robots never both are above one another, however
+        late they hear of each other: what may have changed meanwhile does not count."""
+        if self.urgent != other.urgent:
+            return self.urgent
+        return other.tracking_error_m - self.tracking_error_m > SAME_ERROR_M + ERROR_RATE_MPS * max(age_s, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpaces:
+    """normal[i] . (x, y) of node[i] >= offset[i] - give[i] slack. Nodes count from 1."""
+
+    node: NDArray[np.intp]  # (rows,)
+    normal: NDArray[np.complex128]  # (rows,) x + iy
+    offset: Array  # (rows,)
+    give: Array | None = None  # (rows,); None: 1 in all
+
+    def bind(self, eta: Array) -> bool:
+        """Whether a plan (horizon + 1, 4) leans against any of them."""
+        places = eta[self.node, 0] + 1j * eta[self.node, 1]
+        return bool(((places * self.normal.conj()).real < self.offset + LEANS_M).any())
+
+
+# What is to be kept clear of: places and directions away from it, how far beyond the distance to keep we are, all (nodes,),
+# that distance, and how much its lines give when not all can be kept
+Body = tuple[NDArray[np.complex128], NDArray[np.complex128], Array, float, float]
+
+NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class Company:
+    """The neighbours as the controller needs them."""
+
+    pull: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref): added to Q eta_ref it is the weighted reference
+    weight: Array  # (4,) sum of Q_ij
+    heard: int
+    others: Sequence[Neighbour]  # whose plans can be used
+    place: NDArray[np.complex128]  # (others, nodes) predicted x + iy, at the nodes where distance is kept
+    depth: Array  # (others, nodes)
+    now: Array  # (others, 4) poses as their plans have them now
+    meant: NDArray[np.complex128]  # (others,) velocities x + iy that they mean to have
+
+
+class Formation:
+    """Workspaces for one robot."""
+
+    def __init__(
+        self,
+        config: MpcConfig,
+        safety: Safety,
+        period_s: float,
+        dead_s: float = 0.0,
+        room_m: tuple[float, float] | None = None,
+        hull_m: float = 0.0,
+    ) -> None:
+        """The horizon's node 0 lies `dead_s` ahead of now. A hull of radius `hull_m` keeps off the walls of a pool of length
+        and width `room_m`; None: there are no walls."""
+        self._safety, self._period_s, self._horizon = safety, period_s, config.horizon
+        self.weigh(config.q_formation)
+        self._ahead = np.arange(config.horizon + 2)
+        self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
+        self._nodes_ns = np.rint(NS * (dead_s + period_s * self._nodes)).astype(np.int64).tolist()
+        self._around_nodes = np.concatenate([self._nodes, self._nodes + 1])
+        self.rows = NEAREST * len(self._nodes)  # half-spaces there can be
+        self._wall_m = hull_m + WALL_M
+        self._walls = [] if room_m is None else [(-way, 0.5 * size) for way, size in zip((1, 1j), room_m, strict=True)]
+        self._walls += [(-inwards, half_m) for inwards, half_m in self._walls]
+        self._near_m = 2.0 * safety.radius_m + safety.margin_m
+        self._dead_steps, self._meant = dead_s / period_s, max(round(MEANT_S / period_s), 1)
+        none, nobody = np.zeros((0, len(self._nodes))), np.zeros((0, 4))
+        pull = np.zeros((config.horizon + 1, 4))
+        self._alone = Company(pull, np.zeros(4), 0, (), none.astype(np.complex128), none, nobody, np.zeros(0, np.complex128))
+
+    def weigh(self, q: tuple[float, float, float, float]) -> None:
+        """Q_ij from now on, the same for every neighbour."""
+        self._weight = np.array(q)
+        self._weights = np.tile(self._weight, self._horizon + 1)
+
+    def company(self, neighbours: Sequence[Neighbour], now_ns: int) -> Company:
+        """Neighbours' predictions on our horizon; of all of them at once."""
+        others = [usable for neighbour in neighbours if (usable := self._in_step(neighbour)) is not None]
+        if not others:
+            return self._alone
+        eta, deviation = _stacked(others)
+        if not _plausible(eta, deviation):
+            others = [neighbour for neighbour in others if _plausible(*_stacked([neighbour]))]
+            if not others:
+                return self._alone
+            eta, deviation = _stacked(others)
+        steps, first, last = self._steps(others, now_ns)
+        ahead = steps + self._dead_steps
+        whole = np.floor(ahead)
+        rows = np.minimum(np.maximum((first + whole.astype(np.intp))[:, None] + self._ahead, first[:, None]), last[:, None])
+        share = ahead - whole
+        pull, weight = self._pull(others, deviation.take(rows, axis=0), share)
+        around = eta.view(np.complex128).take(rows[:, self._around_nodes], axis=0)  # x + iy, z + i yaw
+        there, after = around[:, : len(self._nodes)], around[:, len(self._nodes) :]
+        there += share[:, None, None] * (after - there)
+        now = np.minimum(np.maximum(first + np.rint(steps).astype(np.intp), first), last)
+        then = np.minimum(now + self._meant, last)
+        reference = (eta.take((now, then), axis=0) - deviation.take((now, then), axis=0)).view(np.complex128)[:, :, 0]
+        meant = (reference[1] - reference[0]) / (self._period_s * np.maximum(then - now, 1))
+        place, depth, heard = there[:, :, 0], there[:, :, 1].real, sum(n.fresh for n in others)
+        return Company(pull, weight, heard, others, place, depth, eta.take(now, axis=0), meant)
+
+    def _in_step(self, neighbour: Neighbour) -> Neighbour | None:
+        """The same with its plan at steps as long as ours, which all robots of an experiment have; None if it has no plan."""
+        plan, period_s = neighbour.plan, self._period_s
+        if not _readable(plan):
+            return None
+        if plan.period_s == period_s:
+            return neighbour
+        if not _plausible(*_stacked([neighbour])):
+            return None
+        count = min(math.ceil((len(plan.eta) - 1) * plan.period_s / period_s), LONGEST_PLAN) + 1
+        place = np.arange(count, dtype=np.float64) * (period_s / plan.period_s)
+        eta, reference = interpolate(plan.eta, place), interpolate(plan.eta_reference, place)
+        return replace(neighbour, plan=replace(plan, period_s=period_s, eta=eta, eta_reference=reference))
+
+    def _steps(self, others: Sequence[Neighbour], now_ns: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+        """Of plans put one below the other: how many steps ago each began, and its first and last row; (others,)."""
+        lengths = np.array([len(neighbour.plan.eta) for neighbour in others])
+        since_ns = np.array([now_ns - neighbour.stamp_ns for neighbour in others])
+        end = np.add.accumulate(lengths)
+        return since_ns / (NS * self._period_s), end - lengths, end - 1
+
+    def _pull(self, others: Sequence[Neighbour], deviation: Array, share: Array) -> tuple[Array, Array]:
+        """Q_ij times the deviations (others, horizon + 2, 4) between rows, of those in the formation; and as many Q_ij."""
+        member = np.array([1.0 if neighbour.fresh and neighbour.formation else 0.0 for neighbour in others])
+        members = float(np.add.reduce(member))
+        if not members:
+            return self._alone.pull, self._alone.weight
+        after = member * share
+        before, behind = np.array((member - after, after)) @ deviation.reshape(len(others), -1)
+        pull = before[:-4] + behind[4:]
+        pull *= self._weights
+        return pull.reshape(-1, 4), members * self._weight
+
+    def keep_m(self, neighbour: Neighbour, now_ns: int) -> float:
+        """How far to stay away from it: the longer it is silent, the farther."""
+        keep = 2.0 * self._safety.radius_m
+        if neighbour.fresh:
+            return keep
+        silent_s = max(0.0, (now_ns - neighbour.stamp_ns) / NS)
+        return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
+
+    def keeps_m(self, company: Company, now_ns: int) -> Array:
+        """The same of all, (others,)."""
+        if company.heard == len(company.others):
+            return np.full(company.heard, 2.0 * self._safety.radius_m)
+        return np.array([self.keep_m(neighbour, now_ns) for neighbour in company.others])
+
+    def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
+        """The same, or None if that robot yields. Only a robot that we hear and that hears us is taken to yield."""
+        plan, age_s = neighbour.plan, (now_ns - neighbour.stamp_ns) / NS
+        heard_both_ways = neighbour.fresh and neighbour.hears_us
+        if heard_both_ways and own.above(Rank(plan.urgent, plan.tracking_error_m), age_s):
+            return None
+        return self.keep_m(neighbour, now_ns)
+
+    def half_spaces(self, company: Company, own: Array, rank: Rank, now_ns: int, things: Sequence[Thing] = ()) -> HalfSpaces:
+        """Half-spaces across the lines between predicted positions, where we come close (A6): to other robots, and to things
+        in the water. `own` (2, horizon + 1, 2) is what we expect of ourselves: (x, y) and (z, yaw)."""
+        if not company.others and not things:
+            return NOWHERE
+        here = own[0].view(np.complex128)[self._nodes, 0]
+        bodies = self._robots_near(company, own, here, rank, now_ns) if company.others else []
+        for thing in things:
+            there, away, apart_m = border(thing, here, [now_ns + ns for ns in self._nodes_ns])
+            if apart_m.min() < thing.keep_m + self._safety.margin_m:
+                bodies.append((there, away, apart_m - thing.keep_m, thing.keep_m, 1.0))
+        return self._across(bodies + self._walls_near(here)) if bodies else NOWHERE
+
+    def _walls_near(self, here: NDArray[np.complex128]) -> list[Body]:
+        """The walls, where something else is to be kept clear of: its lines must not lead into one. Alone a robot needs none:
+        paths lie within the pool."""
+        found: list[Body] = []
+        for inwards, half_m in self._walls:
+            out = -(here * inwards.conjugate()).real  # towards the wall, from the pool's middle
+            if (half_m - out).min() < self._wall_m + self._safety.margin_m:
+                there = here + inwards * (out - half_m)
+                away = np.full(len(here), inwards, np.complex128)
+                found.append((there, away, half_m - out - self._wall_m, self._wall_m, WALL_GIVES))
+        return found
+
+    def _robots_near(self, company: Company, own: Array, here: NDArray[np.complex128], rank: Rank, now_ns: int) -> list[Body]:
+        """The robots to be kept clear of."""
+        apart = here - company.place
+        distance = np.abs(apart)
+        nearest = np.minimum.reduce(distance, axis=1).tolist()
+        near_m = self._near_m if company.heard == len(company.others) else self._near_m + self._safety.bubble_max_m
+        kept = []
+        for i, there_m in enumerate(nearest):
+            if there_m < near_m:
+                keep_m = self.distance_m(company.others[i], rank, now_ns)
+                if keep_m is not None:
+                    level = np.abs(own[1, self._nodes, 0] - company.depth[i]) < keep_m
+                    if (level & (distance[i] < keep_m + self._safety.margin_m)).any():
+                        away = apart[i] / np.maximum(distance[i], TOUCHING_M)
+                        away[distance[i] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out
+                        kept.append((company.place[i], away, distance[i] - keep_m, keep_m, 1.0))
+        return kept
+
+    def _across(self, bodies: list[Body]) -> HalfSpaces:
+        """Half-spaces from the nearest bodies."""
+        bodies = sorted(bodies, key=lambda body: float(body[2].min()))[:NEAREST]
+        there, away = np.concatenate([body[0] for body in bodies]), np.concatenate([body[1] for body in bodies])
+        keep, give = np.repeat([body[3:] for body in bodies], len(self._nodes), axis=0).T
+        offset = away.real * there.real + away.imag * there.imag + keep
+        return HalfSpaces(np.tile(self._nodes, len(bodies)), away, offset, give)
+
+
+def _readable(plan: Plan) -> bool:
+    """A plan of a known length and period."""
+    return len(plan.eta) > 0 and plan.eta.shape == plan.eta_reference.shape and SHORTEST_S <= plan.period_s < ABSURD
+
+
+def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
+    """Poses of all plans one below the other, and how far they are from their references, without whole turns (rows, 4)."""
+    eta = np.concatenate([neighbour.plan.eta for neighbour in others])
+    with np.errstate(invalid="ignore"):  # infinities that cancel out are found afterwards
+        deviation = eta - np.concatenate([neighbour.plan.eta_reference for neighbour in others])
+    yaw = deviation[:, 3]
+    if not np.abs(yaw).max() <= math.pi:
+        ends = np.cumsum([len(neighbour.plan.eta) for neighbour in others])
+        for part in np.split(yaw, ends[:-1]):
+            part -= TURN * np.rint(part[0] / TURN)
+    return eta, deviation
+
+
+def _plausible(eta: Array, deviation: Array) -> bool:
+    """Numbers that can be poses; false for NaN too."""
+    return float(np.vdot(eta, eta)) < MOST_TURNED_RAD**2 and float(np.vdot(deviation, deviation)) < ABSURD**2

@@ -1,0 +1,138 @@
+"""What is in the water and is no robot, as the controller needs it: islands of the experiment, obstacles that the camera sees.
+
+An outline becomes round pieces along its edge, an island is one piece. So avoiding anything is avoiding points at a distance,
+as with robots. Depth does not count: the camera cannot tell it, and islands reach from the floor to the surface.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.config.controller import Safety
+from wire.config.scene import Island
+from wire.frames import Array
+from wire.messages.messages import Obstacles
+from wire.obstacle_memory import ages_s, drift_m, growth_m, is_old, swept
+
+SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
+ABSURD_M, ABSURD_MPS = 1e3, 2.0  # limits of what can be an obstacle; nothing in a pool is faster
+TOUCHING_M = 1e-6
+MOST_PIECES = 200  # of one obstacle: an outline of 30 m
+
+
+@dataclass(frozen=True, eq=False)
+class Thing:
+    """One obstacle. Complex numbers are x + iy in the pool frame."""
+
+    id: int  # the localizer's number of it, or its place among the islands
+    pieces: NDArray[np.complex128]  # (k,) places at `instant_ns`, m
+    keep_m: float  # how far a robot's centre stays from each
+    velocity: complex  # m/s
+    instant_ns: int  # on our clock
+    middle: complex  # of the pieces,
+    reach_m: float  # and how far from there they go
+
+    def ahead(self, now_ns: int) -> complex:
+        """How far it has moved, as far as one knows."""
+        return self.velocity * ((now_ns - self.instant_ns) * 1e-9)
+
+    def age_s(self, now_ns: int) -> float:
+        """How long ago it was seen."""
+        return (now_ns - self.instant_ns) * 1e-9
+
+    def overlaps(self, place: complex, radius_m: float, now_ns: int) -> bool:
+        """Whether it is where a hull is."""
+        apart = place - self.ahead(now_ns) - self.pieces[None]
+        return float(np.abs(apart).min()) < radius_m or bool(_inside(apart)[0])
+
+
+class Apart:
+    """Which obstacles are not the robot itself.
+
+    Two bodies cannot be in one place: an obstacle that the camera finds where the hull is, is the hull. One that was seen
+    clear of the hull before is another body, and stays one when it drifts against the hull.
+    """
+
+    def __init__(self, hull_m: float) -> None:
+        self._hull_m = hull_m
+        self._others: frozenset[int] = frozenset()  # ids of obstacles that have been clear of the hull
+
+    def others(self, things: Sequence[Thing], place: complex, now_ns: int) -> tuple[Thing, ...]:
+        """Those of the obstacles that are other bodies than the robot at `place`. One that was seen too long ago counts where
+        it was seen."""
+        found = tuple(t for t in things if t.id in self._others or not self._is_hull(t, place, now_ns))
+        self._others = frozenset(thing.id for thing in found)
+        return found
+
+    def _is_hull(self, thing: Thing, place: complex, now_ns: int) -> bool:
+        at_ns = thing.instant_ns if is_old(thing.age_s(now_ns)) else now_ns
+        return thing.overlaps(place, self._hull_m, at_ns)
+
+
+def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
+    """The experiment's islands. Everyone knows where they are and routes are planned around them: like walls, they only stop
+    a hull."""
+    found = []
+    for i, island in enumerate(known):
+        middle = complex(*island.position_m)
+        found.append(Thing(i, np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
+    return tuple(found)
+
+
+def things_seen(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Thing, ...]:
+    """What the localizer reports of an instant on our clock, each as of when it was seen. What cannot be an obstacle is left
+    out."""
+    found = []
+    seen_s = ages_s(seen, 0.0)
+    for number, outline, velocity, unseen_s in zip(seen.ids, seen.outline, seen.velocity, seen_s, strict=False):
+        if not np.abs(outline).max() < ABSURD_M or not np.abs(velocity).max() < ABSURD_MPS:  # false for NaN too
+            continue
+        corners, speed = outline[:, 0] + 1j * outline[:, 1], complex(velocity[0], velocity[1])
+        pieces = _along(corners)
+        middle = complex(pieces.mean())
+        seen_ns = instant_ns - round(unseen_s * 1e9)
+        found.append(Thing(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
+    return tuple(found)
+
+
+def spread(thing: Thing, safety: Safety, now_ns: int) -> Thing:
+    """Where something may be by now that has not been seen for long."""
+    age_s = thing.age_s(now_ns)
+    drift = drift_m(safety, np.array([thing.velocity.real, thing.velocity.imag]), age_s)
+    corners = swept(np.column_stack([thing.pieces.real, thing.pieces.imag]), drift)
+    pieces = _along(corners[:, 0] + 1j * corners[:, 1])
+    middle = complex(pieces.mean())
+    keep_m = thing.keep_m + growth_m(safety, age_s)
+    return Thing(thing.id, pieces, keep_m, 0j, now_ns, middle, float(np.abs(pieces - middle).max()))
+
+
+def border(
+    thing: Thing, places: NDArray[np.complex128], nodes_ns: Sequence[int]
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Array]:
+    """Of a thing as seen from `places` (nodes,), each at its own instant: the nearest piece's centre, the direction away from
+    the thing there, and how far one is out of it, negative inside. All (nodes,)."""
+    moved = np.array([thing.ahead(ns) for ns in nodes_ns])
+    apart = places[:, None] - moved[:, None] - thing.pieces
+    closest = np.abs(apart).argmin(axis=1)
+    away = np.take_along_axis(apart, closest[:, None], axis=1)[:, 0]
+    sign = np.where(_inside(apart), -1.0, 1.0)
+    distance = np.abs(away)
+    direction = np.where(distance > TOUCHING_M, sign * away / np.maximum(distance, TOUCHING_M), 1.0)
+    return thing.pieces[closest] + moved, direction, sign * distance
+
+
+def _inside(apart: NDArray[np.complex128]) -> NDArray[np.bool_]:
+    """Whether the pieces go once round a place, seen from it at -`apart` (places, pieces)."""
+    return np.asarray(np.abs(np.angle(np.roll(apart, -1, axis=1) * apart.conj()).sum(axis=1)) > math.pi)
+
+
+def _along(corners: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """The corners, and points between them no more than SPACING_M apart, in order around."""
+    edges: list[Array] = []
+    for begin, end in zip(corners, np.roll(corners, -1), strict=True):
+        count = max(1, min(math.ceil(abs(end - begin) / SPACING_M), MOST_PIECES // len(corners)))
+        edges.append(begin + (end - begin) * np.arange(count) / count)
+    return np.concatenate(edges)

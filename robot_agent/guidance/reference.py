@@ -1,0 +1,124 @@
+"""What the robot should do next: goals, sampled over the horizon; and going over from one trajectory to another under way."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from wire.frames import Array
+from wire.messages.messages import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Follow:
+    """Fly a trajectory; `time_s` is the time along it now (before its beginning: not started, wait at its first pose), and
+    `rate` how fast that goes: 1 as planned, 0 where the formation waits for somebody."""
+
+    trajectory: Trajectory
+    time_s: float
+    rate: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Hold:
+    """Keep station near a pose, shape (4,). Keep the same object as long as the hold lasts."""
+
+    eta: Array
+
+
+Goal = Follow | Hold
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """The goal at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
+
+    eta: Array  # (horizon + 2, 4)
+    velocity: Array  # (horizon + 2, 4)
+    acceleration: Array  # (horizon + 2, 4)
+
+
+class Sampler:
+    """Samples goals at now and at `offsets_s` (nodes) later."""
+
+    def __init__(self, offsets_s: Array) -> None:
+        self._offsets_s = np.concatenate([[0.0], offsets_s])
+        self._known: Trajectory | None = None
+        self._table = np.zeros((0, 12))
+
+    def path(self, goal: Goal) -> Path:
+        """The goal over the horizon."""
+        if isinstance(goal, Hold):
+            count = len(self._offsets_s)
+            return Path(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
+        rows = self._sample(goal.trajectory, goal.time_s + goal.rate * self._offsets_s)
+        if goal.rate != 1.0:  # the same way at another pace (chain rule); how the pace will change is not known
+            rows[:, 4:8] *= goal.rate
+            rows[:, 8:] *= goal.rate**2
+        return Path(rows[:, :4], rows[:, 4:8], rows[:, 8:])
+
+    def _sample(self, trajectory: Trajectory, time_s: Array) -> Array:
+        """Linear interpolation; before the start and after the end the first and last pose, at rest."""
+        if trajectory is not self._known:
+            self._table = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
+            self._known = trajectory
+        place = (time_s - trajectory.begin_s) / trajectory.period_s
+        rows = interpolate(self._table, place)
+        last = len(self._table) - 1
+        if place[0] < 0.0 or place[-1] > last:
+            rows[:, 4:] *= ((place >= 0.0) & (place <= last))[:, None]
+        return rows
+
+
+def interpolate(table: Array, place: Array) -> Array:
+    """Rows of a table (rows, columns) at fractional row numbers (n,), held beyond its ends."""
+    low = np.floor(place).astype(np.intp)
+    share = (place - low)[:, None]
+    first = table.take(low, axis=0, mode="clip")
+    return first + share * (table.take(low + 1, axis=0, mode="clip") - first)
+
+
+def pose_at(trajectory: Trajectory, time_s: float) -> Array:
+    """The pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
+    pose: Array = interpolate(trajectory.eta, np.array([_row(trajectory, time_s)]))[0]
+    return pose
+
+
+SEAM_M, SEAM_MPS, SEAM_MPS2 = 1e-6, 1e-6, 1e-6  # and radians: the station continues the very samples that the robot has
+ON_GRID = 1e-6  # of a period
+
+
+def spliced(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
+    """The old trajectory from `from_s` on, and the new one from its beginning on; under the new one's id."""
+    seam = _row(old, new.begin_s)
+    first = min(max(int(_row(old, from_s)), 0), round(seam))
+    kept = slice(first, round(seam))
+    return Trajectory(
+        new.id,
+        old.period_s,
+        np.concatenate([old.eta[kept], new.eta]),
+        np.concatenate([old.velocity[kept], new.velocity]),
+        np.concatenate([old.acceleration[kept], new.acceleration]),
+        old.begin_s + first * old.period_s,
+    )
+
+
+def seam_trouble(old: Trajectory, new: Trajectory) -> str:
+    """Why one cannot go over from `old` to `new` where that begins; empty if one can, with nothing that jumps."""
+    row = _row(old, new.begin_s)
+    if abs(new.period_s - old.period_s) > 1e-9 or abs(row - round(row)) > ON_GRID:
+        return "its samples are not at the instants of the trajectory that is flown"
+    if not 0 <= round(row) < len(old.eta):
+        return f"begins at {new.begin_s:.2f} s, outside the trajectory that is flown"
+    for what, unit, limit, before, after in (
+        ("pose", "m or rad", SEAM_M, old.eta, new.eta),
+        ("velocity", "m/s or rad/s", SEAM_MPS, old.velocity, new.velocity),
+        ("acceleration", "m/s2", SEAM_MPS2, old.acceleration[:, :3], new.acceleration[:, :3]),
+    ):
+        jump = float(np.abs(after[0] - before[round(row)]).max())
+        if not jump <= limit:
+            return f"its {what} jumps by {jump:.3g} {unit} at the seam"
+    return ""
+
+
+def _row(trajectory: Trajectory, time_s: float) -> float:
+    return (time_s - trajectory.begin_s) / trajectory.period_s

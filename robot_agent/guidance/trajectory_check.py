@@ -1,0 +1,95 @@
+"""Why a robot could not fly a trajectory: its shape, its consistency, and what it takes against the robot's own vehicle. Pure.
+
+The planner has checked the same before (groundstation/planning/feasibility.py). A robot checks again because a trajectory may
+come from another version, another vehicle file, or a fault in the planner, and it is the robot that would fly it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.config.vehicle import Vehicle
+from wire.messages.messages import Trajectory
+
+PERIOD_S = (0.001, 1.0)
+LATEST_S = 1e6  # of the first sample
+OVER = 1.05  # times a limit: sampled derivatives of a smooth path overshoot by a few percent where a turn begins
+# How far a pose may be from where the velocities before and after it lead, per second of sampling period: m/s and rad/s. At
+# 0.05 s that is 1 mm and 0.025 rad; the shipped experiments' smooth paths need 0.3 um and 0.2 mrad.
+DRIFT = np.array([0.02, 0.02, 0.02, 0.5])
+# How far a velocity may be from where the accelerations before and after it lead, m/s and rad/s. A path that sets off or stops
+# all at once leaps by more, from or to rest; planned paths do that at their first and last pose.
+LEAP = np.array([0.05, 0.05, 0.05, 0.5])
+STILL = 0.1 * LEAP  # of a velocity: that is rest
+AXES = (("x", "m"), ("y", "m"), ("z", "m"), ("yaw", "rad"))
+
+
+def unflyable(trajectory: Trajectory | None, pool_m: tuple[float, float, float], vehicle: Vehicle) -> str:
+    """Why a trajectory cannot be flown by this vehicle in a pool of this size; empty if it can."""
+    if trajectory is None:
+        return "carries no trajectory"
+    if not trajectory.id:
+        return "trajectory.id is empty"
+    low, high = PERIOD_S
+    if not low <= trajectory.period_s <= high:
+        return f"trajectory.period_s = {trajectory.period_s:g}: must be {low:g} to {high:g}"
+    if not 0.0 <= trajectory.begin_s <= LATEST_S:
+        return f"trajectory.begin_s = {trajectory.begin_s:g}: must be 0 to {LATEST_S:g}"
+    lengths = {len(trajectory.eta), len(trajectory.velocity), len(trajectory.acceleration)}
+    if len(lengths) != 1 or min(lengths) < 2:
+        return "trajectory: eta, velocity and acceleration must have the same number of samples, at least 2"
+    inside = np.abs(trajectory.eta[:, :3]) <= [0.5 * pool_m[0], 0.5 * pool_m[1], pool_m[2]]
+    if not inside.all():
+        return f"trajectory.eta leaves the pool at {_time_s(trajectory, int(np.argmin(inside.all(axis=1)))):.2f} s"
+    return _inconsistent(trajectory) or _too_much(trajectory, vehicle)
+
+
+def _inconsistent(trajectory: Trajectory) -> str:
+    """Where poses, velocities and accelerations contradict one another; empty if they do not. The trapezoidal rule leads from
+    each sample to the next; where a velocity leaps, the pose may lie anywhere between what the two velocities make of it."""
+    period_s, velocity = trajectory.period_s, trajectory.velocity
+    leap = np.abs(np.diff(velocity, axis=0))
+    off = np.abs(np.diff(trajectory.eta, axis=0) - 0.5 * period_s * (velocity[1:] + velocity[:-1]))
+    where = _first(off <= period_s * (0.5 * leap + DRIFT))
+    if where is not None:
+        k, axis = where
+        name, unit = AXES[axis]
+        moved = trajectory.eta[k + 1, axis] - trajectory.eta[k, axis]
+        told = 0.5 * period_s * (velocity[k + 1, axis] + velocity[k, axis])
+        at_s = _time_s(trajectory, k)
+        return f"trajectory.eta moves by {moved:.3g} {unit} in {name} at {at_s:.2f} s, its velocities say {told:.3g} {unit}"
+    push = 0.5 * period_s * (trajectory.acceleration[1:] + trajectory.acceleration[:-1])
+    rests: NDArray[np.bool_] = np.asarray((np.abs(velocity) <= STILL).all(axis=1))
+    near = rests.copy()  # a plan that was made of another one's samples leaps in two steps, with one sample between
+    near[1:] |= rests[:-1]
+    near[:-1] |= rests[1:]
+    where = _first((np.abs(np.diff(velocity, axis=0) - push) <= LEAP) | (near[1:] | near[:-1])[:, None])
+    if where is not None:
+        k, axis = where
+        name, unit = AXES[axis]
+        rose = velocity[k + 1, axis] - velocity[k, axis]
+        at_s = _time_s(trajectory, k)
+        return (
+            f"trajectory.velocity changes by {rose:.3g} {unit}/s in {name} at {at_s:.2f} s, its accelerations say "
+            f"{push[k, axis]:.3g} {unit}/s"
+        )
+    return ""
+
+
+def _too_much(trajectory: Trajectory, vehicle: Vehicle) -> str:
+    """What the trajectory takes and the vehicle has not; empty if it has all of it."""
+    for what, unit, _, limit, values in vehicle.demands(trajectory.velocity, trajectory.acceleration):
+        k = int(np.argmax(values))
+        if not values[k] <= OVER * limit:
+            at_s = _time_s(trajectory, k)
+            return f"trajectory takes a {what} of {values[k]:.3g} {unit} at {at_s:.2f} s, this robot's limit is {limit:g}"
+    return ""
+
+
+def _first(fine: NDArray[np.bool_]) -> tuple[int, int] | None:
+    """Row and column of the first entry that is not fine."""
+    bad = np.argwhere(np.logical_not(fine))
+    return (int(bad[0, 0]), int(bad[0, 1])) if len(bad) else None
+
+
+def _time_s(trajectory: Trajectory, sample: int) -> float:
+    return trajectory.begin_s + sample * trajectory.period_s

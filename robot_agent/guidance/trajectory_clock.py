@@ -1,0 +1,138 @@
+"""The trajectory that a robot flies, where on it the robot is to be, and the one that comes next. Pure.
+
+The timetable is the robot's own clock, counted from an instant that all share: START and RESUME name it on the station's
+clock, so a robot that takes one late is at once where it would be by then. The trajectory's clock is the timetable less the
+formation's lag, which the station tells with every heartbeat: so all slow down together. A heartbeat that comes late moves
+nobody's reference, and one that says something else altogether moves it no faster than FASTER allows.
+"""
+
+import numpy as np
+
+from robot_agent.command_check import StationView
+from robot_agent.guidance.reference import Follow, pose_at, seam_trouble, spliced
+from robot_agent.guidance.trajectory_check import unflyable
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages.messages import Command, Order, Trajectory
+
+FARTHEST_S = 60.0  # a start may lie ahead, or be over, by this much; the station names one half a second ahead
+FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with what the station says does so by this much more
+BEGINS = frozenset({Order.START, Order.RESUME})
+
+
+class Course:
+    """One robot's, from LOAD to LOAD."""
+
+    def __init__(self, experiment: Experiment, robot: int) -> None:
+        self._pool_m, self._vehicle = experiment.pool.size_m, experiment.vehicle
+        self._me, self._join_within_m = experiment.robot(robot), experiment.safety.join_within_m
+        self.reached_s = 0.0  # on the trajectory's clock
+        self.trajectory: Trajectory | None = None  # what is flown
+        self._next: Trajectory | None = None  # loaded under way, until SWITCH
+        self._planned_m = 0.0  # from the path's first pose to where the experiment puts the robot into the water
+        self._time_zero_ns = 0  # when the timetable was, or will be, at 0
+        self._earliest_s = 0.0  # waits at this point of it until its time has come
+        self._started_by = 0  # session of the station whose lag counts
+        self._lag_s: float | None = None  # that the reference has; None: what the station says next counts at once
+        self._rate, self._stepped_ns = 1.0, 0
+
+    @property
+    def id(self) -> str:
+        """Of the trajectory; empty if there is none."""
+        return self.trajectory.id if self.trajectory is not None else ""
+
+    def objection(
+        self, command: Command, under_way: bool, station: StationView, begins_ns: int, now_ns: int, eta: Array | None
+    ) -> str:
+        """Why an order about trajectories cannot be followed; empty if it can. START and RESUME count from `begins_ns` on our
+        clock; `eta` (4,) is where the robot is, None if it does not know."""
+        if command.order is Order.LOAD:
+            return unflyable(command.trajectory, self._pool_m, self._vehicle) or (
+                self._unjoinable(command.trajectory) if under_way else ""
+            )
+        if command.order is Order.SWITCH:
+            if self._next is None or self._next.id != command.trajectory_id:
+                return f"trajectory {command.trajectory_id} is not loaded"
+            return self._unjoinable(self._next)
+        if command.order in BEGINS:
+            return self._unstartable(command, station, begins_ns, now_ns, eta)
+        return ""
+
+    def _unjoinable(self, new: Trajectory | None) -> str:
+        if self.trajectory is None or new is None:
+            return "no trajectory is flown"
+        if new.begin_s <= self.reached_s:
+            return f"too late: it begins at {new.begin_s:.2f} s, {self.reached_s:.2f} s have gone by"
+        return seam_trouble(self.trajectory, new)
+
+    def _unstartable(self, command: Command, station: StationView, begins_ns: int, now_ns: int, eta: Array | None) -> str:
+        if self.trajectory is None:
+            return "no trajectory is loaded"
+        if command.trajectory_id != self.id:
+            return f"names trajectory {command.trajectory_id or '(none)'}, this robot has {self.id}"
+        ahead_s = (begins_ns - now_ns) * 1e-9
+        if abs(ahead_s) > FARTHEST_S:
+            return f"begins {ahead_s:.1f} s from now, allowed are -{FARTHEST_S:g} to {FARTHEST_S:g} s"
+        if eta is None:
+            return "the robot does not know where it is"
+        reached_s = command.trajectory_s + max(-ahead_s, 0.0) - self._told(station)[0]
+        away_m = float(np.linalg.norm(pose_at(self.trajectory, reached_s)[:3] - eta[:3]))
+        limit_m = self._planned_m + self._join_within_m
+        if not away_m <= limit_m:
+            planned = f", {self._planned_m:.2f} m of it as planned" if self._planned_m else ""
+            return (
+                f"is {away_m:.2f} m from where its path is at {reached_s:.2f} s, allowed are {limit_m:.2f} m{planned} "
+                "(safety.join_within_m); bring it there, or: groundstation return"
+            )
+        return ""
+
+    def follow(self, command: Command, under_way: bool, station: StationView, begins_ns: int) -> None:
+        """Carry out an order without objection; START and RESUME count from `begins_ns` on our clock."""
+        if command.order is Order.LOAD and under_way:
+            self._next = command.trajectory
+        elif command.order is Order.LOAD and command.trajectory is not None:
+            self._take(command.trajectory)
+        if command.order is Order.SWITCH and self.trajectory is not None and self._next is not None:
+            self.trajectory, self._next = spliced(self.trajectory, self._next, self.reached_s), None
+        if command.order in BEGINS:
+            self._earliest_s, self._started_by = command.trajectory_s, station.session
+            self._time_zero_ns = begins_ns - round(self._earliest_s * 1e9)
+            self._lag_s = None
+
+    def _take(self, trajectory: Trajectory) -> None:
+        self.trajectory, self.reached_s = trajectory, trajectory.begin_s
+        self._planned_m = 0.0
+        if trajectory.begin_s == 0.0:  # the run's own; later ones are made for robots that rest at their beginning
+            put = self._me.start if self._me.start is not None else trajectory.eta[0] + np.array(self._me.start_offset)
+            self._planned_m = float(np.linalg.norm(np.array(put)[:3] - trajectory.eta[0, :3]))
+
+    def drop_next(self) -> None:
+        """Whoever stops flying goes over to nothing."""
+        self._next = None
+
+    def goal(self, station: StationView, now_ns: int) -> Follow | None:
+        """Where to be now; None if there is no trajectory."""
+        if self.trajectory is None:
+            return None
+        self._fall_behind(station, now_ns)
+        self.reached_s = max((now_ns - self._time_zero_ns) * 1e-9, self._earliest_s) - (self._lag_s or 0.0)
+        return Follow(self.trajectory, self.reached_s, self._rate)
+
+    def _fall_behind(self, station: StationView, now_ns: int) -> None:
+        """Take over the formation's lag: at once at a start, later so that the reference never goes back, nor faster than
+        FASTER allows. Of another station than the one that started us nothing counts: the lag stays as it is."""
+        passed_s, self._stepped_ns = max(now_ns - self._stepped_ns, 0) * 1e-9, now_ns
+        if station.session != self._started_by:
+            self._rate = 1.0
+            return
+        wanted_s, rate = self._told(station)
+        before_s = wanted_s if self._lag_s is None else self._lag_s
+        self._lag_s = min(max(wanted_s, before_s - FASTER * passed_s), before_s + passed_s)
+        self._rate = rate if self._lag_s == wanted_s else min(rate, 1.0 - (self._lag_s - before_s) / max(passed_s, 1e-3))
+
+    @staticmethod
+    def _told(station: StationView) -> tuple[float, float]:
+        """The formation's lag now and its pace, 0 to 1, as far as what the station says can be true."""
+        slowing = min(max(station.slowing, 0.0), 1.0)
+        since_s = station.age_s if slowing else 0.0  # infinity if no station was ever heard
+        return max(station.lag_s + slowing * since_s, 0.0), 1.0 - slowing

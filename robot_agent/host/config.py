@@ -1,0 +1,121 @@
+"""SHELL: a board's own configuration: which robot this is, what it is wired to, where its station is.
+
+What is flown, and how, is the experiment's affair and the same on every robot; this file is what differs.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import tomli_w
+from pydantic import AfterValidator, Field, model_validator
+
+from wire.mavlink.board_port import Link, open_link
+from wire.mavlink.signing_key import Signing
+from wire.process.cli_options import DEFAULT_FLEET, DEFAULT_STATION, fleet_name
+from wire.toml_loader import ConfigError, Section, check, read_toml
+
+DEFAULT_LINK = "serial:/dev/ttyACM0:115200"
+
+TEMPLATE = """\
+# What this board is, for `robot-agent run --config {name}`, `robot-agent check` and the systemd unit.
+# Paths may be relative to this file.
+
+# Its number in the experiment.
+robot = {robot}
+# What is flown: a shipped experiment or a path. It must be the station's, key by key.
+{experiment}
+# Where the ground station's Zenoh router listens, and the fleet's name: fleets of different names ignore each other.
+{station}
+{fleet}
+# The thruster board: serial:DEVICE[:BAUD] or udp:HOST:PORT.
+{link}
+# A key that signs this link (`robot-agent link-key FILE`; the board has the same). UDP to another machine needs one, or
+# link_insecure = true:
+{link_key}
+
+# The key ring, with this robot's folder (agent-{robot}) in it. Off this machine a fleet needs keys; without them the network
+# is open to everybody who is on it, and that must be said (insecure = true):
+{keys}
+{insecure}
+
+[realtime]
+# What the operating system allows is done, and the rest is told in the log. The systemd unit allows all of it.
+# SCHED_FIFO priority of the control loop, 1 to 99; 0 leaves it to the ordinary scheduler.
+priority = 20
+# Pin the process, with all its threads, to these CPU cores, for example [3]; empty: any.
+cores = []
+# Keep what it uses out of swap.
+lock_memory = true
+"""
+
+
+class Realtime(Section):
+    """What is asked of the operating system."""
+
+    priority: Annotated[int, Field(ge=0, le=99)] = 0
+    cores: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    lock_memory: bool = False
+
+
+class Board(Section):
+    """The whole file."""
+
+    robot: Annotated[int, Field(ge=1, le=999)]
+    experiment: str
+    station: str
+    fleet: Annotated[str, AfterValidator(fleet_name)] = DEFAULT_FLEET
+    link: str = DEFAULT_LINK
+    link_key: str | None = None
+    link_insecure: bool = False
+    keys: str | None = None
+    insecure: bool = False
+    settings: tuple[str, ...] = ()
+    realtime: Realtime = Realtime()
+
+    @model_validator(mode="after")
+    def _keys_or_not(self) -> Self:
+        if self.insecure and self.keys is not None:
+            raise ValueError("insecure = true beside keys: with keys the network is not open; leave one of them out")
+        return self
+
+
+def load_board(path: Path) -> Board:
+    """The checked file, its paths made absolute. Raises ConfigError."""
+    board = check(Board, read_toml(path), str(path))
+    beside = path.resolve().parent
+    changes = {}
+    if board.keys is not None:
+        changes["keys"] = str(beside / board.keys)
+    if board.link_key is not None:
+        changes["link_key"] = str(beside / board.link_key)
+    if board.experiment.endswith(".toml"):
+        changes["experiment"] = str(beside / board.experiment)
+    return board.model_copy(update=changes)
+
+
+def choose(given: Mapping[str, Any], config: Path | None) -> Board:
+    """The board of a command line: what is `given` (not None) goes before the file, the file before the defaults."""
+    table: dict[str, Any] = {"station": DEFAULT_STATION}
+    if config is not None:
+        table |= load_board(config).model_dump()
+    table |= {key: value for key, value in given.items() if value is not None}
+    for key, how in (("experiment", "name it"), ("robot", "--robot N")):
+        if key not in table:
+            raise ConfigError(f"which {key}? {how}, or --config FILE (`robot-agent init` writes one)")
+    return check(Board, table, "command line" if config is None else f"command line and {config}")
+
+
+def open_board(board: Board) -> tuple[Link, Signing | None]:
+    """The link to the thruster board, and what it is signed with. Raises ConfigError."""
+    signing = Signing.of(Path(board.link_key), "agent") if board.link_key is not None else None
+    return open_link(board.link, secured=signing is not None or board.link_insecure), signing
+
+
+def template(name: str, board: Board) -> str:
+    """The commented file of a board, as `init` writes it."""
+    given = board.model_dump(include={"experiment", "station", "fleet", "link", "link_key", "keys"}, exclude_none=True)
+    written = {key: tomli_w.dumps({key: value}).rstrip() for key, value in given.items()}
+    left_out = {"link_key": '# link_key = "link.key"', "keys": '# keys = "keys"'}
+    insecure = "insecure = true" if board.insecure else "# insecure = true"
+    return TEMPLATE.format(name=name, robot=board.robot, insecure=insecure, **{**left_out, **written})

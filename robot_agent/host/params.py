@@ -1,0 +1,159 @@
+"""SHELL: `robot-agent params`: the parameters of the thruster board, read and written."""
+
+import math
+import re
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from robot_agent.host.config import DEFAULT_LINK
+from wire.mavlink.board_port import Link, open_link
+from wire.mavlink.parameters import LINK_ID, ParameterClient
+from wire.mavlink.signing_key import Signing
+from wire.process.cli_options import LinkInsecure, LinkKey
+from wire.toml_loader import ConfigError
+
+AGAIN_S = 0.3  # between one question and its repetition
+WITHIN_S = 5.0  # for an answer
+LARGEST = 3.4028234e38  # of single precision, which parameters have on the wire
+
+LinkAddress = Annotated[str, typer.Option("--link", help="The thruster board: udp:HOST:PORT or serial:DEVICE[:BAUD].")]
+WhichRobot = Annotated[int | None, typer.Option("--robot", help="Whose board; default: the one that is heard first.")]
+Name = Annotated[str, typer.Argument(metavar="NAME", help="The parameter's name, for example SLEW_US_S.")]
+
+cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They change only while it is disarmed.")
+
+
+class Talk:
+    """A board, and whoever asks it."""
+
+    def __init__(self, link: Link, client: ParameterClient) -> None:
+        self._link, self.client = link, client
+
+    def until(self, done: Callable[[], bool], ask: Callable[[], bytes]) -> bool:
+        """Ask, and ask again, until `done()`; whether it came to that."""
+        end_s = time.monotonic() + WITHIN_S
+        asked_s = 0.0
+        while time.monotonic() < end_s:
+            if time.monotonic() - asked_s > AGAIN_S:
+                asked_s = time.monotonic()
+                self._link.send(self.client.heartbeat() + ask())
+            self._link.wait(0.05)
+            self.client.receive(self._link.read(), time.monotonic_ns())
+            if done():
+                return True
+        return False
+
+
+@contextmanager
+def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[Talk]:
+    signing = Signing.of(key, "params", LINK_ID) if key is not None else None
+    client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
+    wires = open_link(link, secured=signing is not None or insecure)
+    try:
+        talk = Talk(wires, client)
+        if not talk.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
+            raise ConfigError(f"--link {link}: {client.silence(wires.trouble)}")
+        yield talk
+    finally:
+        wires.close()
+
+
+@cli.command("list")
+def list_all(
+    link: LinkAddress = DEFAULT_LINK, robot: WhichRobot = None, key: LinkKey = None, insecure: LinkInsecure = False
+) -> None:
+    """Print all parameters, one a line: name, value.
+
+    Example:  robot-agent params list --link serial:/dev/ttyACM0
+    """
+    with _talk(link, robot, key, insecure) as talk:
+        if not talk.until(lambda: talk.client.complete, talk.client.ask_all):
+            raise ConfigError(f"--link {link}: the board told {len(talk.client.values)} parameters, and then no more")
+        for name, value in talk.client.values.items():
+            typer.echo(f"{name:16} {value:.7g}")
+
+
+@cli.command()
+def get(
+    name: Name, link: LinkAddress = DEFAULT_LINK, robot: WhichRobot = None, key: LinkKey = None, insecure: LinkInsecure = False
+) -> None:
+    """Print one parameter's value.
+
+    Example:  robot-agent params get SLEW_US_S --link serial:/dev/ttyACM0
+    """
+    _check_name(name)
+    with _talk(link, robot, key, insecure) as talk:
+        client = talk.client
+        talk.until(lambda: name in client.values or client.error is not None, lambda: client.ask(name))
+        typer.echo(f"{_found(client, name):.7g}")
+
+
+@cli.command("set")
+def set_one(
+    name: Name,
+    value: Annotated[float, typer.Argument(metavar="VALUE", help="Its new value.")],
+    link: LinkAddress = DEFAULT_LINK,
+    robot: WhichRobot = None,
+    key: LinkKey = None,
+    insecure: LinkInsecure = False,
+) -> None:
+    """Give a parameter another value. Exit code 2 if the board refuses it, with the reason.
+
+    Example:  robot-agent params set THR1_TRIM_US -- -12
+    """
+    _check_name(name)
+    if not abs(value) <= LARGEST:  # as NaN is not
+        raise ConfigError(f"{name} {value:g}: no value for a parameter (allowed: numbers up to {LARGEST:g})")
+    with _talk(link, robot, key, insecure) as talk:
+        client, close = talk.client, 1e-6 * max(abs(value), 1.0)  # it comes back in single precision
+        done = talk.until(
+            lambda: client.error is not None or abs(client.values.get(name, math.inf) - value) <= close,
+            lambda: client.set(name, value),
+        )
+        now = _found(client, name)
+        if client.error is not None or not done:
+            raise ConfigError(f"{name} is still {now:.7g}: {client.said or 'the board does not say why'}")
+        typer.echo(f"{name} = {now:.7g}")
+
+
+@cli.command("give-key")
+def give_key(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The key: `robot-agent link-key FILE` makes one.")],
+    link: LinkAddress = DEFAULT_LINK,
+    robot: WhichRobot = None,
+) -> None:
+    """Give a board that has no key this one: from then on it takes only what is signed with it.
+
+    Over a cable, and disarmed: whoever can read the wire has the key. A board that has a key keeps it.
+
+    Example:  robot-agent params give-key robot-1.key --link serial:/dev/ttyACM0
+    """
+    signing = Signing.of(file, "params", LINK_ID)
+    with _talk(link, robot, None, insecure=False) as talk:
+        client, newest = talk.client, signing.stamps()
+        talk.until(lambda: client.signed or client.said.startswith("no new key"), lambda: client.give(signing.key, newest))
+        if client.said.startswith("no new key"):
+            raise ConfigError(f"--link {link}: {client.said}")
+        robot = client.robot_id
+    with _talk(link, robot, file, insecure=False) as talk:
+        if not talk.until(lambda: talk.client.told > 0, talk.client.ask_all):
+            raise ConfigError(f"--link {link}: the board does not answer to the key")
+    typer.echo(f"robot {robot}: the link is signed with {file}")
+
+
+def _check_name(name: str) -> None:
+    if not re.fullmatch(r"[!-~]{1,16}", name):
+        raise ConfigError(
+            f"{name!r}: no parameter's name (allowed: 1 to 16 ASCII characters, as `robot-agent params list` has them)"
+        )
+
+
+def _found(client: ParameterClient, name: str) -> float:
+    if name not in client.values:
+        raise ConfigError(f"{name}: {'the board has no such parameter' if client.error is not None else 'no answer'}")
+    return client.values[name]

@@ -1,0 +1,75 @@
+"""SHELL: telling systemd that this process is up, what its robot does, and that its control loop goes round (Type=notify,
+WatchdogSec).
+
+The protocol of sd_notify(3) is one datagram to the socket that $NOTIFY_SOCKET names. It goes out from the completed control
+step and from nowhere else: no thread of its own could vouch for a loop that hangs. While the process still waits for its
+station there is no loop to vouch for; that wait says so itself.
+
+What the robot does also stands in the file `status` of the service's runtime folder, with the process's number:
+`groundstation deploy` reads it before it restarts the service (groundstation/deploy/templates/armed.sh).
+"""
+
+import contextlib
+import os
+import socket
+from pathlib import Path
+
+TIMES_A_WATCH = 4  # per watchdog period: one may be late and one lost
+
+
+class Watchdog:
+    """The service manager's ear; nobody's, where there is none."""
+
+    def __init__(self, environment: dict[str, str] | None = None) -> None:
+        found = dict(os.environ) if environment is None else environment
+        address = found.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address  # an abstract socket's begins with an @
+        mine = found.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+        watch_us = found.get("WATCHDOG_USEC", "")
+        self._every_ns = int(watch_us) * 1000 // TIMES_A_WATCH if mine and watch_us.isdecimal() else 0
+        self._due_ns = 0
+        folder = found.get("RUNTIME_DIRECTORY", "")
+        self._status = Path(folder) / "status" if folder else None
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) if self._address else None
+        if self._socket is not None:
+            self._socket.setblocking(False)
+
+    def ready(self, status: str) -> None:
+        """The process does what it is for."""
+        self._send(f"READY=1\nSTATUS={status}")
+
+    def mode(self, mode: str, why: str = "") -> None:
+        """What the robot does from now on: a mode's name, and a reason for people."""
+        if self._status is not None:
+            new = self._status.with_suffix(".new")
+            with contextlib.suppress(OSError):  # without the file a deployment asks for --force
+                new.write_text(f"{mode} {os.getpid()}\n", encoding="ascii")
+                new.replace(self._status)
+        self._send(f"STATUS={mode.lower()}{f': {why}' if why else ''}")
+
+    def alive(self, now_ns: int) -> None:
+        """The loop has gone round once more. `now_ns` is monotonic."""
+        if self._every_ns and now_ns >= self._due_ns:
+            self._due_ns = now_ns + self._every_ns
+            self._send("WATCHDOG=1")
+
+    def stopping(self) -> None:
+        """The process ends because it was told to."""
+        self._send("STOPPING=1")
+        if self._status is not None:
+            with contextlib.suppress(OSError):
+                self._status.unlink(missing_ok=True)
+
+    def _send(self, text: str) -> None:
+        if self._socket is None:
+            return
+        try:
+            self._socket.sendto(text.encode(), self._address)
+        except OSError:  # nobody listens, or too slowly: the loop does not wait for that
+            return
+
+    def close(self) -> None:
+        """Forget the socket."""
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None

@@ -1,0 +1,358 @@
+"""SHELL: one robot's process around its core: read, step, publish.
+
+By the wall clock a step comes once a period, on a grid that follows the camera slowly (step_clock.py), and no later than the
+instant at which the last pose gets too old. An order that takes the power away does not wait for it: it brings a step of its
+own. In lockstep a step comes when the simulator says so and every input it names is here.
+
+However the loop ends, asked to or by an exception, the first thing that happens is that the thruster board is told to be
+neutral and to disarm. It would do so by itself, but only 0.25 s later.
+"""
+
+import logging
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+from robot_agent.agent import Agent, Outputs
+from robot_agent.control.live_tuning import Prepared
+from robot_agent.host.sd_notify import Watchdog
+from robot_agent.host.step_clock import Pace
+from robot_agent.safety.modes import POWERED
+from robot_agent.step_record import answered, inputs_of, noted, order_noted, station_view
+from wire.config.experiment import Experiment
+from wire.mavlink.agent_link import ACCEPTED, ARM_DISARM
+from wire.mavlink.board_port import Link
+from wire.mavlink.signing_key import Signing, agent_end
+from wire.messages import topics
+from wire.messages.codec import Header
+from wire.messages.messages import (
+    Command,
+    LocalizerStatus,
+    Mode,
+    Obstacles,
+    Plan,
+    Pose,
+    Reply,
+    StationHeartbeat,
+    StepInputs,
+    Tick,
+)
+from wire.process.runtime import SLICE_S, Clock, Lockstep, LockstepClock, Reminder, Stop, WallClock, log, log_to_bus, wait
+from wire.transport.bus import Bus, Received
+from wire.transport.command_deduplication import ALWAYS_TAKEN
+
+DISARMED = (ARM_DISARM, ACCEPTED)  # the board's answer
+LINK_HEARTBEAT_S = 1.0
+CLOCK_PERIOD_S = 1.0
+CLOCK_WAIT_S = 0.01  # for the board's answer about its time: its loop, 5 ms, and the way. What is left of the period is longer
+LEAVE_S = 0.25  # for the board's answer that it is disarmed; after that long without pulses it is by itself
+LEAVE_AGAIN_S = 0.01  # how often it is told meanwhile
+LEAVE_TIMES = 3  # at the least: one datagram of ten may be lost
+
+
+class Shell:
+    """Inboxes, link and clock of one robot."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        robot: int,
+        bus: Bus,
+        link: Link,
+        lockstep: bool,
+        stop: Stop,
+        watchdog: Watchdog | None = None,
+        signing: Signing | None = None,
+    ) -> None:
+        """With `signing` what goes to the board is signed, and so must be what it says."""
+        self.agent = Agent(experiment, robot)
+        self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
+        self._watchdog = watchdog or Watchdog({})
+        self._clock: Clock = LockstepClock() if lockstep else WallClock()
+        self._lockstep = Lockstep(bus, stop, self._clock) if isinstance(self._clock, LockstepClock) else None
+        self._signing = signing
+        self._mavlink = agent_end(robot, signing)
+        self._poses = bus.inbox(topics.POSE, Pose, robot)
+        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus) if lockstep else None
+        self._heartbeats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        others = (r for r in experiment.robot_ids if r != robot)
+        self._plans = bus.inboxes(topics.PLAN, Plan, others, wakes=lockstep)
+        self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
+        self._obstacles_up_to_ns: int | None = None
+        self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
+        self._hurry = threading.Event()  # an order took the power away: the thrusters are not to wait for the next pose
+        self._link_heartbeat_s = self._clocks_compared_s = 0.0
+        self._dropped = 0  # frames of the board, for their signature
+        self._trouble = ""  # that the link was last said to have
+        self._pace = Pace(experiment.controller.period_s, time.monotonic())
+        self._failure: BaseException | None = None  # of an order, on a network thread: the loop ends with it
+        self._leaving = False
+        self._steps = self._orders = 0  # of this agent, as the log counts them
+        self._station_session = 0
+        self._told = (Mode.DISARMED, "")
+
+    def run(self) -> None:
+        """Fly until told to stop. Raises what ended the control loop otherwise. Either way the board is disarmed first."""
+        log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
+        self._stop.on_request(self._awake)
+        try:
+            self._bus.serve(self._robot, self._order)
+            self._greet()
+            self._bus.announce(f"agent-{self._robot}")
+            log.info("ready, experiment %s", self._experiment.hash[:8])
+            self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
+            self._watchdog.mode(self.agent.mode.name)
+            self._fly()
+        except BaseException as error:
+            self._leave(f"the control loop has ended: {type(error).__name__}: {error}", logging.ERROR)
+            raise
+        self._leave("told to stop")
+
+    def _fly(self) -> None:
+        for due_ns, up_to_ns in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
+            if self._failure is not None:
+                raise self._failure
+            started_ns = time.perf_counter_ns()
+            now_ns = self._clock.now_ns()
+            with self._turn:
+                record, outputs = self._step(now_ns, up_to_ns)
+            self._write(outputs, now_ns, due_ns, started_ns)
+            self._watchdog.alive(time.monotonic_ns())
+            self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
+            self._compare_clocks()
+
+    def _awake(self) -> None:
+        """Let the loop look at once at what has happened, wherever it sleeps."""
+        self._hurry.set()
+        with self._bus.arrival:
+            self._bus.arrival.notify_all()
+
+    def _leave(self, why: str, level: int = logging.INFO) -> None:
+        """Tell the board to be neutral and to disarm, until it says that it has. Nothing else is told to it any more."""
+        self._leaving = True
+        before, until_s = self._mavlink.telemetry.acknowledgements, time.monotonic() + LEAVE_S
+        told, disarmed = 0, False
+        while told < LEAVE_TIMES or (not disarmed and time.monotonic() < until_s):
+            self._link.send(self._mavlink.arm(False))
+            self._link.send(self._mavlink.pulses(self.agent.neutral_us))
+            told += 1
+            self._link.wait(LEAVE_AGAIN_S)
+            self._mavlink.receive(self._link.read(), self._clock.now_ns())
+            seen = self._mavlink.telemetry
+            disarmed = seen.acknowledgements > before and seen.acknowledged == DISARMED and not seen.armed
+        log.log(
+            level if disarmed else max(level, logging.WARNING),
+            "%s; neutral and disarm sent to the thruster board, %s", why,
+            "which says that it is disarmed" if disarmed else f"which has not said within {LEAVE_S:g} s that it is disarmed",
+        )  # fmt: skip
+
+    def _greet(self) -> None:
+        """Let a board behind UDP learn where we are; it may not be there yet."""
+        self._link.send(self._mavlink.heartbeat())
+        if self._signing is not None:
+            try:
+                self._signing.stamps.renew(self._mavlink.stamp)
+            except OSError as error:  # a full disk is no reason to stop; only a restart would come too early for the board
+                log.warning("the times of signatures cannot be kept: %s", error)
+
+    def _tell_of_link(self) -> None:
+        """Say why nothing gets through to the board, when that changes: a device that is not there, or that another has."""
+        trouble = self._link.trouble
+        if trouble and trouble != self._trouble:
+            log.warning("thruster board: %s", trouble)
+        self._trouble = trouble
+
+    def _tell_of_strangers(self) -> None:
+        """Say that frames were dropped for their signature, once a second at most."""
+        seen = self._mavlink.telemetry
+        dropped = seen.unsigned_frames + seen.forged_frames + seen.replayed_frames
+        if dropped > self._dropped:
+            log.warning(
+                "link: %d frames dropped for their signature: %d without, %d with another key, %d replayed",
+                dropped - self._dropped, seen.unsigned_frames, seen.forged_frames, seen.replayed_frames,
+            )  # fmt: skip
+            self._dropped = dropped
+
+    def _compare_clocks(self) -> None:
+        """Once a second ask the board's time, and wait for the answer no longer than what is left of the period surely allows.
+        In lockstep time waits for the step, and there is nothing to measure."""
+        deadline_s = time.monotonic() + CLOCK_WAIT_S
+        if self._lockstep or deadline_s - self._clocks_compared_s < CLOCK_PERIOD_S:
+            return
+        self._clocks_compared_s = deadline_s
+        before = self._mavlink.telemetry.round_trips
+        self._link.send(self._mavlink.timesync(self._clock.now_ns()))
+        while self._mavlink.telemetry.round_trips == before and (left_s := deadline_s - time.monotonic()) > 0:
+            self._link.wait(left_s)
+            self._mavlink.receive(self._link.read(), self._clock.now_ns())
+
+    def _order(self, header: Header, command: Command) -> Reply:
+        agent = self.agent
+        try:
+            prepared = agent.prepare(command)  # what is long to make is made beside the steps
+            with self._turn:
+                if self._leaving and command.order not in ALWAYS_TAKEN:
+                    return Reply(self._robot, False, f"{command.order.name}: the robot's program is ending", self.agent.mode)
+                reply = self._obey(header, command, prepared if agent is self.agent else None)
+        except Exception as error:  # half an order may have been carried out: nobody flies on with that
+            self._failure = error
+            self._awake()
+            return Reply(
+                self._robot, False, f"{command.order.name}: {type(error).__name__}: {error}; the robot's program ends"
+            )
+        log.info("%s: %s", command.order.name, "accepted" if reply.accepted else f"refused: {reply.reason}")
+        return reply
+
+    def _obey(self, header: Header, command: Command, prepared: Prepared | None) -> Reply:
+        # In lockstep the station may have taken up a tick that we have not: an order of that tick is given in it.
+        now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
+        heartbeat = self._station()
+        record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
+        powered = self.agent.mode in POWERED
+        reply = self.agent.order(header, command, station_view(record, now_ns), now_ns, prepared)
+        self._orders += 1
+        if powered and self.agent.mode not in POWERED:
+            self._awake()
+        self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
+        return reply
+
+    # --- inputs
+
+    def _step(self, now_ns: int, up_to_ns: int | None) -> tuple[StepInputs, Outputs]:
+        """Note what there is to go by, and step on it."""
+        self._mavlink.receive(self._link.read(), now_ns)
+        heartbeat, obstacles = self._station(), self._obstacles.newest(self._obstacles_up_to_ns)
+        heard = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
+        plans = {robot: plan for robot, plan in heard.items() if plan is not None}
+        telemetry = self._mavlink.telemetry
+        pose = self._poses.newest()
+        record = noted(self._steps, self._pace.late_steps, self._clock, pose, heartbeat, telemetry, plans, obstacles)
+        self._steps += 1
+        messages = {robot: plan.message for robot, plan in plans.items()}
+        seen = obstacles.message if obstacles is not None else None
+        return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
+
+    def _station(self) -> Received[StationHeartbeat] | None:
+        """The station as heard last. With one that it meets for the first time a robot that is disarmed begins anew: the log
+        that the station writes then has all that the agent remembers."""
+        heartbeat = self._heartbeats.newest()
+        if heartbeat is not None and heartbeat.header.session != self._station_session:
+            self._station_session = heartbeat.header.session
+            if self._steps and self.agent.mode is Mode.DISARMED:
+                self.agent = Agent(self._experiment, self._robot)
+                self._steps = self._orders = 0
+        return heartbeat
+
+    # --- pace: when a step is due, and up to which stamp neighbours' plans count
+
+    def _wall_pace(self) -> Iterator[tuple[int, None]]:
+        pace = self._pace = Pace(self._experiment.controller.period_s, time.monotonic())
+        taken: Received[Pose] | None = None
+        while not self._stop.requested:
+            due_s = self._await_step(pace, taken)
+            if self._stop.requested:
+                return
+            self._hurry.clear()
+            now_s, pose = time.monotonic(), self._poses.newest()
+            pace.stepped(now_s, _arrived_s(pose, taken))
+            taken = pose
+            yield self._clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9), None
+
+    def _await_step(self, pace: Pace, taken: Received[Pose] | None) -> float:
+        """Sleep until the next step. Returns when it was due, on the monotonic clock. `taken` is the last step's pose."""
+        react_by_s = self._react_by_s()
+        # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
+        self._hurry.wait(max(min(pace.opens_s, react_by_s) - time.monotonic(), 0.0))
+        while not self._stop.requested and not self._hurry.is_set():
+            seen = self._poses.newest_header()
+            due_s = min(pace.due_s(_arrived_s(self._poses.newest(), taken)), react_by_s)
+            left_s = due_s - time.monotonic()
+            if left_s <= 0.0:
+                return due_s
+            wait(
+                self._bus,
+                self._stop,
+                lambda seen=seen: self._hurry.is_set() or self._poses.newest_header() is not seen,  # type: ignore[misc]
+                left_s,
+            )
+        return time.monotonic()
+
+    def _react_by_s(self) -> float:
+        """When the pose gets too old, on the monotonic clock; infinity if it does not, or is so already."""
+        react_by_ns, now_ns = self.agent.react_by_ns, self._clock.now_ns()
+        if react_by_ns is None or react_by_ns <= now_ns:
+            return float("inf")
+        return time.monotonic() + (react_by_ns - now_ns) * 1e-9
+
+    def _lockstep_pace(self, lockstep: Lockstep) -> Iterator[tuple[int, int]]:
+        # Greeted until the first tick and not after: what reaches the board must not depend on how long a tick takes.
+        tick = lockstep.next(meanwhile=self._greet)
+        while tick is not None and self._await_inputs(lockstep, tick):
+            yield tick.now_ns, tick.previous_ns
+            tick = lockstep.next()
+
+    def _await_inputs(self, lockstep: Lockstep, tick: Tick) -> bool:
+        """Wait for all that counts at a tick. False when told to stop."""
+        assert self._localizer is not None
+        up_to_ns = lockstep.await_sight(tick, self._localizer, {self._robot: self._poses}, self._obstacles)
+        if up_to_ns is None or not lockstep.await_all([(self._heartbeats, tick.now_ns)]):
+            return False
+        self._obstacles_up_to_ns = up_to_ns
+        heartbeat = self._heartbeats.newest()
+        planned = heartbeat.message.planned if heartbeat is not None else ()
+        plans = [(inbox, tick.previous_ns) for robot, inbox in self._plans.items() if robot in planned]
+        return lockstep.await_all(plans) and self._await_board(tick)
+
+    def _await_board(self, tick: Tick) -> bool:
+        """Wait for the board's burst that counts at this tick. False when told to stop."""
+        wanted = dict(zip(tick.robots, tick.board_ms, strict=True)).get(self._robot, 0)
+        reminder = Reminder()
+        while not self._stop.requested:
+            self._mavlink.receive(self._link.read(), tick.now_ns)
+            if self._mavlink.telemetry.board_ms >= wanted:
+                return True
+            self._link.wait(SLICE_S)
+            if reminder.due():
+                log.warning("lockstep: waiting for the board's burst of %d ms", wanted)
+        return False
+
+    # --- outputs
+
+    def _write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
+        """Board first: everything else can wait."""
+        step_ns = time.perf_counter_ns() - started_ns
+        if outputs.arm is not None:
+            self._link.send(self._mavlink.arm(outputs.arm))
+        if now_ns * 1e-9 - self._link_heartbeat_s >= LINK_HEARTBEAT_S:
+            self._link_heartbeat_s = now_ns * 1e-9
+            self._tell_of_link()
+            self._greet()
+            self._tell_of_strangers()
+        self._link.send(self._mavlink.pulses(outputs.pulse_us))
+        sent_ns = time.perf_counter_ns() - started_ns
+        if not self._lockstep:  # where time waits for the step, nothing is late
+            self._pace.put_out((sent_ns + now_ns - due_ns) * 1e-9)
+        if outputs.plan is not None:
+            self._bus.publish(topics.PLAN, outputs.plan, now_ns, self._robot, age_ns=0 if self._lockstep else sent_ns)
+        latency_ms = outputs.state.pose_age_ms + (0.0 if self._lockstep else sent_ns * 1e-6)
+        telemetry = self._mavlink.telemetry
+        state = replace(
+            outputs.state,
+            step_us=step_ns * 1e-3,
+            exposure_to_pwm_ms=latency_ms,
+            missed_deadlines=self._pace.missed,
+            board_round_trip_ms=telemetry.round_trip_ns * 1e-6,
+            board_clock_offset_s=telemetry.clock_offset_ns * 1e-9,
+        )
+        self._bus.publish(topics.STATE, state, now_ns, self._robot)
+        if (state.mode, state.fault) != self._told:
+            self._told = (state.mode, state.fault)
+            self._watchdog.mode(state.mode.name, state.fault)
+            say = log.warning if state.fault else log.info
+            say("%s%s", state.mode.name.lower(), f": {state.fault}" if state.fault else "")
+
+
+def _arrived_s(pose: Received[Pose] | None, taken: Received[Pose] | None) -> float | None:
+    """When a pose came, on the monotonic clock; None if there is none, or it is the one that has been taken."""
+    return None if pose is None or pose is taken else pose.arrived_ns * 1e-9

@@ -1,0 +1,156 @@
+"""How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
+
+from robot_agent.command_check import StationView
+from robot_agent.control.controller import ControlOutput
+from robot_agent.inputs import Inputs
+from robot_agent.safety.modes import LIVE, POWERED, Health
+from robot_agent.safety.output_check import EchoCheck
+from robot_agent.safety.path_deviation import PathWatch
+from robot_agent.safety.thruster_fault_detection import ThrusterWatch
+from robot_agent.vehicle.allocation import Allocator
+from robot_agent.vehicle.battery import Gauge
+from wire.config.experiment import Experiment
+from wire.messages.messages import Mode, Track
+
+ARM_AGAIN_S = 0.2  # how often the board is asked to arm, or later to disarm, when it has not done as told
+DISARM_S = 0.5  # so long after the power is taken away every step disarms, whatever the board says: frames get lost
+NEVER_S = float("inf")
+DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
+
+
+class Vitals:
+    """What is remembered of one robot's senses from step to step."""
+
+    def __init__(self, experiment: Experiment) -> None:
+        self._safety, self._markers = experiment.safety, experiment.localizer.markers
+        self._period_s = experiment.controller.period_s
+        self._battery = Gauge(experiment.vehicle.battery)
+        self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
+        self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
+        self._depth, self._pool = PathWatch(experiment.safety.off_depth_m), experiment.pool
+        self._output: ControlOutput | None = None  # of the last control step
+        self._mode = Mode.DISARMED
+        self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
+        self._verified_ns: int | None = None  # and of the last one that is surely this robot
+        self._armed_since_ns: int | None = None  # since when the board should be armed and is not
+        self._board_armed = False  # the board has armed since it was last to be disarmed
+        self._wanted: bool | None = None  # whether the board is to be armed; None before the first step
+        self._wanted_since_ns = 0
+        self._asked_ns: int | None = None  # when the board was last told so
+        self._estimated = self._estimate_ended = False
+
+    def note(self, inputs: Inputs, mode: Mode, now_ns: int) -> None:
+        """Take in what a step has to go by, in the mode that the robot has been in until now."""
+        seen, telemetry = inputs.pose, inputs.telemetry
+        if seen is not None and seen.pose.track >= Track.KCF:
+            self._sighted_ns = seen.instant_ns
+            if seen.pose.identity_verified or not self._markers:
+                self._verified_ns = seen.instant_ns
+        if mode is not self._mode:
+            self._path.reset()
+            self._depth.reset()
+        self._mode = mode
+        self._battery.note(telemetry, now_ns)
+        self._echo.note(telemetry, now_ns)
+        if mode not in POWERED:
+            self._thrusters.reset()
+            self._estimate_ended = False
+        elif telemetry.board_ms >= 0:
+            self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
+
+    def told(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
+        """These pulses went out: what board and gyroscope will be held against."""
+        self._echo.told(pulse_us, now_ns)
+        self._thrusters.told(self._allocator.turning(pulse_us), now_ns)
+
+    def flew(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
+        """What a control step found out about how the robot moves, in the mode that it is in now."""
+        self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
+        self._estimated = output.estimated
+        place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
+        self._path.step(place_m, path_m, output.is_free, now_ns)
+        depth_m, path_depth_m = (complex(eta[2]) for eta in (output.eta, output.eta_reference))
+        self._depth.step(depth_m, path_depth_m, True, now_ns)  # nobody makes room by depth
+        self._output = output
+
+    @property
+    def neutral_us(self) -> tuple[int, ...]:
+        """Pulses with which no thruster turns: 4 thrusters, 4 ankles."""
+        return self._allocator.neutral_us
+
+    def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
+        """What reactions look at. Asks only: nothing is changed by it."""
+        telemetry = inputs.telemetry
+        disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
+        if self._board_armed and not telemetry.armed:
+            disarmed_s = NEVER_S  # by itself, and it knows why: only a person may arm it again
+        return Health(
+            pose_age_s=_age_s(self._sighted_ns, now_ns),
+            identity_age_s=_age_s(self._verified_ns, now_ns),
+            station_age_s=inputs.station.age_s,
+            board_age_s=_age_s(telemetry.arrival_ns if telemetry.board_ms >= 0 else None, now_ns),
+            board_disarmed_s=disarmed_s,
+            battery_empty=self._battery.empty,
+            emergency_stop=inputs.emergency_stop,
+            solver_failed=solver_failed,
+            late_s=round(inputs.late_steps * self._period_s, 9),
+            echo_wrong_s=self._echo.wrong_s,
+            thrusters_broken=self._thrusters.broken,
+            off_path=self._path.left,
+            estimate_ended=self._estimate_ended,
+            off_depth=self._depth.left,
+            depth_age_s=self._output.depth_age_s if self._output is not None else 0.0,
+            depth_leap=self._output.depth_leap if self._output is not None else "",
+            leap=self._output.leap if self._output is not None else "",
+        )
+
+    def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
+        """Why not to arm now; empty if nothing is against it."""
+        health, limit_s = self.health(inputs, False, now_ns), self._safety.pose_hold_s
+        if inputs.emergency_stop:
+            return "the emergency stop is down"
+        if station.age_s > self._safety.station_hold_s:
+            return "no station is heard"
+        if health.board_age_s > limit_s:
+            return f"the thruster board was last heard {health.board_age_s:.2f} s ago"
+        if inputs.telemetry.armed:
+            return "the thruster board is still armed"
+        if health.pose_age_s > limit_s:
+            return f"the last pose is {health.pose_age_s:.2f} s old"
+        if health.identity_age_s > limit_s:
+            return "its identity is not verified: no marker was read"
+        depth_m = inputs.telemetry.depth_m
+        floor_m = self._pool.size_m[2]
+        if self._pool.walls and not -DEPTH_SLACK_M <= depth_m <= floor_m + DEPTH_SLACK_M:
+            return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"
+        if health.depth_age_s > self._safety.pose_neutral_s:
+            return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
+        return self._battery.unfit(now_ns)
+
+    def arming(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
+        """What to tell a board that says that it is armed, or not; None: nothing, or not again so soon. To be called once at
+        each step. When the power has just been taken away, or the program has just begun, each step disarms."""
+        wanted = mode in LIVE
+        if wanted is not self._wanted:
+            self._wanted, self._wanted_since_ns, self._asked_ns = wanted, now_ns, None
+        if armed == wanted:
+            self._armed_since_ns, self._board_armed = None, wanted
+        elif self._armed_since_ns is None or not wanted:
+            self._armed_since_ns = now_ns if wanted else None
+        insists = not wanted and now_ns - self._wanted_since_ns < DISARM_S * 1e9
+        is_due = self._asked_ns is None or now_ns - self._asked_ns >= ARM_AGAIN_S * 1e9
+        if not insists and (armed == wanted or not is_due):
+            return None
+        self._asked_ns = now_ns
+        return wanted
+
+    def react_by_ns(self, mode: Mode) -> int | None:
+        """When the pose will be too old to go on as now."""
+        if mode not in POWERED or self._sighted_ns is None:
+            return None
+        limit_s = self._safety.pose_hold_s if mode is Mode.TRACKING else self._safety.pose_neutral_s
+        return self._sighted_ns + round(limit_s * 1e9) + 1
+
+
+def _age_s(instant_ns: int | None, now_ns: int) -> float:
+    return NEVER_S if instant_ns is None else (now_ns - instant_ns) * 1e-9

@@ -1,0 +1,146 @@
+"""What a robot may do, and what makes it stop: two tables and the function that reads them.
+
+ORDERS says which orders are accepted in which mode. REACTIONS says what happens by itself, first match first; nothing ever
+leads by itself back to thrust. docs/modes.md draws both (`robot-agent modes`).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from wire.config.controller import Safety
+from wire.messages.messages import Mode, Order
+
+BOARD_LOST_S = 0.3  # six bursts at 20 Hz; the board itself goes to neutral 0.25 s after the last pulses it got
+BOARD_DISOBEYS_S = 0.2  # of the last second: an echo or two may be lost; a thruster that runs by itself should not for long
+BOARD_ARMS_WITHIN_S = 1.5  # its heartbeat, which says so, comes once a second
+LATE_S = 0.15  # so much more of the time steps are late than in time: three steps at 20 Hz, as many as a plan may bridge
+DOUBT_S = 0.25  # a marker is unread for a frame or two now and then; robots that may be mixed up hold within 0.3 s
+
+POWERED = frozenset({Mode.TRACKING, Mode.HOLDING})  # modes that put out thrust
+LIVE = POWERED | {Mode.ARMED}
+ANY = frozenset(Mode)
+
+
+@dataclass(frozen=True)
+class Transition:
+    """An order is accepted in these modes and leads there; None keeps the mode."""
+
+    accepted_in: frozenset[Mode]
+    to: Mode | None
+
+
+ORDERS: dict[Order, Transition] = {
+    Order.LOAD: Transition(frozenset({Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), None),  # TRACKING: for later
+    Order.SWITCH: Transition(frozenset({Mode.TRACKING}), None),
+    Order.TEST: Transition(frozenset({Mode.ARMED}), None),
+    Order.ARM: Transition(frozenset({Mode.DISARMED}), Mode.ARMED),
+    Order.START: Transition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
+    Order.HOLD: Transition(frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), Mode.HOLDING),
+    Order.RESUME: Transition(frozenset({Mode.HOLDING}), Mode.TRACKING),
+    Order.DISARM: Transition(ANY - {Mode.STOPPED}, Mode.DISARMED),
+    Order.STOP: Transition(ANY, Mode.STOPPED),
+    Order.CLEAR_STOP: Transition(frozenset({Mode.STOPPED}), Mode.DISARMED),
+    Order.TUNE: Transition(ANY - {Mode.STOPPED}, None),
+    Order.ADOPT: Transition(ANY - {Mode.STOPPED}, None),
+}
+
+
+@dataclass(frozen=True)
+class Health:
+    """What the reactions look at. An age is in seconds by the receiver's clock; infinity is "never heard"."""
+
+    pose_age_s: float  # of the last pose that was seen, not only predicted
+    identity_age_s: float  # of the last pose that was surely this robot's
+    station_age_s: float
+    board_age_s: float
+    board_disarmed_s: float  # for how long the board has been disarmed though it should not be
+    battery_empty: bool
+    emergency_stop: bool
+    solver_failed: bool
+    late_s: float = 0.0  # by how much the time of late steps outweighs that of timely ones
+    echo_wrong_s: float = 0.0  # for how much of the last second the board has put out other pulses than it was told
+    thrusters_broken: bool = False  # they do not turn and push the robot as they should
+    off_path: bool = False  # farther than it may be, and for no reason
+    estimate_ended: bool = False  # while it had power: where it is was not known at a step since
+    off_depth: bool = False  # the same for its depth
+    depth_age_s: float = 0.0  # of the last depth that did not contradict the estimate
+    depth_leap: str = ""  # the depth that is told and the one that was believed, when one had to give way
+    leap: str = ""  # the same for the place
+
+
+@dataclass(frozen=True)
+class Reaction:
+    """In one of these modes, if `when` holds, go there and give `reason`."""
+
+    reason: str
+    modes: frozenset[Mode]
+    when: Callable[[Health, Safety], bool]
+    to: Mode
+    detail: Callable[[Health], str] = lambda h: ""  # that belongs to the reason, if there is more to say
+
+
+REACTIONS: tuple[Reaction, ...] = (
+    Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s: h.emergency_stop, Mode.STOPPED),
+    Reaction("thruster board silent", LIVE, lambda h, s: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
+    Reaction("thruster board disarmed", LIVE, lambda h, s: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
+    Reaction("thruster board disobeys", POWERED, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
+    Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
+    Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT),
+    Reaction("off its depth", POWERED, lambda h, s: h.off_depth, Mode.FAULT),
+    Reaction("depth in doubt", POWERED, lambda h, s: h.depth_leap != "", Mode.FAULT, lambda h: h.depth_leap),
+    Reaction(
+        "no depth", POWERED, lambda h, s: h.depth_age_s > s.pose_neutral_s, Mode.FAULT,
+        lambda h: f"none that can be true for {h.depth_age_s:.2f} s",
+    ),
+    Reaction("battery empty", LIVE, lambda h, s: h.battery_empty, Mode.FAULT),
+    Reaction("no pose", POWERED, lambda h, s: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
+    Reaction("no control solution", POWERED, lambda h, s: h.solver_failed, Mode.FAULT),
+    Reaction("estimate ended", POWERED, lambda h, s: h.estimate_ended, Mode.FAULT),
+    Reaction("control too slow", POWERED, lambda h, s: h.late_s >= LATE_S, Mode.FAULT),
+    Reaction("station lost", LIVE | {Mode.FAULT}, lambda h, s: h.station_age_s > s.station_disarm_s, Mode.DISARMED),
+    Reaction("station silent", LIVE, lambda h, s: h.station_age_s > s.station_neutral_s, Mode.FAULT),
+    Reaction("station late", frozenset({Mode.TRACKING}), lambda h, s: h.station_age_s > s.station_hold_s, Mode.HOLDING),
+    Reaction("pose late", frozenset({Mode.TRACKING}), lambda h, s: h.pose_age_s > s.pose_hold_s, Mode.HOLDING),
+    Reaction("identity in doubt", frozenset({Mode.TRACKING}), lambda h, s: h.identity_age_s > DOUBT_S, Mode.HOLDING),
+    Reaction("position leapt", frozenset({Mode.TRACKING}), lambda h, s: h.leap != "", Mode.HOLDING, lambda h: h.leap),
+)  # fmt: skip
+
+
+def react(mode: Mode, health: Health, safety: Safety) -> tuple[Mode, str]:
+    """The mode after this step's reactions, and the reason if it changed (empty otherwise)."""
+    for reaction in REACTIONS:
+        if mode in reaction.modes and reaction.when(health, safety):
+            detail = reaction.detail(health)
+            return reaction.to, f"{reaction.reason}: {detail}" if detail else reaction.reason
+    return mode, ""
+
+
+def refusal(order: Order, mode: Mode) -> str:
+    """Why `order` cannot be followed in `mode`, naming the modes in which it can; empty if it can."""
+    if order not in ORDERS:
+        return f"{order.name} is no order (allowed: {', '.join(o.name for o in ORDERS)})"
+    if mode in ORDERS[order].accepted_in:
+        return ""
+    allowed = ", ".join(m.name for m in Mode if m in ORDERS[order].accepted_in)
+    return f"{order.name} is not accepted when {mode.name} (only when {allowed})"
+
+
+def table() -> str:
+    """Both tables as Markdown with a Mermaid diagram, for docs/modes.md."""
+    lines = ["```mermaid", "stateDiagram-v2", "    [*] --> DISARMED"]
+    for order, transition in ORDERS.items():
+        for mode in Mode:
+            if mode in transition.accepted_in and transition.to not in (None, mode) and order is not Order.STOP:
+                assert transition.to is not None
+                lines.append(f"    {mode.name} --> {transition.to.name}: {order.name}")
+    lines += ["```", "", "| Order | accepted when | leads to |", "| --- | --- | --- |"]
+    for order, transition in ORDERS.items():
+        accepted = "any mode" if transition.accepted_in == ANY else _names(transition.accepted_in)
+        lines.append(f"| {order.name} | {accepted} | {transition.to.name if transition.to is not None else 'same mode'} |")
+    lines += ["", "| By itself, first match first | when | leads to |", "| --- | --- | --- |"]
+    lines += [f"| {r.reason} | {_names(r.modes)} | {r.to.name} |" for r in REACTIONS]
+    return "\n".join(lines) + "\n"
+
+
+def _names(modes: frozenset[Mode]) -> str:
+    return ", ".join(m.name for m in Mode if m in modes)

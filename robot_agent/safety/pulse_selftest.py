@@ -1,0 +1,59 @@
+"""A short push of each thruster in turn, and whether the board says that it put it out. Pure.
+
+What the board echoes is what it sent to the speed controllers: this finds a board that does not listen, wrong limits, crossed
+channels. That a propeller turns, and which way, a person sees; in flight it shows in the estimated disturbance.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from wire.config.vehicle import Vehicle
+
+THRUSTERS = 4
+PUSH_N = 0.15  # 5 % of what a thruster can: seen and heard, and the robot moves a centimetre
+PUSH_S, REST_S = 0.5, 0.25
+SETTLED_S = 0.25  # after a pulse begins: the echo is a burst old, and boards limit the rate
+TOLERANCE_US = 5
+NS = 1_000_000_000
+
+
+class ThrusterTest:
+    """One test, from the instant at which the board is armed."""
+
+    def __init__(self, vehicle: Vehicle, neutral_us: Sequence[int]) -> None:
+        self.result = "running"
+        self._neutral_us = tuple(neutral_us)
+        self._push_us = round(float(vehicle.thruster.pulse_us(np.array(PUSH_N))))
+        self._begin_ns: int | None = None
+        self._confirmed: set[int] = set()
+        self._seen: dict[int, int] = {}
+
+    def step(self, armed: bool, echo_us: Sequence[int], now_ns: int) -> tuple[int, ...]:
+        """Pulses for now; neutral when it is over."""
+        if self._begin_ns is None and armed:
+            self._begin_ns = now_ns
+        if self._begin_ns is None or self.result != "running":
+            return self._neutral_us
+        turn, since_s = divmod((now_ns - self._begin_ns) / NS, PUSH_S + REST_S)
+        thruster = int(turn)
+        if thruster >= THRUSTERS:
+            self.result = self._verdict()
+            return self._neutral_us
+        if since_s >= PUSH_S:
+            return self._neutral_us
+        asked = list(self._neutral_us)
+        asked[thruster] = self._push_us
+        if since_s >= SETTLED_S and len(echo_us) >= THRUSTERS:
+            self._seen[thruster] = echo_us[thruster]
+            if all(abs(echo_us[k] - asked[k]) <= TOLERANCE_US for k in range(THRUSTERS)):
+                self._confirmed.add(thruster)
+        return tuple(asked)
+
+    def _verdict(self) -> str:
+        wrong = [
+            f"thruster {k + 1} was asked for {self._push_us} us, the board says {self._seen.get(k, 'nothing')}"
+            for k in range(THRUSTERS)
+            if k not in self._confirmed
+        ]
+        return "; ".join(wrong) or "passed"

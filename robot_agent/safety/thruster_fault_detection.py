@@ -1,0 +1,129 @@
+"""Does each thruster turn the robot as it is told, as far as the gyroscope can tell? Pure.
+
+Each leg turns the robot as it pushes, and the gyroscope feels that at once. A first-order observer of the yaw rate r,
+
+    r^' = (sum N_k - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
+
+gives the moment that nothing explains, smoothed over T, without differences of a noisy rate; N_k is what leg k is told, after
+the thruster's dead time and lag. Mass, voltage, drag and curve are never known exactly, thrusters are not alike, a gyroscope
+has a bias, and pulses and rates take their time on the way: how far the residual goes with each N_k, with d(r), with nothing
+and with how fast the moment changes is learned in flight. A leg that gives less than it is told, nothing, or the opposite
+leaves a share of its own N_k in the residual. Whether that makes what was felt lately so much likelier that it cannot be
+chance is asked step by step (likelihood_ratio.py); water that pushes as it likes does not follow one leg's pulses.
+
+What it cannot see is a thruster that is told next to nothing, or goes on doing what it did when it stuck, for as long as that
+is what it is told: neither moves the robot. Limits are measured, on flights of the article's robot with masses and thrusters
+off by 30 %, in waves and gusts (tests/robot_agent/safety/test_thruster_fault_detection.py).
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+
+from robot_agent.safety.likelihood_ratio import Habit
+from wire.config.vehicle import Vehicle
+from wire.frames import Array
+
+NS = 1_000_000_000
+SMOOTH_S = 0.3  # T: noise of the gyroscope, 3 mrad/s, is then 1.2 mN m; one idle thruster of the article's robot turns with 12
+LEGS = 4
+OF_ALL, OF_ONE = 0.3, 0.1  # how far the residual may go with every N_k alike (mass, voltage), and with each (curve, spread),
+OF_DRAG, OF_NOTHING_NM = 0.3, 0.004  # with d(r), and with nothing,
+LATE_S = 0.02  # and for how late the moment comes, before any of it is known
+NOISE_NM = (0.002, 0.0007)  # of the residual: at first, and at least
+SAME_S = 2.0 * SMOOTH_S  # residuals closer together say the same,
+NOTED_S = 0.09  # and not every one is looked at
+SHARE = 0.02  # of the moment: curves are no straight lines
+UNEVEN_S = 0.005  # steps begin, and pulses leave, a little earlier or later
+MISSING = (0.6, 2.0)  # of what a leg is told: most of it, up to twice, which is reversed
+SURE = 8.0  # evidence: e^8 to one
+LONGEST_NS = NS // 5  # between two steps; after a longer gap the observer begins anew,
+APART_NS = NS // 20  # as it does if the board's clock tells otherwise how long it was: what is heard late says nothing of now
+# Covariance of how far the residual goes with the legs' moments, drag, the moment's change, and nothing.
+PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
+PRIOR[:LEGS, :LEGS] += OF_ALL**2
+
+
+class ThrusterWatch:
+    """One robot's thrusters, watched step by step."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._mass, self._lag_s = vehicle.mass.yaw_kg_m2, vehicle.thruster.lag_s
+        self._linear, self._quadratic = vehicle.drag.linear[3], vehicle.drag.quadratic[3]
+        self._dead_ns = round(vehicle.thruster.dead_time_s * NS)
+        self.reset()
+
+    def reset(self) -> None:
+        """Thrusters are at rest, and nothing is known of how the robot moves."""
+        self.broken = False  # stays so until the next reset
+        self._told: deque[tuple[int, Array]] = deque(maxlen=64)  # from when on it acts, each leg's moment
+        self._acting = np.zeros(LEGS)
+        self._rate: float | None = None
+        self._at_ns = self._board_ns = 0
+        self._forget_causes()
+        self._habit = Habit(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
+
+    def _forget_causes(self) -> None:
+        """What turned the robot, smoothed as the residual is since the observer began: legs, drag, what is always there."""
+        self._legs, self._drag, self._always = np.zeros(LEGS), 0.0, 0.0
+        self._unnoted_s = 0.0
+
+    def told(self, moments_nm: Array, now_ns: int) -> None:
+        """Pulses went out with which the legs (4,) turn the robot so. Of two at one instant the last counts."""
+        acts_ns = now_ns + self._dead_ns
+        if self._told and self._told[-1][0] == acts_ns:
+            self._told.pop()
+        self._told.append((acts_ns, moments_nm))
+
+    def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
+        """The gyroscope's yaw rate at an instant, and when that was by the board's clock; one that was given before is not
+        looked at again."""
+        elapsed_ns, board_elapsed_ns = at_ns - self._at_ns, board_ns - self._board_ns
+        if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS or abs(elapsed_ns - board_elapsed_ns) > APART_NS:
+            self._begin(yaw_rate_radps, at_ns, board_ns)
+        elif elapsed_ns:
+            elapsed_s, self._at_ns, self._board_ns = elapsed_ns / NS, at_ns, board_ns
+            drag = (self._linear + self._quadratic * abs(self._rate)) * self._rate
+            push = self._push(at_ns - elapsed_ns, at_ns) / elapsed_s
+            residual = self._observe(self._rate, yaw_rate_radps, float(push.sum()) - drag, elapsed_s)
+            smooth = -math.expm1(-elapsed_s / SMOOTH_S)
+            change = smooth * (push - self._legs)
+            self._legs = self._legs + change
+            self._drag += smooth * (drag - self._drag)
+            self._always += smooth * (1.0 - self._always)
+            moment, rising = float(self._legs.sum()), float(change.sum()) / elapsed_s
+            self._unnoted_s += elapsed_s
+            if self._unnoted_s > NOTED_S:
+                causes = np.array([*self._legs, self._drag, rising, self._always])
+                rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
+                self._habit.note(causes, residual, rough, self._unnoted_s, at_ns)
+                self._unnoted_s = 0.0
+                self.broken |= self._habit.evidence > SURE
+
+    def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
+        """Observe from here. What has been learned of the robot holds, if there was a gap."""
+        if self._rate is not None and at_ns > self._at_ns:
+            self._push(self._at_ns, at_ns)
+        self._rate, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
+        self._forget_causes()
+
+    def _push(self, from_ns: int, to_ns: int) -> Array:
+        """Let the thrusters follow what they were told; the integral of their moments (4,)."""
+        impulse = np.zeros(LEGS)
+        while from_ns < to_ns:
+            while len(self._told) > 1 and self._told[1][0] <= from_ns:
+                self._told.popleft()
+            wanted = self._told[0][1] if self._told and self._told[0][0] <= from_ns else np.zeros(LEGS)
+            until_ns = min([to_ns, *(acts_ns for acts_ns, _ in self._told if acts_ns > from_ns)])
+            span_s, behind = (until_ns - from_ns) / NS, self._acting - wanted
+            left = math.exp(-span_s / self._lag_s) if self._lag_s > 0.0 else 0.0
+            impulse = impulse + wanted * span_s + behind * self._lag_s * (1.0 - left)
+            self._acting, from_ns = wanted + behind * left, until_ns
+        return impulse
+
+    def _observe(self, rate: float, measured: float, moment: float, elapsed_s: float) -> float:
+        """The residual moment."""
+        predicted = rate + elapsed_s * moment / self._mass
+        self._rate = predicted - math.expm1(-elapsed_s / SMOOTH_S) * (measured - predicted)
+        return self._mass * (measured - self._rate) / SMOOTH_S

@@ -1,0 +1,132 @@
+"""What a control step had to go by, as a record from which the step can be done again. Pure.
+
+The robot's program makes the record first and steps on what it says, so that nothing can reach a step and not its record:
+
+    messages of the bus, telemetry -> `noted` -> StepInputs -> `inputs_of` -> Agent.step
+                                                  the log   -> `inputs_of` -> Agent.step      (rerun.py)
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from robot_agent.command_check import StationView
+from robot_agent.inputs import Heard, Inputs, Seen, Watched
+from wire.mavlink.agent_link import Telemetry
+from wire.messages.codec import Header
+from wire.messages.messages import (
+    BoardReading,
+    Command,
+    Obstacles,
+    OrderTaken,
+    Plan,
+    Pose,
+    Reply,
+    StationHeartbeat,
+    StepInputs,
+)
+from wire.process.runtime import Clock
+from wire.transport.bus import Received
+
+
+def noted(
+    step: int,
+    late_steps: int,
+    clock: Clock,
+    pose: Received[Pose] | None,
+    heartbeat: Received[StationHeartbeat] | None,
+    telemetry: Telemetry,
+    plans: Mapping[int, Received[Plan]],
+    obstacles: Received[Obstacles] | None,
+) -> StepInputs:
+    """The record of a step. Plans and obstacles are named only: the log has them, and they are large."""
+    robots = sorted(plans)
+    return StepInputs(
+        step=step,
+        late_steps=late_steps,
+        **_seen(clock, pose),
+        **_station(clock, heartbeat),
+        board=_reading(telemetry),
+        plan_robots=tuple(robots),
+        plan_sessions=tuple(plans[robot].header.session for robot in robots),
+        plan_sequences=tuple(plans[robot].header.sequence for robot in robots),
+        plan_instants_ns=tuple(clock.instant_ns(plans[robot]) for robot in robots),
+        obstacles_session=obstacles.header.session if obstacles is not None else 0,
+        obstacles_sequence=obstacles.header.sequence if obstacles is not None else 0,
+        obstacles_instant_ns=clock.instant_ns(obstacles) if obstacles is not None else 0,
+    )
+
+
+def order_noted(
+    before_step: int, number: int, clock: Clock, header: Header, command: Command, heartbeat: Received[StationHeartbeat] | None
+) -> OrderTaken:
+    """The record of an order, without its answer."""
+    station = _station(clock, heartbeat)
+    del station["heartbeat"]
+    return OrderTaken(before_step, number, header.session, header.sequence, header.stamp_ns, command=command, **station)
+
+
+def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacles | None, now_ns: int) -> Inputs:
+    """What the agent is given at `now_ns`. `plans` and `obstacles` are the messages that the record names, as far as they are
+    known."""
+    instants = zip(record.plan_robots, record.plan_instants_ns, strict=True)
+    return Inputs(
+        pose=Seen(record.pose, record.pose_instant_ns) if record.pose is not None else None,
+        telemetry=_telemetry(record.board) if record.board is not None else Telemetry(),
+        station=station_view(record, now_ns),
+        emergency_stop=record.heartbeat is not None and record.heartbeat.emergency_stop,
+        plans={robot: Heard(plans[robot], instant_ns) for robot, instant_ns in instants if robot in plans},
+        watched=Watched(obstacles, record.obstacles_instant_ns) if obstacles is not None else None,
+        late_steps=record.late_steps,
+    )
+
+
+def station_view(record: StepInputs | OrderTaken, now_ns: int) -> StationView:
+    """The station as it is judged at `now_ns`."""
+    if not record.station_session:
+        return StationView()
+    age_ns = now_ns - record.station_instant_ns
+    view = StationView(record.station_session, record.station_stamp_ns + age_ns, age_ns * 1e-9)
+    beat = record.heartbeat if isinstance(record, StepInputs) else None
+    return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing)
+
+
+def answered(record: OrderTaken, reply: Reply) -> OrderTaken:
+    """An order's record with its answer."""
+    return OrderTaken(**{**vars(record), "reply": reply})
+
+
+def _seen(clock: Clock, pose: Received[Pose] | None) -> dict[str, Any]:
+    if pose is None:
+        return {}
+    return {
+        "pose": pose.message,
+        "pose_instant_ns": clock.instant_ns(pose),
+        "pose_told_age_ns": pose.header.age_ns,
+    }
+
+
+def _station(clock: Clock, heartbeat: Received[StationHeartbeat] | None) -> dict[str, Any]:
+    if heartbeat is None:
+        return {"heartbeat": None}
+    return {
+        "heartbeat": heartbeat.message,
+        "station_session": heartbeat.header.session,
+        "station_stamp_ns": heartbeat.header.stamp_ns,
+        "station_instant_ns": clock.instant_ns(heartbeat),
+    }
+
+
+_READ = tuple(name for name in BoardReading.__dataclass_fields__ if name != "acceleration_mps2")
+
+
+def _reading(telemetry: Telemetry) -> BoardReading:
+    copied = {name: getattr(telemetry, name) for name in _READ}
+    return BoardReading(acceleration_mps2=np.array(telemetry.acceleration_mps2), **copied)
+
+
+def _telemetry(reading: BoardReading) -> Telemetry:
+    x, y, z = reading.acceleration_mps2.tolist()
+    return Telemetry(acceleration_mps2=(x, y, z), **{name: getattr(reading, name) for name in _READ})

@@ -1,0 +1,65 @@
+"""How much a battery still has, as far as arming and flying go by it. Pure.
+
+One raw voltage says little: under load it sags by more than lies between two thresholds. So it is smoothed over 1 s, as the
+board does it (docs/board.md, rule 6). What the board takes the battery to be counts besides: it measures more often, and its
+thresholds may have been set otherwise than the vehicle file's.
+"""
+
+import math
+
+from wire.config.vehicle import Battery
+from wire.mavlink.agent_link import Telemetry
+
+SMOOTH_S = 1.0  # time constant; docs/board.md, rule 6
+REPORTED_S = 5.0  # ten reports of the board: a voltage that is older is not known
+NO_ARM = frozenset({3, 4, 5, 6, 7})  # MAV_BATTERY_CHARGE_STATE: critical, emergency, failed, unhealthy, charging
+EMPTY = frozenset({4, 5, 6})
+
+
+class Gauge:
+    """One battery, by what its board tells of it."""
+
+    def __init__(self, battery: Battery) -> None:
+        self.voltage_v: float | None = None  # smoothed; None: none has been told
+        self.charge = 0  # the board's own opinion: MAV_BATTERY_CHARGE_STATE, 0 not known
+        self._battery = battery
+        self._low = False  # it may not arm, and may not until it is well above the threshold again
+        self._raw_v = 0.0
+        self._noted_ns = self._reported_ns = 0
+        self._reports = -1
+
+    def note(self, telemetry: Telemetry, now_ns: int) -> None:
+        """Take in what the board has said by now. Of an old log, which counts no reports, every voltage above 0 is one."""
+        elapsed_s, self._noted_ns = max(now_ns - self._noted_ns, 0) * 1e-9, now_ns
+        self.charge = telemetry.charge
+        if telemetry.battery_reports == 0 and telemetry.battery_v <= 0.0:
+            return
+        if telemetry.battery_reports != self._reports or telemetry.battery_reports == 0:
+            self._reports, self._reported_ns = telemetry.battery_reports, now_ns
+        if self.voltage_v is None:
+            self.voltage_v = telemetry.battery_v
+        else:  # until now the last raw voltage held
+            self.voltage_v += (self._raw_v - self.voltage_v) * -math.expm1(-elapsed_s / SMOOTH_S)
+        self._raw_v = telemetry.battery_v
+        above_v = self._battery.hysteresis_v if self._low else 0.0
+        self._low = self.voltage_v < self._battery.no_arm_v + above_v
+
+    @property
+    def empty(self) -> bool:
+        """Whether thrusters have to stop; not while nothing is known of it."""
+        return self.charge in EMPTY or (self.voltage_v is not None and self.voltage_v < self._battery.neutral_v)
+
+    def unfit(self, now_ns: int) -> str:
+        """Why not to arm with it; empty if nothing is against it."""
+        if self.voltage_v is None:
+            return "the battery's voltage has not been told by the thruster board yet"
+        age_s = (now_ns - self._reported_ns) * 1e-9
+        if age_s > REPORTED_S:
+            return f"the battery's voltage was last told {age_s:.1f} s ago"
+        if self._low:
+            needs_v = self._battery.no_arm_v + self._battery.hysteresis_v
+            below = f"since it was below {self._battery.no_arm_v:.1f} V"
+            return f"the battery has {self.voltage_v:.1f} V, needs {needs_v:.1f} V {below}"
+        if self.charge in NO_ARM:
+            return f"the thruster board does not arm with this battery: charge state {self.charge}, {self.voltage_v:.1f} V"
+        return ""

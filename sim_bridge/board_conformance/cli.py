@@ -1,0 +1,120 @@
+"""SHELL: `sim-bridge board-conformance`: a lab's own thruster board against the rules of docs/board.md."""
+
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+
+from sim_bridge.board_conformance.probe import Probe, Wire
+from sim_bridge.board_conformance.rules import RULES
+from sim_bridge.board_conformance.runner import Outcome, Verdict, examine
+from wire.mavlink.board_port import Link, UdpLink, open_link
+from wire.mavlink.parameters import ParameterClient
+from wire.mavlink.signing_key import Signing
+from wire.process.cli_options import LinkInsecure, LinkKey
+from wire.toml_loader import ConfigError
+
+HEARD_WITHIN_S = 5.0
+STRANGERS = 9  # more than the board has places for
+CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Is nobody's hand near them?"
+COLOURS = {Verdict.PASSED: "green", Verdict.FAILED: "red", Verdict.SKIPPED: None}
+
+
+class LinkWire(Wire):
+    """The wire of a real link, by the monotonic clock."""
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._others: list[UdpLink] = []
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns()
+
+    def send(self, data: bytes) -> None:
+        self._link.send(data)
+
+    def receive(self, until_ns: int) -> bytes:
+        self._link.wait((until_ns - time.monotonic_ns()) * 1e-9)
+        return self._link.read()
+
+    def strangers(self) -> tuple[Callable[[], None], Callable[[], int]] | None:
+        link = self._link
+        if not isinstance(link, UdpLink):
+            return None
+        self._others = self._others or [UdpLink(*link.address) for _ in range(STRANGERS)]
+
+        def speak() -> None:
+            for other in self._others:
+                other.send(b"x")
+
+        return speak, lambda: sum(bool(other.read()) for other in self._others)
+
+    def close(self) -> None:
+        """Close what `strangers` opened."""
+        for other in self._others:
+            other.close()
+
+
+def board_conformance(
+    port: Annotated[str, typer.Option(help="Where the board is: a serial device, serial:DEVICE:BAUD or udp:HOST:PORT.")],
+    robot: Annotated[int | None, typer.Option(help="The board's system id; default: of the board that is heard.")] = None,
+    key: LinkKey = None,
+    insecure: LinkInsecure = False,
+    dry: Annotated[bool, typer.Option("--dry", help="Command no thrust, and leave out the rules that need it.")] = False,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before thrusters may turn.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> None:
+    """Try every rule of docs/board.md on a thruster board, and say what was measured. Takes about a minute.
+
+    The robot's own computer must be off the link. Parameters that are changed on the way are put back. Exit code 0 if no
+    rule failed, 1 if one did.
+
+    Example:  sim-bridge board-conformance --port /dev/ttyACM0 --dry
+    """
+    if not dry and not yes and not typer.confirm(CAREFUL, err=True):
+        dry = True
+    signing = Signing.of(key, "conformance") if key is not None else None
+    address = port if port.startswith(("udp:", "serial:")) else f"serial:{port}"
+    link = open_link(address, secured=signing is not None or insecure, option="--port")
+    wire = LinkWire(link)
+    try:
+        client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
+        robot = _who_is_there(wire, client)
+        if robot is None:
+            raise ConfigError(f"--port {port}: {client.silence(link.trouble)}")
+        probe = Probe(wire, robot) if signing is None else Probe(wire, robot, signing.key, signing.stamps)
+        outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
+    finally:
+        wire.close()
+        link.close()
+    failed = sum(outcome.verdict is Verdict.FAILED for outcome in outcomes)
+    if as_json:
+        rows = [{**asdict(outcome), "verdict": outcome.verdict.name.lower()} for outcome in outcomes]
+        typer.echo(json.dumps({"board": robot, "dry": dry, "failed": failed, "rules": rows}, indent=1))
+    else:
+        skipped = sum(outcome.verdict is Verdict.SKIPPED for outcome in outcomes)
+        typer.echo(f"board {robot}: {len(outcomes) - failed - skipped} passed, {failed} failed, {skipped} skipped")
+    raise typer.Exit(1 if failed else 0)
+
+
+def _who_is_there(wire: Wire, client: ParameterClient) -> int | None:
+    """The system id of the board that is heard, if one is."""
+    end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), 0
+    while not (client.heard and client.robot_id is not None) and wire.now_ns() < end_ns:
+        if wire.now_ns() - asked_ns > 1e9:
+            asked_ns = wire.now_ns()
+            wire.send(client.heartbeat())
+        client.receive(wire.receive(wire.now_ns() + 50_000_000), wire.now_ns())
+    return client.robot_id if client.heard else None
+
+
+def _told(outcomes: Iterable[Outcome], quiet: bool) -> Iterator[Outcome]:
+    """Print each as it comes."""
+    for outcome in outcomes:
+        if not quiet:
+            verdict = typer.style(f"{outcome.verdict.value:8}", fg=COLOURS[outcome.verdict])
+            typer.echo(f"{outcome.rule:18}{verdict} {outcome.measured:32} {outcome.requirement}")
+        yield outcome

@@ -1,0 +1,203 @@
+"""What a thruster board is examined with: the robot's computer, a ground station and a stranger on one wire. Pure.
+
+Nothing is known of the board but what it says, and its clock is not used: instants are those of the wire.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from pymavlink.dialects.v20 import common as dialect
+
+from wire.mavlink.agent_link import BOARD_COMPONENT, IGNORED, AgentLink
+from wire.mavlink.framing import Sender
+from wire.mavlink.parameters import ParameterClient
+from wire.mavlink.signing import Key
+
+MS, S = 1_000_000, 1_000_000_000
+PERIOD_NS = 50 * MS  # of overrides, as in flight
+STALL_NS = 15 * MS  # later than asked for by so much: what was measured meanwhile says nothing about the board
+NUDGE_US = 60.0  # from neutral: a thruster turns, slowly
+
+
+class Wire(Protocol):
+    """Bytes and time."""
+
+    def now_ns(self) -> int: ...
+    def send(self, data: bytes) -> None: ...
+    def receive(self, until_ns: int) -> bytes:
+        """What arrives next; nothing if nothing came until then."""
+
+    def strangers(self) -> "tuple[Callable[[], None], Callable[[], int]] | None":
+        """For others at addresses of their own, who have no key: one call has each of them send a byte, another says how many
+        of them have heard anything. None where the board has one other end only."""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What the board said it did, and when it was heard."""
+
+    at_ns: int
+    echo_us: tuple[int, ...]
+    armed: bool
+
+
+class Probe:
+    """One board under examination."""
+
+    def __init__(self, wire: Wire, robot_id: int, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
+        self.wire, self.robot_id, self.key = wire, robot_id, key
+        self.computer = AgentLink(robot_id, key, now)
+        self.station = ParameterClient(robot_id, None if key is None else Key(key.secret, 1), now)
+        self._other = Sender((254, 190), None if key is None else Key(key.secret, 2), now)
+        self.samples: list[Sample] = []
+        self.bytes_heard = 0
+        self.stalls = 0  # how often this machine was held up
+        self._heartbeat_ns = -S
+
+    # --- time goes on
+
+    def listen(self, seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
+        """Take in what comes, for so long or until `done()`; whether it came to that."""
+        end_ns = self.wire.now_ns() + round(seconds * S)
+        while not done():
+            if self.wire.now_ns() >= end_ns:
+                return False
+            if self.wire.now_ns() - self._heartbeat_ns >= S:
+                self._heartbeat_ns = self.wire.now_ns()
+                self.wire.send(self.computer.heartbeat())
+            until_ns = min(end_ns, self.wire.now_ns() + 5 * MS)
+            data = self.wire.receive(until_ns)
+            now_ns = self.wire.now_ns()
+            self.stalls += now_ns - until_ns > STALL_NS
+            self.bytes_heard += len(data)
+            self.computer.receive(data, now_ns)
+            self.station.receive(data, now_ns)
+            if data:
+                seen = self.computer.telemetry
+                self.samples.append(Sample(now_ns, seen.echo_us, seen.armed))
+        return True
+
+    def hush(self, seconds: float) -> None:
+        """Say nothing at all for less than a second."""
+        self._heartbeat_ns = self.wire.now_ns()
+        self.listen(seconds)
+
+    def later(self) -> int:
+        """A time for signatures that is later than all that were made."""
+        return self.computer.stamp + 1_000_000
+
+    def stream(self, frame: Callable[[], bytes], seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
+        """Send a frame at the control rate meanwhile."""
+        end_ns = self.wire.now_ns() + round(seconds * S)
+        while self.wire.now_ns() < end_ns:
+            self.wire.send(frame())
+            if self.listen(min(PERIOD_NS, end_ns - self.wire.now_ns()) / S, done):
+                return True
+        return done()
+
+    # --- what is sent
+
+    @property
+    def neutral_us(self) -> int:
+        """Of a thruster, by the board's own parameter."""
+        return round(self.station.values.get("THR_NEUTRAL_US", 1500.0))
+
+    def pulses(self, *thrusters_off_us: float, ankle: int = IGNORED) -> bytes:
+        """An override: thrusters so far from neutral (those not named: not at all), the last ankle as said."""
+        off = (*thrusters_off_us, *(0.0,) * (4 - len(thrusters_off_us)))
+        return self.computer.pulses([*(round(self.neutral_us + value) for value in off), IGNORED, IGNORED, IGNORED, ankle])
+
+    def nudge(self) -> bytes:
+        """An override that turns the first thruster slowly."""
+        return self.pulses(NUDGE_US)
+
+    def forbidden(self) -> bytes:
+        """An override that may not be taken, for one ankle that is out of range by one; it would turn no thruster."""
+        return self.pulses(ankle=round(self.station.values.get("ANK_MAX_US", 2000.0)) + 1)
+
+    def of_a_stranger(self) -> bytes:
+        """An override of somebody else, of whom the board has no reason to take it."""
+        message = dialect.MAVLink_rc_channels_override_message(
+            self.robot_id, BOARD_COMPONENT, *[self.neutral_us] * 4, *[IGNORED] * 4
+        )
+        return self._other.pack(message)
+
+    def for_another(self) -> bytes:
+        """An override for another robot's board."""
+        other = self.robot_id % 250 + 1
+        message = dialect.MAVLink_rc_channels_override_message(other, BOARD_COMPONENT, *[self.neutral_us] * 4, *[IGNORED] * 4)
+        return self.computer.pack(message)
+
+    def forced_arming(self) -> bytes:
+        """MAVLink's arming by force, which a board does not have."""
+        message = dialect.MAVLink_command_long_message(self.robot_id, BOARD_COMPONENT, 400, 0, 1, 21196, 0, 0, 0, 0, 0)
+        return self.computer.pack(message)
+
+    def station_arms(self, arm: bool) -> bytes:
+        """A ground station's wish."""
+        message = dialect.MAVLink_command_long_message(self.robot_id, BOARD_COMPONENT, 400, 0, float(arm), 0, 0, 0, 0, 0, 0)
+        return self._other.pack(message)
+
+    # --- what is asked
+
+    @property
+    def armed(self) -> bool:
+        """By the board's last heartbeat."""
+        return self.computer.telemetry.armed
+
+    @property
+    def still(self) -> bool:
+        """Whether all thrusters' echoes are neutral."""
+        return self.computer.telemetry.echo_us[:4] == (self.neutral_us,) * 4
+
+    def ask_arm(self, arm: bool = True, frame: Callable[[], bytes] | None = None) -> int | None:
+        """Ask to arm or disarm; the MAV_RESULT, or None if no answer came in half a second."""
+        before = self.computer.telemetry.acknowledgements
+        self.wire.send(self.computer.arm(arm))
+        answered = self._answered(before)
+        came = self.stream(frame, 0.5, answered) if frame is not None else self.listen(0.5, answered)
+        acknowledged = self.computer.telemetry.acknowledged
+        return acknowledged[1] if came and acknowledged is not None else None
+
+    def _answered(self, before: int) -> Callable[[], bool]:
+        return lambda: self.computer.telemetry.acknowledgements > before
+
+    def arm(self) -> bool:
+        """Arm as one should; whether it worked, and the board says so."""
+        self.stream(self.pulses, 0.15)
+        self.ask_arm(frame=self.pulses)
+        return self.stream(self.pulses, 0.5, lambda: self.armed)
+
+    def rest(self) -> bool:
+        """Disarm, whatever was before; whether it worked."""
+        self.ask_arm(False)
+        self.listen(0.6)  # and let everything get old
+        return not self.armed
+
+    def stops_after(self, frame: Callable[[], bytes] | None) -> float:
+        """From a board that is armed: seconds from the last good override to disarmed and neutral while only this is sent.
+        Infinite if it does not."""
+        self.wire.send(self.pulses())
+        last_ns = self.wire.now_ns()
+
+        def stopped() -> bool:
+            return not self.armed and self.still
+
+        came = self.stream(frame, 1.0, stopped) if frame is not None else self.listen(1.0, stopped)
+        return (self.wire.now_ns() - last_ns) / S if came else math.inf
+
+    def answers(self, question: bytes, within_s: float = 0.2) -> float:
+        """Seconds until a TIMESYNC is answered; infinite if it is not. The question is the computer's last."""
+        before, asked_ns = self.computer.telemetry.round_trips, self.wire.now_ns()
+        self.wire.send(question)
+        came = self.listen(within_s, lambda: self.computer.telemetry.round_trips > before)
+        return (self.wire.now_ns() - asked_ns) / S if came else math.inf
+
+    def set(self, name: str, value: float) -> bool:
+        """Set a parameter; whether the board says that it has that value."""
+        before = self.station.told
+        self.wire.send(self.station.set(name, value))
+        self.listen(0.5, lambda: self.station.told > before or self.station.error is not None)
+        return math.isclose(self.station.values.get(name, math.nan), value, rel_tol=1e-6, abs_tol=1e-6)

@@ -1,0 +1,293 @@
+"""The rules of docs/board.md, in the order in which they are tried, and how those about words are: telemetry, arming,
+parameters, signatures. Pure. Those about thrust are in sim_bridge/board_conformance/thrust.py.
+"""
+
+import math
+
+from sim_bridge.board_conformance.probe import MS, PERIOD_NS, Probe
+from sim_bridge.board_conformance.runner import Measured, Rule
+from sim_bridge.board_conformance.thrust import (
+    STOPS_WITHIN_S,
+    TURNS,
+    alive,
+    ankles,
+    at_once,
+    damaged,
+    disarmed_neutral,
+    follows,
+    holds,
+    ms,
+    out_of_range,
+    repeated,
+    revival,
+    slew,
+    stops,
+    stops_from_thrust,
+)
+from wire.mavlink.agent_link import ACCEPTED, AgentLink
+from wire.mavlink.signing import Key
+
+RESYNC_WITHIN_S = 0.25
+BURST_HZ = 45.0
+
+
+# --- what it tells
+
+
+def _parameters(probe: Probe) -> Measured:
+    for _ in range(12):
+        probe.wire.send(probe.station.ask_all())
+        if probe.listen(1.5, lambda: probe.station.complete):
+            break
+    return probe.station.complete and "THR_NEUTRAL_US" in probe.station.values, f"{len(probe.station.values)} parameters"
+
+
+def _telemetry(probe: Probe) -> Measured:
+    probe.listen(0.2)
+    heard: set[int] = set()
+    probe.bytes_heard = 0
+    for _ in range(400):
+        probe.listen(0.005)
+        heard.add(probe.computer.telemetry.board_ms)
+    seen, rate = probe.computer.telemetry, len(heard) / 2.0
+    complete = len(seen.echo_us) == 8 and seen.battery_v > 0.0 and math.hypot(*seen.acceleration_mps2) > 1.0
+    bad = seen.bad_frames + seen.refused_frames
+    good = rate >= BURST_HZ and complete and bad == 0
+    return good, f"{rate:.0f} Hz, {probe.bytes_heard / 2:.0f} bytes/s, {bad} bad frames{'' if complete else ', incomplete'}"
+
+
+def _power_on(probe: Probe) -> Measured:
+    probe.listen(1.2)
+    return not probe.armed and probe.still, f"{'armed' if probe.armed else 'disarmed'}, {probe.computer.telemetry.echo_us}"
+
+
+def _clock(probe: Probe) -> Measured:
+    worst = max(probe.answers(probe.computer.timesync(probe.wire.now_ns())) for _ in range(TURNS))
+    return worst <= 0.05, ms(worst)
+
+
+# --- arming
+
+
+def _refused(probe: Probe, result: int | None) -> Measured:
+    probe.listen(0.2)
+    good = result not in (None, ACCEPTED) and not probe.armed
+    return good, f"result {result}, {'armed' if probe.armed else 'disarmed'}"
+
+
+def _arming_without(probe: Probe) -> Measured:
+    probe.listen(0.6)
+    return _refused(probe, probe.ask_arm())
+
+
+def _arming_late(probe: Probe) -> Measured:
+    probe.stream(probe.pulses, 0.3)
+    probe.listen(0.4)
+    return _refused(probe, probe.ask_arm())
+
+
+def _arming_forced(probe: Probe) -> Measured:
+    probe.stream(probe.pulses, 0.2)
+    probe.wire.send(probe.forced_arming())
+    probe.stream(probe.pulses, 0.4)
+    return not probe.armed, "armed" if probe.armed else "disarmed"
+
+
+def _arming_thrust(probe: Probe) -> Measured:
+    probe.stream(probe.nudge, 0.3)
+    return _refused(probe, probe.ask_arm(frame=probe.nudge))
+
+
+def _arming_strange(probe: Probe) -> Measured:
+    probe.listen(0.6)
+    probe.stream(probe.of_a_stranger, 0.3)
+    probe.wire.send(probe.station_arms(True))
+    probe.stream(probe.of_a_stranger, 0.4)
+    return not probe.armed, "armed" if probe.armed else "disarmed"
+
+
+def _arming(probe: Probe) -> Measured:
+    probe.stream(probe.pulses, 0.3)
+    result = probe.ask_arm(frame=probe.pulses)
+    armed = probe.stream(probe.pulses, 0.5, lambda: probe.armed)
+    return result == ACCEPTED and armed and probe.still, f"result {result}, {'armed' if armed else 'disarmed'}"
+
+
+def _disarming(probe: Probe) -> Measured:
+    if not probe.arm():
+        return False, "does not arm"
+    probe.wire.send(probe.station_arms(False))
+    by_station = probe.stream(probe.pulses, 0.3, lambda: not probe.armed)
+    return by_station, "disarmed" if by_station else "armed"
+
+
+def _empty_battery(probe: Probe) -> Measured:
+    """By moving the thresholds above the battery, which is fuller than they are."""
+    names, volts = ("BAT_WARN_V", "BAT_NOARM_V"), probe.computer.telemetry.battery_v
+    before = [probe.station.values[name] for name in names]
+    try:
+        moved = probe.set(names[0], volts + 2.0) and probe.set(names[1], volts + 1.0)
+        probe.stream(probe.pulses, 0.5)
+        good, measured = _refused(probe, probe.ask_arm(frame=probe.pulses))
+    finally:
+        restored = probe.set(names[1], before[1]) and probe.set(names[0], before[0])
+    return good and moved and restored, measured if moved and restored else "the thresholds cannot be moved"
+
+
+# --- the link
+
+
+def _resync(probe: Probe) -> Measured:
+    """Noise of all sorts, then a question at each period of control until one is answered."""
+    longest = bytes([0xFD, 255, 0, 0, 0, probe.robot_id, 191]) + (131).to_bytes(3, "little")
+    noises = [longest, bytes([0xFD]) * 40, bytes(range(256)), bytes([0xFE, 255]) * 9, probe.pulses()[:-3], longest * 3]
+    worst = 0.0
+    for noise in noises:
+        probe.wire.send(noise)
+        begun_ns, took = probe.wire.now_ns(), math.inf
+        while took == math.inf and probe.wire.now_ns() - begun_ns < 1000 * MS:
+            took = probe.answers(probe.computer.timesync(probe.wire.now_ns()), PERIOD_NS * 1e-9)
+        worst = max(worst, (probe.wire.now_ns() - begun_ns) * 1e-9 if took < math.inf else math.inf)
+    return worst <= RESYNC_WITHIN_S, ms(worst)
+
+
+def _twice(probe: Probe) -> Measured:
+    """A frame that comes again, at once."""
+    question = probe.computer.arm(False)
+    before = probe.computer.telemetry.acknowledgements
+    probe.wire.send(question + question)
+    probe.listen(0.3)
+    answers = probe.computer.telemetry.acknowledgements - before
+    return answers == 1, f"{answers} answers"
+
+
+# --- parameters
+
+
+def _set(probe: Probe) -> Measured:
+    before = probe.station.values["SLEW_US_S"]
+    done = [probe.set("SLEW_US_S", value) for value in (before / 2, before)]
+    return all(done), "set, and set back" if all(done) else "not set"
+
+
+def _bounds(probe: Probe) -> Measured:
+    taken = []
+    for name, value in (("CMD_AGE_MS", 5000.0), ("CMD_AGE_MS", math.nan), ("SLEW_US_S", -1.0), ("THR_MAX_US", math.inf)):
+        before = probe.station.values[name]
+        probe.set(name, value)
+        probe.wire.send(probe.station.ask(name))
+        probe.listen(0.2)
+        if probe.station.values[name] != before:
+            taken.append(f"{name} = {value:g}")
+            probe.set(name, before)
+    return not taken, f"taken: {', '.join(taken)}" if taken else "refused"
+
+
+def _set_armed(probe: Probe) -> Measured:
+    before = probe.station.values["SLEW_US_S"]
+    if not probe.arm():
+        return False, "does not arm"
+    probe.wire.send(probe.station.set("SLEW_US_S", before / 2))
+    probe.stream(probe.pulses, 0.4)
+    probe.rest()
+    probe.wire.send(probe.station.ask("SLEW_US_S"))
+    probe.listen(0.3)
+    kept = probe.station.values["SLEW_US_S"] == before
+    if not kept:
+        probe.set("SLEW_US_S", before)
+    return kept, "refused" if kept else "taken"
+
+
+def _unknown(probe: Probe) -> Measured:
+    before = len(probe.station.values)
+    probe.wire.send(probe.station.set("NO_SUCH_THING", 1.0))
+    probe.listen(0.3)
+    error = probe.station.error
+    return len(probe.station.values) == before and error is not None, f"error {error[1]}" if error else "no PARAM_ERROR"
+
+
+# --- signing
+
+
+def _dropped(probe: Probe, frame: bytes) -> Measured:
+    """Whether a disarm, which any board obeys and answers at once, goes unheard. It comes after a silence: then any sequence
+    number is good."""
+    probe.hush(0.7)
+    before = probe.computer.telemetry.acknowledgements
+    probe.wire.send(frame)
+    obeyed = probe.listen(0.3, lambda: probe.computer.telemetry.acknowledgements > before)
+    return not obeyed, "obeyed" if obeyed else "dropped"
+
+
+def _unsigned(probe: Probe) -> Measured:
+    return _dropped(probe, AgentLink(probe.robot_id).arm(False))
+
+
+def _forged(probe: Probe) -> Measured:
+    return _dropped(probe, AgentLink(probe.robot_id, Key(bytes(32)), probe.later).arm(False))
+
+
+def _replayed(probe: Probe) -> Measured:
+    recorded = probe.computer.arm(False)
+    probe.wire.send(recorded)
+    probe.listen(0.3)
+    return _dropped(probe, recorded)
+
+
+def _strangers(probe: Probe) -> Measured:
+    """Whether others who send anything at all are told nothing, and the computer is still told."""
+    others = probe.wire.strangers()
+    if others is None:
+        return True, "the board has one other end"
+    speak, hear = others
+    for _ in range(3):
+        speak()
+        probe.listen(0.2)
+    before = probe.bytes_heard
+    probe.listen(0.2)
+    told = hear()
+    return told == 0 and probe.bytes_heard > before, f"{told} of them were told something"
+
+
+AGE = f"disarmed and neutral within {STOPS_WITHIN_S * 1e3:.0f} ms of the last override"
+
+RULES = (
+    Rule("parameters", "a list of PARAM_VALUE, complete", _parameters),
+    Rule("telemetry", f"complete bursts at {BURST_HZ:.0f} Hz or more, no bad frame", _telemetry),
+    Rule("power-on", "disarmed and neutral when nobody has asked for anything", _power_on),
+    Rule("clock", "TIMESYNC answered within 50 ms", _clock),
+    Rule("arming-without", "does not arm when no override arrives", _arming_without),
+    Rule("arming-late", "does not arm 400 ms after the last override", _arming_late),
+    Rule("arming-forced", "does not arm by force (parameter 2)", _arming_forced),
+    Rule("arming-thrust", "does not arm while a thruster is commanded", _arming_thrust, spins=True),
+    Rule("arming-strange", "does not arm on overrides of somebody else", _arming_strange),
+    Rule("arming", "arms on young neutral overrides, and says so", _arming),
+    Rule("arming-battery", "does not arm with the battery below BAT_NOARM_V", _empty_battery),
+    Rule("disarming", "disarms for anybody", _disarming),
+    Rule("age", AGE, stops(lambda _: None)),
+    Rule("age-heartbeat", f"{AGE}: heartbeats and TIMESYNC keep nothing alive", stops(alive)),
+    Rule("age-refused", f"{AGE}: nor do overrides out of range", stops(lambda probe: probe.forbidden)),
+    Rule("age-repeated", f"{AGE}: nor does one that is repeated", stops(repeated)),
+    Rule("age-damaged", f"{AGE}: nor do damaged ones", stops(damaged)),
+    Rule("age-stranger", f"{AGE}: nor do somebody else's", stops(lambda probe: probe.of_a_stranger)),
+    Rule("age-target", f"{AGE}: nor do those for another board", stops(lambda probe: probe.for_another)),
+    Rule("gap", "stays armed when overrides come 200 ms apart", holds),
+    Rule("revival", "stays disarmed when overrides come back after a silence", revival),
+    Rule("disarmed-neutral", "follows nothing while disarmed", disarmed_neutral, spins=True),
+    Rule("follows", "puts out what it is told, on each thruster, and says so", follows, spins=True),
+    Rule("at-once", "neutral within 100 ms of a disarm, not slewed", at_once, spins=True),
+    Rule("age-thrust", f"{AGE}, from thrust", stops_from_thrust, spins=True),
+    Rule("slew", "a thruster's pulse moves no faster than SLEW_US_S", slew, spins=True),
+    Rule("range", "refuses a whole override for one thruster out of range by 1 us", out_of_range, spins=True),
+    Rule("ankles", "refuses an ankle out of range; leaves alone one that is ignored", ankles),
+    Rule("resync", f"understands again within {RESYNC_WITHIN_S * 1e3:.0f} ms of garbage", _resync),
+    Rule("repeated", "a frame that comes twice counts once", _twice),
+    Rule("parameter-set", "sets a parameter and says so", _set),
+    Rule("parameter-bounds", "refuses values out of range, NaN and infinity", _bounds),
+    Rule("parameter-armed", "refuses parameters while armed", _set_armed),
+    Rule("parameter-unknown", "answers an unknown name with PARAM_ERROR", _unknown),
+    Rule("unsigned", "drops what is not signed", _unsigned, signed=True),
+    Rule("forged", "drops what is signed with another key", _forged, signed=True),
+    Rule("replayed", "drops a recording", _replayed, signed=True),
+    Rule("strangers", "tells nothing to who has no key, and goes on telling who has it", _strangers, signed=True),
+)

@@ -1,0 +1,45 @@
+"""What stands for camera and localizer where there is none: the true poses, with noise. Pure and seeded."""
+
+import numpy as np
+
+from sim_bridge.plant.random_streams import Stream, generator
+from wire.config.experiment import Experiment
+from wire.frames import Array
+from wire.messages.messages import Obstacles, Pose, Track
+
+_ANGLES = 2.0 * np.pi * np.arange(12) / 12
+RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]) / np.cos(np.pi / 12)  # around a circle, not within it
+
+
+class Located:
+    """A localizer that reads every marker in every picture, as well as sim.numeric says."""
+
+    def __init__(self, experiment: Experiment, seed: int) -> None:
+        numeric = experiment.sim.numeric
+        self._noise = np.array([numeric.pose_noise_m, numeric.pose_noise_m, 0.0, numeric.yaw_noise_rad])
+        self._covariance = np.diag(self._noise[[0, 1, 3]] ** 2)
+        self._random = generator(seed, Stream.POSES)
+        self._drifters, self._depth_m = experiment.sim.drifters, experiment.path.depth_m
+        self._watches = experiment.watches_obstacles
+        self._obstacle_noise = np.repeat([numeric.obstacle_noise_m, numeric.obstacle_noise_mps], 2)
+        self._obstacle_random = generator(seed, Stream.OBSTACLES)
+
+    def poses(self, eta: Array) -> list[Pose]:
+        """Of robots at eta (n, 4), in their order."""
+        seen = eta + self._random.standard_normal(eta.shape) * self._noise
+        return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
+
+    def obstacles(self, time_s: float) -> Obstacles | None:
+        """What is adrift, as the localizer would tell of it; None if nothing ever is and nobody is to watch for it."""
+        if not (self._drifters or self._watches):
+            return None
+        noise = self._obstacle_random.standard_normal((len(self._drifters), 4)) * self._obstacle_noise
+        ids, outlines, velocities = [], [], []
+        for k, (ball, error) in enumerate(zip(self._drifters, noise, strict=True), start=1):
+            place_m = ball.place_m(time_s)
+            if place_m is not None:
+                ids.append(k)
+                outlines.append(place_m[:2] + error[:2] + ball.radius_m * RING)
+                velocities.append(np.array(ball.velocity_mps[:2]) + error[2:])
+        outline, velocity = np.array(outlines).reshape(-1, len(RING), 2), np.array(velocities).reshape(-1, 2)
+        return Obstacles(tuple(ids), outline, velocity, self._depth_m, watched=1.0)

@@ -1,0 +1,129 @@
+"""A camera under a hovering drone, and the picture without robots that it takes.
+
+The basin is drawn once as a plan with its walls laid open outwards. For each picture the lines of sight of all blocks are
+traced through the wavy surface to the plan, and the pixels between blocks interpolated: refraction and ripples are exact at
+the blocks and to 0.1 px between them; only edges between floor, walls and deck are soft within a block.
+"""
+
+import cv2
+import numpy as np
+
+from sim_bridge.camera.marker_plate import LENS_SOFTNESS_PX
+from sim_bridge.camera.rays import BLOCK, View
+from sim_bridge.camera.scene import Scene, Waters, vignette
+from sim_bridge.camera.scenery import Hit, still_scene, trace
+from sim_bridge.camera.textures import Bytes, Float
+from wire.config.experiment import Experiment
+from wire.config.perception import Camera
+from wire.config.scene import Pool
+from wire.config.simulation import CameraMotion
+from wire.frames import Array
+
+SWINGS = 3  # sines per axis: no instant repeats within minutes
+DECK_M = 0.8  # of deck around the basin that is drawn; beyond, its edge is drawn on
+TEXELS_PER_PX = 0.8  # of the plan, for pixels at the surface: those on the floor are as large as a texel
+LEAN = np.float32(1.03)  # longer way through the water than straight up, on average over a picture
+
+
+class Motion:
+    """Smooth swings about a camera's pose: along all three axes, and turns about them. Bounded, repeatable, never still."""
+
+    def __init__(self, camera: Camera, motion: CameraMotion, random: np.random.Generator) -> None:
+        self._camera = camera
+        rates = 2.0 * np.pi / motion.period_s * np.array([1.0, 1.618, 2.618])
+        self._rates = rates * random.uniform(0.9, 1.1, (6, SWINGS))
+        self._phases = random.uniform(0.0, 2.0 * np.pi, (6, SWINGS))
+        share = np.array([0.6, 0.27, 0.13])
+        self._sizes = np.repeat([motion.sway_m, motion.tilt_rad], 3)[:, None] * share
+        self._upright = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0])
+
+    def at(self, time_s: float) -> Camera:
+        """The camera at a time."""
+        away: Array = np.sum(self._sizes * np.sin(self._rates * time_s + self._phases), axis=1)
+        turn = np.asarray(cv2.Rodrigues(away[3:])[0]) @ self._upright
+        position, rotation = np.array(self._camera.position_m) + away[:3], np.asarray(cv2.Rodrigues(turn)[0]).ravel()
+        return self._camera.model_copy(
+            update={"position_m": tuple(position.tolist()), "rotation_rad": tuple(rotation.tolist())}
+        )
+
+
+class Hover:
+    """Backgrounds from a camera that moves."""
+
+    def __init__(self, experiment: Experiment, motion: Motion, random: np.random.Generator) -> None:
+        self._motion, self._pool = motion, experiment.pool
+        self._view = View(experiment.camera)
+        self._waters = Waters(experiment, random)
+        self._vignette = vignette(self._view, self._waters.picture.vignetting)
+        self._half_vignette = np.ascontiguousarray(self._vignette[0::2, 0::2])
+        px_m = 1.0 / experiment.camera.px_per_m
+        self._texel_m = px_m / TEXELS_PER_PX
+        length, width, depth = experiment.pool.size_m
+        self._reach = np.array([length, width]) / 2.0 + depth + DECK_M
+        columns, rows = (int(np.ceil(2.0 * reach / self._texel_m)) for reach in self._reach)
+        plan_x, plan_y = np.meshgrid(self._metres(columns, 0), self._metres(rows, 1))
+        hit = _unfolded(plan_x, plan_y, experiment.pool)
+        softness = LENS_SOFTNESS_PX * px_m / self._texel_m
+        still = still_scene(experiment, hit, np.full_like(hit.z, LEAN), softness, random)
+        self._planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
+
+    def at(self, time_s: float) -> tuple[Scene, Bytes]:
+        """The scene at a time, and a fresh raw mosaic (height, width) of it."""
+        view = self._view.moved(self._motion.at(time_s))
+        scene = Scene(self._waters, view, trace(view.blocks, self._pool).z, self._vignette)
+        slopes = scene.slopes(view.whole, time_s)
+        hit = trace(view.blocks.bent(scene.bending * slopes[0], scene.bending * slopes[1]), self._pool)
+        x, y = _plan(hit, self._pool)
+        column, row = (_halved(plane, view) for plane in self._waters.caustics.grid_coordinates(x, y))
+        light = self._waters.light(column, row, _halved(self._waters.reach(hit.z), view), time_s) * self._half_vignette
+        glare = np.rint(_halved(scene.glare(view.whole, slopes), view)).astype(np.uint8)
+        half_x, half_y = self._reach.astype(np.float32)
+        texel = np.float32(self._texel_m)
+        column, row = (x + half_x) / texel - np.float32(0.5), (y + half_y) / texel - np.float32(0.5)
+        shifts = [np.gradient(plane, BLOCK) for plane in (column, row)]  # down and right, per pixel
+        raw = np.empty((view.height, view.width), np.uint8)
+        for i, j, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+            columns, rows = (
+                _halved(plane + np.float32(i - 0.5) * down + np.float32(j - 0.5) * right, view)
+                for plane, (down, right) in zip((column, row), shifts, strict=True)
+            )
+            seen = cv2.remap(self._planes[channel], columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            spot = raw[i::2, j::2]  # of an odd picture's last square a part
+            spot[:] = cv2.add(cv2.multiply(seen, light, dtype=cv2.CV_8U), glare)[: spot.shape[0], : spot.shape[1]]
+        return scene, raw
+
+    def _metres(self, count: int, axis: int) -> Float:
+        return np.asarray((np.arange(count) + 0.5) * self._texel_m - self._reach[axis], dtype=np.float32)
+
+
+def _plan(hit: Hit, pool: Pool) -> tuple[Float, Float]:
+    """Where hits lie on the plan: walls are laid open outwards, the deck follows at their upper edge."""
+    half_x, half_y, depth = pool.size_m[0] / 2.0, pool.size_m[1] / 2.0, np.float32(pool.size_m[2])
+    down = depth - hit.z
+    out_x = hit.on_x_wall | (hit.on_deck & (np.abs(hit.x) > half_x))
+    out_y = hit.on_y_wall | (hit.on_deck & (np.abs(hit.y) > half_y))
+    x = hit.x + np.where(out_x, np.copysign(down, hit.x), np.float32(0.0))
+    y = hit.y + np.where(out_y, np.copysign(down, hit.y), np.float32(0.0))
+    return x, y
+
+
+def _unfolded(plan_x: Float, plan_y: Float, pool: Pool) -> Hit:
+    """What lies where on the plan: the inverse of `_plan`. In the corners between two walls, which nobody sees, the wall that
+    is further out."""
+    half_x, half_y, depth = np.float32(pool.size_m[0] / 2.0), np.float32(pool.size_m[1] / 2.0), np.float32(pool.size_m[2])
+    out_x, out_y = np.abs(plan_x) - half_x, np.abs(plan_y) - half_y
+    out = np.maximum(out_x, out_y)
+    deck = out > depth
+    x = np.where(out_x > 0, np.copysign(half_x + np.where(deck, np.maximum(out_x - depth, 0.0), 0.0), plan_x), plan_x)
+    y = np.where(out_y > 0, np.copysign(half_y + np.where(deck, np.maximum(out_y - depth, 0.0), 0.0), plan_y), plan_y)
+    z = np.where(deck, np.float32(0.0), depth - np.maximum(out, 0.0))
+    wall = (out > 0) & ~deck
+    x, y, z = (np.asarray(plane, dtype=np.float32) for plane in (x, y, z))
+    return Hit(x, y, z, wall & (out_x >= out_y), wall & (out_y > out_x), deck)
+
+
+def _halved(blocks: Float, view: View) -> Float:
+    """Values at the middles of all blocks, interpolated to the middle of every 2 x 2 pixels."""
+    rows, columns = blocks.shape
+    fine = cv2.resize(blocks, (columns * BLOCK // 2, rows * BLOCK // 2), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(fine[: (view.height + 1) // 2, : (view.width + 1) // 2], dtype=np.float32)

@@ -1,0 +1,163 @@
+"""What each pixel of the simulated camera looks along, handed out by the rectangle.
+
+Fields that change slowly across the picture (ripples, caustics on robots, glare) are computed once per BLOCK x BLOCK pixels
+and interpolated.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bridge.camera.optics import GRAZING, camera_slopes, project
+from wire.config.perception import Camera
+from wire.frames import Array
+
+Float = NDArray[np.float32]
+
+BLOCK = 8  # pixels; the shortest ripple is some 60 pixels long
+
+
+@dataclass(frozen=True)
+class Window:
+    """A rectangle of the picture that begins on the Bayer pattern's first pixel, and the blocks that interpolate over it."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+    block_top: int
+    block_bottom: int
+    block_left: int
+    block_right: int
+
+    @property
+    def pixels(self) -> tuple[slice, slice]:
+        """Index of the rectangle in a (height, width) array."""
+        return slice(self.top, self.bottom), slice(self.left, self.right)
+
+    @property
+    def blocks(self) -> tuple[slice, slice]:
+        """Index of the blocks in a (block rows, block columns) array: one more on each side where there is one."""
+        return slice(self.block_top, self.block_bottom), slice(self.block_left, self.block_right)
+
+
+@dataclass(frozen=True)
+class Lines:
+    """Lines of sight, planes of one shape: where they cross the surface, and how far they go sideways per metre down, in air
+    and in water."""
+
+    surface_x: Float
+    surface_y: Float
+    air_x: Float
+    air_y: Float
+    water_x: Float
+    water_y: Float
+
+    def __getitem__(self, where: tuple[slice, slice]) -> "Lines":
+        """Those of a rectangle."""
+        planes = (self.surface_x, self.surface_y, self.air_x, self.air_y, self.water_x, self.water_y)
+        return Lines(*(plane[where] for plane in planes))
+
+    def bent(self, slope_x: Float, slope_y: Float) -> "Lines":
+        """In water, turned by these much."""
+        water_x, water_y = np.asarray(self.water_x + slope_x), np.asarray(self.water_y + slope_y)
+        return Lines(self.surface_x, self.surface_y, self.air_x, self.air_y, water_x, water_y)
+
+
+class Lens:
+    """Where each pixel and each block looks from the camera, whatever its pose: planes (3, height, width) of slopes right and
+    down, and of ones. Finding them takes a second, so a camera that moves keeps them."""
+
+    def __init__(self, camera: Camera) -> None:
+        self.width, self.height = camera.size_px
+        column, row = np.meshgrid(np.arange(self.width, dtype=np.float64), np.arange(self.height, dtype=np.float64))
+        self.pixels = _slopes(camera, column, row)
+        rows, columns = -(-self.height // BLOCK), -(-self.width // BLOCK)
+        middle = (BLOCK - 1) / 2.0
+        column, row = np.meshgrid(np.arange(columns) * BLOCK + middle, np.arange(rows) * BLOCK + middle)
+        self.blocks = _slopes(camera, column, row)
+
+
+class View:
+    """Lines of sight of a camera in its pose: of all blocks at once, of pixels by the rectangle."""
+
+    def __init__(self, camera: Camera, lens: Lens | None = None) -> None:
+        self.camera, self.lens = camera, lens or Lens(camera)
+        self.width, self.height = camera.size_px
+        self.blocks = _lines(camera, self.lens.blocks)
+        self._pixels = None if lens else _lines(camera, self.lens.pixels)  # for one picture only, rectangles are cheaper
+
+    def moved(self, camera: Camera) -> "View":
+        """The same camera in another pose."""
+        return View(camera, self.lens)
+
+    def lines(self, window: Window) -> Lines:
+        """Those of a window's pixels."""
+        if self._pixels is not None:
+            return self._pixels[window.pixels]
+        return _lines(self.camera, self.lens.pixels[:, *window.pixels])
+
+    @property
+    def whole(self) -> Window:
+        """The whole picture."""
+        rows, columns = self.blocks.surface_x.shape
+        return Window(0, self.height, 0, self.width, 0, rows, 0, columns)
+
+    def windows(self, points_pool: Sequence[Array], margin_px: float) -> list[Window | None]:
+        """For each of k things the rectangle that holds the pictures of all its points, (k, m, 3); None if that lies outside
+        the picture."""
+        if not len(points_pool):
+            return []
+        points = np.asarray(points_pool)
+        pixels = project(self.camera, points.reshape(-1, 3)).reshape(len(points), -1, 2)
+        low, high = pixels.min(axis=1) - margin_px, pixels.max(axis=1) + margin_px
+        return [self._window(*sides) for sides in np.concatenate([low, high], axis=1).tolist()]
+
+    def _window(self, low_x: float, low_y: float, high_x: float, high_y: float) -> Window | None:
+        if not (high_x >= 0 and high_y >= 0 and low_x <= self.width - 1 and low_y <= self.height - 1):  # NaN is nowhere
+            return None
+        rows, columns = self.blocks.surface_x.shape
+        left, right = max(int(low_x) // 2 * 2, 0), min(int(high_x) // 2 * 2 + 2, self.width)
+        top, bottom = max(int(low_y) // 2 * 2, 0), min(int(high_y) // 2 * 2 + 2, self.height)
+        return Window(
+            top, bottom, left, right,
+            max(top // BLOCK - 1, 0), min(-(-bottom // BLOCK) + 1, rows),
+            max(left // BLOCK - 1, 0), min(-(-right // BLOCK) + 1, columns),
+        )  # fmt: skip
+
+    def spread(self, blocks: Float, window: Window) -> Float:
+        """Values at the middles of `window.blocks`, interpolated to the pixels of the window."""
+        rows, columns = blocks.shape
+        fine = cv2.resize(blocks, (columns * BLOCK, rows * BLOCK), interpolation=cv2.INTER_LINEAR)
+        top, left = window.top - window.block_top * BLOCK, window.left - window.block_left * BLOCK
+        height, width = window.bottom - window.top, window.right - window.left
+        return np.asarray(fine[top : top + height, left : left + width], dtype=np.float32)
+
+
+def seen_raw(planes: Sequence[NDArray[np.uint8]], column: Float, row: Float) -> NDArray[np.uint8]:
+    """What an RGGB sensor's pixels see of a picture (its red, green and blue planes) at these places of it, in their shape."""
+    raw = np.empty(column.shape, np.uint8)
+    for i, j, plane in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        x, y = np.ascontiguousarray(column[i::2, j::2]), np.ascontiguousarray(row[i::2, j::2])
+        raw[i::2, j::2] = cv2.remap(planes[plane], x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return raw
+
+
+def _lines(camera: Camera, slopes: Float) -> Lines:
+    """Lines of sight in the pool, from slopes (3, height, width) in the camera's own frame; see
+    sim_bridge/camera/optics.py."""
+    turn = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0]).astype(np.float32)
+    x, y, down = np.tensordot(turn.T, slopes, axes=1)
+    length2 = x * x + y * y + down * down
+    down = np.maximum(down, np.float32(GRAZING) * np.sqrt(length2))
+    lens_x, lens_y, lens_z = (np.float32(value) for value in camera.position_m)
+    air_x, air_y = x / down, y / down
+    root = np.sqrt(np.float32(camera.water_index**2) * length2 - x * x - y * y)
+    return Lines(lens_x - lens_z * air_x, lens_y - lens_z * air_y, air_x, air_y, x / root, y / root)
+
+
+def _slopes(camera: Camera, column: Array, row: Array) -> Float:
+    return np.ascontiguousarray(np.moveaxis(camera_slopes(camera, np.stack([column, row], axis=-1)), -1, 0), dtype=np.float32)

@@ -1,0 +1,136 @@
+"""The water's surface: ripples that bend every line of sight, the caustics they throw, and lamps mirrored in it.
+
+Everything repeats after LOOP_S, so that backgrounds can be drawn once; all is a function of position and time alone.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.config.perception import Camera
+from wire.config.scene import Pool
+from wire.config.simulation import Picture
+from wire.frames import Array
+
+Float = NDArray[np.float32]
+
+LOOP_S = 2.4  # a little longer than the slowest wave: nobody sees the repetition, and 48 phases of it fit in 60 MB
+GRAVITY_MPS2 = 9.81
+RIPPLE_WAVES = 7
+RIPPLE_LENGTH_M = (0.18, 0.60)  # what fans, pumps and robots leave in a small indoor basin
+CAUSTIC_WAVES = 14
+CAUSTIC_LENGTH_M = (0.14, 0.42)
+CAUSTIC_SLOPE = 0.09  # focuses at about one metre: the bright net of a shallow pool
+CAUSTIC_GRID_M = 0.01
+CAUSTIC_PLAN_M = 4.0  # a larger basin gets the same pattern again, mirrored
+CAUSTIC_BRIGHTEST = 4.0  # times the mean; a lamp is no point, so foci stay finite
+LAMP_HEIGHT_M = 4.0  # above the water
+# Fluorescent tubes on the ceiling: centre x, y and half length, half width, m. Mirrored they lie near the basin's ends.
+LAMPS_M = ((-3.1, -1.9, 0.85, 0.07), (2.6, -2.3, 0.85, 0.07), (3.3, 1.7, 0.85, 0.07))
+_LAMPS_M = np.array(LAMPS_M, np.float32).T[..., None, None]  # each value a plane for all lamps: (4, lamps, 1, 1)
+LAMP_EDGE_M = 0.12
+
+
+class Waves:
+    """A sum of plane waves with deep-water dispersion, its periods fitted into LOOP_S."""
+
+    def __init__(self, count: int, length_m: tuple[float, float], random: np.random.Generator) -> None:
+        length = np.geomspace(*length_m, count) * random.uniform(0.9, 1.1, count)
+        heading = 2.0 * np.pi * (np.arange(count) * 0.382 + random.uniform(-0.05, 0.05, count))  # golden angle: no pattern
+        number = 2.0 * np.pi / length
+        self.number = number[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])  # (count, 2) rad/m
+        cycles = np.maximum(np.round(np.sqrt(GRAVITY_MPS2 * number) * LOOP_S / (2.0 * np.pi)), 1.0)
+        self.frequency = 2.0 * np.pi * cycles / LOOP_S
+        self.phase = random.uniform(0.0, 2.0 * np.pi, count)
+
+    def slope_basis(self, x_m: Float, y_m: Float) -> Float:
+        """cos and sin of every wave's k.x + phase, (2 count, n): any field of the waves is a small matrix times this."""
+        angle = self.number.astype(np.float32) @ np.stack([x_m.ravel(), y_m.ravel()]) + self.phase[:, None].astype(np.float32)
+        return np.concatenate([np.cos(angle), np.sin(angle)])
+
+    def gradient(self, basis: Float, time_s: float, amplitude: Array) -> Float:
+        """d/dx and d/dy, (2, n), of sum_i amplitude_i cos(k_i.x + phase_i - w_i t), from the basis at n points."""
+        c, s = np.cos(self.frequency * time_s), np.sin(self.frequency * time_s)
+        weight = -(amplitude * self.number.T)  # of sin(a - wt) = sin(a) cos(wt) - cos(a) sin(wt)
+        return np.concatenate([-weight * s, weight * c], axis=1).astype(np.float32) @ basis
+
+
+class Ripples:
+    """Slopes of the surface. `ripples_m` is the significant height: four standard deviations of the elevation."""
+
+    def __init__(self, picture: Picture, camera: Camera, random: np.random.Generator) -> None:
+        self._waves = Waves(RIPPLE_WAVES, RIPPLE_LENGTH_M, random)
+        length = 1.0 / np.linalg.norm(self._waves.number, axis=1)
+        share = length / np.linalg.norm(length)  # elevation falls with wave number: slopes are equal
+        self._amplitude = np.sqrt(2.0) * picture.ripples_m / 4.0 * share
+        self.bending = 1.0 - 1.0 / camera.water_index  # how much of a slope the ray below it turns by, near the vertical
+
+    def basis(self, x_m: Float, y_m: Float) -> Float:
+        """What `slopes` needs to know about points, independent of time."""
+        return self._waves.slope_basis(x_m, y_m)
+
+    def slopes(self, basis: Float, time_s: float) -> Float:
+        """Slope of the surface (d height / dx, d height / dy), shape (2, n)."""
+        return self._waves.gradient(basis, time_s, self._amplitude)
+
+
+class Caustics:
+    """Light on the floor: a regular bundle of rays sent down through a wavy surface and collected on a grid."""
+
+    def __init__(self, pool: Pool, random: np.random.Generator) -> None:
+        self._waves = Waves(CAUSTIC_WAVES, CAUSTIC_LENGTH_M, random)
+        steep = np.linalg.norm(self._waves.number, axis=1)
+        self._amplitude = CAUSTIC_SLOPE / steep * np.sqrt(2.0 / CAUSTIC_WAVES)
+        self._throw_m = 0.25 * pool.size_m[2]
+        self._width, self._height = (round(min(size, CAUSTIC_PLAN_M) / CAUSTIC_GRID_M) + 1 for size in pool.size_m[:2])
+        column, row = np.meshgrid(np.arange(self._width, dtype=np.float32), np.arange(self._height, dtype=np.float32))
+        self._column, self._row = column.ravel(), row.ravel()
+        grid = np.float32(CAUSTIC_GRID_M)
+        self._basis = self._waves.slope_basis(self._column * grid, self._row * grid)
+        self._half = np.array([pool.size_m[0], pool.size_m[1]]) / 2.0
+
+    def pattern(self, time_s: float) -> Float:
+        """Light over its mean on the pool's plan, (height, width), CAUSTIC_GRID_M apart, from 0 to CAUSTIC_BRIGHTEST."""
+        shift = self._waves.gradient(self._basis, time_s, self._amplitude) * np.float32(self._throw_m / CAUSTIC_GRID_M)
+        # The bundle is mirrored at the walls by folding, which keeps the light that leaves the grid.
+        x = _fold(self._column + shift[0], self._width)
+        y = _fold(self._row + shift[1], self._height)
+        left, top = x.astype(np.intp), y.astype(np.intp)
+        u, v = x - left, y - top
+        corner = top * self._width + left
+        light = np.zeros(self._width * self._height + self._width + 1)
+        for step, weight in ((0, (1 - u) * (1 - v)), (1, u * (1 - v)), (self._width, (1 - u) * v), (self._width + 1, u * v)):
+            light += np.bincount(corner + step, weight, light.size)
+        grid = light[: self._width * self._height].reshape(self._height, self._width).astype(np.float32)
+        return np.minimum(cv2.GaussianBlur(grid, (0, 0), 0.9), CAUSTIC_BRIGHTEST).astype(np.float32)
+
+    def grid_coordinates(self, x_m: Float, y_m: Float) -> tuple[Float, Float]:
+        """Column and row in `pattern` of places on the plan."""
+        column = (x_m + self._half[0]) / CAUSTIC_GRID_M
+        row = (y_m + self._half[1]) / CAUSTIC_GRID_M
+        return column.astype(np.float32), row.astype(np.float32)
+
+
+def _fold(value: Float, size: int) -> Float:
+    """Onto 0 .. size - 1, as often as it takes: in a deep basin light wanders farther than the pattern is wide."""
+    last, away = np.float32(size - 1.001), np.abs(value)
+    if away.max() > 2 * last:
+        away = np.mod(away, 2 * last)
+    folded: Float = last - np.abs(last - away)
+    return folded
+
+
+def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> Float:
+    """How much of a lamp each line of sight meets when mirrored at the surface, 0 to 1, in the shape of `surface_x`.
+
+    A slope turns the mirrored ray by twice itself, which at the ceiling is a long way: lamps break up into wobbling streaks.
+    """
+    lens = camera.position_m
+    further = 1.0 - LAMP_HEIGHT_M / lens[2]
+    slope_x, slope_y = slopes.reshape(2, *surface_x.shape)
+    x = lens[0] + (surface_x - lens[0]) * np.float32(further) - slope_x * np.float32(2.0 * LAMP_HEIGHT_M)
+    y = lens[1] + (surface_y - lens[1]) * np.float32(further) - slope_y * np.float32(2.0 * LAMP_HEIGHT_M)
+    centre_x, centre_y, half_length, half_width = _LAMPS_M
+    along = np.clip((half_length - np.abs(x - centre_x)) / np.float32(2 * LAMP_EDGE_M) + np.float32(0.5), 0.0, 1.0)
+    across = np.clip((half_width - np.abs(y - centre_y)) / np.float32(2 * LAMP_EDGE_M) + np.float32(0.5), 0.0, 1.0)
+    return np.asarray(np.add.reduce(along * across, axis=0), dtype=np.float32)

@@ -1,0 +1,108 @@
+"""SHELL: `sim-bridge compare` and `sim-bridge tune` on the command line."""
+
+import os
+import time
+from collections.abc import Collection
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.config.experiment import experiment_path, load_experiment
+from wire.process.cli_options import ExperimentName, Settings
+from wire.process.output_files import COMPARISON, check_output
+from wire.toml_loader import ConfigError
+
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes that fly; default: one per core.")]
+
+
+def compare(
+    experiment: ExperimentName,
+    laws: Annotated[str, typer.Option(metavar="NAMES", help="Whom to compare, with commas; default: all of --list.")] = "",
+    seeds: Annotated[str, typer.Option(metavar="FIRST-LAST", help="Seeds; each is flown by everyone.")] = "1-10",
+    scatter: Annotated[float, typer.Option(min=0.0, help="Starts are moved by up to this much per seed, m and rad.")] = 0.1,
+    duration: Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")] = None,
+    jobs: Jobs = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the results; default: runs/compare-EXPERIMENT-TIME.")] = None,
+    show_list: Annotated[bool, typer.Option("--list", help="Say what can be compared, and stop.")] = False,
+    settings: Settings = None,
+) -> None:
+    """Compare control laws: fly them on the same seeds without camera and network; print a table, write JSON and a report.
+
+    A seed moves the starts and draws noise and thruster spread. Figures are means over seeds with 95 % confidence intervals;
+    the column "×" is the ratio of the distance after 20 s to the first law's, on the same seeds. Results do not depend on
+    --jobs. Exit code 0 if everything was flown, 1 if not, 2 for a configuration that cannot be.
+
+    Examples:  sim-bridge compare numeric-disturbed --scatter 0.5
+               sim-bridge compare pool --laws eso-mpc,lqr,mpc-leader-follower --seeds 1-5 --set sim.numeric.pose_noise_m=0.0015
+    """
+    from rich.console import Console
+
+    from sim_bridge.studies import comparison as comparing
+    from sim_bridge.studies.variants import VARIANTS
+
+    if show_list:
+        for name, changes in VARIANTS.items():
+            typer.echo(f"{name:26} {' '.join(changes)}")
+        return
+    console, chosen, flown = Console(), _names(laws, VARIANTS, "--laws"), _range(seeds)
+    asked = [*(settings or ()), *([f"duration_s={duration}"] if duration is not None else [])]
+    name = load_experiment(experiment, asked).name
+    folder = out or Path("runs") / f"compare-{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for file in COMPARISON:
+        check_output(folder / file, [experiment_path(experiment)], mine=COMPARISON)
+    if (folder / COMPARISON[0]).exists():
+        raise ConfigError(f"{folder}: holds a comparison already (--out FOLDER makes another)")
+    folder.mkdir(parents=True, exist_ok=True)
+    raise typer.Exit(comparing.run(experiment, asked, chosen, flown, scatter, _cores(jobs), folder, console))
+
+
+def tune(
+    laws: Annotated[str, typer.Option(metavar="NAMES", help="Which laws, with commas; default: all but eso-mpc.")] = "",
+    scenes: Annotated[str, typer.Option(metavar="NAMES", help="Flown in each trial; default: all there are.")] = "",
+    seeds: Annotated[str, typer.Option(metavar="FIRST-LAST", help="Other seeds than a comparison's.")] = "101",
+    budget: Annotated[int, typer.Option(min=4, help="Trials per law.")] = 32,
+    jobs: Jobs = None,
+    settings: Settings = None,
+) -> None:
+    """Tune the laws that the ESO-MPC is compared with: the same search, budget and flights for each; print sections for an
+    experiment file.
+
+    With --set vehicle=FILE.toml for another vehicle.
+
+    Example:  sim-bridge tune --laws pid,lqr --budget 100 > gains.toml
+    """
+    from typing import get_args
+
+    from rich.console import Console
+
+    from sim_bridge.studies import gain_tuning as tuning
+    from wire.config.baseline_controllers import LawName
+
+    chosen = _names(laws, [name for name in get_args(LawName) if name != "eso-mpc"], "--laws")
+    flown = _names(scenes, tuning.SCENES, "--scenes")
+    console = Console(stderr=True)
+    for tuned in tuning.run(chosen, flown, settings or (), _range(seeds), budget, _cores(jobs), console):
+        console.print(f"{tuned.law}: cost {tuned.first:.3f} before, {tuned.best:.3f} after {budget} trials", soft_wrap=True)
+        typer.echo(tuned.toml())
+
+
+def _names(given: str, allowed: Collection[str], option: str) -> list[str]:
+    """A list with commas; empty is everything."""
+    names = [name.strip() for name in given.split(",") if name.strip()] or list(allowed)
+    for name in names:
+        if name not in allowed or names.count(name) > 1:
+            raise typer.BadParameter(f"{option}: {name!r} (allowed, once each: {', '.join(allowed)})")
+    return names
+
+
+def _range(given: str) -> list[int]:
+    """`3` or `1-10`."""
+    first, _, last = given.partition("-")
+    if not (first.isdecimal() and (last.isdecimal() or not last)) or int(last or first) < int(first):
+        raise typer.BadParameter(f"--seeds {given}: must be a number or a range, for example 1-10")
+    return list(range(int(first), int(last or first) + 1))
+
+
+def _cores(jobs: int | None) -> int:
+    return jobs or os.cpu_count() or 1

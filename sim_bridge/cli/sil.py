@@ -1,0 +1,202 @@
+"""SHELL: `sim-bridge sil`, `numeric` and `campaign`: whole experiments, flown on this machine."""
+
+import time
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+from sim_bridge.cli.pool import Poses
+from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
+from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
+from wire.process.runtime import Stop
+from wire.toml_loader import files_named
+
+Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
+Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
+OutFolder = Annotated[Path, typer.Option(help="Folder for the run's own folder.")]
+
+
+def sil(
+    experiment: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="EXPERIMENT",
+            help="A shipped experiment, e.g. `pool`, or a path ending in .toml.",
+            autocompletion=experiments,
+        ),
+    ] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
+    ] = False,
+    seed: Seed = None,
+    duration: Duration = None,
+    out: OutFolder = Path("runs"),
+    settings: Settings = None,
+    faults: FaultLines = None,
+    poses: Poses = False,
+    manual: Annotated[
+        bool, typer.Option("--manual", help="Wait for the operator: arm, start and end it on the page.")
+    ] = False,
+    web: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where the operator's page is; another port if that one is taken.")
+    ] = "127.0.0.1:8000",
+    no_web: Annotated[bool, typer.Option("--no-web", help="Serve no page.")] = False,
+    keys: KeyRing = None,
+    signed: Annotated[bool, typer.Option("--signed", help="Sign the links to the thruster boards, with new keys.")] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Only say what would be flown and started, or why it cannot be.")
+    ] = False,
+    source: Annotated[
+        Path | None, typer.Option("--from", metavar="RUN", help="Go on from a moment of this run, instead of an EXPERIMENT.")
+    ] = None,
+    at: Annotated[float, typer.Option(min=0.0, help="With --from: the moment, in seconds along the trajectories.")] = 0.0,
+) -> None:
+    """Fly an experiment with all its processes on this machine, the pool simulated; write log and report.
+
+    Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
+
+    With --from, agents and plant go on in this process, as in `numeric`: each agent is first led through what its robot had
+    been through, so it remembers; the robots are put where they were, moving as they did.
+
+    Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
+               sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
+               sim-bridge sil pool --set path.lap_s=30 --dry-run
+               sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
+    """
+    from rich.console import Console
+
+    if source is not None and dry_run:
+        raise typer.BadParameter("--dry-run is for an EXPERIMENT, not for --from")
+    if source is not None:
+        _go_on(experiment, source, at, _changes(seed, duration, settings), faults, out)
+    if experiment is None:
+        raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
+    from sim_bridge.sil import launcher as software_in_the_loop
+    from sim_bridge.sil.commands import Way, check
+    from sim_bridge.sil.ports import page_address
+
+    loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
+    console = Console()
+    page = None if no_web else page_address(web)
+    way = Way(lockstep, page, manual, poses, keys, signed)
+    check(loaded, way)
+    if dry_run:
+        raise typer.Exit(software_in_the_loop.rehearse(loaded, out / f"{loaded.name}-TIME", way, console))
+    folder = _new_folder(out, loaded.name)
+    mode = "lockstep" if lockstep else "real time"
+    console.print(
+        f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
+    )
+    if page is not None:
+        console.print(f"operator page: http://{page}/", soft_wrap=True)
+    raise typer.Exit(software_in_the_loop.run(loaded, folder, way, Stop(), console))
+
+
+def numeric(
+    experiment: ExperimentName,
+    seed: Seed = None,
+    duration: Duration = None,
+    out: OutFolder = Path("runs"),
+    settings: Settings = None,
+    faults: FaultLines = None,
+) -> None:
+    """Fly an experiment with agents and plant in one process, as fast as it goes; write log and report.
+
+    No camera, no network, no thruster boards: poses are the plant's (sim.numeric: noise, sim.latency_s: age), pulses act on
+    the thrusters. Exit code 0 if every limit of the experiment held, 1 if not.
+
+    Examples:  sim-bridge numeric numeric      sim-bridge numeric numeric-disturbed --set controller.estimator.enabled=false
+    """
+    from rich.console import Console
+
+    from sim_bridge.in_process import run
+
+    loaded = _load(experiment, seed, duration, [*(settings or ()), NO_CAMERA], faults)
+    console = Console()
+    fleet, water = run.prepared(loaded)
+    folder = _new_folder(out, loaded.name)
+    console.print(f"{loaded.title or loaded.name}: {loaded.duration_s:g} s, seed {loaded.seed}, into {folder}", soft_wrap=True)
+    raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))
+
+
+def campaign(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The campaign, a TOML file (docs/simulator.md).")],
+    out: Annotated[Path | None, typer.Option(help="Folder of the campaign; default: runs/campaign-NAME.")] = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Fly on this Dask cluster, e.g. tcp://10.0.0.1:8786.")
+    ] = None,
+) -> None:
+    """Fly an experiment many times, keys swept or drawn, on all cores or on a cluster; write Parquet and a report.
+
+    Exit code 0 if every flight was flown, well or badly; 1 if one was refused or failed.
+
+    Examples:  sim-bridge campaign errors.toml       sim-bridge campaign errors.toml --resume --scheduler tcp://10.0.0.1:8786
+    """
+    from rich.console import Console
+
+    from sim_bridge.studies import campaign_runner
+    from sim_bridge.studies.campaign import Campaign
+    from wire.toml_loader import check, read_toml
+
+    loaded = check(Campaign, read_toml(file), str(file))
+    folder = out or Path("runs") / f"campaign-{loaded.name}"
+    raise typer.Exit(
+        campaign_runner.run(
+            loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Console()
+        )
+    )
+
+
+def _load(
+    name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
+) -> Experiment:
+    from sim_bridge.fault_schedule import never
+
+    loaded = load_experiment(name, _changes(seed, duration_s, settings), faults or ())
+    caution(loaded, *never(loaded))
+    return loaded
+
+
+def _changes(seed: int | None, duration_s: float | None, settings: list[str] | None) -> list[str]:
+    changes = list(settings or ())
+    changes += [f"seed={seed}"] if seed is not None else []
+    changes += [f"duration_s={duration_s}"] if duration_s is not None else []
+    return changes
+
+
+def _go_on(
+    experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
+) -> NoReturn:
+    """`sil --from`."""
+    from rich.console import Console
+
+    from sim_bridge.fault_schedule import never
+    from sim_bridge.in_process import resume_run
+
+    if experiment is not None:
+        raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
+    loaded = resume_run.experiment_of(source, changes, faults or ())
+    caution(loaded, *never(loaded))
+    fleet, water = resume_run.prepared(loaded, source, at_s)
+    folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
+    console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
+    raise typer.Exit(resume_run.run(fleet, water, folder, stop=Stop(), console=console))
+
+
+def _new_folder(out: Path, name: str) -> Path:
+    """runs/<experiment>-<time>, with a number when two start in the same second."""
+    stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
+        folder = out / f"{stem}{suffix}"
+        with files_named(out):
+            try:
+                folder.mkdir(parents=True)
+                return folder
+            except FileExistsError:
+                if folder.exists():
+                    continue
+                raise
+    raise RuntimeError(f"cannot make a folder {out / stem}")

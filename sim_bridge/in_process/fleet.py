@@ -1,0 +1,324 @@
+"""Agents and plant stepped in one process: the article's numeric scenes, and studies that need many flights. Pure.
+
+    water = BareWater(experiment, seed, starts)
+    fleet = AgentFleet(experiment, trajectories, water, seed)
+    fleet.start()                       # robots held in place: load, arm, let go at time 0 of the trajectories
+    for topic, robot, message, stamp_ns in fly(fleet, water):
+        ...                             # what a recorder would have heard
+    fleet.errors()                      # truth minus reference
+
+What a robot's board runs is all there, from orders to pulses. Left out is what carries it: camera, network, MAVLink. Poses
+are the plant's, with the noise and the age that the experiment asks for; plans arrive one control step later, as in
+lockstep. This module and resume.py are the only ones of the simulator that may see the robots' code.
+"""
+
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from robot_agent.agent import Agent, Outputs
+from robot_agent.command_check import StationView
+from robot_agent.inputs import Heard, Inputs, Seen, Watched
+from sim_bridge.camera.ideal_localizer import Located
+from sim_bridge.fault_schedule import Faults
+from sim_bridge.plant.fleet import Plant
+from sim_bridge.plant.sensors import BoardSensors
+from wire.config.experiment import Experiment
+from wire.frames import Array, pose_error
+from wire.mavlink.agent_link import Telemetry
+from wire.messages import topics
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Event, Message, Order, Pose, Reply, RobotState, Trajectory, Truth
+from wire.messages.topics import Topic
+from wire.toml_loader import ConfigError
+
+NS = 1_000_000_000
+STATION_SESSION = 1
+READY_NS = NS // 2  # robots are held this long before they start: their estimates are at rest
+INFO = 2  # an event's level
+SEEN_KEPT = 64  # poses on their way: more than the longest latency of the fastest loop
+
+Sent = tuple[Topic, int | None, Message, int]  # topic, robot, message, stamp in ns
+
+
+class Water(Protocol):
+    """What the robots swim in, thruster boards included. Robots are told by their place in the file, time is its own."""
+
+    @property
+    def now_ns(self) -> int: ...
+    @property
+    def eta(self) -> Array: ...
+    def advance(self, to_ns: int) -> None: ...
+    def telemetry(self, i: int, now_ns: int) -> Telemetry: ...
+    def act(self, i: int, outputs: Outputs) -> None: ...
+
+
+class BareWater:
+    """The plant with no boards between: pulses go straight to the thrusters, and sensors straight to the agent."""
+
+    def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
+        step_ns, period_ns = round(experiment.sim.plant.step_s * NS), round(experiment.controller.period_s * NS)
+        if period_ns % step_ns:
+            raise ConfigError(
+                f"sim.plant.step_s = {experiment.sim.plant.step_s:g}: must go into controller.period_s = "
+                f"{experiment.controller.period_s:g} without a rest"
+            )
+        self._plant = Plant(experiment, seed)
+        self._state = self._plant.start(starts)
+        self._step_ns, self._steps_a_period = step_ns, period_ns // step_ns
+        self._sensors = [BoardSensors(experiment.sim.sensors, robot, seed) for robot in experiment.robot_ids]
+        self._pulses_us = self._state.motors.pulses_us[0].copy()
+        self._armed = [False] * len(starts)
+        self._faults = Faults(experiment)
+        self._begin_ns = 0  # when the trajectories begin
+        self.happened: list[str] = []  # what broke or is whole again, until somebody takes it
+
+    def take_up(
+        self, eta: Array, nu: Array, pulses_us: Sequence[Array], armed: Sequence[bool], now_ns: int, begin_ns: int
+    ) -> None:
+        """Go on at `now_ns` with robots at poses and velocities (n, 4), `pulses_us` (n, 8) being those of the last control
+        steps, each a period long, the newest last: thrusters know of them. The trajectories began at `begin_ns`."""
+        for pulses in pulses_us:
+            for _ in range(self._steps_a_period):
+                self._state = self._plant.step(self._state, pulses)
+        self._state = replace(self._state, eta=eta, nu=nu, tilt=np.zeros_like(eta), steps=now_ns // self._step_ns)
+        self._pulses_us, self._armed, self._begin_ns = pulses_us[-1].copy(), list(armed), begin_ns
+
+    @property
+    def now_ns(self) -> int:
+        """Time since the robots were let go."""
+        return self._state.steps * self._step_ns
+
+    @property
+    def eta(self) -> Array:
+        """Poses now, (n, 4)."""
+        return self._state.eta
+
+    @property
+    def nu(self) -> Array:
+        """Velocities now, (n, 4)."""
+        return self._state.nu
+
+    @property
+    def tilt(self) -> Array:
+        """Roll, pitch and their rates now, (n, 4)."""
+        return self._state.tilt
+
+    def truth(self) -> Truth:
+        """The state now, for the log."""
+        return self._plant.truth(self._state)
+
+    def advance(self, to_ns: int) -> None:
+        """Move on to the first plant step at or after `to_ns`."""
+        while self.now_ns < to_ns:
+            self.happened += self._break_things()
+            self._state = self._plant.step(self._state, self._faults.pulses(self._pulses_us), self._faults.harm)
+
+    def _break_things(self) -> list[str]:
+        """Let the timeline of faults catch up."""
+        changes = self._faults.at((self.now_ns - self._begin_ns) / NS)
+        for sensors, error in zip(self._sensors, self._faults.imu_error.tolist() if changes else (), strict=False):
+            sensors.error = (error[0], error[1])
+        return changes
+
+    def telemetry(self, i: int, now_ns: int) -> Telemetry:
+        """What a board would say of the i-th robot, `now_ns` on the agent's clock."""
+        state = self._state
+        reading = self._sensors[i].read(state.eta[i], state.nu[i], np.zeros(4), state.tilt[i])
+        return Telemetry(
+            board_ms=now_ns // 1_000_000,
+            arrival_ns=now_ns,
+            heading_rad=reading.heading_rad,
+            yaw_rate_radps=reading.yaw_rate_radps,
+            depth_m=reading.depth_m,
+            battery_v=float(self._plant.rest_v(state, self._faults.harm)[i]),
+            armed=self._armed[i],
+        )
+
+    def act(self, i: int, outputs: Outputs) -> None:
+        """Take the i-th agent's pulses, and its wish to be armed."""
+        self._pulses_us[i] = outputs.pulse_us
+        self._armed[i] = self._armed[i] if outputs.arm is None else outputs.arm
+
+
+@dataclass
+class Robot:
+    """One agent with what is kept of it."""
+
+    agent: Agent
+    plan: Heard | None = None
+    states: list[RobotState] = field(default_factory=list)
+
+
+class AgentFleet:
+    """All agents of an experiment with what the localizer, the network and the station are to them."""
+
+    def __init__(
+        self,
+        experiment: Experiment,
+        trajectories: Mapping[int, Trajectory],
+        water: Water,
+        seed: int,
+        clock_ns: Callable[[], int] = lambda: 0,
+    ) -> None:
+        """`clock_ns` times the control steps for the report; nothing depends on it."""
+        self.experiment, self.trajectories = experiment, trajectories
+        self.robots = [Robot(Agent(experiment, robot)) for robot in experiment.robot_ids]
+        self.period_ns = round(experiment.controller.period_s * NS)
+        self.now_ns = 0  # the agents' clock
+        self.held = False  # robots are kept in place: the water's time stands
+        self.truth: list[Array] = []  # poses (n, 4) at each control step
+        self.ahead_ns = [0] * len(self.robots)  # by how much each robot's own clock is ahead of `now_ns`
+        self.begin = 0  # the control step at which the trajectories began
+        self._start_ns = 0
+        self._water, self._clock_ns = water, clock_ns
+        self._latency_ns = round(experiment.sim.latency_s * NS)
+        self._located = Located(experiment, seed)
+        self.seen: deque[tuple[int, list[Pose]]] = deque(maxlen=SEEN_KEPT)  # instant on the agents' clock, pose of each robot
+        self.watched: deque[Watched] = deque(maxlen=SEEN_KEPT)
+        self._orders = 0
+
+    @property
+    def time_s(self) -> float:
+        """Time along the trajectories since `start`."""
+        return (self.now_ns - self._start_ns) / NS
+
+    def order(self, order: Order, i: int, start_in_s: float = 0.0, trajectory_s: float = 0.0) -> Reply:
+        """Give the i-th robot an order as the station would."""
+        self._orders += 1
+        robot = self.experiment.robot_ids[i]
+        command = Command(
+            order,
+            robot,
+            experiment_hash=self.experiment.hash,
+            trajectory_id=self.trajectories[robot].id,
+            trajectory_s=trajectory_s,
+            trajectory=self.trajectories[robot] if order is Order.LOAD else None,
+            start_ns=self.now_ns + round(start_in_s * NS),
+        )
+        return self.robots[i].agent.order(
+            Header(STATION_SESSION, self._orders, self.now_ns), command, self.station(), self.now_ns
+        )
+
+    def start(self) -> None:
+        """Hold the robots where they are until their estimates stand, then let go at the instant at which the trajectories
+        begin: time 0 of the scene. Raises RuntimeError if a robot refuses."""
+        self.held = True
+        for _ in range(max(READY_NS // self.period_ns - 1, 1)):
+            self.step()
+        for order in (Order.LOAD, Order.ARM):
+            self._all(order)
+        self.step()  # the boards arm meanwhile
+        self._all(Order.START)
+        self._start_ns = self.now_ns + self.period_ns
+        self.step()
+        self.held, self.begin = False, len(self.truth)
+
+    def _all(self, order: Order) -> None:
+        """Give an order to every robot; START is for the next step. Raises RuntimeError if one refuses."""
+        for i in range(len(self.robots)):
+            reply = self.order(order, i, start_in_s=self.period_ns / NS)
+            if not reply.accepted:
+                raise RuntimeError(f"robot {reply.robot}: {order.name}: {reply.reason}")
+
+    def step(self) -> None:
+        """One control period of water, then one control step of every robot."""
+        self._move()
+        self.now_ns += self.period_ns
+        self.truth.append(self._water.eta.copy())
+        plans = {r: robot.plan for r, robot in zip(self.experiment.robot_ids, self.robots, strict=True)}
+        for i in range(len(self.robots)):
+            self.think(i, plans)
+
+    def errors(self) -> Array:
+        """Truth minus reference (steps, n, 4) since the trajectories began, yaw to the path's tangent. The reference is the
+        trajectory's: a robot that has given up says that it is where it should be."""
+        truth = np.array(self.truth[self.begin :])
+        time_s = np.arange(1.0, len(truth) + 1.0) * (self.period_ns / NS)
+        reference = [_poses(self.trajectories[robot], time_s) for robot in self.experiment.robot_ids]
+        return pose_error(truth, np.stack(reference, axis=1))
+
+    def _move(self) -> None:
+        """The water up to the next control step, and the exposure that will be seen at it or later."""
+        before_ns = self._latency_ns % self.period_ns
+        end_ns = self._water.now_ns + self.period_ns
+        if not self.held:
+            self._water.advance(end_ns - before_ns)
+        self.expose(self.now_ns + self.period_ns - before_ns)
+        if not self.held:
+            self._water.advance(end_ns)
+
+    def expose(self, stamp_ns: int) -> None:
+        """Locate every robot."""
+        self.seen.append((stamp_ns, self._located.poses(self._water.eta)))
+        obstacles = self._located.obstacles(self._water.now_ns / NS)
+        if obstacles is not None:
+            self.watched.append(Watched(obstacles, stamp_ns))
+
+    def think(self, i: int, plans: Mapping[int, Heard | None]) -> None:
+        """One control step of the i-th robot."""
+        robot, me, ahead_ns = self.robots[i], self.experiment.robot_ids[i], self.ahead_ns[i]
+        heard = {r: replace(p, instant_ns=p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
+        seen, adrift, now_ns = self.pose(i), self._seen_adrift(), self.now_ns + ahead_ns
+        inputs = Inputs(
+            pose=replace(seen, instant_ns=seen.instant_ns + ahead_ns) if seen is not None else None,
+            telemetry=self._water.telemetry(i, now_ns),
+            station=self.station(),
+            plans=heard,
+            watched=replace(adrift, instant_ns=adrift.instant_ns + ahead_ns) if adrift is not None else None,
+        )
+        begin_ns = self._clock_ns()
+        outputs = robot.agent.step(inputs, now_ns)
+        took_ns = self._clock_ns() - begin_ns
+        self._water.act(i, outputs)
+        robot.plan = Heard(outputs.plan, self.now_ns) if outputs.plan is not None else robot.plan
+        robot.states.append(replace(outputs.state, step_us=took_ns / 1000.0) if took_ns else outputs.state)
+
+    def pose(self, i: int) -> Seen | None:
+        """The newest pose of the i-th robot that is out of the localizer by now."""
+        for stamp_ns, poses in reversed(self.seen):
+            if stamp_ns <= self.now_ns - self._latency_ns:
+                return Seen(poses[i], stamp_ns)
+        return None
+
+    def _seen_adrift(self) -> Watched | None:
+        """The newest that is out of the localizer by now of what is no robot."""
+        return next((w for w in reversed(self.watched) if w.instant_ns <= self.now_ns - self._latency_ns), None)
+
+    def station(self) -> StationView:
+        """The station as the robots hear it."""
+        return StationView(STATION_SESSION, self.now_ns, 0.0)
+
+
+def _poses(trajectory: Trajectory, time_s: Array) -> Array:
+    """The reference (n, 4) at n instants."""
+    grid = trajectory.period_s * np.arange(len(trajectory.eta))
+    return np.array([np.interp(time_s, grid, column) for column in trajectory.eta.T]).T
+
+
+def fly(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:
+    """Fly a fleet that has started to the end of its experiment. Yields what a pool's recorder hears, but not plans: they are
+    three quarters of a log, and no report reads them."""
+    for robot, trajectory in fleet.trajectories.items():
+        yield topics.TRAJECTORY, robot, trajectory, 0
+    yield from _heard(fleet, water)
+    while fleet.time_s < fleet.experiment.duration_s - 1e-9:
+        fleet.step()
+        yield from _heard(fleet, water)
+
+
+def _heard(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:
+    """Truth, poses, states and events of the last step."""
+    for text in water.happened:
+        yield topics.EVENT, None, Event(INFO, "sim-bridge", text), fleet.now_ns
+    water.happened.clear()
+    yield topics.TRUTH, None, water.truth(), fleet.now_ns
+    if fleet.watched:
+        yield topics.OBSTACLES, None, fleet.watched[-1].obstacles, fleet.watched[-1].instant_ns
+    stamp_ns, poses = fleet.seen[-1]
+    for robot, pose, member in zip(fleet.experiment.robot_ids, poses, fleet.robots, strict=True):
+        yield topics.POSE, robot, pose, stamp_ns
+        yield topics.STATE, robot, member.states[-1], fleet.now_ns

@@ -1,0 +1,91 @@
+"""SHELL: `sim-bridge numeric`: the station plans, fleet.py flies, the station records and reports.
+
+The station's programs are its own, run as a person would run them; what is flown goes to the recorder through a pipe.
+"""
+
+import json
+import secrets
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from sim_bridge import fault_schedule
+from sim_bridge.in_process.fleet import AgentFleet, BareWater, fly
+from sim_bridge.sil import launcher
+from wire.config.experiment import Experiment, dump_experiment
+from wire.messages.messages import Trajectory
+from wire.messages.pipe import PipeWriter
+from wire.process.runtime import Stop
+from wire.toml_loader import ConfigError
+
+STATION = (sys.executable, "-m", "groundstation")
+
+
+def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
+    """Robots in the water with the station's trajectories, not started yet. Raises ConfigError, and leaves nothing behind, if
+    the experiment cannot be flown like this."""
+    fault_schedule.only(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
+    trajectories, starts = plan(experiment)
+    water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
+    return AgentFleet(experiment, trajectories, water, experiment.seed, time.perf_counter_ns), water
+
+
+def run(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, console: Console) -> int:
+    """Fly what is `prepared`, with agents and plant in this process. Returns the exit code: 0 passed, 1 failed, 130
+    interrupted."""
+    (run_dir / "experiment.toml").write_text(dump_experiment(fleet.experiment), encoding="utf-8")
+    fleet.start()
+    return fly_and_report(fleet, water, run_dir, stop=stop, console=console)
+
+
+def fly_and_report(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, console: Console) -> int:
+    """Fly a fleet that has started to its end, into a folder that has its experiment. Returns the exit code as `run`."""
+    recording = subprocess.Popen([*STATION, "record", str(run_dir)], stdin=subprocess.PIPE)
+    assert recording.stdin is not None
+    start_s = fleet.time_s
+    begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
+    try:
+        with recording.stdin as stream:
+            pipe = PipeWriter(stream, secrets.randbits(63) | 1)
+            for topic, robot, message, stamp_ns in fly(fleet, water):
+                pipe.publish(topic, message, stamp_ns, robot)
+                if stop.requested:
+                    break
+    except BrokenPipeError:  # its own words are on stderr
+        console.print("[red]the recorder has ended[/]")
+    took_s, took_cpu_s = time.perf_counter() - begin_s, time.process_time() - begin_cpu_s
+    recorded = recording.wait() == 0
+    if stop.requested:
+        console.print("interrupted")
+        return 130
+    flown_s = fleet.time_s - start_s
+    console.print(
+        f"flew {flown_s:.1f} s in {took_s:.2f} s ({took_cpu_s:.2f} s of one core): {flown_s / took_cpu_s:.0f} x real time",
+        soft_wrap=True,
+    )
+    passed = launcher.report(run_dir, console) and recorded
+    console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
+    console.print("[green]passed[/]" if passed else "[red]failed[/]")
+    return 0 if passed else 1
+
+
+def plan(experiment: Experiment) -> tuple[dict[int, Trajectory], dict[int, Any]]:
+    """Trajectories and start poses by `groundstation plan`. Raises ConfigError with its reasons if it refuses."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "experiment.toml"
+        file.write_text(dump_experiment(experiment), encoding="utf-8")
+        planning = subprocess.run([*STATION, "plan", str(file)], capture_output=True, text=True, check=False)
+    if planning.returncode != 0:
+        raise ConfigError(planning.stderr.strip().replace(f"{file}: ", ""))
+    robots = {int(robot): planned for robot, planned in json.loads(planning.stdout)["robots"].items()}
+    trajectories = {
+        robot: Trajectory(p["id"], p["period_s"], np.array(p["eta"]), np.array(p["velocity"]), np.array(p["acceleration"]))
+        for robot, p in robots.items()
+    }
+    return trajectories, {robot: p["start"] for robot, p in robots.items()}

@@ -1,0 +1,105 @@
+"""SHELL: one simulated thruster board on a bench: dry, at rest, by the wall clock, on a UDP port or a pseudo-terminal.
+
+For whoever writes a program that talks to boards, and for trying `sim-bridge board-conformance`.
+"""
+
+import os
+import select
+import time
+import tty
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from sim_bridge.node.udp_ports import Port
+from sim_bridge.thruster_board.board import Board
+from wire.mavlink.board_port import is_local
+from wire.process.runtime import Stop, log
+from wire.toml_loader import ConfigError
+
+STEP_S = 0.005
+READ_BYTES = 65536
+NOBODY = ("", 0)  # a terminal has no addresses
+FORMS = "udp:HOST:PORT or pty:PATH, for example udp:127.0.0.1:14551 or pty:/tmp/board"
+
+
+class Socket(Protocol):
+    """Where a computer can be plugged in."""
+
+    def read(self) -> list[tuple[bytes, tuple[str, int]]]: ...
+    def hear(self, peer: tuple[str, int], now_ns: int) -> None: ...
+    def send(self, data: bytes, now_ns: int) -> None: ...
+    def fileno(self) -> int: ...
+    def close(self) -> None: ...
+
+
+class Terminal:
+    """A pseudo-terminal, to be opened like a serial port at `path`, a link that is made and taken away again."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._board, self._computer = os.openpty()  # ours holds the other end open: else a computer that goes ends it
+        tty.setraw(self._computer)
+        os.set_blocking(self._board, False)
+        path.symlink_to(os.ttyname(self._computer))
+
+    def read(self) -> list[tuple[bytes, tuple[str, int]]]:
+        try:
+            return [(os.read(self._board, READ_BYTES), NOBODY)]
+        except BlockingIOError:
+            return []
+
+    def hear(self, peer: tuple[str, int], now_ns: int) -> None:
+        """There is one other end."""
+
+    def send(self, data: bytes, now_ns: int) -> None:
+        try:
+            os.write(self._board, data)
+        except BlockingIOError:  # nobody reads
+            return
+
+    def fileno(self) -> int:
+        return self._board
+
+    def close(self) -> None:
+        self._path.unlink(missing_ok=True)
+        os.close(self._board)
+        os.close(self._computer)
+
+
+def open_socket(address: str, signed: bool) -> Socket:
+    """Raises ConfigError naming the forms there are."""
+    kind, _, rest = address.partition(":")
+    host, _, port = rest.rpartition(":")
+    try:
+        if kind == "pty" and rest:
+            return Terminal(Path(rest))
+        if kind == "udp" and host and port.isdigit() and int(port) < 65536:
+            if not (signed or is_local(host)):
+                raise ConfigError(f"--port {address!r}: off this machine the board needs a key (--boards, robot-N.key in it)")
+            return Port(host, int(port))
+    except OSError as error:
+        raise ConfigError(f"--port {address!r}: {error.strerror}") from None
+    raise ConfigError(f"--port {address!r}: nowhere to be plugged in (allowed: {FORMS})")
+
+
+def run(board: Board, socket: Socket, stop: Stop) -> None:
+    """Be the board until told to stop."""
+    still, begin_ns, steps = np.zeros(4), time.monotonic_ns(), 0
+    said = (False, True)
+    while not stop.requested:
+        now_ns = time.monotonic_ns() - begin_ns
+        for data, peer in socket.read():
+            if board.receive(data, now_ns):
+                socket.hear(peer, now_ns)
+        if now_ns >= steps * STEP_S * 1e9:
+            steps = int(now_ns / (STEP_S * 1e9)) + 1
+            data = board.step(now_ns, still, still, still)
+            if data:
+                socket.send(data, now_ns)
+        if (board.armed, board.neutral) != said:
+            said = (board.armed, board.neutral)
+            log.info("%s, %s", "armed" if said[0] else "disarmed", "neutral" if said[1] else "thrusting")
+        due_s = steps * STEP_S - (time.monotonic_ns() - begin_ns) * 1e-9
+        select.select([socket.fileno()], [], [], max(due_s, 0.0))

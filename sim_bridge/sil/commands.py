@@ -1,0 +1,85 @@
+"""The programs of a run in software, as a person would start them, and what can keep a run from being one. Pure."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sim_bridge import fault_schedule
+from wire.config.experiment import Experiment
+from wire.config.fault_injection import KINDS, OF_PROCESSES
+from wire.toml_loader import ConfigError
+
+LEAST_MARKER_PX = 16  # two a cell and a margin
+BLIND = "Fly without the camera: --poses"
+
+
+@dataclass(frozen=True)
+class Program:
+    """A process: its name in the fleet, the module that it is, its arguments."""
+
+    name: str
+    module: str
+    arguments: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Way:
+    """How a run is flown: `page` is where the operator's page is served (host:port), `manual` leaves the mission to whoever
+    sits there, with `poses` the simulator stands for camera and localizer, with a ring of `keys` all speak TLS, and `signed`
+    has the boards' links signed."""
+
+    lockstep: bool = False
+    page: str | None = None
+    manual: bool = False
+    poses: bool = False
+    keys: Path | None = None
+    signed: bool = False
+
+
+def check(experiment: Experiment, way: Way) -> None:
+    """Raise ConfigError for what cannot be flown in this way."""
+    if not way.poses:
+        if not experiment.localizer.uses_camera:
+            raise ConfigError(f"localizer.uses_camera = false: no camera locates these robots. {BLIND}")
+        check_sight(experiment)
+    if way.lockstep:
+        fault_schedule.only(
+            experiment, tuple(kind for kind in KINDS if kind not in OF_PROCESSES), "processes break by the wall clock"
+        )
+    if way.poses:
+        fault_schedule.only(
+            experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera"
+        )
+
+
+def check_sight(experiment: Experiment) -> None:
+    """Raise ConfigError if the localizer could read no marker. Whether robots stay in the picture the station's plan says."""
+    camera = experiment.camera
+    wide_px = camera.px_per_m * experiment.vehicle.marker.side_m
+    if experiment.localizer.markers and wide_px < LEAST_MARKER_PX:
+        raise ConfigError(
+            f"camera.position_m.2 = {camera.position_m[2]:g}: from there markers are {wide_px:.0f} pixels wide, and none "
+            f"can be read (allowed: from {LEAST_MARKER_PX} pixels on). {BLIND}"
+        )
+
+
+def programs(
+    robots: tuple[int, ...], way: Way, run_dir: Path, address: str, ports: int, boards: Path | None = None
+) -> list[Program]:
+    """What is started, the station first: it is the router at `address`, and the others wait for it. The experiment is in
+    `run_dir`; the board of robot N is at UDP port `ports` + N. In a folder of `boards` are the keys of their links."""
+    common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if way.lockstep else [])]
+    common += ["--keys", str(way.keys)] if way.keys is not None else []
+    client = ["run", *common, "--station", address]
+    station = ["run", *common, "--run-dir", str(run_dir), "--listen", address]
+    station += ["--no-web"] if way.page is None else ["--web", way.page]
+    station += [] if way.manual else ["--auto"]
+    pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if way.poses else [])]
+    pool += ["--boards", str(boards)] if boards is not None else []
+    found = [Program("groundstation", "groundstation", tuple(station)), Program("sim-bridge", "sim_bridge", tuple(pool))]
+    if not way.poses:
+        found.append(Program("localizer", "localizer", tuple(client)))
+    for robot in robots:
+        link = ["--robot", str(robot), "--link", f"udp:127.0.0.1:{ports + robot}"]
+        link += ["--link-key", str(boards / f"robot-{robot}.key")] if boards is not None else []
+        found.append(Program(f"agent-{robot}", "robot_agent", (*client, *link)))
+    return found

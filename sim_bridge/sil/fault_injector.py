@@ -1,0 +1,75 @@
+"""SHELL: does to processes what the fault timeline says, and undoes it: kills, stops, fills a disk, sets clocks."""
+
+import resource
+import signal
+import time
+
+from sim_bridge.sil.processes import Child, Children
+from wire.config.experiment import Experiment
+from wire.config.fault_injection import OF_PROCESSES, Fault
+from wire.messages import topics
+from wire.messages.messages import Event
+from wire.process.runtime import WallClock
+from wire.transport.bus import Bus
+
+INFO = 2  # an event's level
+LOG = "run.mcap"  # what fills the disk
+
+
+class Saboteur:
+    """The timeline's faults of processes, against the children of one run. Others lose whom they need: that is the point."""
+
+    def __init__(self, experiment: Experiment, children: Children, bus: Bus) -> None:
+        self._waiting = [fault for fault in experiment.sim.faults if fault.broken.kind in OF_PROCESSES]
+        self._broken: list[Fault] = []  # what is not whole again
+        self._children, self._bus, self._clock = children, bus, WallClock()
+        self._start_s: float | None = None
+        self.killed: set[str] = set()  # whose end is no trouble
+
+    def act(self, flown_s: float) -> None:
+        """Do what is due. `flown_s` along the trajectories starts the clock; then it runs, whoever has stopped."""
+        now_s = time.monotonic()
+        if self._start_s is None and flown_s > 0.0:
+            self._start_s = now_s - flown_s
+        if self._start_s is None:
+            return
+        time_s = now_s - self._start_s
+        for fault in [f for f in self._waiting if f.at_s <= time_s]:
+            self._waiting.remove(fault)
+            self._broken.append(fault)
+            self._do(fault, undo=False)
+        for fault in [f for f in self._broken if not f.holds(time_s)]:
+            self._broken.remove(fault)
+            self._do(fault, undo=True)
+
+    def _do(self, fault: Fault, undo: bool) -> None:
+        if fault.broken.effect == "killed":
+            self.killed.add(fault.broken.process)
+        what = fault.broken.kind, fault.broken.process
+        alike = [other for other in self._broken if undo and (other.broken.kind, other.broken.process) == what]
+        self._inflict(alike[-1] if alike else fault, undo and not alike)
+        text = f"fault over: {fault.what}" if undo else f"fault: {fault.what}"
+        self._bus.publish(topics.EVENT, Event(INFO, "sim-bridge", text), self._clock.now_ns())
+
+    def _inflict(self, fault: Fault, undo: bool) -> None:
+        broken = fault.broken
+        for child in self._children.all:
+            if child.exit_code is None and child.name == (broken.process or "groundstation"):
+                match broken.kind:
+                    case "process":
+                        self._signal(child, broken.effect, undo)
+                    case "disk":
+                        self._fill(child, undo)
+                    case "clock":
+                        offset_s = 0.0 if undo else broken.value
+                        self._children.clock_file(child.name).write_text(f"{offset_s}\n", encoding="utf-8")
+
+    def _signal(self, child: Child, effect: str, undo: bool) -> None:
+        child.process.send_signal(signal.SIGCONT if undo else signal.SIGKILL if effect == "killed" else signal.SIGSTOP)
+
+    def _fill(self, child: Child, undo: bool) -> None:
+        """The log may not grow any more: to its writer that is a full disk, but for the error's number."""
+        _, most = resource.prlimit(child.process.pid, resource.RLIMIT_FSIZE)
+        log = self._children.log_dir.parent / LOG
+        allowed = most if undo or not log.exists() else log.stat().st_size
+        resource.prlimit(child.process.pid, resource.RLIMIT_FSIZE, (allowed, most))

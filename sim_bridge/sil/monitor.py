@@ -1,0 +1,127 @@
+"""SHELL: what a person sees in the terminal while the software runs in the loop."""
+
+import math
+import time
+from collections import Counter
+
+from rich.console import Group, RenderableType
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from wire.config.experiment import Experiment
+from wire.messages import topics
+from wire.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat
+from wire.transport.bus import Bus, Received
+
+FEW = 6  # robots that one line can name
+SILENT_S = 3.0  # of the wall clock: a step in lockstep may take a while
+
+
+class Monitor:
+    """A view of the fleet through its own session: it only listens."""
+
+    def __init__(self, experiment: Experiment, bus: Bus) -> None:
+        self._experiment = experiment
+        self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
+        self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
+        self._localizer = bus.inbox(topics.LOCALIZER, LocalizerStatus)
+        self._progress = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.completed:6.1f} / {task.total:.0f} s"),
+            TextColumn("{task.fields[speed]}"),
+            TimeElapsedColumn(),
+        )
+        self._task = self._progress.add_task(experiment.name, total=experiment.duration_s, speed="")
+        self._started_s: float | None = None
+        self._flown_s = 0.0
+
+    @property
+    def mission(self) -> str:
+        """The mission's phase as last heard."""
+        heartbeat = self._heartbeat.newest()
+        return heartbeat.message.mission if heartbeat is not None else "starting"
+
+    @property
+    def heartbeats(self) -> int:
+        """How many cycles the station has run, as last heard: stands still when everything does."""
+        header = self._heartbeat.newest_header()
+        return header.sequence if header is not None else 0
+
+    @property
+    def flown_s(self) -> float:
+        """How far the slowest robot is along its trajectory, of those that are heard of."""
+        states = [inbox.newest() for inbox in self._states.values()]
+        if None in states:
+            return self._flown_s
+        heard = [s.message.trajectory_s for s in states if s is not None and not _silent(s)]
+        self._flown_s = min(heard, default=self._flown_s)
+        return self._flown_s
+
+    @property
+    def speed(self) -> float:
+        """Flown seconds per second of wall clock, since the robots started; 0 before."""
+        flown_s = self.flown_s
+        if flown_s <= 0:
+            return 0.0
+        if self._started_s is None:
+            self._started_s = time.monotonic() - 1e-3
+        return flown_s / max(time.monotonic() - self._started_s, 1e-3)
+
+    def render(self) -> RenderableType:
+        """The table and the progress bar, now."""
+        self._progress.update(self._task, completed=self.flown_s, speed=f"{self.speed:4.1f} x real time")
+        table = Table("robot", "mode", "error", "pose", "age", "step", "battery", "remarks", title=self._title(), expand=False)
+        for robot, inbox in self._states.items():
+            received = inbox.newest()
+            if received is None:
+                table.add_row(str(robot), "not heard", *[""] * 6)
+                continue
+            cells = ("silent", *[""] * 6) if _silent(received) else _cells(received.message)
+            table.add_row(str(robot), *cells)
+        return Group(table, self._progress)
+
+    def line(self) -> str:
+        """The same in one line, for a log; of a fleet how many robots do what, and the worst of them."""
+        heard = {robot: inbox.newest() for robot, inbox in self._states.items()}
+        silent = [robot for robot, received in heard.items() if received is not None and _silent(received)]
+        states = {r: received.message for r, received in heard.items() if received is not None and r not in silent}
+        if len(heard) > FEW:
+            robots = [f"{n} {mode.name.lower()}" for mode, n in sorted(Counter(s.mode for s in states.values()).items())]
+            worst = max(states, key=lambda robot: _error_mm(states[robot]), default=None)
+            robots += [f"worst {worst}: {_error_mm(states[worst]):.0f} mm"] if worst is not None else []
+            robots += [f"{robot}{remark}" for robot, state in states.items() if (remark := _remark(state))]
+        else:
+            robots = [f"{r} {s.mode.name.lower()} {_error_mm(s):.0f} mm{_remark(s)}" for r, s in states.items()]
+        robots += [f"{robot} silent" for robot in silent]
+        flown = f"{self.flown_s:6.1f} / {self._experiment.duration_s:.0f} s"
+        return f"{flown}  {self.mission.lower():10s} {self.speed:4.1f} x  " + ", ".join(robots)
+
+    def _title(self) -> str:
+        localizer = self._localizer.newest()
+        camera = f", camera {localizer.message.camera.name.lower()}" if localizer is not None else ""
+        return f"{self._experiment.title or self._experiment.name}: {self.mission.lower()}{camera}"
+
+
+def _silent(received: Received[RobotState]) -> bool:
+    return time.monotonic_ns() - received.arrived_ns > SILENT_S * 1e9
+
+
+def _error_mm(state: RobotState) -> float:
+    return math.hypot(*(state.eta - state.eta_reference)[:2]) * 1e3 if state.mode is Mode.TRACKING else 0.0
+
+
+def _remark(state: RobotState) -> str:
+    return f" ({state.fault})" if state.fault else ""
+
+
+def _cells(state: RobotState) -> tuple[str, ...]:
+    return (
+        state.mode.name.lower(),
+        f"{_error_mm(state):.0f} mm" if state.mode is Mode.TRACKING else "",
+        state.track.name.lower(),
+        f"{state.pose_age_ms:.0f} ms" if state.pose_age_ms < 1e5 else "never",
+        f"{state.step_us:.0f} us",
+        f"{state.battery_v:.1f} V",
+        state.fault,
+    )

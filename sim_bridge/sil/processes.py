@@ -1,0 +1,100 @@
+"""SHELL: child processes that are watched while they run and never left behind."""
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+GRACE_S = 5.0  # between asking a process to end and ending it
+
+_PR_SET_PDEATHSIG = 1
+_libc = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
+
+# Numerical libraries on one thread: on two cores their thread pools fight each other (and results depend on them).
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+def _die_with_parent() -> None:
+    """In the child, before it becomes the program: be killed when the launcher dies, however it dies (Linux)."""
+    if _libc is not None:
+        _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+@dataclass
+class Child:
+    """A started process; its output is in `log`."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    @property
+    def exit_code(self) -> int | None:
+        """None while it runs; negative: the signal that ended it."""
+        return self.process.poll()
+
+    def explain(self) -> str:
+        """How it ended, or that it has not got ready, with the last line it wrote."""
+        code = self.exit_code
+        if code is None:
+            how = "has not got ready"
+        else:
+            how = f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+        lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f"{self.name} {how}{f': {lines[-1]}' if lines and code != 0 else ''}"
+
+
+@dataclass
+class Children:
+    """All processes of one run."""
+
+    log_dir: Path
+    clocks: frozenset[str] = frozenset()  # names of those whose wall clock will be set, by clock_file
+    all: list[Child] = field(default_factory=list)
+
+    def start(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> Child:
+        """Start `python -m module arguments` in a process group of its own, so that Ctrl-C reaches only the launcher."""
+        self.log_dir.mkdir(parents=True, exist_ok=True)
+        if name in self.clocks:
+            module, arguments = "sim_bridge.sil.clock_shim", [str(self.clock_file(name)), module, *arguments]
+        log = self.log_dir / f"{name}.log"
+        with log.open("wb") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", module, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=output,
+                stderr=subprocess.STDOUT,
+                env={**os.environ, **ONE_THREAD, **(environment or {})},
+                process_group=0,
+                preexec_fn=_die_with_parent,
+            )
+        child = Child(name, process, log)
+        self.all.append(child)
+        return child
+
+    def clock_file(self, name: str) -> Path:
+        """Where it stands by how many seconds a process's clock is off."""
+        return self.log_dir / f"{name}.clock"
+
+    def ended(self) -> list[Child]:
+        """Those that run no more."""
+        return [child for child in self.all if child.exit_code is not None]
+
+    def stop(self) -> None:
+        """Ask all to end, last started first; end those that do not within GRACE_S."""
+        running = [child for child in reversed(self.all) if child.exit_code is None]
+        for child in running:
+            child.process.send_signal(signal.SIGCONT)  # a stopped process would never see the rest
+            child.process.terminate()
+        deadline = time.monotonic() + GRACE_S
+        for child in running:
+            try:
+                child.process.wait(max(deadline - time.monotonic(), 0.01))
+            except subprocess.TimeoutExpired:
+                child.process.kill()
+                child.process.wait()

@@ -1,0 +1,63 @@
+"""SHELL: one flight of a campaign, in whatever process or on whatever machine it lands: text in, plain numbers out."""
+
+import json
+import os
+import time
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from sim_bridge.in_process.fleet import AgentFleet, BareWater, fly
+from sim_bridge.in_process.run import plan
+from sim_bridge.studies.metrics import broken_limits, measures
+from wire.config.experiment import Experiment
+from wire.messages.messages import Trajectory
+from wire.toml_loader import ConfigError, check
+
+PLANS_KEPT = 8  # a worker flies the same few trajectories again and again
+UNPLANNED = ("sim", "limits", "article", "seed", "name", "title")  # what no plan depends on
+
+
+def one_thread() -> None:
+    """Keep numerical libraries on one thread, in this process's children too."""
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ[f"{library}_NUM_THREADS"] = "1"
+
+
+def fly_one(experiment_json: str) -> dict[str, Any]:
+    """Fly an experiment; what came of it as a row: status flown, refused or failed, the reason, the measures."""
+    begin_s = time.perf_counter()
+    experiment = check(Experiment, json.loads(experiment_json), "campaign")
+    row: dict[str, Any] = {"status": "flown", "reason": ""}
+    try:
+        row |= _flown(experiment)
+    except ConfigError as error:
+        row |= {"status": "refused", "reason": str(error)}
+    except Exception as error:  # one flight's bug must not end the campaign; the row says what it was
+        row |= {"status": "failed", "reason": f"{type(error).__name__}: {error}"}
+    return {**row, "wall_s": time.perf_counter() - begin_s}
+
+
+def _flown(experiment: Experiment) -> dict[str, Any]:
+    trajectories, starts = _planned(planning_text(experiment))
+    water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
+    fleet = AgentFleet(experiment, trajectories, water, experiment.seed)
+    fleet.start()
+    for _ in fly(fleet, water):
+        pass
+    found = measures(fleet)
+    broken = broken_limits(experiment, found)
+    return {**found, "passed": not broken, "reason": ", ".join(broken)}
+
+
+def planning_text(experiment: Experiment) -> str:
+    """The experiment as its plan sees it, in JSON, the same for all flights that differ in nothing else."""
+    neutral = Experiment.model_fields
+    changes = {key: neutral[key].default for key in UNPLANNED if key not in ("name",)}
+    return experiment.model_copy(update={**changes, "name": "planned"}).model_dump_json()
+
+
+@lru_cache(PLANS_KEPT)
+def _planned(text: str) -> tuple[dict[int, Trajectory], dict[int, Any]]:
+    return plan(check(Experiment, json.loads(text), "campaign"))

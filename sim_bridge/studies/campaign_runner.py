@@ -1,0 +1,193 @@
+"""SHELL: `sim-bridge campaign`: flights on all cores, or on a Dask cluster; a journal to resume from; Parquet and a report.
+
+Every finished flight is a line of journal.jsonl at once, so a campaign that dies loses only what was in the air.
+"""
+
+import json
+import multiprocessing
+import os
+import signal
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from sim_bridge import fault_schedule
+from sim_bridge.studies.campaign import Campaign, Flight, command_of, flights
+from sim_bridge.studies.campaign_flight import fly_one, one_thread
+from sim_bridge.studies.report import write_report
+from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
+from wire.process.output_files import CAMPAIGN, check_output, replacing
+from wire.process.runtime import Stop
+from wire.toml_loader import ConfigError
+
+JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
+LOOK_EVERY_S = 0.5
+IN_THE_AIR = 4  # flights a worker that are handed out at a time
+
+
+def run(
+    campaign: Campaign, folder: Path, *, workers: int | None, scheduler: str | None, resume: bool, stop: Stop, console: Console
+) -> int:
+    """Fly what is not flown yet. Returns the exit code: 0 all flown, 1 some were refused or failed, 130 interrupted. Raises
+    ConfigError, before anything flies, for a value that the experiment refuses."""
+    _check_all(campaign, stop)
+    journal = folder / JOURNAL
+    if journal.exists() and not resume:
+        raise ConfigError(f"{folder}: holds a campaign already (--resume goes on with it, --out DIR begins another)")
+    for name in CAMPAIGN:
+        check_output(folder / name, mine=CAMPAIGN)
+    folder.mkdir(parents=True, exist_ok=True)
+    said = journal.read_text(encoding="utf-8") if journal.exists() else ""
+    kept, total = {row["hash"]: row for row in _rows(said)}, campaign.flights
+    rows: dict[int, dict[str, Any]] = {}
+    console.print(f"{campaign.title or campaign.name}: {total} flights, into {folder}")
+    try:
+        with journal.open("a", encoding="utf-8") as file, _executor(workers, scheduler) as executor:
+            file.write("\n" if said and not said.endswith("\n") else "")  # behind a line that was torn
+            for row, is_new in _fly(executor, campaign, kept, _window(workers), stop, console):
+                rows[row["index"]] = row
+                if is_new:
+                    file.write(json.dumps(row) + "\n")
+                    file.flush()
+    except BrokenProcessPool:
+        console.print("[red]a worker process has died (out of memory?); --resume goes on[/]")
+    ordered = [rows[index] for index in sorted(rows)]
+    if ordered:
+        with replacing(folder / RESULTS) as results:
+            pq.write_table(_table(campaign, ordered), results)
+        write_report(campaign, ordered, total, folder / REPORT)
+        console.print(f"results: {folder / RESULTS}\nreport:  {folder / REPORT}", soft_wrap=True)
+    _say(ordered, total, console)
+    if stop.requested:
+        console.print(f"interrupted after {len(ordered)} of {total} flights; --resume goes on")
+        return 130
+    return 0 if len(ordered) == total and all(row["status"] == "flown" for row in ordered) else 1
+
+
+def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
+    """How many flights flew, and the first reason of those that did not."""
+    count = Counter(row["status"] for row in rows)
+    told = f"{count['flown']} of {total} flights flown, {count['refused']} refused, {count['failed']} failed"
+    console.print(told, style="green" if count["flown"] == total else "red", highlight=False)
+    first = next((row for row in rows if row["status"] != "flown"), None)
+    if first is not None:
+        reason = f"flight {first['index']} (seed {first['seed']}) {first['status']}: {first['reason']}"
+        console.print(reason, style="red", markup=False, highlight=False, soft_wrap=True)
+
+
+def _check_all(campaign: Campaign, stop: Stop) -> None:
+    """Load what every flight would fly, and keep none of it. Flights that differ in the seed alone are checked for the first
+    and the last seed."""
+    some = flights(campaign) if campaign.draw else (f for f in flights(campaign) if f.seed in campaign.end_seeds)
+    for flight in some:
+        if stop.requested:
+            return
+        _experiment(campaign, flight)
+
+
+def _experiment(campaign: Campaign, flight: Flight) -> Experiment:
+    experiment = load_experiment(campaign.experiment, [*flight.settings(campaign), f"seed={flight.seed}", NO_CAMERA])
+    fault_schedule.only(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
+    return experiment
+
+
+def _window(workers: int | None) -> int:
+    """How many flights are handed out at a time: enough that no worker waits. A cluster's workers are not known here."""
+    return IN_THE_AIR * (workers or os.cpu_count() or 1)
+
+
+def _rows(journal: str) -> Iterator[dict[str, Any]]:
+    """Its lines; the last may be torn."""
+    for line in journal.splitlines():
+        try:
+            yield json.loads(line)
+        except ValueError:
+            continue
+
+
+@contextmanager
+def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
+    """Processes on this machine, or a Dask cluster's workers behind the same interface."""
+    one_thread()
+    if scheduler is None:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(workers or os.cpu_count(), spawn, initializer=_ignore_interrupts) as pool:
+            yield pool
+        return
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ConfigError("--scheduler needs Dask: pip install -c constraints.txt '.[cluster]'") from None
+    try:
+        client = Client(scheduler, timeout=10)
+    except OSError as error:
+        raise ConfigError(f"--scheduler {scheduler}: {error}") from None
+    with client, client.get_executor(retries=1, pure=False) as cluster:
+        yield cluster
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the parent's business
+
+
+def _fly(
+    executor: Executor, campaign: Campaign, kept: Mapping[str, dict[str, Any]], window: int, stop: Stop, console: Console
+) -> Iterator[tuple[dict[str, Any], bool]]:
+    """Rows, as flights come back, and whether they are new; those of `kept`, by hash, as they are. No more than `window`
+    flights are prepared at a time. What is in the air when a stop is asked for is lost."""
+    pending: dict[Future[dict[str, Any]], tuple[Flight, str]] = {}
+    found: set[str] = set()  # hashes of `kept` that have been met
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        task = progress.add_task("flights", total=campaign.flights)
+        coming = flights(campaign)
+        flight = next(coming, None)
+        while (flight is not None or pending) and not stop.requested:
+            while flight is not None and len(pending) < window and not stop.requested:
+                experiment = _experiment(campaign, flight)
+                row = kept.get(experiment.hash)  # flown as it is wanted now
+                if row is not None:
+                    found.add(experiment.hash)
+                    progress.advance(task)
+                    yield {**row, "index": flight.index, "seed": flight.seed, **flight.values}, False
+                else:
+                    pending[executor.submit(fly_one, experiment.model_dump_json())] = (flight, experiment.hash)
+                flight = next(coming, None)
+            done, _ = wait(pending, timeout=LOOK_EVERY_S, return_when=FIRST_COMPLETED) if pending else ((), ())
+            for future in done:
+                flown, digest = pending.pop(future)
+                progress.advance(task)
+                yield {"index": flown.index, "seed": flown.seed, **flown.values, "hash": digest, **future.result()}, True
+        for future in pending:
+            future.cancel()
+    missing = set(kept) - found
+    while flight is not None and missing:  # interrupted: what was flown before still belongs to the results
+        row = kept.get(_experiment(campaign, flight).hash)
+        if row is not None:
+            missing.discard(row["hash"])
+            yield {**row, "index": flight.index, "seed": flight.seed, **flight.values}, False
+        flight = next(coming, None)
+
+
+def _table(campaign: Campaign, rows: list[dict[str, Any]]) -> pa.Table:
+    """All rows with all columns; how to fly a row again is a column too."""
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    data = {column: _column([row.get(column) for row in rows]) for column in columns}
+    return pa.table({**data, "command": [command_of(campaign, row) for row in rows]})
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """As they are; as JSON where a key was given values of several kinds, such as a number and a list."""
+    try:
+        return pa.array(values)
+    except (pa.ArrowException, OverflowError):
+        return pa.array([None if value is None else json.dumps(value) for value in values])

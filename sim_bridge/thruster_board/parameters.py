@@ -1,0 +1,189 @@
+"""The parameters of a thruster board: their table, their bounds, and what must hold between them. Pure.
+
+On the wire every one is a MAV_PARAM_TYPE_REAL32, also those that are whole numbers: MAVLink has two ways to send an integer,
+and the clients that exist disagree on which. So a value is kept as single precision from the start.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cached_property
+from itertools import pairwise
+
+from wire.config.experiment import Experiment
+from wire.mavlink.agent_link import PULSE_RANGE_US
+
+TRIM_US = 100.0  # more is a fault of the linkage, not of the trim
+MOST_VOLTS = 60.0
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One row of the table: at most 16 characters of name, and the range that a value may have."""
+
+    name: str
+    low: float
+    high: float
+    whole: bool
+    meaning: str
+
+    @property
+    def bounds(self) -> str:
+        """In words."""
+        return f"{self.low:g} to {self.high:g}{', whole' if self.whole else ''}"
+
+    def takes(self, value: float) -> bool:
+        """Whether a value is in range; NaN is in none."""
+        return self.low <= value <= self.high and (not self.whole or value == int(value))
+
+
+def _us(name: str, meaning: str, low: float = PULSE_RANGE_US[0], high: float = PULSE_RANGE_US[1]) -> Parameter:
+    return Parameter(name, low, high, True, meaning)
+
+
+FIXED = (
+    Parameter("CMD_AGE_MS", 50, 300, True, "age of the last override at which the board disarms itself, ms"),
+    Parameter("SLEW_US_S", 100, 100_000, False, "how fast a thruster's pulse may move, us/s"),
+    _us("THR_NEUTRAL_US", "pulse at which a thruster stands still; in the dead zone of the curve"),
+    _us("THR_MIN_US", "lowest pulse taken for a thruster; within the curve"),
+    _us("THR_MAX_US", "highest pulse taken for a thruster; within the curve"),
+    _us("ANK_MIN_US", "lowest pulse taken for an ankle"),
+    _us("ANK_MAX_US", "highest pulse taken for an ankle"),
+    *(_us(f"THR{i}_TRIM_US", f"added to the output of thruster {i}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
+    *(_us(f"ANK{i}_TRIM_US", f"added to the output of ankle {i}, last of all", -TRIM_US, TRIM_US) for i in (1, 2, 3, 4)),
+    Parameter("BAT_WARN_V", 0, MOST_VOLTS, False, "battery: warn below, V"),
+    Parameter("BAT_NOARM_V", 0, MOST_VOLTS, False, "battery: do not arm below, V; under BAT_WARN_V"),
+    Parameter("BAT_NEUTRAL_V", 0, MOST_VOLTS, False, "battery: disarm below, V; under BAT_NOARM_V"),
+    Parameter("BAT_HYST_V", 0, 5, False, "battery: how far above its threshold a level is left, V"),
+)  # fmt: skip
+
+
+def _curve(points: int) -> tuple[Parameter, ...]:
+    """The rows of a thrust curve; it rises, strictly in us."""
+    rows = []
+    for i in range(1, points + 1):
+        rows.append(_us(f"CRV{i:02}_US", f"thrust curve, point {i}: pulse"))
+        rows.append(Parameter(f"CRV{i:02}_N", -1000, 1000, False, f"thrust curve, point {i}: thrust, N"))
+    return tuple(rows)
+
+
+class Refusal(Enum):
+    """Why a parameter keeps its value: MAV_PARAM_ERROR, and words for people."""
+
+    UNKNOWN = (1, "no such parameter")
+    RANGE = (2, "out of range")
+    TYPE = (2, "not a REAL32")
+    INCONSISTENT = (2, "does not fit the others")
+    ARMED = (3, "armed")
+
+    def __init__(self, code: int, words: str) -> None:
+        self.code, self.words = code, words
+
+
+def single(value: float) -> float:
+    """The nearest number of single precision; infinite for one that has none."""
+    try:
+        rounded: float = struct.unpack("<f", struct.pack("<f", value))[0]
+    except OverflowError:
+        return math.copysign(math.inf, value)
+    return rounded
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """A board's parameters, consistent with one another."""
+
+    table: tuple[Parameter, ...]
+    values: tuple[float, ...]
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> "Parameters":
+        """As the experiment's vehicle and board have them."""
+        thruster, legs, battery = experiment.vehicle.thruster, experiment.vehicle.legs, experiment.vehicle.battery
+        rules = experiment.sim.board
+        values = [
+            round(rules.neutral_after_s * 1000.0), rules.slew_us_per_s,
+            thruster.neutral_us, thruster.curve[0][0], thruster.curve[-1][0], *legs.ankle_us, *[0] * 8,
+            battery.warn_v, battery.no_arm_v, battery.neutral_v, battery.hysteresis_v,
+            *(value for point in thruster.curve for value in point),
+        ]  # fmt: skip
+        return cls(FIXED + _curve(len(thruster.curve)), tuple(map(single, values)))
+
+    def changed(self, name: str, value: float) -> "Parameters | Refusal":
+        """With one value changed, if that can be."""
+        index = self.index.get(name)
+        if index is None:
+            return Refusal.UNKNOWN
+        if not self.table[index].takes(value):
+            return Refusal.RANGE
+        new = replace(self, values=(*self.values[:index], single(value), *self.values[index + 1 :]))
+        return new if new.is_consistent() else Refusal.INCONSISTENT
+
+    def restored(self, values: Mapping[str, float]) -> "Parameters":
+        """With the values that were kept, if together they are acceptable; those of an older table may be missing."""
+        new = replace(self, values=tuple(single(values.get(row.name, self[row.name])) for row in self.table))
+        return new if all(row.takes(new[row.name]) for row in self.table) and new.is_consistent() else self
+
+    def is_consistent(self) -> bool:
+        """Whether the values fit one another."""
+        points = self.curve
+        rising = all(a[0] < b[0] and a[1] <= b[1] for a, b in pairwise(points))
+        low, high = self.thruster_us
+        still_low, still_high = self.dead_zone_us
+        within = points[0][0] <= low < self.neutral_us < high <= points[-1][0]
+        battery = self["BAT_WARN_V"] > self["BAT_NOARM_V"] > self["BAT_NEUTRAL_V"]
+        ankles = self.ankle_us[0] < self.ankle_us[1]
+        return rising and within and still_low <= self.neutral_us <= still_high and battery and ankles
+
+    @cached_property
+    def index(self) -> Mapping[str, int]:
+        """Position of each name in the table."""
+        return {row.name: i for i, row in enumerate(self.table)}
+
+    def __getitem__(self, name: str) -> float:
+        return self.values[self.index[name]]
+
+    @cached_property
+    def curve(self) -> tuple[tuple[float, float], ...]:
+        """Points of the thrust curve, (us, N)."""
+        flat = self.values[len(FIXED) :]
+        return tuple(zip(flat[::2], flat[1::2], strict=True))
+
+    @cached_property
+    def dead_zone_us(self) -> tuple[float, float]:
+        """Lowest and highest pulse at which the curve is 0 N; an empty range if it never is."""
+        still = [us for us, force in self.curve if force == 0.0]
+        return (min(still), max(still)) if still else (math.inf, -math.inf)
+
+    @property
+    def neutral_us(self) -> float:
+        """Pulse at which a thruster stands still."""
+        return self["THR_NEUTRAL_US"]
+
+    @cached_property
+    def thruster_us(self) -> tuple[float, float]:
+        """Pulses taken for a thruster."""
+        return self["THR_MIN_US"], self["THR_MAX_US"]
+
+    @cached_property
+    def ankle_us(self) -> tuple[float, float]:
+        """Pulses taken for an ankle."""
+        return self["ANK_MIN_US"], self["ANK_MAX_US"]
+
+    @cached_property
+    def age_ns(self) -> int:
+        """Age of the last override at which the board disarms."""
+        return int(self["CMD_AGE_MS"]) * 1_000_000
+
+    @cached_property
+    def trims_us(self) -> tuple[float, ...]:
+        """Added to the 8 outputs."""
+        first = self.index["THR1_TRIM_US"]
+        return self.values[first : first + 8]
+
+    @cached_property
+    def thresholds_v(self) -> tuple[float, float, float]:
+        """Battery: below these it warns, does not arm, disarms."""
+        return self["BAT_WARN_V"], self["BAT_NOARM_V"], self["BAT_NEUTRAL_V"]

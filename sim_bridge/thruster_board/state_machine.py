@@ -1,0 +1,175 @@
+"""The rules of a thruster board as one pure state machine: what a lab's firmware has to do, in the order of docs/board.md.
+
+No clock, no link, no sensors: sim_bridge/thruster_board/board.py has those. Times are ns of the board's own clock. Whatever is
+called in whatever order, the thrusters of a board that is stepped stand still unless it is armed and a valid override is
+young.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+from sim_bridge.thruster_board.parameters import Parameters, Refusal
+from wire.mavlink.agent_link import ACCEPTED, CHANNELS, IGNORED, REJECTED
+from wire.mavlink.framing import Peer
+from wire.mavlink.signing import Gate, Key
+
+THRUSTERS = 4
+S_NS = 1_000_000_000
+NEVER_NS = -(2**62)
+BATTERY_FILTER_S = 1.0  # thrust pulls the voltage down for moments; that is no empty battery
+CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
+
+
+class Charge(IntEnum):
+    """How low the battery is, and what that forbids."""
+
+    GOOD = 0
+    WARN = 1
+    NO_ARM = 2
+    NEUTRAL = 3
+
+
+@dataclass(frozen=True)
+class Said:
+    """A change of state in words."""
+
+    severity: int
+    text: str
+
+
+class Rules:
+    """One board."""
+
+    def __init__(self, parameters: Parameters, computer: Peer, key: Key | None = None, floor: int = 0) -> None:
+        """Overrides count from `computer` only. With a `key`, frames must be signed, later than `floor`."""
+        self.parameters = parameters
+        self.gate = Gate(key, floor)
+        self.armed = False
+        self.charge = Charge.GOOD
+        self.said: list[Said] = []  # whoever tells it takes it out
+        self.overrides_received = 0  # every one that was for this board, refused ones too
+        self.overrides_refused = 0
+        self._computer = computer
+        self._command = (IGNORED,) * CHANNELS
+        self._command_ns = NEVER_NS
+        self._voltage: float | None = None
+        self._stepped_ns: int | None = None
+        self._thrusters_us = [parameters.neutral_us] * THRUSTERS
+        self._ankles_us = [sum(parameters.ankle_us) // 2] * THRUSTERS
+
+    @property
+    def echo_us(self) -> tuple[int, ...]:
+        """What is put out, in the scale of a command: 4 thrusters, 4 ankles."""
+        return tuple(round(pulse) for pulse in (*self._thrusters_us, *self._ankles_us))
+
+    @property
+    def outputs_us(self) -> tuple[int, ...]:
+        """What is put out, trims included."""
+        trims = self.parameters.trims_us
+        return tuple(pulse + int(trim) for pulse, trim in zip(self.echo_us, trims, strict=True))
+
+    # --- what arrives
+
+    def override(self, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
+        """Take a command for all outputs, or refuse all of it. Nothing is clipped."""
+        self.overrides_received += 1
+        if sender != self._computer or not self._is_allowed(pulses_us):
+            self.overrides_refused += 1
+            return
+        self._command, self._command_ns = pulses_us, now_ns
+
+    def _is_allowed(self, pulses_us: tuple[int, ...]) -> bool:
+        (slowest, fastest), (lowest, highest) = self.parameters.thruster_us, self.parameters.ankle_us
+        return (
+            len(pulses_us) == CHANNELS
+            and all(slowest <= pulse <= fastest for pulse in pulses_us[:THRUSTERS])
+            and all(lowest <= pulse <= highest or pulse == IGNORED for pulse in pulses_us[THRUSTERS:])
+        )
+
+    def arm(self, wanted: bool, now_ns: int) -> int:
+        """Arm or disarm, whoever asks; returns the MAV_RESULT. Disarming always works."""
+        if not wanted:
+            if self.armed:
+                self._disarm(INFO, "disarmed")
+            return ACCEPTED
+        if self.armed:
+            return ACCEPTED
+        reason = self._why_not_arm(now_ns)
+        if reason:
+            self.said.append(Said(WARNING, f"not armed: {reason}"))
+            return REJECTED
+        self.armed = True
+        self.said.append(Said(INFO, "armed"))
+        return ACCEPTED
+
+    def _why_not_arm(self, now_ns: int) -> str:
+        still_low, still_high = self.parameters.dead_zone_us
+        if self._is_stale(now_ns):
+            return "no override is arriving"
+        if not all(still_low <= pulse <= still_high for pulse in self._command[:THRUSTERS]):
+            return "thruster pulses are not neutral"
+        if self.charge >= Charge.NO_ARM:
+            return "battery low"
+        return ""
+
+    def change(self, name: str, value: float) -> Refusal | None:
+        """Give a parameter another value; why not, if not. The last override was checked against the old ones: forget it."""
+        changed = self.parameters.changed(name, value)
+        if changed is not Refusal.UNKNOWN and self.armed:
+            changed = Refusal.ARMED
+        if isinstance(changed, Refusal):
+            return changed
+        self.parameters, self._command_ns = changed, NEVER_NS
+        return None
+
+    def set_key(self, key: Key, newest: int) -> str:
+        """Have frames signed with this key, later than `newest` and than all taken so far; why not, if not."""
+        if self.armed:
+            return "armed"
+        self.gate, self._command_ns = Gate(key, max(newest, self.gate.newest)), NEVER_NS
+        return ""
+
+    def battery(self, voltage: float, elapsed_s: float) -> None:
+        """A measurement, `elapsed_s` after the one before. A level is entered below its threshold, left only well above it."""
+        voltage = voltage if math.isfinite(voltage) else 0.0
+        before = voltage if self._voltage is None else self._voltage
+        smooth = self._voltage = before + (voltage - before) * -math.expm1(-elapsed_s / BATTERY_FILTER_S)
+        thresholds, hysteresis = self.parameters.thresholds_v, self.parameters["BAT_HYST_V"]
+        below = sum(smooth < threshold for threshold in thresholds)
+        not_clear = sum(smooth < threshold + hysteresis for threshold in thresholds)
+        was, self.charge = self.charge, Charge(min(max(self.charge, below), not_clear))
+        if self.charge is was:
+            return
+        severity = CRITICAL if self.charge is Charge.NEUTRAL else WARNING if self.charge > was else INFO
+        self.said.append(Said(severity, f"battery {self.charge.name}: {voltage:.1f} V"))
+        if self.charge is Charge.NEUTRAL and self.armed:
+            self._disarm(CRITICAL, "disarmed: battery empty")
+
+    # --- time goes on
+
+    def step(self, now_ns: int) -> None:
+        """Look at the age of the last override and move the outputs."""
+        if self.armed and self._is_stale(now_ns):
+            self._disarm(WARNING, f"disarmed: no override for {self.parameters.age_ns // 1_000_000} ms")
+        elapsed_s = 0.0 if self._stepped_ns is None else max((now_ns - self._stepped_ns) / S_NS, 0.0)
+        self._stepped_ns = now_ns
+        if self.armed:
+            self._move(self.parameters["SLEW_US_S"] * elapsed_s)
+        else:
+            self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
+
+    def _is_stale(self, now_ns: int) -> bool:
+        return now_ns - self._command_ns > self.parameters.age_ns
+
+    def _move(self, reach_us: float) -> None:
+        """Towards the command, thrusters no faster than the slew rate."""
+        for i in range(THRUSTERS):
+            thruster, ankle = self._command[i], self._command[THRUSTERS + i]
+            self._thrusters_us[i] += min(max(thruster - self._thrusters_us[i], -reach_us), reach_us)
+            if ankle != IGNORED:
+                self._ankles_us[i] = ankle
+
+    def _disarm(self, severity: int, reason: str) -> None:
+        self.armed = False
+        self.said.append(Said(severity, reason))

@@ -1,0 +1,274 @@
+"""A log with several flights, paths that are over, fleets that go home, clocks that leap: what the report then judges."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from groundstation.__main__ import cli
+from groundstation.analysis.alignment import HOMEWARD, align, zero_ns
+from groundstation.analysis.metrics import evaluate
+from groundstation.analysis.results import Result
+from groundstation.logs.reader import Entry, RunLog, read_log
+from groundstation.mission.state_machine import Phase
+from groundstation.report.report import write_report
+from sim_bridge.studies.metrics import broken_limits
+from tests.groundstation.synthetic import PERIOD_S, START_S, Script, write_run
+from wire.config.controller_benchmark import settled
+from wire.config.experiment import Experiment
+from wire.messages import topics
+from wire.messages.messages import Mode, RobotState, StationHeartbeat, Trajectory
+from wire.toml_loader import ConfigError
+
+SECOND = 1_000_000_000
+DURATION_S = 6.0
+AWAY_S = 40.0  # the second flight begins so long after the first
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Experiment, RunLog, Path]:
+    folder = tmp_path_factory.mktemp("run")
+    return write_run(folder, Script(duration_s=DURATION_S)), read_log(folder / "run.mcap"), folder
+
+
+def later(entry: Entry[RobotState], by_s: float, **changes: object) -> Entry[RobotState]:
+    return dataclasses.replace(
+        entry,
+        stamp_ns=entry.stamp_ns + round(by_s * SECOND),
+        message=dataclasses.replace(entry.message, **changes),  # type: ignore[arg-type]
+    )
+
+
+def with_aborted_flight(log: RunLog, until_s: float) -> RunLog:
+    """The flight, and AWAY_S before it one that robot 2's fault ended after `until_s`, 3 m off."""
+    entries = dict(log.entries)
+    for (name, robot), found in log.entries.items():
+        if name == topics.STATE.name:
+            before = [e for e in found if e.stamp_ns <= (START_S + until_s) * SECOND]
+            fault = [later(e, -AWAY_S) for e in before]
+            fault += [later(before[-1], PERIOD_S - AWAY_S, mode=Mode.FAULT, fault="no pose")]
+            entries[name, robot] = fault + found
+        elif name == topics.TRUTH.name:
+            off = [
+                dataclasses.replace(
+                    e,
+                    stamp_ns=e.stamp_ns - round(AWAY_S * SECOND),
+                    message=dataclasses.replace(e.message, eta=e.message.eta + 3.0),
+                )
+                for e in found
+            ]
+            entries[name, robot] = off + found
+    return dataclasses.replace(log, entries=entries)
+
+
+def result_of(experiment: Experiment, log: RunLog, flight: int | None = None) -> Result:
+    return evaluate(align(experiment, log, flight), log)
+
+
+@pytest.mark.parametrize("until_s", [1.0, 4.0])
+def test_of_two_flights_the_last_is_judged_alone(flown: tuple[Experiment, RunLog, Path], until_s: float) -> None:
+    experiment, log, _ = flown
+    alone, both = result_of(experiment, log), result_of(experiment, with_aborted_flight(log, until_s))
+    assert alone.passed and both.passed
+    assert both.duration_s == alone.duration_s
+    for robot in ("1", "2"):
+        assert both.robots[robot].rms_m == pytest.approx(alone.robots[robot].rms_m)
+        assert both.robots[robot].control_steps == alone.robots[robot].control_steps
+    assert both.pairs["1-2"].max_m == pytest.approx(alone.pairs["1-2"].max_m)
+    assert (alone.flight, len(alone.flights)) == (1, 1)
+    assert (both.flight, len(both.flights)) == (2, 2)
+    assert both.flights[0].flown_s == pytest.approx(until_s)
+    assert both.flights[0].begin_s == pytest.approx(PERIOD_S - AWAY_S)
+    assert both.notes[0].startswith("The log holds 2 flights. This is a report of number 2 alone")
+
+
+def test_the_flight_that_was_aborted_can_be_asked_for(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    found = result_of(experiment, with_aborted_flight(log, 4.0), flight=1)
+    assert not found.passed
+    assert found.duration_s == pytest.approx(4.0, abs=0.1)
+    assert found.robots["1"].rms_m is not None and found.robots["1"].rms_m[2] == pytest.approx(3.0, abs=0.01)
+    assert {fault.text for fault in found.faults} == {"fault: no pose"}
+    with pytest.raises(ConfigError, match=r"--flight 3: the log holds 2 .allowed: 1 to 2."):
+        align(experiment, log=with_aborted_flight(log, 4.0), flight=3)
+
+
+def test_the_report_has_a_table_of_flights(flown: tuple[Experiment, RunLog, Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    _, log, folder = flown
+    both = with_aborted_flight(log, 4.0)
+    monkeypatch.setattr("groundstation.report.report.FIGURES", ())  # they take seconds
+    monkeypatch.setattr("groundstation.report.report.read_log", lambda path: both)
+    assert write_report(folder).flight == 2
+    text = (folder / "report.html").read_text()
+    assert "this report" in text and "2 of 2" in text
+    assert [part["flown_s"] for part in json.loads((folder / "result.json").read_text())["flights"]] == pytest.approx(
+        [4.0, 6.0]
+    )
+    done = CliRunner().invoke(cli, ["report", str(folder), "--flight", "1"])
+    assert done.exit_code == 1 and "(failed)" in done.output
+
+
+def test_a_robot_that_falls_out_and_comes_back_is_in_the_same_flight(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """Its program began anew, its clock is at 0, and it goes on a little behind where it was."""
+    experiment, log, _ = flown
+    states = log.of(topics.STATE, RobotState, 2)
+
+    def away(entry: Entry[RobotState]) -> bool:
+        return (START_S + 3.0) * SECOND < entry.stamp_ns < (START_S + 4.0) * SECOND
+
+    gone = [later(e, 0.0, mode=Mode.ARMED, trajectory_s=0.0) if away(e) else e for e in states]
+    changed = dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 2): gone})
+    found = align(experiment, changed)
+    assert len(found.flights) == 1 and found.reached_s == pytest.approx(DURATION_S)
+
+
+def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
+    stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
+    found = [Entry(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
+    return dataclasses.replace(log, entries={**log.entries, (topics.HEARTBEAT.name, 0): found})
+
+
+def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    assert Phase[HOMEWARD] is Phase.RETURNING
+    found = result_of(experiment, beats(log, 2.0, HOMEWARD))
+    assert not found.passed
+    assert "sent home after 2.0 s of 6 s" in found.notes[0]
+    assert result_of(experiment, beats(log, 2.0, Phase.RUNNING.name)).passed
+
+
+def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """Flown, and then, from where everybody lay, home."""
+    experiment, log, _ = flown
+    both = beats(with_aborted_flight(log, 4.0), 0.1, HOMEWARD)
+    found = align(experiment, both)
+    assert [flight.home for flight in found.flights] == [False, True]
+    assert found.flight == 1
+
+
+def with_path_until(log: RunLog, experiment: Experiment, end_s: float) -> RunLog:
+    """The same, but the path is over then; robots stay where it ends, and their clocks go on a little."""
+    samples = round(end_s / PERIOD_S) + 1 + experiment.controller.mpc.horizon
+    entries = dict(log.entries)
+    for key, found in log.entries.items():
+        if key[0] == topics.TRAJECTORY.name:
+            cut = [
+                dataclasses.replace(
+                    e, message=dataclasses.replace(e.message, **{n: getattr(e.message, n)[:samples] for n in ARRAYS})
+                )
+                for e in found
+            ]
+            entries[key] = cut
+        elif key[0] == topics.STATE.name:
+            entries[key] = [e for e in found if e.stamp_ns <= (START_S + end_s) * SECOND]
+    return dataclasses.replace(log, entries=entries)
+
+
+ARRAYS = ("eta", "velocity", "acceleration")
+
+
+def test_a_path_that_is_over_is_no_failure(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    found = result_of(experiment, with_path_until(log, experiment, 4.0))
+    assert found.passed
+    assert found.asked_s == pytest.approx(4.0)
+    assert found.notes == ("The path was over after 4.0 s, before the 6 s of the experiment.",)
+    whole = next(check for check in found.checks if check.name.startswith("whole run"))
+    assert [whole.value, whole.limit] == pytest.approx([4.0, 4.0]) and whole.passed
+
+
+def test_a_flight_that_ends_before_its_path_fails_and_says_why(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """The fault comes after the last step under way: it ended the flight, so it is told."""
+    experiment, log, _ = flown
+    entries = dict(log.entries)
+    for robot in (1, 2):
+        states = [e for e in log.of(topics.STATE, RobotState, robot) if e.stamp_ns <= (START_S + 4.0) * SECOND]
+        lost = [later(states[-1], k * PERIOD_S, mode=Mode.HOLDING, fault="pose late") for k in range(1, 5)]
+        lost += [later(states[-1], k * PERIOD_S, mode=Mode.FAULT, fault="no pose") for k in range(5, 9)]
+        entries[topics.STATE.name, robot] = states + lost
+    found = result_of(experiment, dataclasses.replace(log, entries=entries))
+    assert not found.passed
+    assert [fault.text for fault in found.faults] == ["holding: pose late"] * 2 + ["fault: no pose"] * 2
+    assert "The first fault was at 4.0 s, robot 1: holding: pose late" in found.notes[1] or "4.1 s" in found.notes[1]
+
+
+def test_what_comes_after_20_s_is_asked_of_no_shorter_flight(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """By a campaign as by a report, also where the path ends before 20 s."""
+    experiment = flown[0]
+    limits = experiment.limits.model_copy(update={"rms_after_20s_m": 0.01, "wrench_step_rms": 0.1, "rms_m": 0.5})
+    short = experiment.model_copy(update={"limits": limits})
+    nothing = dict.fromkeys(("arrived_m", "rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms"))
+    assert broken_limits(short, {"rms_m": 0.1, **nothing}) == []
+    assert broken_limits(short, {"rms_m": 0.6, **nothing}) == ["rms_m"]
+    long = short.model_copy(update={"duration_s": 30.0})
+    assert broken_limits(long, {"rms_m": 0.1, **nothing}) == ["rms_after_20s_m", "wrench_step_rms"]
+    assert not settled(20.0) and settled(20.1)
+    over = with_path_until(flown[1], long, 4.0)
+    asked = {check.name for check in result_of(long, over).checks}
+    assert not asked & {"rms_after_20s_m", "rms of input steps after 20 s, fraction of bound"}
+
+
+# --- clocks and values that cannot be
+
+
+def test_a_clock_that_leaps_neither_fills_the_memory_nor_passes_unsaid(flown: tuple[Experiment, RunLog, Path]) -> None:
+    """A year ahead in mid-flight, as if a computer's clock had been set."""
+    experiment, log, _ = flown
+    entries = dict(log.entries)
+    for key, found in log.entries.items():
+        entries[key] = [
+            dataclasses.replace(e, stamp_ns=e.stamp_ns + (31_536_000 * SECOND if e.stamp_ns > (START_S + 3.0) * SECOND else 0))
+            for e in found
+        ]
+    series = align(experiment, dataclasses.replace(log, entries=entries))
+    assert len(series.time_s) < 100_000
+    notes = evaluate(series, log).notes
+    assert any("a clock leaps" in note for note in notes)
+
+
+def test_stamps_that_come_twice_and_a_flight_of_no_length(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    twice = {key: [e for e in found for _ in range(2)] for key, found in log.entries.items()}
+    doubled = result_of(experiment, dataclasses.replace(log, entries=twice))
+    assert doubled.robots["1"].rms_m == pytest.approx(result_of(experiment, log).robots["1"].rms_m)
+    one = {key: found[:1] if key[0] != topics.STATE.name else found[30:32] for key, found in log.entries.items()}
+    short = result_of(experiment, dataclasses.replace(log, entries=one))
+    assert not short.passed and short.duration_s < 0.1
+    json.loads(short.to_json())
+
+
+@pytest.mark.parametrize("clock_s", [1e12, 1e-300, 3.0])
+def test_any_clock_along_the_path_gives_a_result(flown: tuple[Experiment, RunLog, Path], clock_s: float) -> None:
+    experiment, log, _ = flown
+    states = [later(e, 0.0, trajectory_s=clock_s) for e in log.of(topics.STATE, RobotState, 1)]
+    found = result_of(experiment, dataclasses.replace(log, entries={**log.entries, (topics.STATE.name, 1): states}))
+    json.loads(found.to_json())
+
+
+def test_a_trajectory_that_nobody_can_fly_is_left_out(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    for period_s, samples in ((5e-324, 10), (1e12, 10), (0.05, 0), (0.05, 1)):
+        still = np.zeros((samples, 4))
+        bad = Trajectory("bad", period_s, still, still, still)
+        entries = {**log.entries, (topics.TRAJECTORY.name, 1): [Entry(0, 0, 1, bad)]}
+        found = result_of(experiment, dataclasses.replace(log, entries=entries))
+        assert found.robots["1"].rms_m is None and found.robots["2"].rms_m is not None
+        assert not found.passed or not experiment.limits.rms_m
+
+
+@pytest.mark.parametrize("missing", [topic for topic in topics.TOPICS if topic.recorded], ids=lambda topic: topic.name)
+def test_a_log_without_a_topic_gives_a_result(flown: tuple[Experiment, RunLog, Path], missing: topics.Topic) -> None:
+    experiment, log, _ = flown
+    left = {key: found for key, found in log.entries.items() if key[0] != missing.name}
+    found = result_of(experiment, dataclasses.replace(log, entries=left))
+    json.loads(found.to_json())
+    assert found.passed or missing.name in (topics.STATE.name, topics.TRUTH.name, topics.TRAJECTORY.name)
+
+
+def test_time_0_of_a_table_is_the_reports(flown: tuple[Experiment, RunLog, Path]) -> None:
+    experiment, log, _ = flown
+    for some in (log, with_aborted_flight(log, 4.0), RunLog()):
+        assert zero_ns(some, experiment.robot_ids) == align(experiment, some).start_ns

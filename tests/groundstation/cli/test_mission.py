@@ -1,0 +1,113 @@
+"""A terminal waits for what becomes of its request, and exits by that."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from groundstation.cli import mission as order_commands
+from groundstation.cli.mission import _Told, follow
+from wire.messages.messages import Command, Order, Outcome, Progress, Reply
+
+SILENT = Reply(0, False, "no answer within 2 s", silent=True)
+
+
+def outcome(progress: Progress = Progress.UNDER_WAY, **more: Any) -> Reply:
+    return Reply(0, True, outcome=Outcome(5, Order.STOP, progress, **more))
+
+
+@pytest.fixture(autouse=True)
+def no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(order_commands, "ASK_EVERY_S", 0.0)
+
+
+def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) -> tuple[Reply, list[Command], list[Outcome]]:
+    """What comes of a request that is answered so; the last answer is given for ever."""
+    commands: list[Command] = []
+    told: list[Outcome] = []
+
+    def answers() -> Iterator[Reply]:
+        yield from replies
+        while True:
+            yield replies[-1]
+
+    answer = answers()
+
+    def ask(command: Command) -> Reply:
+        commands.append(command)
+        return next(answer)
+
+    return follow(ask, Command(order, 0), patience_s, told.append), commands, told
+
+
+def test_it_is_asked_what_became_of_it_until_it_is_over() -> None:
+    done = outcome(Progress.DONE, confirmed=(1, 2))
+    reply, commands, told = asked(outcome(), outcome(confirmed=(1,)), done)
+    assert reply is done
+    assert [(c.order, c.about) for c in commands] == [(Order.STOP, 0), (Order.NONE, 5), (Order.NONE, 5)]
+    assert [o.confirmed for o in told] == [(), (1,)]
+
+
+def test_a_question_that_is_not_answered_is_asked_again_and_the_request_is_not() -> None:
+    reply, commands, _ = asked(outcome(), SILENT, SILENT, outcome(Progress.DONE), order=Order.GO)
+    assert reply.outcome is not None and reply.outcome.progress is Progress.DONE
+    assert [c.order for c in commands].count(Order.GO) == 1
+
+
+def test_only_a_stop_that_nobody_answers_is_asked_for_again() -> None:
+    _, commands, _ = asked(SILENT, SILENT, outcome(Progress.DONE))
+    assert [c.order for c in commands] == [Order.STOP] * 3
+    reply, commands, _ = asked(SILENT, outcome(Progress.DONE), order=Order.START)
+    assert (reply.silent, len(commands)) == (True, 1)
+
+
+def test_a_refusal_and_a_station_that_tells_nothing_are_waited_for_no_longer() -> None:
+    for reply in (Reply(0, False, "STOPPED"), Reply(0, True)):
+        found, commands, told = asked(reply)
+        assert (found, len(commands), told) == (reply, 1, [])
+
+
+def test_patience_ends() -> None:
+    reply, commands, _ = asked(outcome(), patience_s=0.0)
+    assert reply.outcome is not None and reply.outcome.progress is Progress.UNDER_WAY
+    assert len(commands) == 1
+    assert len(asked(SILENT, patience_s=0.0)[1]) == 1
+
+
+@pytest.mark.parametrize(
+    ("reply", "code", "lines"),
+    [
+        (outcome(Progress.DONE, confirmed=(1, 2)), 0, ["  robot 1: confirmed", "  robot 2: confirmed", "stop: done"]),
+        (
+            outcome(confirmed=(1,), waiting=(2,), why=("not heard",)),
+            1,
+            ["  robot 1: confirmed", "  robot 2: NOT confirmed: not heard", "stop: not done within 5 s"],
+        ),
+        (outcome(Progress.FAILED, reason="no way there"), 1, ["stop: failed: no way there"]),
+        (Reply(0, False, "STOPPED"), 1, ["stop: refused: STOPPED"]),
+        (SILENT, 1, ["stop: not heard: no answer within 2 s"]),
+        (Reply(0, True), 1, ["stop: under way, and this station does not tell what becomes of it"]),
+    ],
+)
+def test_the_exit_code_and_the_last_lines_say_what_was_achieved(
+    reply: Reply, code: int, lines: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert _Told("stop", False).end(reply, 5.0) == code
+    assert [line for line in capsys.readouterr().out.splitlines() if not line.startswith("  mission")] == lines
+    assert _Told("stop", True).end(reply, 5.0) == code
+    told = json.loads(capsys.readouterr().out)
+    assert told["done"] is (code == 0)
+    assert told["robots"].get("2", "confirmed") == ("not heard" if "NOT" in "".join(lines) else "confirmed")
+
+
+def test_who_wants_only_to_be_heard_is_told_no_more(capsys: pytest.CaptureFixture[str]) -> None:
+    assert _Told("start", False).end(outcome(), 0.0) == 0
+    assert capsys.readouterr().out == "start: taken by the station\n"
+
+
+def test_progress_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
+    told = _Told("start", False)
+    for mission, confirmed in (("LOADING", ()), ("LOADING", ()), ("TEST_ARMING", (1,)), ("TEST_ARMING", (1,))):
+        told.progress(Outcome(1, Order.START, mission=mission, confirmed=confirmed))
+    assert capsys.readouterr().out.splitlines() == ["  mission: loading", "  mission: test arming", "  robot 1: confirmed"]

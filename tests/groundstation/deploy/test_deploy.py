@@ -1,0 +1,340 @@
+"""Deployment: what is decided, and the whole of it over a real SSH server."""
+
+import json
+import os
+import re
+import shutil
+import socket
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from groundstation.__main__ import cli
+from groundstation.deploy import key_ring, manifest, wheelhouse
+from groundstation.deploy import ssh as deploy_shell
+from groundstation.deploy.manifest import Probe, Target
+from sim_bridge.sil.ports import free_port
+from wire.config.experiment import load_experiment
+from wire.toml_loader import ConfigError
+
+SSHD = shutil.which("sshd", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
+HERE = Probe(os.uname().machine, f"{sys.version_info.major}.{sys.version_info.minor}", {})
+
+
+# --- what is decided
+
+
+def test_a_board_is_named_with_its_robot() -> None:
+    assert manifest.parse_target("pi@192.168.1.21=3") == Target("pi@192.168.1.21", 3)
+    assert manifest.parse_target("robot-1.local=1") == Target("robot-1.local", 1)
+
+
+@pytest.mark.parametrize("text", ["", "pi@host", "=1", "host=0", "host=x", "-oProxyCommand=x=1", "a b=1", "host;rm=1"])
+def test_what_is_no_board_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="not a board"):
+        manifest.parse_target(text)
+
+
+def test_no_robot_and_no_board_twice() -> None:
+    for texts, says in ((["a=1", "b=1"], "robot 1 is named twice"), (["a=1", "a=2"], "board a is named twice")):
+        with pytest.raises(ConfigError, match=says):
+            manifest.parse_targets(texts)
+
+
+def test_a_board_that_cannot_run_the_agent_says_what_it_lacks() -> None:
+    assert manifest.read_probe("pi", "aarch64\n3.11\nsoftware ab\nkeys cd\n") == Probe(
+        "aarch64", "3.11", {"software": "ab", "keys": "cd"}
+    )
+    for said, says in (
+        ("armv7l\n3.11\n", "armv7l"),
+        ("x86_64\nnone\n", "python3-venv"),
+        ("x86_64\n3.9\n", "3.11 or newer"),
+        ("", "silent"),
+    ):
+        with pytest.raises(ConfigError, match=says):
+            manifest.read_probe("pi", said)
+
+
+@pytest.mark.parametrize(
+    ("does", "says"),
+    [
+        ("TRACKING", "pi: robot 3 is TRACKING, and a restart would disarm it at once: disarm it first"),
+        ("unknown", "pi: the agent of robot 3 runs, and does not say whether it is armed"),
+    ],
+)
+def test_an_agent_that_is_not_surely_disarmed_is_not_restarted(does: str, says: str) -> None:
+    probe = manifest.read_probe("pi", f"aarch64\n3.11\nagent {does}\nsoftware ab\n")
+    assert (probe.agent, dict(probe.manifest)) == (does, {"software": "ab"})
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        manifest.refuse_to_restart(Target("pi", 3), probe)
+    manifest.refuse_to_restart(Target("pi", 3), manifest.read_probe("pi", "aarch64\n3.11\n"))
+
+
+def test_only_what_differs_travels() -> None:
+    wanted = {"software": "a", "experiment": "b", "settings": "c"}
+    assert manifest.changed(wanted, {}) == ("software", "experiment", "settings")
+    assert manifest.changed(wanted, {**wanted, "experiment": "x"}) == ("experiment",)
+    assert manifest.changed(wanted, wanted) == ()
+    probe = manifest.read_probe("pi", "x86_64\n3.11\n" + manifest.write_manifest(wanted).decode())
+    assert dict(probe.manifest) == wanted
+
+
+def test_a_digest_is_of_names_and_contents_in_any_order() -> None:
+    files = [("a", b"1"), ("b", b"2")]
+    assert manifest.digest(files) == manifest.digest(files[::-1])
+    assert (
+        len({manifest.digest(f) for f in (files, [("a", b"2"), ("b", b"1")], [("a", b"1")], [("a", b"12"), ("b", b"")])}) == 4
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--station", "nowhere"], "'nowhere': not a place where a station can be"),
+        (["--link", "usb"], "--link 'usb': not an address of a thruster board (allowed: "),
+        (["--home", "shoal"], "--home 'shoal': no folder for a board (allowed: an absolute path"),
+        (["--home", "/opt/my shoal"], "no folder for a board"),
+        (["--ssh", ""], "--ssh '': no command"),
+        (["--ssh", 'ssh "x'], "no command: No closing quotation"),
+        (["--wheelhouse", "nowhere"], "nowhere: holds no wheel of shoal"),
+        (["--set", "robots=[]"], "robots"),
+        (["--keys", "nowhere"], "nowhere/agent-1/ca.pem is missing"),
+        (["--experiment", "puddle"], "no such experiment"),
+    ],
+)
+def test_what_is_wrong_here_is_told_before_a_board_is_asked(options: list[str], says: str, tmp_path: Path) -> None:
+    key_ring.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
+    key_ring.add(tmp_path / "keys", "robot", 1, datetime.now(UTC))
+    sound = ["--station", "tls/127.0.0.1:7999", "--keys", str(tmp_path / "keys"), "--ssh", "false"]
+    result = CliRunner().invoke(cli, ["deploy", "localhost=1", *sound, *options])
+    assert isinstance(result.exception, ConfigError) and says in str(result.exception)
+    robot_9 = CliRunner().invoke(cli, ["deploy", "localhost=9", *sound]).exception
+    assert str(robot_9) == "robot 9: not in experiment 'pool' (allowed: 1, 2)"
+
+
+def test_without_keys_a_board_is_not_sent_where_others_are(tmp_path: Path) -> None:
+    for station, says in (("tcp/10.0.0.1:7447", "other machines could command"), ("tls/10.0.0.1:7447", "TLS needs --keys")):
+        refused = CliRunner().invoke(cli, ["deploy", "localhost=1", "--station", station, "--ssh", "false"]).exception
+        assert isinstance(refused, ConfigError) and says in str(refused)
+
+
+# --- the whole
+
+
+@dataclass
+class SshBoard:
+    """A board that is really this machine: its own home, its own sshd."""
+
+    home: Path
+    ssh: str
+    port: int
+
+    def run(self, command: str) -> str:
+        done = subprocess.run(
+            [*self.ssh.split(), "localhost", command], capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+
+@pytest.fixture
+def board(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[SshBoard]:
+    """An sshd of one's own on a high port, with keys that live as long as the test."""
+    if SSHD is None:
+        pytest.skip("no sshd here (Debian: apt install openssh-server)")
+    if os.geteuid() == 0:
+        Path("/run/sshd").mkdir(mode=0o755, exist_ok=True)  # what an sshd of root wants to find
+    for name in ("host", "user"):
+        subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(tmp_path / name)], check=True)
+    port = free_port()
+    settings = {
+        "Port": port,
+        "ListenAddress": "127.0.0.1",
+        "HostKey": tmp_path / "host",
+        "AuthorizedKeysFile": tmp_path / "user.pub",
+        "PidFile": "none",
+        "UsePAM": "no",
+        "StrictModes": "no",
+        "PasswordAuthentication": "no",
+        "SetEnv": " ".join(f"{k}={v}" for k, v in {**_environment(), **getattr(request, "param", {})}.items()).format(
+            tmp=tmp_path
+        ),
+    }
+    (tmp_path / "sshd_config").write_text("".join(f"{key} {value}\n" for key, value in settings.items()))
+    (tmp_path / "known_hosts").write_text(f"[localhost]:{port} {(tmp_path / 'host.pub').read_text()}")
+    ssh = (
+        f"ssh -F none -p {port} -i {tmp_path / 'user'} -o UserKnownHostsFile={tmp_path / 'known_hosts'} -o IdentitiesOnly=yes"
+    )
+    server = subprocess.Popen([SSHD, "-D", "-e", "-f", str(tmp_path / "sshd_config")], stderr=subprocess.DEVNULL)
+    try:
+        for _ in range(200):
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            time.sleep(0.05)
+        yield SshBoard(tmp_path / "opt" / "shoal", ssh, port)
+    finally:
+        server.terminate()
+        server.wait()
+
+
+def _environment() -> dict[str, str]:
+    return {"PATH": f"{Path(sys.base_prefix) / 'bin'}:/usr/local/bin:/usr/bin:/bin"}
+
+
+def deployed(board: SshBoard, ring: Path, wheels: Path, *more: str) -> Result:
+    options = ["--station", "tls/127.0.0.1:7999", "--keys", str(ring), "--home", str(board.home), "--link", "udp:127.0.0.1:9"]
+    command = ["deploy", "localhost=1", *options, "--wheelhouse", str(wheels), "--ssh", board.ssh, *more]
+    return CliRunner().invoke(cli, command, env={"COLUMNS": "300"})
+
+
+def row(result: Result) -> list[str]:
+    line = next(line for line in result.output.splitlines() if line.startswith("│ localhost"))
+    return [cell.strip() for cell in line.strip("│").split("│")]
+
+
+@pytest.fixture(scope="module")
+def own_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheelhouse with nothing but this project's wheel."""
+    folder = tmp_path_factory.mktemp("wheels")
+    wheelhouse._pip("wheel", "--no-deps", "--wheel-dir", str(folder), str(wheelhouse.ROOT))
+    return folder
+
+
+@pytest.fixture
+def ring(tmp_path: Path) -> Path:
+    key_ring.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
+    key_ring.add(tmp_path / "keys", "robot", 1, datetime.now(UTC))
+    return tmp_path / "keys"
+
+
+WITH_PACKAGES = {  # a board that has the packages already: the test needs no 80 MB of wheels
+    "PIP_NO_DEPS": "1",
+    "PIP_IGNORE_INSTALLED": "1",
+    "PYTHONPATH": next(path for path in sys.path if path.endswith("site-packages")),
+}
+
+
+@pytest.mark.parametrize("board", [WITH_PACKAGES], indirect=True)
+def test_a_bare_board_is_brought_up_to_date_and_then_left_alone(board: SshBoard, ring: Path, own_wheel: Path) -> None:
+    would = deployed(board, ring, own_wheel, "--dry-run")
+    assert row(would)[2:] == ["software, keys, experiment, settings", "", "not touched"]
+    assert not board.home.exists()
+
+    first = deployed(board, ring, own_wheel)
+    assert first.exit_code == 0, first.output
+    assert row(first)[2] == "software, keys, experiment, settings"
+    assert row(first)[3] == metadata.version("shoal")
+    key = board.home / "keys" / "agent-1" / "key.pem"
+    assert key.read_bytes() == (ring / "agent-1" / "key.pem").read_bytes()
+    assert stat.S_IMODE(key.stat().st_mode) == 0o600
+    assert sorted(path.name for path in (board.home / "keys").iterdir()) == ["agent-1"]  # nobody else's
+    assert load_experiment(str(board.home / "experiment.toml")).hash == load_experiment("pool").hash
+    assert not (board.home / "incoming").exists()
+    said = board.run(f"{board.home}/venv/bin/robot-agent check --config {board.home}/agent.toml --json || true")
+    found = {finding["what"]: finding["verdict"] for finding in json.loads(said[said.index("[") :])}
+    assert (found["experiment"], found["certificate"], found["station"]) == ("ok", "ok", "fail")  # there is no station
+
+    before = {path: path.stat().st_mtime_ns for path in board.home.rglob("*.toml")}
+    assert row(deployed(board, ring, own_wheel))[2:] == ["nothing", "", "not touched"]
+    assert {path: path.stat().st_mtime_ns for path in board.home.rglob("*.toml")} == before
+
+    changed = deployed(board, ring, own_wheel, "--set", "duration_s=33")
+    assert row(changed)[2] == "experiment"
+    assert load_experiment(str(board.home / "experiment.toml")).duration_s == 33
+    assert "PRIVATE KEY" not in first.output
+
+
+@pytest.mark.parametrize("board", [{**WITH_PACKAGES, "RUNTIME_DIRECTORY": "{tmp}/run"}], indirect=True)
+def test_a_robot_that_flies_is_left_alone(board: SshBoard, ring: Path, own_wheel: Path) -> None:
+    status = board.home.parents[1] / "run" / "status"
+    status.parent.mkdir()
+    status.write_text(f"TRACKING {os.getpid()}\n")  # an agent that runs: this test's process
+    refused = deployed(board, ring, own_wheel)
+    assert refused.exit_code == 1
+    assert row(refused)[2].startswith("localhost: robot 1 is TRACKING, and a restart would disarm it at once")
+    assert not board.home.exists()
+    archive = board.home / "incoming"  # as if it had been armed while the software was being installed
+    archive.mkdir(parents=True)
+    script = (deploy_shell.ARMED.read_text() + deploy_shell.SCRIPT.read_text()).encode()
+    late = subprocess.run(
+        [*board.ssh.split(), "localhost", f"sh -s {board.home} yes"], input=script, capture_output=True, check=False
+    )
+    assert late.returncode == 3 and b"its agent is TRACKING now: the service was not restarted" in late.stderr
+    assert row(deployed(board, ring, own_wheel, "--force", "--dry-run"))[4] == "not touched"
+    for rests in (f"DISARMED {os.getpid()}", "TRACKING 4194305"):  # the second has ended: no process has such a number
+        status.write_text(f"{rests}\n")
+        armed = board.run(f"{deploy_shell.ARMED.read_text()}armed")
+        assert armed == ""
+
+
+def test_a_board_that_does_not_answer_is_named_and_the_others_get_theirs(ring: Path, own_wheel: Path, board: SshBoard) -> None:
+    wrong = SshBoard(board.home, board.ssh.replace(str(board.port), str(free_port())), 0)
+    result = deployed(wrong, ring, own_wheel)
+    assert result.exit_code == 1
+    assert re.search(r"localhost.*refused", result.output)
+    unknown = SshBoard(board.home, re.sub(r"-i \S+", "-i /nowhere", board.ssh), 0)
+    assert "Permission denied" in deployed(unknown, ring, own_wheel).output
+
+
+def test_boards_of_one_kind_share_the_wheels_that_are_made_for_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four boards are brought up to date at once, and none of them finds the wheels there already."""
+    made = []
+
+    def build(probe: Probe, source: Path, folder: Path) -> None:
+        made.append(folder)
+        time.sleep(0.2)
+        folder.mkdir()
+        (folder / "shoal-1-py3-none-any.whl").write_bytes(b"")
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(wheelhouse, "_build", build)
+    with ThreadPoolExecutor(4) as boards:
+        folders = set(boards.map(wheelhouse.wheels, [Probe("aarch64", "3.11", {})] * 4))
+    assert len(folders) == len(made) == 1
+    assert [path.name for path in folders.pop().iterdir()] == ["shoal-1-py3-none-any.whl"]
+
+
+def test_an_open_network_must_be_asked_for(own_wheel: Path) -> None:
+    result = CliRunner().invoke(
+        cli, ["deploy", "localhost=1", "--station", "tcp/192.168.1.10:7447", "--wheelhouse", str(own_wheel)]
+    )
+    assert isinstance(result.exception, ConfigError)
+    assert "--insecure" in str(result.exception)
+
+
+@pytest.mark.slow
+def test_with_the_real_wheelhouse_the_agent_needs_nothing_of_ours_on_the_board(
+    board: SshBoard, ring: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    wheels = wheelhouse.wheels(HERE)
+    assert wheelhouse.wheels(HERE) == wheels  # made once
+    assert deployed(board, ring, wheels).exit_code == 0
+    packages = board.run(f"{board.home}/venv/bin/python -m pip list --format=freeze").lower()
+    assert "eclipse-zenoh" in packages
+    assert "opencv" not in packages and "mcap" not in packages and "starlette" not in packages
+    said = board.run(f"{board.home}/venv/bin/robot-agent check --config {board.home}/agent.toml --json || true")
+    found = {finding["what"]: finding["verdict"] for finding in json.loads(said[said.index("[") :])}
+    assert found["experiment"] == "ok"
+    assert "control step" in found
+
+
+@pytest.mark.slow
+def test_wheels_exist_for_the_boards_of_today(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for python in ("3.11", "3.13"):  # Raspberry Pi OS of 2023 and of 2025
+        names = [path.name for path in wheelhouse.wheels(Probe("aarch64", python, {})).iterdir()]
+        assert any(name.startswith("eclipse_zenoh") and "aarch64" in name for name in names)

@@ -1,0 +1,173 @@
+"""Logs that were cut, anywhere: what is good is kept, the rest does no harm, and a cut file is not lost in the mending."""
+
+import os
+import random
+import resource
+import struct
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.writer import MCAP0_MAGIC
+
+from groundstation.logs.recorder import Recorder
+from groundstation.logs.repair import is_complete, recover, valid_records
+from groundstation.report.report import write_report
+from tests.groundstation.small_log import record_poses, sequences
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import Preview
+
+
+def test_recover_leaves_a_whole_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record_poses(path, 5)
+    before = path.read_bytes()
+    assert is_complete(path)
+    assert recover(path) is False
+    assert path.read_bytes() == before
+
+
+def several_flushes(path: Path) -> None:
+    """A file of several chunks, as a run of some seconds has."""
+    recorder = Recorder(path, "name = 'pool'\n", {"mode": "lockstep"})
+    for k in range(8):
+        payload = encode(Preview(random.Random(k).randbytes(150_000)), 0)  # incompressible: two fill a chunk
+        recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k + 1, k), payload, k)
+    recorder.close()
+
+
+def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
+    """kill -9 and power loss cut anywhere: between records, within one, within the index that close writes."""
+    whole = tmp_path / "whole.mcap"
+    several_flushes(whole)
+    data = whole.read_bytes()
+    rng = random.Random(5)
+    cuts = [0, 1, 8, 9, len(data) - 1, len(data) - 8, len(data) - 9, *(rng.randrange(len(data)) for _ in range(40))]
+    cuts += [len(data) - rng.randrange(3000) for _ in range(40)]  # the index
+    kept_before = 0
+    for cut in sorted(cuts):
+        path = tmp_path / "cut.mcap"
+        path.write_bytes(data[:cut])
+        if is_complete(path):
+            continue
+        expected = [record.sequence for record in valid_records(path) if isinstance(record, Message)]
+        assert recover(path) is True
+        found = sequences(path)
+        assert found == expected == list(range(1, len(found) + 1))
+        assert len(found) >= kept_before  # a later cut never keeps less
+        kept_before = len(found)
+    assert kept_before == 8
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_a_length_that_is_none_ends_what_can_be_read(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    lying = struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", 1 << 53)  # an attachment: times, name, type, length of data
+    path.write_bytes(MCAP0_MAGIC + b"\x09" + struct.pack("<Q", len(lying) + 4) + lying + bytes(4))
+    assert list(valid_records(path)) == []
+
+
+def test_recovered_file_keeps_experiment_metadata_and_sessions(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record_poses(path, 20, session=0xBEEF)
+    path.write_bytes(path.read_bytes()[:-100])
+    assert recover(path)
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        assert next(iter(reader.iter_attachments())).data == b"name = 'pool'\n"
+        assert {item.name: item.metadata for item in reader.iter_metadata()}["run"]["mode"] == "lockstep"
+        assert {channel.metadata["session"] for _, channel, _ in reader.iter_messages()} == {"beef"}
+
+
+def test_a_log_that_is_still_written_is_left_alone(tmp_path: Path) -> None:
+    """A report of a run that goes on would put a mended copy in its place: the rest would go into a file without a name."""
+    path = tmp_path / "run.mcap"
+    recorder = Recorder(path, dump_experiment(load_experiment("pool")), {})
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+
+    def put(first: int, last: int) -> None:
+        for k in range(first, last + 1):
+            recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, k, k), encode(Preview(b"x"), 0), k)
+
+    put(1, 5)
+    with pytest.raises(OSError, match="still goes on"):
+        recover(path)
+    write_report(tmp_path)
+    with pytest.raises(OSError, match="is there already, and would be lost"):
+        Recorder(path, "", {})
+    put(6, 10)
+    recorder.close()
+    assert recorder.error == ""
+    assert sequences(path) == list(range(1, 11))
+
+
+def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    several_flushes(path)
+    cut = path.read_bytes()[:-50]
+    path.write_bytes(cut)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            recover(path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert path.read_bytes() == cut
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_what_was_mended_is_on_the_disk_before_it_takes_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power cut between the two would else leave a file without its content."""
+    path = tmp_path / "run.mcap"
+    record_poses(path, 20)
+    path.write_bytes(path.read_bytes()[:-100])
+    happened: list[str] = []
+    sync, replace = os.fsync, Path.replace
+
+    def synced(fd: int) -> None:
+        happened.append(str(os.fstat(fd).st_size))
+        sync(fd)
+
+    def replaced(old: Path, new: Path) -> Path:
+        happened.append(new.name)
+        return replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(Path, "replace", replaced)
+    assert recover(path)
+    assert happened == [str(path.stat().st_size), "run.mcap"]
+
+
+def test_links_in_a_runs_folder_are_not_followed(tmp_path: Path) -> None:
+    """A run that somebody hands over as an archive: what a report writes stays in its folder."""
+    run, elsewhere = tmp_path / "run", tmp_path / "elsewhere"
+    run.mkdir()
+    elsewhere.mkdir()
+    text = dump_experiment(load_experiment("pool"))
+    (run / "experiment.toml").write_text(text)
+    record_poses(elsewhere / "cut.mcap", 20)
+    cut = (elsewhere / "cut.mcap").read_bytes()[:-100]
+    (elsewhere / "cut.mcap").write_bytes(cut)
+    (run / "run.mcap").symlink_to(elsewhere / "cut.mcap")
+    for name in ("run.mcap.mending", "result.json", "result.json.new", "report.html", "report.html.new"):
+        (elsewhere / name).write_text("precious")
+        (run / name).symlink_to(elsewhere / name)
+    write_report(run)
+    assert (elsewhere / "cut.mcap").read_bytes() == cut
+    assert {path.read_text() for path in elsewhere.iterdir() if path.suffix != ".mcap"} == {"precious"}
+    assert not any((run / name).is_symlink() for name in ("run.mcap", "result.json", "report.html"))
+
+
+def test_a_log_is_never_written_over(tmp_path: Path) -> None:
+    path, link = tmp_path / "run.mcap", tmp_path / "link.mcap"
+    record_poses(path, 5)
+    before = path.read_bytes()
+    link.symlink_to(tmp_path / "none.mcap")
+    for place in (path, link):
+        with pytest.raises(OSError, match="would be lost"):
+            Recorder(place, "", {})
+    assert path.read_bytes() == before and not (tmp_path / "none.mcap").exists()

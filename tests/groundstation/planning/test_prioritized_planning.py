@@ -1,0 +1,189 @@
+"""Ways from rest to rest: clear of everybody all along, and motions that a robot can follow."""
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pytest
+
+from groundstation.planning import prioritized_planning as marshalling
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.formation import NodeMotion
+from groundstation.planning.planner import start_poses
+from groundstation.planning.prioritized_planning import marshal
+from groundstation.planning.rest_to_rest import gathered
+from groundstation.planning.segment import first_leg
+from groundstation.planning.transfer import Basin, Trip, glide, planned_trip
+from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
+from wire.config.scene import Island
+from wire.frames import Array
+
+PERIOD_S = 0.05
+NOTHING = np.zeros((0, 3))
+
+
+def pool(*islands: tuple[float, float, float], size_m: tuple[float, float, float] = (12.0, 10.0, 3.0)) -> Experiment:
+    base = load_experiment("open-water")
+    return base.model_copy(
+        update={
+            "islands": tuple(Island(position_m=(x, y), radius_m=r) for x, y, r in islands),
+            "pool": base.pool.model_copy(update={"size_m": size_m, "walls": True}),
+        }
+    )
+
+
+def pose(x: float, y: float, z: float = 1.0, yaw: float = 0.3) -> Array:
+    return np.array([x, y, z, yaw])
+
+
+def check(experiment: Experiment, motions: dict[int, NodeMotion], starts: dict[int, Array], goals: dict[int, Array]) -> None:
+    """Everything that must hold, by distances and finite differences alone."""
+    keep = 2.0 * experiment.safety.radius_m
+    for a, b in combinations(motions, 2):
+        apart = float(np.linalg.norm(motions[a].eta[:, :3] - motions[b].eta[:, :3], axis=1).min())
+        rests = [float(np.linalg.norm(places[a][:3] - places[b][:3])) for places in (starts, goals)]
+        assert apart >= min(keep, *rests) - 2e-3
+    for robot, motion in motions.items():
+        p, v, pushed = motion.eta[:, :3], motion.velocity[:, :3], motion.acceleration[:, :3]
+        assert np.abs(p[0] - starts[robot][:3]).max() < 1e-9
+        assert np.abs(p[-1] - goals[robot][:3]).max() < 2e-3
+        assert np.abs(v[[0, -1]]).max() < 1e-9
+        assert np.abs(np.diff(p, axis=0) / PERIOD_S - 0.5 * (v[1:] + v[:-1])).max() < 2e-3
+        assert np.abs(np.diff(v, axis=0) / PERIOD_S - 0.5 * (pushed[1:] + pushed[:-1])).max() < 2e-2
+        assert np.abs(np.diff(pushed, axis=0)).max() < 0.02  # no jump
+        for island in experiment.islands:
+            shore = np.hypot(*(p[:, :2] - island.position_m).T).min() - island.radius_m
+            assert shore >= experiment.vehicle.radius_m - 1e-6
+
+
+def test_a_glide_is_smooth_and_ends_where_it_should() -> None:
+    for length in (0.01, 0.3, 5.0):
+        way, rate, bend = glide(length, 0.15, PERIOD_S)
+        assert way[0] == 0.0 and way[-1] == pytest.approx(length, abs=1e-9)
+        assert rate.max() <= 0.15 + 1e-12 and rate.min() >= -1e-12
+        np.testing.assert_allclose(np.gradient(way, PERIOD_S)[1:-1], rate[1:-1], atol=2e-4)
+        np.testing.assert_allclose(np.gradient(rate, PERIOD_S)[1:-1], bend[1:-1], atol=3e-3)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_random_robots_find_home_clear_of_one_another(seed: int) -> None:
+    random = np.random.default_rng([seed, 7])
+    experiment = pool((0.0, 0.0, 0.6), (2.5, 2.0, 0.4))
+    count = int(random.integers(2, 7))
+
+    def places() -> dict[int, Array]:
+        found: list[Array] = []
+        while len(found) < count:
+            p = random.uniform([-5.3, -4.3, 0.5, -3.0], [5.3, 4.3, 2.0, 3.0])
+            clear = all(np.hypot(*(p[:2] - i.position_m)) > i.radius_m + 0.25 for i in experiment.islands)
+            if clear and all(np.hypot(*(p[:2] - q[:2])) > 0.65 for q in found):
+                found.append(p)
+        return dict(enumerate(found, 1))
+
+    starts, goals = places(), places()
+    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+
+
+def test_two_on_one_anothers_places_change_them() -> None:
+    experiment = pool(size_m=(4.0, 3.0, 2.0))
+    starts = {1: pose(-0.5, 0.0), 2: pose(0.5, 0.0)}
+    goals = {1: starts[2], 2: starts[1]}
+    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+
+
+def test_three_go_round_in_a_ring() -> None:
+    experiment = pool(size_m=(5.0, 4.0, 2.0))
+    starts = {1: pose(-0.6, 0.0), 2: pose(0.6, 0.0), 3: pose(0.0, 1.0)}
+    goals = {1: starts[2], 2: starts[3], 3: starts[1]}
+    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+
+
+def test_a_thing_in_the_way_is_gone_round() -> None:
+    experiment = pool()
+    starts, goals = {1: pose(-3.0, 0.0)}, {1: pose(3.0, 0.0)}
+    motions = marshal(experiment, starts, goals, np.array([[0.0, 0.1, 0.5]]))
+    check(experiment, motions, starts, goals)
+    assert np.hypot(*(motions[1].eta[:, :2] - [0.0, 0.1]).T).min() >= 0.5 - 1e-6
+
+
+def test_who_is_there_already_stays() -> None:
+    starts = {1: pose(0.0, 0.0), 2: pose(2.0, 0.0)}
+    goals = {1: pose(0.0, 0.0), 2: pose(1.0, 0.0)}
+    motions = marshal(pool(), starts, goals, NOTHING)
+    assert np.ptp(motions[1].eta, axis=0).max() == 0.0
+    assert len(motions[1].eta) == len(motions[2].eta)
+
+
+def test_no_way_is_said_and_why() -> None:
+    ring = np.array([[2.0 * np.cos(a), 2.0 * np.sin(a), 0.7] for a in np.linspace(0.0, 2.0 * np.pi, 16)])
+    with pytest.raises(PlanError, match=r"robot 1: no way from \(0\.00, 0\.00\) to \(4\.00, 0\.00\) m"):
+        marshal(pool(), {1: pose(0.0, 0.0)}, {1: pose(4.0, 0.0)}, ring)
+
+
+@pytest.mark.parametrize("absurd", [(np.nan, 0.0), (1e9, 0.0), (0.0, np.nan), (0.0, np.inf)])
+def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, float]) -> None:
+    x, yaw = absurd
+    with pytest.raises(PlanError, match="robot 1 says that it"):
+        marshal(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NOTHING)
+
+
+def test_a_robot_whose_way_leads_past_one_that_waits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no way leads around: here because every trip is planned as if nobody stood anywhere."""
+
+    def as_if_alone(of: Experiment, around: Basin, start: Array, goal: Array, parked: Sequence[Array]) -> Trip:
+        return planned_trip(of, around, start, goal, [])
+
+    monkeypatch.setattr(marshalling, "planned_trip", as_if_alone)
+    monkeypatch.setattr(marshalling, "ORDERS", 2)
+    starts = {1: pose(-2.0, 0.0), 2: pose(0.0, 0.1)}
+    with pytest.raises(PlanError, match="robot 1 would pass too near a robot that waits"):
+        marshal(pool(), starts, {1: pose(2.0, 0.0), 2: starts[2]}, NOTHING)
+
+
+def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
+    """From places of the pool run, among three things that the camera sees: no spline takes the corner in front of the goal.
+    Anything but a reason would end the station, with its robots in the water."""
+    experiment = load_experiment("pool")
+    rests = {
+        1: np.array([0.53692761, 0.06801661, 0.25018865, 2.48896894]),
+        2: np.array([-0.29450748, 0.15240046, 0.26044311, 2.37850454]),
+    }
+    things = np.array(
+        [
+            [2.0196855927151156, -0.9989661938522431, 0.1788811895480024],
+            [1.4630468041366795, 0.4795651934960071, 0.571192825510389],
+            [-0.5635884974798929, 1.2058292559251262, 0.24152648781989094],
+        ]
+    )
+    with pytest.raises(PlanError, match="robot 1"):
+        gathered(experiment, first_leg(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, things)
+
+
+def test_where_a_dense_fleet_finds_no_way_it_says_so_instead_of_searching_for_hours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Twenty robots of a grid, a third of a circle from where they began: each goal is beside somebody who waits."""
+    made = []
+
+    def counted(*given: Any) -> Trip:
+        made.append(given)
+        return planned_trip(*given)
+
+    monkeypatch.setattr("groundstation.planning.prioritized_planning.MOST_TRIES", 60)
+    monkeypatch.setattr("groundstation.planning.prioritized_planning.planned_trip", counted)
+    experiment = load_experiment("fleet-20")
+    leg = first_leg(experiment)
+    rests, goals = {r: t.eta[400] for r, t in leg.trajectories.items()}, start_poses(experiment, leg.trajectories)
+    with pytest.raises(PlanError, match="in 60 tries"):
+        marshal(experiment, rests, goals, NOTHING)
+    assert len(made) <= 60 * 2 * len(rests)
+
+
+def test_a_way_that_leads_out_of_the_camera_s_picture_is_refused() -> None:
+    """An island fills the picture from edge to edge, and the way round it leaves it. Who rests beside the picture may go."""
+    experiment = load_experiment("pool", ["pool.size_m=[8,8,1]", "islands=[{position_m=[0,0],radius_m=1.2}]"])
+    starts, goals = {1: pose(-1.6, 0.0, 0.3)}, {1: pose(1.6, 0.0, 0.3)}
+    with pytest.raises(PlanError, match=r"robot 1: its way leads 0\.\d+ m beyond the camera's picture, at \("):
+        marshal(experiment, starts, goals, NOTHING)
+    marshal(load_experiment("pool", ["pool.size_m=[8,8,1]", NO_CAMERA]), starts, goals, NOTHING)
+    open_water = experiment.model_copy(update={"islands": ()})
+    marshal(open_water, {1: pose(2.2, 0.0, 0.3)}, {1: pose(0.5, 0.0, 0.3)}, NOTHING)

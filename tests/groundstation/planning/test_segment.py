@@ -1,0 +1,275 @@
+"""Plans for robots under way: joined without a jump, clear of what lies there, and refused with a reason."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from groundstation.mission.obstacle_monitor import Lookout, Surroundings
+from groundstation.planning.feasibility import PlanError
+from groundstation.planning.replanning import detour
+from groundstation.planning.rest_to_rest import assigned, gathered, homeward
+from groundstation.planning.segment import NOTHING, Leg, at, continued, first_contact, first_leg
+from groundstation.telemetry import RobotView
+from robot_agent.guidance.reference import Follow, Sampler, seam_trouble, spliced
+from robot_agent.guidance.trajectory_check import unflyable
+from wire.config.experiment import Experiment, load_experiment
+from wire.frames import Array
+from wire.messages.messages import RobotState, Trajectory
+
+PERIOD_S = 0.05
+BLOCKED = load_experiment("blocked-path")
+SEEN_S = {"blocked-path": 52.0, "islands": 80.0}  # when the centre would come by what turns up
+BALL = np.array([[1.0, 0.1, 0.2]])
+
+
+def clearance(leg: Leg, thing: Array, from_s: float) -> float:
+    """How near any robot comes to a thing's edge."""
+    nearest: list[float] = []
+    for t in leg.trajectories.values():
+        first = max(round((from_s - t.begin_s) / PERIOD_S), 0)
+        nearest.append(float(np.hypot(*(t.eta[first:, :2] - thing[:2]).T).min()) - float(thing[2]))
+    return min(nearest)
+
+
+def check_smooth(trajectory: Trajectory, from_row: int = 0, to_row: int | None = None) -> None:
+    """Derivatives that belong together, by differences, and no jump in the second."""
+    rows = slice(from_row, to_row)
+    p, v, a = trajectory.eta[rows], trajectory.velocity[rows], trajectory.acceleration[rows, :3]
+    drift = np.abs(np.diff(p, axis=0) / PERIOD_S - 0.5 * (v[1:] + v[:-1]))
+    assert drift[:, :3].max() < 2e-3
+    assert drift[:, 3].max() < 0.02  # at a cubic spline's knots the yaw rate of a node that swings outside is not smooth
+    assert np.abs(np.diff(v[:, :3], axis=0) / PERIOD_S - 0.5 * (a[1:] + a[:-1])).max() < 5e-3
+    assert np.abs(np.diff(a, axis=0)).max() < 0.03
+
+
+def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
+    leg = first_leg(BLOCKED)
+    new = detour(BLOCKED, leg, 14.0, BALL)
+    assert clearance(leg, BALL[0], 14.0) < 0.3  # it was in the way
+    assert clearance(new, BALL[0], 14.0) > BLOCKED.safety.radius_m + 0.2
+    for a, b in combinations(new.trajectories.values(), 2):
+        apart = a.eta[:, :2] - b.eta[:, :2]
+        assert np.abs(apart - apart[0]).max() < 1e-9  # in `translate` the shape does not change at all
+    for robot, t in new.trajectories.items():
+        assert np.hypot(*(t.eta[-1, :2] - leg.trajectories[robot].eta[-1, :2])) < 0.01
+    assert leg.end_s < new.end_s < leg.end_s + 15.0
+
+
+@pytest.mark.parametrize("scene", ["blocked-path", "islands"])
+def test_going_over_moves_nobodys_reference(scene: str) -> None:
+    """What the robot is given at each step, through its own splice and its own sampler, across the seam."""
+    experiment = load_experiment(scene)
+    leg = first_leg(experiment)
+    begin_s = 30.0
+    middle = leg.centre.eta[round(SEEN_S[scene] / PERIOD_S), :2]
+    new = detour(experiment, leg, begin_s, np.array([[*middle, 0.1]]))
+    for robot, then in new.trajectories.items():
+        old = leg.trajectories[robot]
+        assert seam_trouble(old, then) == ""
+        joined = spliced(old, then, begin_s - 1.0)
+        seam = round((then.begin_s - joined.begin_s) / PERIOD_S)
+        check_smooth(joined, seam - 10, seam + round(10.0 / PERIOD_S))
+        before, after = Sampler(PERIOD_S * np.arange(51.0)), Sampler(PERIOD_S * np.arange(51.0))
+        now = begin_s - 2.6  # all of the horizon lies before the seam: nothing may change
+        a, b = before.path(Follow(old, now)), after.path(Follow(spliced(old, then, now), now))
+        np.testing.assert_allclose(a.eta, b.eta, atol=1e-12)
+        np.testing.assert_allclose(a.acceleration, b.acceleration, atol=1e-12)
+        own = np.unwrap(np.arctan2(then.velocity[:200, 1], then.velocity[:200, 0]))
+        assert np.abs(np.sin(own - then.eta[:200, 3])).max() < 1e-6  # it heads where it goes
+
+
+def test_a_seam_that_jumps_is_refused_by_the_robot() -> None:
+    leg = first_leg(BLOCKED)
+    old = leg.trajectories[1]
+    new = detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
+    beside = new.eta + np.array([0.0, 1e-3, 0.0, 0.0])
+    aside = Trajectory("x", new.period_s, beside, new.velocity, new.acceleration, new.begin_s)
+    assert "its pose jumps by 0.001" in seam_trouble(old, aside)
+    faster = Trajectory("x", new.period_s, new.eta, new.velocity * 1.1, new.acceleration, new.begin_s)
+    assert "its velocity jumps" in seam_trouble(old, faster)
+    off = Trajectory("x", new.period_s, new.eta, new.velocity, new.acceleration, new.begin_s + 0.02)
+    assert "not at the instants" in seam_trouble(old, off)
+    late = Trajectory("x", new.period_s, new.eta, new.velocity, new.acceleration, 1e4)
+    assert "outside" in seam_trouble(old, late)
+
+
+def test_two_detours_one_after_the_other_and_a_place_that_a_person_asks_for() -> None:
+    leg = first_leg(BLOCKED)
+    first = detour(BLOCKED, leg, 10.0, BALL)
+    second = detour(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
+    assert all(seam_trouble(first.trajectories[r], second.trajectories[r]) == "" for r in (1, 2, 3))
+    assert clearance(second, BALL[0], 16.0) > 0.3 and clearance(second, np.array([2.5, 1.0, 0.2]), 16.0) > 0.3
+    asked = detour(BLOCKED, leg, 10.0, NOTHING, [(1.0, 1.5)])
+    assert np.hypot(*(asked.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01
+    again = detour(BLOCKED, asked, 13.0, np.array([[-0.7, 0.3, 0.1]]))
+    assert np.hypot(*(again.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01  # the person's place still counts
+
+
+def test_no_way_round_is_refused_with_the_reason() -> None:
+    wall = np.array([[1.0, y, 0.3] for y in np.arange(-4.0, 4.1, 0.5)])
+    leg = first_leg(BLOCKED)
+    with pytest.raises(PlanError, match="no way from"):
+        detour(BLOCKED, leg, 14.0, wall)
+    with pytest.raises(PlanError, match="only a level path"):
+        detour(load_experiment("pool"), first_leg(load_experiment("pool")), 5.0, BALL)
+    with pytest.raises(PlanError, match=r"too near|exceeds"):
+        detour(BLOCKED, leg, leg.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
+
+
+def test_what_lies_on_the_path_is_told_with_robot_place_and_time() -> None:
+    leg = first_leg(BLOCKED)
+    said = first_contact(BLOCKED, leg, 14.0, 60.0, BALL)
+    assert said.startswith("at (1.00, 0.10) m, on the path of robot 3, in 2")
+    assert first_contact(BLOCKED, leg, 14.0, 20.0, BALL) == ""  # later
+    assert first_contact(BLOCKED, leg, 60.0, 75.0, BALL) == ""  # behind
+    assert first_contact(BLOCKED, leg, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
+
+
+@pytest.mark.parametrize("reached_s", [20.0, 20.013, 20.031])
+def test_robots_load_every_plan_that_is_made_under_way_and_plans_made_of_plans(reached_s: float) -> None:
+    """The first path stops at once at its end; a plan from rest takes its samples from between the path's."""
+
+    def check(leg: Leg) -> None:
+        for trajectory in leg.trajectories.values():
+            assert unflyable(trajectory, BLOCKED.pool.size_m, BLOCKED.vehicle) == ""
+
+    leg = first_leg(BLOCKED)
+    check(detour(BLOCKED, leg, 10.0, BALL))
+    for begin_s in (30.0, 60.0, 90.0):
+        now = np.array([max(reached_s, leg.own_ways_until_s + 3.017)])
+        rests = {r: at(t, now).eta[0] + np.array([0.1, -0.1 * r, 0.0, 0.0]) for r, t in leg.trajectories.items()}
+        check(homeward(BLOCKED, begin_s, rests, {r: t.eta[0] for r, t in first_leg(BLOCKED).trajectories.items()}))
+        leg = gathered(BLOCKED, leg, begin_s, float(now[0]), rests, {r: r for r in rests})
+        check(leg)
+
+
+def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: float = 20.0) -> Trajectory:
+    """Straight from one place to another, at constant speed."""
+    share = np.linspace(0.0, 1.0, round(seconds / PERIOD_S) + 1)[:, None]
+    eta, velocity = np.zeros((len(share), 4)), np.zeros((len(share), 4))
+    eta[:, :2] = np.array(from_m) + share * (np.array(to_m) - np.array(from_m))
+    velocity[:, :2] = (np.array(to_m) - np.array(from_m)) / seconds
+    return Trajectory("glides", PERIOD_S, eta, velocity, np.zeros_like(eta))
+
+
+def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_come_nearer_to_it() -> None:
+    way = glides((0.0, 0.0), (2.0, 0.0))
+    home = Leg({1: way}, way, 20.0, home=True)
+    into_place = Leg({1: way}, way, 60.0, own_ways_until_s=20.0)
+    for leg in (home, into_place):
+        assert "on the path of robot 1, in 5.6 s" in first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[1.0, 0.0, 0.15]]))
+        assert first_contact(BLOCKED, leg, 15.0, 40.0, np.array([[1.0, 0.0, 0.15]])) == ""  # gone by
+        for x in (-0.3, 2.3):  # behind its start, and behind its goal
+            assert first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[x, 0.0, 0.15]])) == ""
+        assert first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[0.3, 0.0, 0.15]])) != ""  # it would run through it
+        assert first_contact(BLOCKED, leg, 0.0, 25.0, NOTHING) == ""
+
+
+def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_changed_for_things() -> None:
+    way = glides((0.0, 0.0), (2.0, 0.0))
+    lost = RobotView(RobotState(eta=np.array([1.0, 0.0, 0.0, 0.0])), 9.0)
+    seen = Surroundings((1,), np.array([[1.5, 0.0, 0.1]]))
+    for settings, sees_things in ((["mission.detours=true"], True), (["mission.detours=false"], False)):
+        lookout = Lookout(load_experiment("pool", settings))
+        lookout.see(seen, 0)
+        home = Leg({1: way}, way, 20.0, home=True)
+        assert "at (1.00, 0.00) m" in lookout.contact(home, 0.0, [lost], 1_000_000_000)
+        assert ("at (1.50, 0.00) m" in lookout.contact(home, 0.0, [], 1_000_000_000)) == sees_things
+        in_formation = Leg({1: way}, way, 20.0)
+        assert lookout.contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
+
+
+def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:
+    leg = first_leg(BLOCKED)
+    reached_s, begin_s = 20.0, 21.0
+    here = {r: at(t, np.array([reached_s])).eta[0] for r, t in leg.trajectories.items()}
+    rests = {**here, 3: here[3] + [-1.0, -0.6, 0.0, 0.0]}
+    new = gathered(BLOCKED, leg, begin_s, reached_s, rests, {1: 1, 2: 2, 3: 3})
+    for robot, t in new.trajectories.items():
+        assert np.abs(t.eta[0, :3] - rests[robot][:3]).max() < 1e-9
+        assert np.abs(t.velocity[0]).max() == 0.0
+        check_smooth(t, 0, len(t.eta) - 250)
+        np.testing.assert_allclose(t.eta[-1], leg.trajectories[robot].eta[-1], atol=1e-6)
+    for a, b in combinations(new.trajectories.values(), 2):
+        assert np.linalg.norm(a.eta[:, :3] - b.eta[:, :3], axis=1).min() > 0.59
+    assert new.end_s > leg.end_s
+
+
+def test_a_gap_closes_without_anybody_crossing() -> None:
+    leg = first_leg(BLOCKED)
+    eta = {r: at(leg.trajectories[r], np.array([20.0])).eta[0] for r in (2, 3)}
+    slots = assigned(leg, 20.0, eta, (1, 2))
+    assert set(slots) == {2, 3} and set(slots.values()) == {1, 2}
+
+    def way(robot: int, slot: int) -> float:
+        return float(np.sum((eta[robot] - at(leg.trajectories[slot], np.array([20.0])).eta[0])[:3] ** 2))
+
+    assert way(2, slots[2]) + way(3, slots[3]) <= way(2, slots[3]) + way(3, slots[2])
+
+
+def test_what_was_flown_and_what_comes_are_one_path() -> None:
+    leg = first_leg(BLOCKED)
+    new = detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
+    whole = continued(leg.trajectories[1], new)
+    seam = round(14.0 / PERIOD_S)
+    assert (whole.begin_s, whole.id) == (0.0, new.id)
+    np.testing.assert_array_equal(whole.eta[:seam], leg.trajectories[1].eta[:seam])
+    np.testing.assert_array_equal(whole.eta[seam:], new.eta)
+
+
+def world(seed: int) -> tuple[Experiment, np.random.Generator]:
+    """Three robots, a few islands on and beside the way, and a thing that turns up later."""
+    random = np.random.default_rng([seed, 11])
+    count = int(random.integers(0, 5))
+    places, radii = random.uniform(-3.5, 3.5, (count, 2)).tolist(), random.uniform(0.2, 0.7, count).tolist()
+    islands = [{"position_m": place, "radius_m": radius} for place, radius in zip(places, radii, strict=True)]
+    table = BLOCKED.model_dump(mode="json", exclude_none=True)
+    start, goal = random.uniform([-6.0, -2.0], [-5.0, 2.0]), random.uniform([5.0, -2.0], [6.0, 2.0])
+    table["path"] = {"kind": "route", "via_m": [start.tolist(), goal.tolist()], "speed_mps": 0.15, "depth_m": 0.5}
+    table["formation"]["mode"] = str(random.choice(["translate", "rotate"]))
+    table |= {"islands": islands, "duration_s": 120.0}
+    table["pool"]["size_m"] = [18.0, 12.0, 2.0]
+    return Experiment.model_validate(table), random
+
+
+def replanned(seed: int) -> str:
+    """Plan a random world, and again when something turns up; "" if there was a way and it is flyable and clear, by distances
+    and differences alone; else why there was none."""
+    experiment, random = world(seed)
+    try:
+        leg = first_leg(experiment)
+    except PlanError as error:
+        return f"first: {error}"
+    begin_s = float(np.round(random.uniform(5.0, 20.0) / PERIOD_S)) * PERIOD_S
+    ahead = leg.centre.eta[round((begin_s + random.uniform(14.0, 25.0)) / PERIOD_S), :2]
+    thing = np.array([[*(ahead + random.uniform(-0.4, 0.4, 2)), random.uniform(0.1, 0.3)]])
+    try:
+        new = detour(experiment, leg, begin_s, thing)
+    except PlanError as error:
+        return f"detour: {error}"
+    for a, b in combinations(new.trajectories.values(), 2):
+        assert np.linalg.norm(a.eta[:, :3] - b.eta[:, :3], axis=1).min() >= 2.0 * experiment.safety.radius_m - 1e-6, seed
+    assert clearance(new, thing[0], begin_s) >= experiment.safety.radius_m - 1e-6, seed
+    limits = experiment.vehicle.limits
+    for robot, t in new.trajectories.items():
+        assert seam_trouble(leg.trajectories[robot], t) == "", seed
+        flown = slice(0, round((new.end_s - begin_s) / PERIOD_S))
+        for island in experiment.islands:
+            shore = np.hypot(*(t.eta[flown, :2] - island.position_m).T).min() - island.radius_m
+            assert shore >= experiment.vehicle.radius_m - 1e-6, seed
+        speed = np.hypot(*np.diff(t.eta[flown, :2], axis=0).T) / PERIOD_S
+        assert speed.max() <= limits.speed_mps * 1.001, seed
+        assert np.abs(np.diff(t.eta[flown, 3])).max() / PERIOD_S <= limits.yaw_rate_radps * 1.01, seed
+    return ""
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_in_random_worlds_whatever_is_sent_is_clear_and_flyable(seed: int) -> None:
+    replanned(seed)
+
+
+@pytest.mark.slow
+def test_a_thousand_random_worlds_have_no_collision() -> None:
+    reasons = [replanned(seed) for seed in range(1000)]
+    assert sum(not reason for reason in reasons) > 600  # the others have no way, or none that is wide enough in time

@@ -1,0 +1,101 @@
+"""Means, intervals and ratios of a comparison, and the report made of them."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+from typer.testing import CliRunner
+
+from groundstation.__main__ import cli
+from groundstation.report.controller_comparison import Mean, cells, mean, ratio
+from tests.sim_bridge.studies.test_evolution_strategy import GOOD
+from wire.config.controller_benchmark import Comparison, Flight, Traces, Variant
+from wire.toml_loader import ConfigError
+
+SINE = [round(9.0 * math.sin(0.1 * k), 3) for k in range(100)]
+TRACES = Traces(0.5, [0.5 * 0.9**k for k in range(60)], 0.05, [SINE, SINE], [[max(-6.0, min(6.0, v)) for v in SINE]] * 2)
+
+
+def variant(name: str, factor: float, seeds: int = 4) -> Variant:
+    random = np.random.default_rng(seeds)  # the same for all: seeds are flown by everyone
+    flights = []
+    for seed in range(1, seeds + 1):
+        luck = float(random.uniform(0.5, 2.0))
+        figures = dataclasses.replace(GOOD, rms_after_20s_m=0.01 * factor * luck, min_separation_m=0.7)
+        flights.append(Flight(seed, figures, TRACES if seed == 1 else None))
+    return Variant(name, [f"controller.law={name}"], flights)
+
+
+def comparison(*variants: Variant) -> Comparison:
+    return Comparison("pool", "Two robots <&>", 45.0, 0.1, ["seed=3"], 6.0, [1, 2], list(variants))
+
+
+def test_the_interval_is_student_s_and_covers_the_mean_as_often_as_it_says() -> None:
+    values = [3.0, 4.5, 2.5, 5.0, 4.0]
+    low, high = stats.t.interval(0.95, 4, loc=np.mean(values), scale=stats.sem(values))
+    found = mean(values)
+    assert (found.value - found.half, found.value + found.half) == pytest.approx((low, high))
+    random = np.random.default_rng(1)
+    covered = [abs(m.value - 7.0) <= m.half for m in (mean(random.normal(7.0, 2.0, 5).tolist()) for _ in range(4000))]
+    assert np.mean(covered) == pytest.approx(0.95, abs=0.015)
+
+
+@pytest.mark.parametrize(
+    "value,text",
+    [
+        (Mean(12.3456, 0.61), "12.3 ± 0.6"),
+        (Mean(12.3456, 0.0), "12.3 ± 0.0"),
+        (Mean(0.01234, 0.0008), "0.012 ± 0.001"),
+        (Mean(1234.5, 30.0), "1234 ± 30"),
+        (Mean(3.21, math.nan), "3.2"),
+    ],
+)
+def test_means_are_told_as_exactly_as_they_are_known(value: Mean, text: str) -> None:
+    assert str(value) == text
+
+
+def test_ratios_are_taken_seed_by_seed() -> None:
+    """Everyone has the same luck on a seed: three times the error is certain, though the errors themselves vary fourfold."""
+    value, low, high = ratio(variant("pid", 3.0), variant("eso-mpc", 1.0))
+    assert (value, low, high) == pytest.approx((3.0, 3.0, 3.0))
+    assert mean([f.figures.rms_after_20s_m for f in variant("pid", 3.0).flights]).half > 0.01
+
+
+def test_every_variant_has_a_row_in_order() -> None:
+    rows = cells(comparison(variant("eso-mpc", 1.0), variant("pid", 3.0), variant("lqr", 2.0, seeds=4)))
+    assert [name for name, _ in rows] == ["eso-mpc", "pid", "lqr"]
+    assert rows[0][1][0] == "1" and rows[1][1][0] == "3 (3–3)"
+    assert cells(comparison(variant("eso-mpc", 1.0, 1), variant("pid", 3.0, 1)))[1][1][0] == "3"
+
+
+def report(folder: Path, *variants: Variant) -> tuple[int, str]:
+    (folder / "comparison.json").write_text(comparison(*variants).to_json(), encoding="utf-8")
+    result = CliRunner().invoke(cli, ["comparison", str(folder)])
+    return result.exit_code, result.output
+
+
+def test_the_report_shows_table_and_figures(tmp_path: Path) -> None:
+    code, output = report(tmp_path, variant("eso-mpc", 1.0), variant("backstepping", 2.0))
+    assert code == 0 and "2 (2–2)" in output
+    html = (tmp_path / "comparison.html").read_text(encoding="utf-8")
+    assert html.count("<svg") == 4 and "Two robots &lt;&amp;&gt;" in html and "controller.law=backstepping" in html
+    assert "http" not in html.replace("http://www.w3.org", "")  # nothing is fetched
+
+
+def test_flights_that_failed_are_named_and_make_it_fail(tmp_path: Path) -> None:
+    broken = variant("pid", 3.0)
+    figures = dataclasses.replace(broken.flights[2].figures, under_way=0.4)
+    broken.flights[2] = dataclasses.replace(broken.flights[2], figures=figures)
+    code, output = report(tmp_path, variant("eso-mpc", 1.0), broken)
+    assert code == 1 and "pid, seed 3: under way in 40.0 %" in output
+    assert "pid, seed 3" in (tmp_path / "comparison.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"variants": [{"name": "x"}]}', '{"variants": [], "other": 1}'])
+def test_what_is_no_comparison_is_refused_by_name(tmp_path: Path, text: str) -> None:
+    (tmp_path / "comparison.json").write_text(text, encoding="utf-8")
+    result = CliRunner().invoke(cli, ["comparison", str(tmp_path)])
+    assert isinstance(result.exception, ConfigError) and str(tmp_path / "comparison.json") in str(result.exception)

@@ -1,0 +1,282 @@
+"""The report: complete, self-contained, true to the log, and there whatever became of the run."""
+
+import json
+import re
+from collections import Counter
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+
+from groundstation.analysis.alignment import align
+from groundstation.analysis.series import Series
+from groundstation.logs.reader import read_log
+from groundstation.logs.recorder import Recorder
+from groundstation.logs.repair import is_complete
+from groundstation.report import figures, figures_errors, figures_paths
+from groundstation.report.plotting import MOST_POINTS, Line, Panel, stack, thin, to_svg
+from groundstation.report.report import write_report
+from tests.groundstation import synthetic
+from tests.groundstation.synthetic import Script, write_run
+from wire.config.experiment import dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header, encode
+from wire.messages.messages import Event
+from wire.toml_loader import ConfigError
+
+VOID = {"meta", "br", "img", "input", "link", "hr"}
+
+
+class Page(HTMLParser):
+    """What the tests ask of a page: open tags, ids, addresses, cells."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.tags: Counter[str] = Counter()
+        self.cells: list[str] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags[tag] += 1
+        if tag not in VOID:
+            self.open.append(tag)
+        if tag == "td":
+            self.cells.append("")
+        for name, value in attrs:
+            if name == "id" and value:
+                self.ids.append(value)
+            if name in ("src", "href", "xlink:href") and value:
+                self.addresses.append(value)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "td":
+            self.cells[-1] += data
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run")
+    write_run(folder)
+    write_report(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Page:
+    return Page((folder / "report.html").read_text())
+
+
+@pytest.fixture(scope="module")
+def series(folder: Path) -> Series:
+    return align(load_experiment(str(folder / "experiment.toml")), read_log(folder / "run.mcap"))
+
+
+def test_page_is_whole_and_needs_nothing_from_outside(folder: Path, page: Page) -> None:
+    assert page.open == []
+    assert [a for a in page.addresses if not a.startswith(("#", "data:"))] == []
+    assert page.tags["link"] == page.tags["script"] == 0
+    assert "url(http" not in (folder / "report.html").read_text()
+
+
+def test_ids_are_unique_and_every_reference_has_its_target(folder: Path, page: Page) -> None:
+    """Thirteen SVGs share one page: a clip path of one must not fall on another."""
+    assert [name for name, count in Counter(page.ids).items() if count > 1] == []
+    wanted = {a[1:] for a in page.addresses if a.startswith("#")}
+    wanted |= set(re.findall(r"url\(#([^)]+)\)", (folder / "report.html").read_text()))
+    assert wanted <= set(page.ids)
+
+
+def test_every_figure_is_there(page: Page) -> None:
+    assert page.tags["figure"] == len(figures.FIGURES)
+    # robots that keep their depth need no picture in space; no limit was active; nothing says where the time went
+    assert page.tags["svg"] == len(figures.FIGURES) - 3
+
+
+def test_table_shows_ours_beside_the_articles(folder: Path, page: Page) -> None:
+    result = json.loads((folder / "result.json").read_text())
+    for subject in (result["robots"]["1"], result["pairs"]["1-2"]):
+        for axis in (0, 1):
+            assert f"✓ {subject['rms_m'][axis]:.3f}" in page.cells
+            assert f"{subject['article']['rms_m'][axis]:.3f}" in page.cells
+    assert f"{result['robots']['1']['baseline']['rms_m'][0]:.3f}" in page.cells
+    assert "✗" not in "".join(page.cells)
+
+
+def test_worse_than_the_article_is_marked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(synthetic.OFFSET_Y_M, 1, 0.2)
+    write_run(tmp_path, Script(duration_s=25.0))
+    write_report(tmp_path)
+    cells = Page((tmp_path / "report.html").read_text()).cells
+    assert "✗ 0.200" in cells  # the article has 0.11 for robot 1 in y
+
+
+def test_same_log_same_report(folder: Path) -> None:
+    before = {name: (folder / name).read_bytes() for name in ("report.html", "result.json")}
+    write_report(folder)
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    assert not list(folder.glob("*.new"))
+
+
+def write_events(folder: Path, messages: list[str]) -> None:
+    text = dump_experiment(load_experiment("pool"))
+    recorder = Recorder(folder / "run.mcap", text, {"mode": "real-time", "version": "<b>"})
+    for k, message in enumerate(messages):
+        event = Event(4 if k % 2 else 2, "agent-1", message)
+        recorder.put(topics.EVENT, "shoal/event", Header(1, k + 1, k * 10**8), encode(event, k * 10**8), k * 10**8)
+    recorder.close()
+
+
+def test_words_from_the_network_are_escaped(tmp_path: Path) -> None:
+    write_events(tmp_path, ["<script>alert(1)</script>"])
+    write_report(tmp_path)
+    page = Page((tmp_path / "report.html").read_text())
+    assert page.tags["script"] == 0
+    assert "<script>alert(1)</script>" in page.cells  # as text
+
+
+def test_thousands_of_events_keep_the_faults(tmp_path: Path) -> None:
+    write_events(tmp_path, [f"line {k}" for k in range(3000)])
+    result = write_report(tmp_path)
+    assert len(result.faults) == 1500
+    text = (tmp_path / "report.html").read_text()
+    assert "2600 more lines" in text
+    assert "line 1" in text
+    assert "line 0<" not in text
+
+
+def test_a_cut_log_is_mended_and_gives_back_the_experiment(tmp_path: Path) -> None:
+    """All that a power cut left of the folder is the front half of the log."""
+    experiment = write_run(tmp_path, Script(duration_s=30.0))
+    (tmp_path / "experiment.toml").unlink()
+    path = tmp_path / "run.mcap"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    result = write_report(tmp_path)
+    assert is_complete(path)
+    assert 1.0 < result.duration_s < 29.0
+    assert not result.passed
+    for again in (result, write_report(tmp_path)):  # by now the file itself is whole
+        assert not again.log_complete
+        text = (tmp_path / "report.html").read_text()
+        assert "The run is not complete" in text and "Cut log: run.mcap ends before its run does" in text
+    assert load_experiment(str(tmp_path / "experiment.toml")).hash == result.experiment_hash == experiment.hash
+
+
+@pytest.mark.parametrize(
+    ("script", "words"),
+    [
+        (Script(until_s=1.0), "The run is not complete: 1.0 s of 40 s"),
+        (Script(started=False), "No robot was ever under way"),
+        (Script(until_s=-1.45), "No robot was ever under way"),
+        (Script(until_s=0.05), "The run is not complete"),
+        (Script(until_s=2.0, trajectories=False), "The run is not complete"),
+        (Script(until_s=3.0, truth=False), "errors against the localizer"),
+    ],
+)
+def test_whatever_became_of_the_run_there_is_a_report(tmp_path: Path, script: Script, words: str) -> None:
+    write_run(tmp_path, script)
+    assert not write_report(tmp_path).passed
+    text = (tmp_path / "report.html").read_text()
+    assert words in text
+    assert Page(text).open == []
+    assert ">nan<" not in text.lower()
+
+
+def test_without_any_log_the_report_says_so(tmp_path: Path) -> None:
+    (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    assert not write_report(tmp_path).passed
+    assert "No robot was ever under way" in (tmp_path / "report.html").read_text()
+
+
+def test_without_log_and_experiment_it_is_an_error_with_a_name(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"experiment\.toml: no such file"):
+        write_report(tmp_path)
+
+
+# --- the figures themselves
+
+
+def drawn(figure: Figure | None) -> Figure:
+    assert figure is not None
+    return figure
+
+
+def test_tracking_figure_plots_the_errors(series: Series) -> None:
+    figure = drawn(figures_errors.tracking_errors(series))
+    for axis, axes in enumerate(figure.axes):
+        curves = {line.get_label(): np.asarray(line.get_ydata()) for line in axes.lines}
+        for robot in (1, 2):
+            expected = [synthetic.tracking_error(robot, t)[axis] for t in series.time_s]
+            np.testing.assert_allclose(curves[f"robot {robot}"], expected, atol=1e-3)
+    assert figure.axes[-1].get_xlabel() == "time since the start [s]"
+
+
+def test_paths_are_seen_from_above(series: Series) -> None:
+    axes = drawn(figures_paths.paths(series)).axes[0]
+    bottom, top = axes.get_ylim()
+    assert bottom > 1.25 > -1.25 > top  # y grows downwards, and the whole pool is in view
+    assert axes.get_aspect() == 1.0
+
+
+def test_limits_are_drawn_when_near_and_told_when_far() -> None:
+    time_s = np.linspace(0.0, 10.0, 50)
+    for amplitude, drawn_lines in ((0.25, 3), (0.01, 1)):
+        line = Line("robot 1", time_s, amplitude * np.sin(time_s), "#000000")
+        axes = drawn(stack([Panel("surge [N]", [line], limit=0.3, unit="N")])).axes[0]
+        assert len(axes.lines) == drawn_lines
+        assert (axes.get_title(loc="right") == "limit ±0.3 N") == (drawn_lines == 1)
+
+
+def test_rounding_noise_does_not_fill_a_panel() -> None:
+    time_s = np.linspace(0.0, 10.0, 50)
+    line = Line("robot 1", time_s, 0.03 + 1e-14 * np.sin(time_s), "#000000")
+    low, high = drawn(stack([Panel("z error [m]", [line])])).axes[0].get_ylim()
+    assert high - low == pytest.approx(0.01)
+    assert low < 0.03 < high
+
+
+def test_nothing_to_draw_is_none() -> None:
+    assert stack([Panel("x", [Line("robot 1", np.zeros(3), np.full(3, np.nan), "#000000")])]) is None
+
+
+def test_svg_keeps_text_as_text(series: Series) -> None:
+    svg = to_svg(drawn(figures_errors.tracking_errors(series)), "tracking")
+    assert ">robot 1<" in svg
+    assert "x error [m]" in svg
+    assert svg.startswith("<svg")
+
+
+@given(st.integers(MOST_POINTS + 1, 20_000), st.integers(0, 2**31))
+@settings(max_examples=25, deadline=None)
+def test_thinned_curves_keep_their_peaks_and_their_order(count: int, seed: int) -> None:
+    values = np.random.default_rng(seed).normal(size=count)
+    values[seed % count] = 100.0  # a single spike must stay visible
+    time_s, kept = thin(np.arange(count, dtype=np.float64), values)
+    assert len(kept) <= MOST_POINTS
+    assert kept.max() == 100.0
+    assert kept.min() == values.min()
+    assert np.all(np.diff(time_s) > 0)
+    np.testing.assert_array_equal(values[time_s.astype(int)], kept)
+
+
+def test_thinned_curves_keep_their_gaps() -> None:
+    values = np.sin(np.arange(10_000) / 100.0)
+    values[4000:5000] = np.nan
+    time_s, kept = thin(np.arange(10_000, dtype=np.float64), values)
+    assert np.isnan(kept[(time_s > 4010) & (time_s < 4990)]).all()
+    assert np.isfinite(kept[(time_s < 3990) | (time_s > 5010)]).all()

@@ -1,0 +1,118 @@
+"""Runs side by side, and runs as tables: true to their logs."""
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from groundstation.__main__ import cli
+from groundstation.logs.repair import is_complete
+from groundstation.report.report import evaluated, write_figures
+from groundstation.report.run_comparison import Run, differences, drawn, figures_of
+from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
+from wire.toml_loader import ConfigError
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two runs, one of them with other settings."""
+    folders = [tmp_path_factory.mktemp(name) for name in ("plain", "other")]
+    write_run(folders[0], Script(duration_s=25.0))
+    write_run(
+        folders[1],
+        Script(duration_s=25.0, settings=("controller.mpc.horizon=40", "seed=7"), missed=lambda r, t: 3 if t > 10.0 else 0),
+    )
+    return folders
+
+
+def read(folders: list[Path]) -> list[Run]:
+    out = []
+    for folder in folders:
+        series, _, result = evaluated(folder)
+        out.append(Run(folder.name, series, result))
+    return out
+
+
+def station(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "groundstation", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, check=False, env=None)
+
+
+def test_figures_are_those_of_the_results(runs: list[Path]) -> None:
+    both = read(runs)
+    rows = {row.name: row.values for row in figures_of(both)}
+    assert rows["missed deadlines"] == (0.0, 6.0)
+    worst = max(max(error.rms_after_20s_m or (0.0,)) for error in both[0].result.robots.values())
+    assert rows["tracking, RMS after 20 s"] == pytest.approx((worst, worst))
+    # from 20 s to 25 s: half a period of the sine of robot 1, whose late amplitude is the largest error on any axis
+    assert worst == pytest.approx(max(AMPLITUDE_M[1][1], 0.0) / np.sqrt(2.0), rel=0.03)
+
+
+def test_only_what_differs_is_told(runs: list[Path]) -> None:
+    assert differences(read(runs)) == [("controller.mpc.horizon", ("50", "40")), ("seed", ("1", "7"))]
+    assert differences(read([runs[0], runs[0]])) == []
+
+
+def test_curves_are_the_errors_of_each_run(runs: list[Path]) -> None:
+    both = read(runs)
+    (_, _, tracking), (_, _, formation), _ = drawn(both)
+    assert tracking is not None and formation is not None
+    assert [len(axes.lines) for axes in tracking.axes] == [3, 3]  # two runs, and the mark at 20 s
+    error = np.linalg.norm(both[1].series.robots[2].error[:, :3], axis=1)
+    assert np.array_equal(np.asarray(tracking.axes[1].lines[1].get_ydata()), error, equal_nan=True)
+
+
+def test_the_command_prints_a_table_and_writes_a_page(runs: list[Path], tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    done = station("compare", *map(str, runs), "--out", str(page))
+    assert done.returncode == 0, done.stderr
+    assert "controller.mpc.horizon" in done.stdout and "[m]" in done.stdout
+    text = page.read_text()
+    assert "controller.mpc.horizon" in text and text.count("<svg") == 3 and "http" not in text.replace("http://www.w3.org", "")
+    alone = station("compare", str(runs[0]))
+    assert alone.returncode == 2 and "two runs or more" in alone.stderr
+    gone = station("compare", str(runs[0]), str(tmp_path))
+    assert gone.returncode == 2 and "no run.mcap there" in gone.stderr
+
+
+def test_figures_for_a_paper(runs: list[Path], tmp_path: Path) -> None:
+    written = write_figures(runs[0], tmp_path / "figures")
+    assert {"tracking.pdf", "formation.pdf", "inputs.pdf"} <= {path.name for path in written}
+    assert all(path.read_bytes().startswith(b"%PDF") for path in written)
+
+
+def test_runs_of_different_code_or_mode_compare_as_different(runs: list[Path]) -> None:
+    (one,) = read(runs[:1])
+    other = dataclasses.replace(one, result=dataclasses.replace(one.result, commit="b" * 40, mode="numeric"))
+    assert differences([one, other]) == [("(mode)", ("lockstep", "numeric")), ("(commit)", (one.result.commit, "b" * 40))]
+
+
+def test_a_comparison_leaves_the_runs_as_they_are(runs: list[Path], tmp_path: Path) -> None:
+    """Also a run whose log was cut and whose experiment is only in the log; and no page is written over a run's file."""
+    folder = tmp_path / "cut"
+    folder.mkdir()
+    whole = (runs[0] / "run.mcap").read_bytes()
+    (folder / "run.mcap").write_bytes(whole[: len(whole) // 2])
+    done = CliRunner().invoke(cli, ["compare", str(runs[0]), str(folder), "--out", str(tmp_path / "page.html")])
+    assert done.exit_code == 0, done.output
+    assert "cut: Cut log:" in done.output
+    assert [path.name for path in folder.iterdir()] == ["run.mcap"]
+    assert (folder / "run.mcap").read_bytes() == whole[: len(whole) // 2]
+    for out in (runs[0] / "experiment.toml", runs[1] / "run.mcap", folder / "result.json"):
+        done = CliRunner().invoke(cli, ["compare", *map(str, runs), "--out", str(out)])
+        assert isinstance(done.exception, ConfigError) and str(out) in str(done.exception)
+    assert (runs[0] / "run.mcap").read_bytes() == whole
+
+
+def test_a_cut_log_is_mended_on_request(runs: list[Path], tmp_path: Path) -> None:
+    whole, cut = (runs[0] / "run.mcap").read_bytes(), tmp_path / "run.mcap"
+    cut.write_bytes(whole[: len(whole) // 2])
+    assert not is_complete(cut)
+    mended = station("recover", str(cut))
+    assert mended.returncode == 0 and "mended up to the cut" in mended.stdout and is_complete(cut)
+    assert "nothing to mend" in station("recover", str(cut)).stdout
+    assert station("recover", str(tmp_path / "none.mcap")).returncode == 2

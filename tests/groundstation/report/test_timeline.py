@@ -1,0 +1,130 @@
+"""What a report says of limits, links and time: against states and records of known content."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from groundstation.analysis.alignment import _hops_ms, _lost, align
+from groundstation.analysis.metrics import evaluate
+from groundstation.analysis.series import HOPS, Series, active_limits
+from groundstation.logs.reader import Entry, RunLog, read_log
+from groundstation.report import figures_timeline as drawn
+from tests.groundstation.synthetic import Script, write_run
+from wire.frames import Array
+from wire.messages.messages import Mode, Pose, RobotState, StepInputs
+
+MS = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Series, Path]:
+    folder = tmp_path_factory.mktemp("run")
+    experiment = write_run(folder, Script(duration_s=10.0))
+    return align(experiment, read_log(folder / "run.mcap")), folder
+
+
+def with_states(series: Series, robot: int, **columns: object) -> Series:
+    """A series with some columns of one robot's states in the place of those that were recorded."""
+    mine = series.robots[robot]
+    return replace(series, robots={**series.robots, robot: replace(mine, states=replace(mine.states, **columns))})  # type: ignore[arg-type]
+
+
+def bars(figure: Figure | None) -> list[float]:
+    """Where the bars of a figure begin, row by row."""
+    assert figure is not None
+    return [float(np.asarray(path.vertices)[:, 0].min()) for c in figure.axes[0].collections for path in c.get_paths()]
+
+
+def curve(figure: Figure | None, name: str) -> Array:
+    """The values of a line."""
+    assert figure is not None
+    return np.asarray(next(line for line in figure.axes[0].lines if line.get_label() == name).get_ydata())
+
+
+def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tuple[Series, Path]) -> None:
+    series, folder = flown
+    bounds, states = series.experiment.vehicle.limits, series.robots[1].states
+    rows = np.flatnonzero(states.tracking)
+    wrench, slack_m = states.wrench.copy(), np.zeros(len(states.time_s))
+    wrench[rows[:20], 0] = -bounds.wrench[0]
+    wrench[rows[20:60], 2] = 0.98 * bounds.wrench[2]  # near is not at
+    wrench[: rows[0], 1] = bounds.wrench[1]  # before the start
+    slack_m[rows[5]] = 0.013
+    changed = with_states(series, 1, wrench=wrench, slack_m=slack_m, board_loss=slack_m * 2.0)
+    found = active_limits(changed, changed.robots[1])
+    assert found["surge"].sum() == 20 and not found["yaw"].any()
+    result = evaluate(changed, read_log(folder / "run.mcap"))
+    steps = sum(states.tracking & (states.time_s >= 0.0) & (states.time_s <= series.end_s))
+    assert result.at_limit["surge"] == pytest.approx(20 / steps)
+    assert result.at_limit["heave"] == 0.0
+    assert result.slack_m == pytest.approx(0.013)
+    assert result.board_loss == pytest.approx(0.026)
+    assert bars(drawn.limits(changed)) == pytest.approx(states.time_s[[rows[0], rows[5]]])
+    assert curve(drawn.slack(changed), "robot 1").max() == pytest.approx(13.0)  # mm
+    assert curve(drawn.links(changed), "robot 1").max() == pytest.approx(2.6)  # %
+    assert not curve(drawn.links(changed), "robot 2").any()
+
+
+def entry(state: RobotState, stamp_ns: int) -> Entry[RobotState]:
+    return Entry(stamp_ns, stamp_ns, 1, state)
+
+
+def test_the_hops_add_up_to_the_whole() -> None:
+    """30 ms in the localizer, 5 until the step, 2 for the step, 1 to the board."""
+    state = RobotState(pose_age_ms=35.0, step_us=2000.0, exposure_to_pwm_ms=38.0)
+    inputs = StepInputs(4, Pose(0.0, 0.0, 0.0), pose_instant_ns=65 * MS, pose_told_age_ns=30 * MS)
+    hops = _hops_ms(entry(state, 100 * MS), inputs)
+    np.testing.assert_allclose(hops, [30.0, 5.0, 2.0, 1.0], atol=1e-9)
+    assert len(hops) == len(HOPS) and hops.sum() == pytest.approx(38.0)
+
+
+def test_a_step_without_a_new_pose_says_nothing_about_latency() -> None:
+    state = RobotState(pose_age_ms=400.0, step_us=2000.0, exposure_to_pwm_ms=403.0)
+    inputs = StepInputs(4, Pose(0.0, 0.0, 0.0), pose_instant_ns=0, pose_told_age_ns=30 * MS)
+    assert np.isnan(_hops_ms(entry(state, 400 * MS), inputs)).all()
+    assert np.isnan(_hops_ms(entry(state, 400 * MS), None)).all()
+    assert np.isnan(_hops_ms(entry(state, 400 * MS), StepInputs(0))).all()
+
+
+def test_numbers_left_out_are_messages_lost_and_a_new_beginning_is_none() -> None:
+    def entries(numbers: list[int]) -> list[Entry[RobotState]]:
+        return [Entry(k, k, number, RobotState()) for k, number in enumerate(numbers)]
+
+    assert _lost(entries([1, 2, 3])) == 0
+    assert _lost(entries([5, 6, 9, 10, 12])) == 3
+    assert _lost(entries([5, 6, 1, 2])) == 0
+    assert _lost(entries([5])) == _lost([]) == 0
+
+
+def test_stretches_reach_to_the_next_step() -> None:
+    time_s: Array = np.linspace(0.0, 0.35, 8)
+    active = np.array([True, True, False, False, True, False, True, True])
+    assert np.array(drawn._spans(time_s, active)) == pytest.approx(np.array([(0.0, 0.1), (0.2, 0.05), (0.3, 0.1)]))
+    assert drawn._spans(time_s, ~np.ones(8, dtype=bool)) == []
+
+
+def test_the_timeline_shows_every_mode_there_was(tmp_path: Path) -> None:
+    def mode(robot: int, time_s: float) -> tuple[Mode, str]:
+        return (Mode.HOLDING, "the pose is old") if robot == 2 and 4.0 <= time_s < 6.0 else (Mode.TRACKING, "")
+
+    experiment = write_run(tmp_path, Script(duration_s=10.0, mode=mode))
+    figure = drawn.timeline(align(experiment, read_log(tmp_path / "run.mcap")))
+    assert figure is not None
+    shown = {text.get_text() for text in figure.legends[0].get_texts()}
+    assert {"armed", "tracking", "holding", "noticed"} <= shown
+    assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == ["robot 1", "robot 2", "faults"]
+
+
+def test_a_run_with_nothing_in_it_draws_nothing(tmp_path: Path) -> None:
+    empty = align(Script().experiment(), read_log_of_nothing(tmp_path))
+    for draw in (drawn.timeline, drawn.limits, drawn.slack, drawn.links, drawn.latency_budget):
+        assert draw(empty) is None
+
+
+def read_log_of_nothing(folder: Path) -> RunLog:
+    path = folder / "run.mcap"
+    path.write_bytes(b"")
+    return read_log(path)

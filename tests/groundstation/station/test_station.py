@@ -1,0 +1,272 @@
+"""The station's loop: when it acts."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from groundstation.inboxes import listen
+from groundstation.logs.recorder import Recorder
+from groundstation.mission.gain_update import Tuner
+from groundstation.mission.lap_statistics import Laps
+from groundstation.mission.mission import Mission
+from groundstation.mission.plan_manager import Wanted
+from groundstation.mission.state_machine import Phase
+from groundstation.planning import planner
+from groundstation.planning.segment import Leg, first_leg
+from groundstation.station import process
+from groundstation.station.station import IN_FLIGHT, Station, workers
+from wire.config.experiment import Experiment, dump_experiment, load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, RobotState, StationHeartbeat
+from wire.messages.topics import WHOLE_FLEET
+from wire.process.runtime import Stop, WallClock, wait
+from wire.transport.bus import Bus, Inbox
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+PERIOD_S = 0.125
+PATIENCE_S = 20.0
+TRIES = 5
+
+
+def next_beat_ns(bus: Bus, stop: Stop, beats: Inbox[StationHeartbeat]) -> int:
+    """Stamp of the next heartbeat."""
+    seen = beats.newest_header()
+    assert wait(bus, stop, lambda: beats.newest_header() is not seen, PATIENCE_S)
+    header = beats.newest_header()
+    assert header is not None
+    return header.stamp_ns
+
+
+@contextmanager
+def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
+    """Alone on its bus, unless there is a hub with others."""
+    experiment = load_experiment("pool")
+    leg, bus = first_leg(experiment), Bus(MemoryTransport(hub or MemoryHub()))
+    starts = planner.start_poses(experiment, leg.trajectories)
+    recorder, tuner = Recorder(folder / "run.mcap", "", {}), Tuner(experiment)
+    with workers(len(experiment.robot_ids)) as threads:
+        yield Station(
+            experiment, bus, WallClock(), recorder, Mission(experiment, leg, starts, False), tuner, Laps(tuner.lap_s),
+            listen(bus, experiment.robot_ids), threads, starts,
+        )  # fmt: skip
+    recorder.close()
+
+
+def test_a_plan_that_comes_when_another_is_wanted_counts_for_nothing(tmp_path: Path) -> None:
+    """A detour was being planned when a person sent everybody home."""
+    late = threading.Event()
+    with a_station(tmp_path) as station:
+        mission, detour = station.mission, station.mission.leg
+        home = replace(detour, home=True)
+
+        def slow() -> Leg:
+            late.wait(PATIENCE_S)
+            return detour
+
+        mission.phase, mission.itinerary.wanted = Phase.HALTING, Wanted("another path", slow)
+        station._plan(False, 0)
+        mission.itinerary.wanted = Wanted("a way for everybody from rest", lambda: home)
+        late.set()
+        deadline = time.monotonic() + PATIENCE_S
+        while mission.phase is Phase.HALTING and time.monotonic() < deadline:
+            station._plan(False, 0)
+            time.sleep(0.001)
+        assert mission.phase is Phase.RELOADING
+        assert mission.leg is home
+
+
+def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        mission = station.mission
+        station.seen = station.fleet()
+        mission.phase, mission.itinerary.wanted = Phase.HALTING, Wanted("another path", lambda: dict[str, Leg]()["robot 3"])
+        station._plan(True, 0)
+        assert mission.phase is Phase.PAUSED
+        assert "KeyError: 'robot 3'" in mission.reason
+
+
+class Fleet:
+    """Robots on the station's bus that do as they are told, and tell a state when they are asked to."""
+
+    def __init__(self, hub: MemoryHub, experiment: Experiment) -> None:
+        self.bus, self.experiment = Bus(MemoryTransport(hub)), experiment
+        self.modes = dict.fromkeys(experiment.robot_ids, Mode.DISARMED)
+        self.got: list[tuple[int, Order]] = []
+        for robot in experiment.robot_ids:
+            self.bus.serve(robot, lambda header, command: self.obey(command))
+
+    def obey(self, command: Command) -> Reply:
+        self.got.append((command.robot, command.order))
+        self.modes[command.robot] = LEADS.get(command.order, self.modes[command.robot])
+        return Reply(command.robot, True, mode=self.modes[command.robot])
+
+    def tell(self) -> None:
+        for robot, mode in self.modes.items():
+            state = RobotState(mode=mode, experiment_hash=self.experiment.hash, battery_v=12.0)
+            self.bus.publish(topics.STATE, state, time.time_ns(), robot)
+
+    def until(self, station: Station, done: Callable[[], bool]) -> None:
+        """Cycle after cycle, at the station's own pace."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < deadline, (self.got, station.requests.recent)
+            self.tell()
+            station.cycle(station.clock.now_ns(), lockstep=False)
+            time.sleep(0.002)
+
+
+LEADS = {Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM: Mode.DISARMED}
+
+
+def asked(station: Station, order: Order) -> int:
+    reason, number = station.ask(order)
+    assert reason == ""
+    return number
+
+
+def outcome(station: Station, number: int) -> Outcome:
+    """As a terminal asks for it."""
+    reply = station.wish(Header(9, 1, 0), Command(Order.NONE, WHOLE_FLEET, about=number))
+    assert reply.accepted and reply.outcome is not None
+    return reply.outcome
+
+
+def test_a_stop_reaches_the_robots_while_every_other_thread_is_at_work(tmp_path: Path) -> None:
+    """A plan that takes long, and robots that do not answer what they were asked before."""
+    hub, free = MemoryHub(), threading.Event()
+    with a_station(tmp_path, hub) as station:
+        fleet = Fleet(hub, station.experiment)
+        for threads in (station.workers.orders, station.workers.plans):
+            for _ in range(2 * threads._max_workers):
+                threads.submit(free.wait, PATIENCE_S)
+        try:
+            number = asked(station, Order.STOP)
+            fleet.until(station, lambda: outcome(station, number).progress is Progress.DONE)
+            assert outcome(station, number).confirmed == (1, 2)
+            assert not free.is_set()
+        finally:
+            free.set()
+
+
+def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long a robot says nothing: what is asked then, a stop for example, waits for none of them."""
+    free, out = threading.Event(), []
+
+    def silent(command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
+        out.append(command.order)
+
+        def reply() -> Reply:
+            free.wait(PATIENCE_S)
+            return Reply(command.robot, False, silent=True)
+
+        return reply
+
+    with a_station(tmp_path) as station:
+        monkeypatch.setattr(station.bus, "send_order", silent)
+        try:
+            asked(station, Order.STOP)
+            for k in range(100):
+                station.cycle(k * 1_000_000_000, lockstep=False)  # each would ask anew
+            assert len(station.pending) == IN_FLIGHT * 2
+        finally:
+            free.set()
+    assert out == [Order.STOP] * IN_FLIGHT * 2
+
+
+def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        reply = station.wish(Header(9, 1, 0), Command(Order.STOP, WHOLE_FLEET))
+        assert reply.accepted and reply.outcome is not None
+        assert outcome(station, reply.outcome.request).order is Order.STOP
+        unknown = station.wish(Header(9, 2, 0), Command(Order.NONE, WHOLE_FLEET, about=77))
+        assert (unknown.accepted, unknown.reason) == (False, "request 77 is not known here (any more)")
+        refused = station.wish(Header(9, 3, 0), Command(Order.RESUME, WHOLE_FLEET))
+        assert not refused.accepted and refused.outcome is None
+        nothing = station.wish(Header(9, 4, 0), Command(Order.NONE, WHOLE_FLEET))
+        assert not nothing.accepted
+
+
+@pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.TRACKING, Mode.STOPPED])
+def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = Fleet(hub, station.experiment)
+        fleet.modes = dict.fromkeys(fleet.modes, mode)
+        station.mission.phase = {Mode.TRACKING: Phase.RUNNING, Mode.STOPPED: Phase.STOPPED}.get(mode, Phase.WAITING)
+        fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
+        number = asked(station, Order.END)
+        assert not station.ended
+        assert station.tune(None, next_lap=False)[0] == "there is nothing to undo"
+        station.requests.begin(Order.TUNE, station.mission, station.tuner.status().flown.id)  # gains are no other end
+        fleet.until(station, lambda: station.ended)
+        assert outcome(station, number).progress is Progress.DONE
+        assert (Order.DISARM in [order for _, order in fleet.got]) is (mode is Mode.TRACKING)
+        assert not any(m is Mode.TRACKING for m in fleet.modes.values())
+        assert station.status().ended
+
+
+def test_an_end_that_a_start_takes_the_place_of_ends_nothing(tmp_path: Path) -> None:
+    hub = MemoryHub()
+    with a_station(tmp_path, hub) as station:
+        fleet = Fleet(hub, station.experiment)
+        fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
+        station.mission.phase = Phase.RUNNING
+        fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
+        number = asked(station, Order.END)
+        stop = asked(station, Order.STOP)
+        fleet.until(station, lambda: outcome(station, stop).progress is Progress.DONE)
+        assert outcome(station, number).progress is Progress.FAILED
+        assert not station.ended
+
+
+def test_a_cycle_that_hangs_holds_up_nobody_who_asks_how_things_are(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        station.cycle(station.clock.now_ns(), lockstep=False)
+        before = station.status()
+        with station.turn:  # as a cycle does
+            station._beat_s -= 5.0
+            hung = station.status()
+        assert before.beat_age_s < 5.0 <= hung.beat_age_s
+        assert hung.phase is before.phase
+
+
+def test_what_is_flown_now_is_told_with_its_end(tmp_path: Path) -> None:
+    with a_station(tmp_path) as station:
+        leg = station.mission.leg
+        station.publish_paths(0)
+        assert station.paths == (leg.trajectories, leg.end_s)
+        short = replace(leg, end_s=3.0)
+        station.mission.itinerary.adopt(short)
+        station.mission.crew.lose(2, "silent")
+        station.publish_paths(0)
+        assert (list(station.paths[0]), station.paths[1]) == ([1], 3.0)
+
+
+def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
+    experiment = load_experiment("pool", [f"controller.period_s={PERIOD_S}", "camera.rate_hz=8"])
+    hub, stop = MemoryHub(), Stop(install=False)
+    bus, person = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    beats = person.inbox(topics.HEARTBEAT, StationHeartbeat)
+    options = {"automatic": False, "lockstep": False, "stop": stop}
+    thread = threading.Thread(
+        target=process.run, args=(experiment, dump_experiment(experiment), bus, tmp_path), kwargs=options
+    )
+    thread.start()
+    gaps_s = []
+    try:
+        for _ in range(TRIES):  # a busy machine may take longer than a period now and then, but not every time
+            before_ns = next_beat_ns(person, stop, beats)
+            assert person.order(Command(Order.STOP, WHOLE_FLEET), time.time_ns(), PATIENCE_S).accepted
+            gaps_s.append((next_beat_ns(person, stop, beats) - before_ns) * 1e-9)
+            beat = beats.newest()
+            assert beat is not None and beat.message.emergency_stop
+    finally:
+        stop.request()
+        thread.join()
+    assert min(gaps_s) < 0.5 * PERIOD_S, gaps_s

@@ -1,0 +1,497 @@
+"""The page's server on a real socket, fed by a real desk on the in-memory bus: strangers, stopped pages, leases, orders."""
+
+import contextlib
+import json
+import select
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from groundstation.inboxes import listen
+from groundstation.mission.state_machine import Phase
+from groundstation.planning import planner
+from groundstation.telemetry import Finding, RobotView
+from groundstation.web import connection_limits, protocol
+from groundstation.web.auth import WebOptions
+from groundstation.web.live_backend import Desk, Post, Status
+from groundstation.web.server import WebServer
+from wire.config.experiment import load_experiment
+from wire.messages import codec, fleet_pb2, topics
+from wire.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
+from wire.process.runtime import WallClock, log
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+POOL = load_experiment("pool")
+HEAD = struct.Struct("<If")
+PATIENCE_S = 20.0
+TOKEN = "correct horse battery staple"
+
+
+@dataclass
+class Lab:
+    """A station's bus, and the page's server on it."""
+
+    port: int
+    bus: Bus
+    robots: Bus
+    opened: contextlib.ExitStack
+    phase: Phase = Phase.WAITING
+    orders: list[Order] = field(default_factory=list)
+    outcomes: list[Outcome] = field(default_factory=list)
+    seen: dict[int, RobotView] = field(default_factory=dict)
+    paths: tuple[dict[int, Trajectory], float] | None = None
+    preflight: tuple[Finding, ...] | None = None
+    blocked: threading.Event | None = None  # whoever asks for anything but a stop waits for it
+
+    def say(self, robot: int = 1) -> None:
+        self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
+
+    def order(self, order: Order) -> tuple[str, int]:
+        if self.blocked is not None and order is not Order.STOP:
+            self.blocked.wait(PATIENCE_S)
+        self.orders.append(order)
+        return ("not now", 0) if order is Order.HOLD else ("", len(self.orders))
+
+    def tune(self, values: Any, next_lap: bool) -> tuple[str, int]:
+        if self.blocked is not None:
+            self.blocked.wait(PATIENCE_S)
+        return "", 1
+
+    def open(self, **options: Any) -> "Page":
+        options.setdefault("origin", f"http://127.0.0.1:{self.port}")
+        return Page(self.opened.enter_context(connect(f"ws://127.0.0.1:{self.port}/live", max_size=None, **options)))
+
+
+@dataclass
+class Page:
+    """What a browser does, as far as the server can tell."""
+
+    socket: ClientConnection
+    last: int = 0
+    clock_ms: int = 0
+
+    def say(self, **request: Any) -> None:
+        self.socket.send(json.dumps(request))
+
+    def hear(self) -> dict[str, Any]:
+        """The next frame, acknowledged."""
+        data = self.socket.recv(timeout=20)
+        assert isinstance(data, bytes)
+        self.last, _ = HEAD.unpack(data[: HEAD.size])
+        self.say(kind="ack", n=self.last)
+        found: dict[str, Any] = msgspec.msgpack.decode(data[HEAD.size :])
+        self.clock_ms = found.get("clock_ms", self.clock_ms)
+        return found
+
+    def order(self, n: int, order: str) -> None:
+        """Ask for something, having seen the newest state."""
+        self.say(kind="order", n=n, order=order, seen_ms=self.clock_ms)
+
+    def until(self, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        for _ in range(500):
+            frame = self.hear()
+            if wanted(frame):
+                return frame
+        raise AssertionError("never came")
+
+    def hello(self, token: str = TOKEN, page: str = "") -> dict[str, Any]:
+        """Introduced, and past the first state."""
+        self.say(kind="hello", token=token, page=page)
+        found = self.until(lambda frame: frame["k"] == "hello")
+        self.until(state)
+        return found
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+def make_desk(lab: Lab) -> Desk:
+    def status() -> Status:
+        told = tuple(lab.outcomes)
+        return Status(lab.phase, "", preflight=lab.preflight, seen=lab.seen, requests=told)
+
+    post = Post(status, lab.order, lab.tune, paths=lambda: lab.paths)
+    return Desk(POOL, planner.plan(POOL), lab.bus, listen(lab.bus, POOL.robot_ids), WallClock(), post, "real-time")
+
+
+@pytest.fixture
+def lab() -> Iterator[Lab]:
+    with _served() as found:
+        yield found
+
+
+@contextlib.contextmanager
+def _served() -> Iterator[Lab]:
+    hub, port = MemoryHub(), free_port()
+    with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
+        opened = contextlib.ExitStack()
+        found = Lab(port, bus, robots, opened)
+        with WebServer(make_desk(found), WebOptions(port=port, token=TOKEN)), opened:
+            yield found
+
+
+def state(frame: dict[str, Any]) -> bool:
+    return bool(frame["k"] == "state")
+
+
+def test_a_page_gets_the_scene_then_states_as_they_come(lab: Lab) -> None:
+    page = lab.open()
+    hello = page.hello()
+    assert [robot["id"] for robot in hello["scene"]["robots"]] == [1, 2]
+    lab.say(robot=2)
+    seen = page.until(lambda f: state(f) and "state" in f["robots"][1])
+    assert seen["robots"][1]["state"]["mode"] == "ARMED"
+    assert "state" not in seen["robots"][0]
+    assert any(line["robot"] == 1 and line["text"].startswith("not heard (start its agent") for line in seen["preflight"])
+    assert seen["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end"]
+    lab.robots.publish(topics.PREVIEW, Preview(b"jpeg"), time.time_ns())
+    assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", None, "https://127.0.0.1"])
+def test_a_stranger_s_page_is_not_let_in(lab: Lab, origin: str | None) -> None:
+    with pytest.raises(InvalidStatus) as refused:
+        lab.open(origin=origin)
+    assert refused.value.response.status_code == 403
+
+
+def test_a_wrong_token_sees_nothing(lab: Lab) -> None:
+    page = lab.open()
+    page.say(kind="hello", token="guess")
+    with pytest.raises(ConnectionClosed) as closed:
+        page.hear()
+    assert closed.value.rcvd is not None and closed.value.rcvd.code == 4003
+    early = lab.open()
+    early.say(kind="order", n=1, order="stop")  # before any hello
+    with pytest.raises(ConnectionClosed):
+        early.hear()
+    assert lab.orders == []
+
+
+@pytest.mark.parametrize("text", ["nonsense", '{"kind":"order","n":1,"order":"fly"}', "x" * (protocol.LONGEST_BYTES + 1)])
+def test_nonsense_ends_only_its_own_connection(lab: Lab, text: str) -> None:
+    good, bad = lab.open(), lab.open()
+    good.hello()
+    bad.hello()
+    bad.socket.send(text)
+    with pytest.raises(ConnectionClosed):
+        while True:
+            bad.hear()
+    lab.say()
+    assert good.until(lambda f: state(f) and f["watchers"] == 1)
+
+
+def test_who_has_control_commands_and_all_may_stop(lab: Lab) -> None:
+    first, second = lab.open(), lab.open()
+    mine, yours = first.hello()["you"], second.hello()["you"]
+    first.order(1, "start")
+    refused = first.until(lambda f: f["k"] == "reply")
+    assert (refused["ok"], refused["reason"]) == (False, "take control first")
+    first.say(kind="take")
+    assert first.until(lambda f: state(f) and f["holder"] != 0)["holder"] == mine
+    second.say(kind="take")
+    for n, order in enumerate(("start", "clear-stop", "disarm")):
+        second.order(n, order)
+        reply = second.until(lambda f: f["k"] == "reply")
+        assert (reply["n"], reply["ok"], reply["reason"]) == (n, False, "another page has control")
+    assert lab.orders == []
+    second.say(kind="order", n=9, order="stop")  # however old what this page has seen
+    assert second.until(lambda f: f["k"] == "reply")["ok"]
+    first.order(2, "clear-stop")
+    assert first.until(lambda f: f["k"] == "reply")["ok"]
+    first.order(3, "hold")
+    assert first.until(lambda f: f["k"] == "reply")["reason"] == "not now"
+    assert lab.orders == [Order.STOP, Order.CLEAR_STOP, Order.HOLD]
+    first.socket.close()
+    second.say(kind="take")
+    assert second.until(lambda f: state(f) and f["holder"] == yours)
+
+
+def test_a_stopped_page_holds_nobody_up(lab: Lab) -> None:
+    """It stays connected and takes nothing in; the other still gets every second state and more, and memory stays flat."""
+    stopped, other = lab.open(), lab.open()
+    stopped.say(kind="hello", token=TOKEN)  # and never a word again
+    other.hello()
+    done = threading.Event()
+
+    def publish() -> None:
+        while not done.is_set():
+            lab.say()
+            lab.robots.publish(topics.EVENT, Event(2, "robot", "x" * 1000), time.time_ns())
+            time.sleep(0.002)
+
+    publishing = threading.Thread(target=publish)
+    publishing.start()
+    try:
+        stamps = [other.until(state)["stamp_ms"] for _ in range(60)]
+    finally:
+        done.set()
+        publishing.join()
+    assert stamps == sorted(stamps)
+    stopped.socket.recv(timeout=20)  # two frames, and not one more
+    stopped.socket.recv(timeout=20)
+    with pytest.raises(TimeoutError):
+        stopped.socket.recv(timeout=0.5)
+
+
+def test_what_became_of_a_request_and_lines_of_the_log_reach_the_page(lab: Lab) -> None:
+    page = lab.open()
+    page.hello()
+    lab.outcomes.append(Outcome(7, Order.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",)))
+    (told,) = page.until(lambda f: state(f) and f["requests"])["requests"]
+    assert told == {
+        "request": 7,
+        "order": "clear-stop",
+        "progress": "FAILED",
+        "reason": "aborting",
+        "confirmed": [1],
+        "waiting": [{"robot": 2, "why": "no pose"}],
+    }
+    lab.robots.publish(topics.EVENT, Event(4, "agent-1", "trouble"), 5_000_000_000)
+    event = page.until(lambda f: f["k"] == "event")
+    assert (event["time_s"], event["level"], event["text"]) == (5.0, 4, "trouble")
+    late = lab.open()
+    assert [line["text"] for line in late.hello()["events"]] == ["trouble"]
+
+
+def test_while_dragging_the_newest_edit_is_answered(lab: Lab) -> None:
+    page = lab.open()
+    page.hello()
+    for n in range(1, 40):
+        page.say(kind="try", n=n, edit={"diameter_m": 0.4 + 0.001 * n})
+    last = page.until(lambda f: f["k"] == "tried" and f["n"] == 39)
+    assert last["ok"] and last["fastest_mps"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
+
+
+def test_a_certificate_that_cannot_be_used_is_told_before_anything_flies(lab: Lab, tmp_path: Path) -> None:
+    """Not a line in the log, and then a station without a page that says where its page is."""
+    (none := tmp_path / "none.pem").write_text("no certificate\n")
+    for certificate in (tmp_path / "absent.pem", none):
+        with pytest.raises(ConfigError, match=f"--web-certificate {certificate}"):
+            WebServer(make_desk(lab), WebOptions(port=free_port(), certificate=certificate, key=none))
+
+
+def test_assets_are_ours_alone_and_say_so(lab: Lab) -> None:
+    from urllib.request import Request, urlopen
+
+    with urlopen(f"http://127.0.0.1:{lab.port}/") as answer:
+        page = answer.read().decode()
+        assert "default-src 'self'" in answer.headers["content-security-policy"]
+        assert answer.headers["x-content-type-options"] == "nosniff"
+    assert "http" not in page.replace("http-equiv", "")
+    rebound = Request(f"http://127.0.0.1:{lab.port}/", headers={"Host": "evil.example"})
+    with pytest.raises(OSError, match="421"):
+        urlopen(rebound)
+
+
+# --- what must not be kept waiting, and by what
+
+
+def test_a_stop_is_heard_while_everything_else_is_at_work_on_something(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Requests, changes of gains, edits and saves, more of each than there are threads for."""
+    release = lab.blocked = threading.Event()
+
+    def slow(*arguments: Any) -> dict[str, Any]:
+        release.wait(PATIENCE_S)
+        return {"ok": False, "problems": []}
+
+    monkeypatch.setattr("groundstation.web.experiment_editor.attempt", slow)
+    monkeypatch.setattr("groundstation.web.experiment_editor.save", slow)
+    pages = [lab.open() for _ in range(8)]
+    for page in pages:
+        page.hello()
+    pages[0].say(kind="take")
+    pages[0].until(lambda f: state(f) and f["holder"] != 0)
+    for n in range(12):
+        pages[0].order(n, "start")
+        pages[0].say(kind="tune", n=n, values=None, next_lap=False, seen_ms=pages[0].clock_ms)
+        pages[0].say(kind="save", n=n, edit={}, name="x")
+    for page in pages:
+        page.say(kind="try", n=1, edit={})
+    try:
+        pages[-1].say(kind="order", n=99, order="stop")
+        assert pages[-1].until(lambda f: f["k"] == "reply" and f["n"] == 99)["ok"]
+        assert lab.orders == [Order.STOP]
+        assert not release.is_set()
+    finally:
+        release.set()
+
+
+def test_an_order_that_was_long_on_its_way_is_not_done(lab: Lab) -> None:
+    """A station that hung, or a link that did: what the operator saw when he gave it is past. A stop is never too late."""
+    page = lab.open()
+    page.hello()
+    page.say(kind="take")
+    page.until(lambda f: state(f) and f["holder"] != 0)
+    for n, kind in enumerate(("order", "tune")):
+        late = {"order": "start"} if kind == "order" else {"values": None}
+        page.say(kind=kind, n=n, seen_ms=page.clock_ms - 10_000, **late)
+        reply = page.until(lambda f: f["k"] == "reply")
+        assert not reply["ok"] and reply["reason"].endswith("late, and was not done")
+    page.say(kind="order", n=3, order="stop", seen_ms=0)
+    assert page.until(lambda f: f["k"] == "reply")["ok"]
+    assert lab.orders == [Order.STOP]
+
+
+def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_ended(lab: Lab) -> None:
+    before, other = lab.open(), lab.open()
+    before.hello(page="mine")
+    before.say(kind="take")
+    before.until(lambda f: state(f) and f["holder"] != 0)
+    stranger = lab.open()
+    stranger.hello(page="yours")
+    assert stranger.until(state)["holder"] == 1
+    again = lab.open()
+    mine = again.hello(page="mine")["you"]
+    assert again.until(lambda f: state(f) and f["holder"] == mine)
+    with pytest.raises(ConnectionClosed) as closed:
+        while True:
+            before.hear()
+    assert closed.value.rcvd is not None and closed.value.rcvd.code == 4002
+    other.hello()
+    assert other.until(state)["holder"] == mine
+
+
+def test_a_look_that_fails_is_told_and_the_next_one_shows_the_fleet_again(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    page = lab.open()
+    page.hello()
+    failed = threading.Event()
+
+    def breaks(*arguments: Any) -> dict[str, Any]:
+        failed.set()
+        raise KeyError("a robot that nobody knows")
+
+    monkeypatch.setattr(log, "propagate", True)
+    with monkeypatch.context() as patched:
+        patched.setattr("groundstation.web.live_backend.snapshot", breaks)
+        assert failed.wait(PATIENCE_S)
+        page.say(kind="order", n=1, order="stop")
+        assert page.until(lambda f: f["k"] == "reply")["ok"]  # not even what it says then is lost
+    stamp_ms = time.time() * 1e3
+    assert page.until(lambda f: state(f) and f["stamp_ms"] > stamp_ms)
+    assert "nothing new is shown: KeyError" in caplog.text
+
+
+def test_connections_that_ask_for_nothing_keep_nobody_out(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    from urllib.request import urlopen
+
+    idle = [lab.opened.enter_context(socket.create_connection(("127.0.0.1", lab.port))) for _ in range(150)]
+    with urlopen(f"http://127.0.0.1:{lab.port}/", timeout=PATIENCE_S) as answer:
+        assert answer.status == 200
+    assert lab.open().hello()
+    ended = sum(connection.recv(1, socket.MSG_DONTWAIT) == b"" for connection in idle if _readable(connection))
+    assert ended >= 150 - connection_limits.MOST_EACH
+
+
+def _readable(connection: socket.socket) -> bool:
+    return bool(select.select([connection], [], [], 0.0)[0])
+
+
+@pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: 127.0", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET"])
+def test_who_does_not_finish_a_request_in_time_is_cut_off(said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also who has asked for something before, and who lets bytes trickle."""
+    monkeypatch.setattr(connection_limits, "ASKS_WITHIN_S", 0.2)
+    with _served() as found, socket.create_connection(("127.0.0.1", found.port), PATIENCE_S) as slow:
+        slow.sendall(said)
+        while slow.recv(4096):  # what was asked for, then the end; a timeout here is a failure
+            pass
+
+
+def test_a_page_that_is_watched_is_not_cut_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_limits, "ASKS_WITHIN_S", 0.1)
+    monkeypatch.setattr(connection_limits, "TAKES_WITHIN_S", 0.1)
+    with _served() as found:
+        page = found.open()
+        page.hello()
+        for _ in range(4):  # a quarter of a second each: the page is told so often
+            assert page.until(state)
+
+
+def test_a_server_that_does_not_come_up_is_told_and_nothing_flies(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def never(server: Any, sockets: Any = None) -> None:
+        raise RuntimeError("no more file descriptors")
+
+    monkeypatch.setattr("uvicorn.Server.serve", never)
+    with (
+        pytest.raises(ConfigError, match=r"--web 127.0.0.1:\d+: RuntimeError: no more file descriptors"),
+        WebServer(make_desk(lab), WebOptions(port=free_port())),
+    ):
+        pass
+
+
+# --- what a page shows
+
+
+def test_an_event_of_megabytes_reaches_no_page_and_a_long_one_is_cut(lab: Lab) -> None:
+    page = lab.open()
+    page.hello()
+    huge = Log(level=Log.Level.INFO, name="agent-2", message="x" * 4_000_000).SerializeToString()
+    for _ in range(3):
+        lab.robots.forward(topics.EVENT, huge, time.time_ns())
+    lab.robots.publish(topics.EVENT, Event(2, "agent-2", "y" * 100_000), time.time_ns())
+    told = page.until(lambda f: f["k"] == "event")
+    assert told["text"] == "y" * (codec.LONGEST_LINE - 1) + "…"
+
+
+def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: Lab) -> None:
+    page = lab.open()
+    page.hello()
+    lab.say(robot=1)
+    state_bytes = fleet_pb2.RobotState(fault="x" * 4_000_000).SerializeToString()
+    lab.robots.forward(topics.STATE, state_bytes, time.time_ns(), 1)
+    seen = page.until(lambda f: state(f) and "state" in f["robots"][0])
+    assert seen["robots"][0]["state"]["fault"] == "here"
+
+
+def test_the_page_shows_what_the_station_knows_of_links_and_clocks(lab: Lab) -> None:
+    lab.seen = {1: RobotView(loss=0.5, clock_offset_s=0.3), 2: RobotView()}
+    page = lab.open()
+    page.hello()
+    for robot in (1, 2):
+        lab.say(robot)
+    seen = page.until(lambda f: state(f) and any(a["key"] == "1:link" for a in f["alarms"]))
+    texts = {a["key"]: a["text"] for a in seen["alarms"]}
+    assert texts["1:link"] == "50% of its messages are lost"
+    assert texts["1:clock"] == "its clock is 300 ms ahead of the station's"
+    assert "2:link" not in texts
+
+
+def test_the_map_gets_the_paths_that_are_flown_now(lab: Lab) -> None:
+    """An early page is told of the change, a late one gets the new ones at once."""
+    early = lab.open()
+    planned = early.hello()["scene"]["paths"]
+    line = np.zeros((60, 4))
+    home = {1: Trajectory("home-1", 0.05, line, line, line, begin_s=40.0)}
+    lab.paths = home, 42.0  # 41 samples; the rest is horizon
+    told = early.until(lambda f: f["k"] == "paths")["paths"]
+    late = lab.open().hello()["scene"]["paths"]
+    assert [p["id"] for p in planned] == [t.id for t in planner.plan(POOL).values()]
+    for paths in (told, late):
+        assert [(p["robot"], p["id"], len(p["eta"])) for p in paths] == [(1, "home-1", 41 * 4 * 4)]
+
+
+def test_a_fleet_that_is_fit_is_ready_and_not_waited_for(lab: Lab) -> None:
+    page = lab.open()
+    page.hello()
+    assert page.until(state)["phase_text"] == "waiting for the fleet"
+    lab.preflight = ()
+    assert page.until(lambda f: state(f) and f["phase_text"] == "ready")["preflight"] == []

@@ -1,0 +1,366 @@
+"""The operator's page, station side, without a browser: who may do what, what is sent when, and what a page may say."""
+
+import contextlib
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from groundstation.planning import planner
+from groundstation.telemetry import RobotView
+from groundstation.web import experiment_editor, protocol
+from groundstation.web.alarms import alarms
+from groundstation.web.auth import host_allowed, origin_allowed, token_allowed, web_options
+from groundstation.web.camera_underlay import mesh
+from groundstation.web.control_lease import SILENT_S, Lease
+from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, Window
+from groundstation.web.snapshot import ellipse
+from sim_bridge.camera import optics
+from wire.camera_coverage import project
+from wire.config.experiment import load_experiment
+from wire.messages.messages import CameraHealth, LocalizerStatus, Mode, Pose, RobotState, Track
+from wire.security.access_control import INSECURE
+from wire.toml_loader import ConfigError
+
+POOL = load_experiment("pool")
+STRAIGHT = load_experiment("straight")
+
+
+# --- the window: latest wins, nobody waits
+
+
+def test_at_most_two_frames_are_on_their_way() -> None:
+    window = Window()
+    for k in range(10):
+        window.offer("state", b"%d" % k)
+        window.next(0.0)
+    window.offer("state", b"newest")
+    assert window.next(1.0) is None
+    window.acknowledge(1, 1.0)
+    assert window.next(1.0) == (UNACKNOWLEDGED + 1, b"newest")  # all between were passed over
+    assert window.next(1.0) is None
+
+
+def test_states_and_pictures_take_turns_and_so_do_notes_which_come_in_order() -> None:
+    window = Window()
+    for body in (b"1", b"2", b"3"):
+        window.note(body)
+    window.offer("picture", b"p")
+    window.offer("state", b"s")
+    sent = []
+    while (frame := window.next(0.0)) is not None:
+        sent.append(frame[1])
+        window.acknowledge(frame[0], 0.0)
+    assert sent == [b"1", b"p", b"2", b"s", b"3"]
+
+
+def test_notes_without_end_keep_no_state_waiting() -> None:
+    window, sent = Window(), []
+    for _ in range(MOST_NOTES):
+        window.note(b"note")
+    for k in range(10):
+        window.offer("state", b"%d" % k)
+        for _ in range(2):
+            frame = window.next(0.0)
+            assert frame is not None
+            window.acknowledge(frame[0], 0.0)
+            sent.append(frame[1])
+    assert sent == [body for k in range(10) for body in (b"note", b"%d" % k)]
+
+
+def test_a_stopped_page_costs_a_bounded_memory() -> None:
+    window = Window()
+    for k in range(3 * MOST_NOTES):
+        window.note(b"%d" % k)
+        window.offer("state", b"x" * 1000)
+        window.next(0.0)
+    window.acknowledge(2, 9.0)
+    left = []
+    while (frame := window.next(9.0)) is not None:
+        left.append(frame[1])
+        window.acknowledge(frame[0], 9.5)
+    assert len(left) <= MOST_NOTES + 1
+    assert left[-1] == b"%d" % (3 * MOST_NOTES - 1)  # the newest note is there; the oldest were given up
+    assert window.lost_notes > 0
+    assert window.round_trip_s == 0.5
+
+
+def test_an_acknowledgement_of_what_was_never_sent_changes_nothing() -> None:
+    window = Window()
+    window.offer("state", b"a")
+    window.next(0.0)
+    window.acknowledge(0, 1.0)
+    assert window.round_trip_s == 0.0
+    window.offer("state", b"b")
+    window.offer("picture", b"c")
+    assert window.next(0.0) is not None
+    assert window.next(0.0) is None
+
+
+# --- the lease
+
+
+def test_one_has_control_and_a_silent_one_loses_it() -> None:
+    lease = Lease()
+    assert lease.ask(1, 0.0)
+    assert not lease.ask(2, 1.0)
+    lease.heard(2, 4.0)  # a watcher's life does not keep the holder's lease
+    assert lease.ask(1, 4.0)
+    assert not lease.ask(2, 4.0 + SILENT_S)
+    assert lease.ask(2, 4.1 + SILENT_S)
+    lease.leave(1)  # the one that lost it cannot give away another's
+    assert lease.holder == 2
+    assert lease.ask(3, 10.0, over=True)
+    lease.leave(3)
+    assert lease.free(10.0)
+
+
+# --- who may look in
+
+
+def test_off_loopback_tls_and_a_token_are_needed() -> None:
+    certificate, key = Path("c.pem"), Path("k.pem")
+    assert web_options("127.0.0.1:8000").url == "http://127.0.0.1:8000/"
+    assert web_options("[::1]:8000").url == "http://[::1]:8000/"
+    assert web_options("0.0.0.0:8000", certificate, key, "x" * 16).url == "https://0.0.0.0:8000/"
+    for host in ("0.0.0.0", "192.168.1.10", "station.lab", "[::]"):
+        for files, token in (
+            ((None, None), ""),
+            ((certificate, key), ""),
+            ((certificate, key), "short"),
+            ((None, None), "x" * 16),
+        ):
+            with pytest.raises(ConfigError, match="--web"):
+                web_options(f"{host}:8000", files[0], files[1], token)
+    for wrong in ("8000", "localhost", "localhost:", "localhost:0", "localhost:65536", "localhost:http"):
+        with pytest.raises(ConfigError, match="HOST:PORT"):
+            web_options(wrong)
+    with pytest.raises(ConfigError, match="without the other"):
+        web_options("127.0.0.1:8000", certificate)
+
+
+def test_only_our_own_page_may_open_the_socket() -> None:
+    local = web_options("127.0.0.1:8000")
+    assert origin_allowed(local, "127.0.0.1:8000", "http://127.0.0.1:8000")
+    assert origin_allowed(local, "localhost:8000", "http://localhost:8000")
+    for host, origin in (
+        ("127.0.0.1:8000", ""),
+        ("127.0.0.1:8000", "null"),
+        ("127.0.0.1:8000", "http://evil.example"),
+        ("127.0.0.1:8000", "https://127.0.0.1:8000"),
+        ("127.0.0.1:8000", "http://127.0.0.1:9000"),
+        ("evil.example:8000", "http://evil.example:8000"),  # a name made to point here
+        ("", "http://"),
+    ):
+        assert not origin_allowed(local, host, origin), (host, origin)
+    assert not host_allowed(local, "evil.example")
+    open_to_all = web_options("0.0.0.0:8443", Path("c.pem"), Path("k.pem"), "x" * 16)
+    assert origin_allowed(open_to_all, "station.lab:8443", "https://station.lab:8443")
+    assert host_allowed(open_to_all, "[fe80::1]:8443") and host_allowed(open_to_all, "192.168.1.10")
+    assert token_allowed(local, "") and not token_allowed(local, "x")
+
+
+@pytest.mark.parametrize(
+    "host",
+    [
+        "[::1].evil.example",
+        "[::1]evil.example",
+        "127.0.0.1:8000.evil.example",
+        "127.0.0.1:8000@evil.example",
+        "127.0.0.1:",
+        "127.0.0.1:http",
+        "127.0.0.1:123456",
+        "127.0.0.1:8000:8000",
+        "127.0.0.1 ",
+        "localhost.evil.example",
+        "user@localhost",
+        "localhost\n",
+        "",
+    ],
+)
+def test_a_host_that_only_begins_like_ours_is_refused(host: str) -> None:
+    for options in (web_options("127.0.0.1:8000"), web_options("[::1]:8000")):
+        assert not host_allowed(options, host)
+        assert not origin_allowed(options, host, f"http://{host}")
+
+
+# --- what a page may say
+
+
+def test_requests_are_read() -> None:
+    assert protocol.read_request('{"kind":"order","n":3,"order":"clear-stop"}') == protocol.Wish(3, "clear-stop")
+    edit = protocol.Edit(nodes_m={1: (0.0, 1.0, 0.0)}, scale=1.5)
+    text = json.dumps({"kind": "try", "n": 1, "edit": {"nodes_m": {"1": [0, 1, 0]}, "scale": 1.5}})
+    assert protocol.read_request(text) == protocol.Try(1, edit)
+
+
+@pytest.mark.parametrize("key", ["speed_mps", "depth_m", "diameter_m", "lap_s", "duration_s", "scale"])
+@pytest.mark.parametrize("value", [0.0, -1.0, 1e9])
+def test_an_edit_with_a_number_that_cannot_be_is_a_request_and_is_answered(key: str, value: float) -> None:
+    """Whoever types 0.5 has typed 0 first."""
+    request = protocol.read_request(json.dumps({"kind": "try", "n": 1, "edit": {key: value}}))
+    assert isinstance(request, protocol.Try)
+    answer = experiment_editor.attempt(POOL, request.edit)
+    assert not answer["ok"] or (key, value) in {("depth_m", 0.0), ("lap_s", 1e9)}
+    assert answer["ok"] or answer["problems"]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        "{}",
+        '{"kind":"nonsense"}',
+        '{"kind":"order","n":1,"order":"explode"}',
+        '{"kind":"order","n":-1,"order":"stop"}',
+        '{"kind":"order","n":1,"order":"stop","robot":3}',
+        '{"kind":"try","n":1,"edit":{"points_m":[[0,0],[1e9,0]]}}',
+        '{"kind":"try","n":1,"edit":{"scale":NaN}}',
+        '{"kind":"save","n":1,"edit":{},"name":"../../etc/passwd"}',
+        '{"kind":"save","n":1,"edit":{},"name":"ok\\n"}',
+        '{"kind":"hello","token":"' + "x" * 300 + '"}',
+        '{"kind":"ack","n":1}' + " " * protocol.LONGEST_BYTES,
+        "[" * 60_000,
+    ],
+)
+def test_what_is_no_request_is_refused(text: str) -> None:
+    with pytest.raises(protocol.BadRequest):
+        protocol.read_request(text)
+
+
+@given(st.binary(max_size=300) | st.text(max_size=300))
+def test_no_text_does_harm(text: str | bytes) -> None:
+    with contextlib.suppress(protocol.BadRequest):
+        protocol.read_request(text)
+
+
+# --- alarms
+
+
+def _view(**changes: Any) -> RobotView:
+    state: dict[str, Any] = {"mode": Mode.TRACKING, "battery_v": 12.0, "track": Track.MARKER, "board_age_ms": 20.0}
+    state |= {"experiment_hash": POOL.hash, **changes}
+    pose = Pose(0.0, 0.0, 0.0, track=Track.MARKER, identity_verified=True)
+    return RobotView(RobotState(**state), 0.05, pose, 0.05)
+
+
+def _texts(*views: RobotView, camera: CameraHealth = CameraHealth.OK, age_s: float = 0.0, recorder: str = "") -> list[str]:
+    found = alarms(POOL, dict(zip((1, 2), views, strict=True)), LocalizerStatus(camera), age_s, recorder)
+    return [f"{a.level} {a.told}" for a in found]
+
+
+def test_a_well_fleet_raises_no_alarm() -> None:
+    assert _texts(_view(), _view()) == []
+
+
+def test_each_trouble_is_named_and_the_worst_comes_first() -> None:
+    found = _texts(_view(fault="pose late", battery_v=10.7), _view(mode=Mode.FAULT, fault="no pose"), recorder="no space")
+    assert found[0].startswith("critical the log")
+    assert found[1] == "critical robot 2: is FAULT: no pose"
+    assert "warning robot 1: pose late" in found and "warning robot 1: battery 10.7 V" in found
+    assert _texts(_view(), _view(), camera=CameraHealth.FROZEN) == ["critical the camera is frozen"]
+    assert _texts(_view(), _view(), age_s=1.0) == ["critical the localizer is silent"]
+    assert _texts(RobotView(), _view()) == ["warning robot 1: not heard"]
+
+
+def test_a_localizer_is_missed_only_where_poses_are() -> None:
+    def texts(*views: RobotView) -> list[str]:
+        return [a.text for a in alarms(POOL, dict(zip((1, 2), views, strict=True)), None, math.inf, "")]
+
+    assert texts(_view(), _view()) == []
+    blind = RobotView(_view().state, 0.05)
+    assert "no localizer has been heard" in texts(blind, blind)
+
+
+def test_a_bad_link_a_wrong_clock_and_an_old_plan_are_alarms_in_flight_too() -> None:
+    seen = replace(_view(), loss=0.5, clock_offset_s=-0.1, plan_age_s=2.0)
+    found = {(a.key, a.level, a.robot) for a in alarms(POOL, {1: _view(), 2: seen}, LocalizerStatus(CameraHealth.OK), 0.0, "")}
+    assert found == {("2:link", "warning", 2), ("2:clock", "notice", 2), ("2:plan", "warning", 2)}
+
+
+def test_a_station_whose_cycle_hangs_is_an_alarm() -> None:
+    found = alarms(POOL, {1: _view(), 2: _view()}, LocalizerStatus(CameraHealth.OK), 0.0, "", stuck_s=3.0)
+    assert [(a.level, a.text) for a in found] == [("critical", "the station has sent no heartbeat for 3 s: robots hold")]
+
+
+# --- where the picture lies
+
+
+@pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (0.05, -0.08, 0.4)])
+def test_the_picture_lies_where_the_camera_sees_it(rotation: tuple[float, float, float]) -> None:
+    """Against the simulator's own optics, which another hand wrote with OpenCV."""
+    camera = POOL.camera.model_copy(update={"rotation_rad": rotation})
+    points = np.random.default_rng(1).uniform([-1.7, -1.2, 0.0], [1.7, 1.2, 0.9], (200, 3))
+    np.testing.assert_allclose(project(camera, points), optics.project(camera, points), atol=1e-6)
+
+
+def test_the_mesh_covers_the_basin() -> None:
+    points, places = mesh(POOL)
+    assert np.all(np.abs(points).reshape(-1, 2).max(axis=0) >= np.array(POOL.pool.size_m[:2]) / 2)
+    middle = places.reshape(-1, 2)[np.argmin(np.linalg.norm(points.reshape(-1, 2), axis=1))]
+    np.testing.assert_allclose(middle, [0.5, 0.5], atol=0.05)
+
+
+@given(st.floats(1e-6, 1.0), st.floats(1e-6, 1.0), st.floats(-math.pi / 2 + 0.01, math.pi / 2 - 0.01))
+def test_the_ellipse_is_that_of_the_covariance(a: float, b: float, angle: float) -> None:
+    major, minor = max(a, b), min(a, b)
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    covariance = np.zeros((3, 3))
+    covariance[:2, :2] = turn @ np.diag([major**2, minor**2]) @ turn.T
+    found_major, found_minor, found_angle = ellipse(covariance)
+    back = np.array([[np.cos(found_angle), -np.sin(found_angle)], [np.sin(found_angle), np.cos(found_angle)]])
+    np.testing.assert_allclose(back @ np.diag([found_major**2, found_minor**2]) @ back.T, covariance[:2, :2], atol=1e-7)
+
+
+# --- the editor asks the real planner
+
+
+def test_an_edit_that_changes_nothing_gives_the_flown_paths() -> None:
+    tried = experiment_editor.attempt(POOL, protocol.Edit())
+    assert tried["ok"]
+    eta = np.frombuffer(tried["paths"][0]["eta"], "<f4").reshape(-1, 4)
+    flown = planner.plan(POOL)[1].eta
+    step = round(tried["paths"][0]["every_s"] / POOL.controller.period_s)
+    np.testing.assert_allclose(eta, flown[:2401:step], atol=1e-5)
+    assert tried["clearance_m"] == pytest.approx(0.8, abs=1e-6)
+    assert tried["fastest_mps"] == pytest.approx(0.45 / 2 * 2 * np.pi / 100, rel=1e-6)
+
+
+def test_an_edit_that_cannot_be_flown_says_why_and_still_shows_the_path() -> None:
+    tried = experiment_editor.attempt(POOL, protocol.Edit(nodes_m={1: (0.1, 0.0, 0.0)}))
+    assert not tried["ok"]
+    assert "robots 1 and 2: 0.500 m apart" in tried["problems"][0]
+    assert tried["clearance_m"] == pytest.approx(0.5, abs=1e-6)
+    assert {path["robot"] for path in tried["paths"]} == {1, 2}
+    beyond = experiment_editor.attempt(POOL, protocol.Edit(diameter_m=4.0))
+    assert any("wall" in problem for problem in beyond["problems"])
+
+
+def test_an_edit_of_another_kind_of_path_is_refused_by_key() -> None:
+    assert "path.points_m" in experiment_editor.attempt(POOL, protocol.Edit(points_m=[(0.0, 0.0), (1.0, 0.0)]))["problems"][0]
+    assert "robot 7" in experiment_editor.attempt(POOL, protocol.Edit(nodes_m={7: (0.0, 0.0, 0.0)}))["problems"][0]
+    assert experiment_editor.attempt(STRAIGHT, protocol.Edit(scale=-1.0))["ok"] is False
+
+
+def test_an_edit_is_kept_under_a_new_name_only(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    edit = protocol.Edit(diameter_m=0.5)
+    assert experiment_editor.save(POOL, edit, "wider") == {"ok": True, "problems": [], "path": "experiments/wider.toml"}
+    again = load_experiment("experiments/wider.toml")
+    assert (again.name, again.path.model_dump()["diameter_m"], again.robots) == ("wider", 0.5, POOL.robots)
+    assert "already" in experiment_editor.save(POOL, edit, "wider")["problems"][0]
+    assert not experiment_editor.save(POOL, protocol.Edit(diameter_m=4.0), "wrong")["ok"]
+    assert [p.name for p in (tmp_path / "experiments").iterdir()] == ["wider.toml"]
+
+
+def test_an_open_network_is_an_alarm() -> None:
+    views = {robot: RobotView() for robot in (1, 2)}
+    texts = [[a.text for a in alarms(POOL, views, None, math.inf, "", insecure)] for insecure in (False, True)]
+    assert set(texts[1]) - set(texts[0]) == {INSECURE}

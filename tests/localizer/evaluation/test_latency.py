@@ -1,0 +1,154 @@
+"""The latency test: its arithmetic on made-up times, and the whole command on a video."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from localizer.__main__ import cli
+from localizer.detection.image_regions import Pixels
+from localizer.detection.obstacles import ObstacleWatch
+from localizer.evaluation.latency import WARM_UP, Latency, Timing, Told, in_this_process, judge, measure
+from localizer.sources.base import Shot, Source
+from tests.localizer.stand_ins import MS, HandClock
+from wire.config.experiment import load_experiment
+from wire.frames import Array
+from wire.messages.messages import Obstacles
+from wire.process.runtime import Stop, WallClock
+
+
+def timings(count: int = 101, period_ms: float = 50.0, transfer_ms: float = 12.0, work_ms: float = 5.0) -> list[Timing]:
+    def at(milliseconds: float) -> int:
+        return round(milliseconds * MS)
+
+    return [
+        Timing(at(k * period_ms), at(k * period_ms + transfer_ms), at(k * period_ms + transfer_ms + work_ms), True)
+        for k in range(count)
+    ]
+
+
+def judged(found: list[Timing], dropped: int = 0) -> Latency:
+    result = judge(found, dropped, 20.0)
+    assert result is not None
+    return result
+
+
+def test_the_parts_of_a_poses_age() -> None:
+    found = timings()
+    slow = found[50]
+    found[50] = Timing(slow.instant_ns, slow.arrived_ns + 20 * MS, slow.ready_ns + 23 * MS, True)
+    result = judged(found)
+    assert result.exposure_to_arrival_ms.p50 == pytest.approx(12.0) and result.exposure_to_arrival_ms.max == pytest.approx(
+        32.0
+    )
+    assert result.arrival_to_pose_ms.p50 == pytest.approx(5.0) and result.arrival_to_pose_ms.max == pytest.approx(8.0)
+    assert result.exposure_to_pose_ms.p50 == pytest.approx(17.0) and result.exposure_to_pose_ms.max == pytest.approx(40.0)
+    assert result.interval_ms.p50 == pytest.approx(50.0) == result.interval_ms.max
+    assert (result.pictures, result.dropped, result.unstamped, result.warnings) == (101, 0, 0, ())
+
+
+def test_each_ill_is_warned_of_by_itself() -> None:
+    jumpy = [
+        Timing(t.instant_ns + k % 2 * 15 * MS, t.arrived_ns + k % 2 * 15 * MS, t.ready_ns + k % 2 * 15 * MS, True)
+        for k, t in enumerate(timings())
+    ]
+    guessed = [Timing(t.instant_ns, t.arrived_ns, t.ready_ns, k > 2) for k, t in enumerate(timings())]
+    cases = {
+        "without a usable stamp": judged(guessed),
+        "off their rhythm": judged(jumpy),
+        "the experiment says 50.0": judged(timings(period_ms=66.7)),
+        "ms old": judged(timings(work_ms=70.0)),
+        "dropped": judged(timings(), dropped=3),
+    }
+    for text, result in cases.items():
+        assert len(result.warnings) == 1 and text in result.warnings[0], (text, result.warnings)
+    assert cases["without a usable stamp"].unstamped == 3
+
+
+def test_one_picture_is_no_measurement() -> None:
+    assert judge(timings(1), 0, 20.0) is None
+    assert judge([], 0, 20.0) is None
+
+
+def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
+    clock, stop = HandClock(), Stop(install=False)
+
+    class Camera:
+        trouble, silent_after_s = "", 0.25
+
+        def shots(self, stop: Stop) -> Iterator[Shot | None]:
+            for k in range(100):
+                clock.sleep(0.05)
+                yield None if k == 7 else Shot(np.zeros((4, 4), np.uint8), k, clock.ns - 9 * MS, clock.ns, 10 + k)
+
+        def close(self) -> None:
+            """Nothing to do."""
+
+    def localize(source: Source, told: Told) -> None:
+        """Poses are out after 2 ms, previews after 3 more."""
+        for shot in source.shots(stop):
+            clock.sleep(0.002)
+            if shot is not None:
+                told(shot.stamp_ns)
+                clock.sleep(0.003)
+
+    found, dropped = measure(Camera(), localize, clock, 1.0)
+    assert len(found) == 19 - WARM_UP - 1
+    assert dropped == 10 + 18 - (10 + WARM_UP - 1)
+    assert {(t.arrived_ns - t.instant_ns, t.ready_ns - t.arrived_ns) for t in found} == {(9 * MS, 2 * MS)}
+
+
+def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each picture is told of once, before the obstacles of the picture are looked for."""
+    order: list[str] = []
+
+    def look(watch: ObstacleWatch, frame: Pixels, stamp_ns: int, robots_m: Array) -> Obstacles | None:
+        order.append(f"obstacles {stamp_ns}")
+        return None
+
+    monkeypatch.setattr(ObstacleWatch, "step", look)
+
+    class Camera:
+        trouble, silent_after_s = "", 0.25
+
+        def shots(self, stop: Stop) -> Iterator[Shot | None]:
+            random = np.random.default_rng(1)
+            for k in (1, 2, 3):
+                yield Shot(random.integers(60, 120, (960, 1280), np.uint8), k, k, k)
+
+        def close(self) -> None:
+            """Nothing to do."""
+
+    def told(stamp_ns: int) -> None:
+        order.append(f"told {stamp_ns}")
+
+    in_this_process(load_experiment("pool"), WallClock(), Stop(install=False), Camera(), told)
+    assert order == ["told 1", "obstacles 1", "told 2", "obstacles 2", "told 3", "obstacles 3"]
+
+
+def test_the_command_measures_a_source_and_says_what_is_wrong(tmp_path: Path) -> None:
+    """A video at 20 Hz where the experiment has 100: that must be noticed, however busy this machine is: each picture
+    comes, with a stamp 50 ms after the last."""
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (1280, 960))
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        writer.write(np.repeat(np.repeat(random.integers(60, 120, (60, 80, 3), dtype=np.uint8), 16, axis=0), 16, axis=1))
+    writer.release()
+    out = tmp_path / "latency.json"
+    command = ["latency", "pool", "--source", f"video:{tmp_path / 'v.avi'}:max", "--seconds", "60", "--json", str(out)]
+    done = CliRunner().invoke(cli, [*command, "--set", "camera.rate_hz=100"])
+    assert done.exit_code == 1
+    assert "exposure to pose" in done.output and "the experiment says 10.0" in done.output
+    figures = json.loads(out.read_text())
+    assert figures["unstamped"] == 0
+    assert figures["pictures"] == 20 - WARM_UP
+    assert figures["exposure_to_pose_ms"]["p50"] >= figures["exposure_to_arrival_ms"]["p50"]
+
+
+def test_a_source_without_pictures_is_a_failure(tmp_path: Path) -> None:
+    done = CliRunner().invoke(cli, ["latency", "pool", "--source", f"folder:{tmp_path}", "--seconds", "0.6"])
+    assert done.exit_code == 1 and "no pictures within 0.6 s: nothing new in" in done.output

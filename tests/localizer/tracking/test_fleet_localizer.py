@@ -1,0 +1,343 @@
+"""The whole localizer, frame by frame, against robots drawn at known places."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import pytest
+
+from localizer.tracking.fleet_localizer import Located, Locator
+from localizer.view.overlay import draw
+from tests.localizer.scene import Pixels, Scene
+from wire.config.experiment import Experiment, load_experiment
+from wire.frames import Array, body_to_pool, wrap
+from wire.messages.messages import CameraHealth, Obstacles, Pose, Track
+
+EXPERIMENT = load_experiment("pool")
+STEP_NS = 50_000_000
+LEVEL = load_experiment("pool", ["localizer.tilt_sigma_rad=0", "localizer.tilt_rad_per_n=0"])
+DEPTH_M = 0.3
+DEPTHS_M = {1: DEPTH_M, 2: DEPTH_M}
+SIDE = Scene(EXPERIMENT, seed=3)  # drawn once: its textures are the slow part
+
+
+@dataclass(frozen=True)
+class Step:
+    """What was true in a frame, and what the localizer made of it."""
+
+    truth: Mapping[int, Array]
+    located: Located
+
+    def pose(self, robot: int) -> Pose:
+        return dict(self.located.poses)[robot]
+
+    def error(self, robot: int) -> Array:
+        """x, y, yaw."""
+        pose, eta = self.pose(robot), self.truth[robot]
+        return np.array([pose.x_m - eta[0], pose.y_m - eta[1], wrap(pose.yaw_rad - eta[3])])
+
+
+def _circling(t_s: float) -> dict[int, Array]:
+    """Two robots on circles, far faster than the pool scene asks: 0.2 m/s, turning at up to 0.9 rad/s with reversals."""
+    angle, yaw = 0.9 * t_s, 1.2 * np.sin(0.75 * t_s)
+    swing = 0.22 * np.array([np.cos(angle), np.sin(angle)])
+    return {
+        1: np.array([0.5 + swing[0], swing[1], DEPTH_M, yaw + 2.5]),
+        2: np.array([-0.4 + swing[1], 0.1 + swing[0], DEPTH_M, -yaw - 0.4]),
+    }
+
+
+def _fly(
+    locator: Locator,
+    frames: int,
+    truth: Callable[[float], Mapping[int, Array]] = _circling,
+    hidden: Callable[[int], frozenset[int]] = lambda k: frozenset(),
+    first: int = 0,
+    depths_m: Mapping[int, float] = DEPTHS_M,
+) -> Iterator[Step]:
+    for k in range(first, first + frames):
+        poses = truth(k * STEP_NS * 1e-9)
+        yield Step(poses, locator.step(SIDE.frame(poses, hidden(k)), k * STEP_NS, depths_m))
+
+
+def _found(truth: Callable[[float], Mapping[int, Array]] = _circling) -> Locator:
+    """A localizer that has read each marker once, a frame before the first."""
+    locator = Locator(EXPERIMENT)
+    locator.step(SIDE.frame(truth(0.0)), -STEP_NS, DEPTHS_M)
+    return locator
+
+
+def _rms(steps: list[Step], robots: tuple[int, ...] = (1, 2)) -> Array:
+    return np.asarray(np.sqrt(np.mean([step.error(robot) ** 2 for step in steps for robot in robots], axis=0)))
+
+
+def _without_markers() -> Experiment:
+    plain = EXPERIMENT.localizer.model_copy(update={"markers": False})
+    starts = [robot.model_copy(update={"start": tuple(_circling(0.0)[robot.id])}) for robot in EXPERIMENT.robots]
+    return EXPERIMENT.model_copy(update={"localizer": plain, "robots": tuple(starts)})
+
+
+def test_markers_are_found_in_the_first_frame_and_believed_in_the_second() -> None:
+    first, *steps = _fly(Locator(EXPERIMENT), 30)
+    assert first.located.poses == (), "one reading may be a misreading"
+    for step in steps:
+        assert [robot for robot, _ in step.located.poses] == [1, 2]
+        assert all(pose.track is Track.MARKER and pose.identity_verified for _, pose in step.located.poses)
+        assert step.located.status.camera is CameraHealth.OK and step.located.status.message == ""
+    assert _rms(steps)[:2].max() < 0.6e-3 and _rms(steps)[2] < np.deg2rad(0.5)
+    assert min(step.pose(1).peak for step in steps[1:]) > 0.5
+
+
+def test_looks_alone_follow_fast_turning_robots() -> None:
+    """No marker in sight for 5 s: the correlation filters carry on, and carry the identity."""
+    everyone = frozenset({1, 2})
+    steps = list(_fly(Locator(_without_markers()), 100, hidden=lambda k: everyone))
+    assert all(step.pose(robot).track is Track.KCF for step in steps[1:] for robot in (1, 2))
+    assert all(step.pose(robot).identity_verified for step in steps for robot in (1, 2))
+    assert _rms(steps)[:2].max() < 3e-3 and _rms(steps)[2] < np.deg2rad(1.0)
+
+
+def test_a_cable_over_the_marker_is_bridged() -> None:
+    """A dark bar across each robot spoils its marker and a part of its look; the rest of the look is enough."""
+    locator = Locator(EXPERIMENT)
+    errors = []
+    for k in range(50):
+        truth = _circling(0.05 * k)
+        frame = SIDE.frame(truth)
+        if k >= 12:
+            for eta in truth.values():
+                bar = np.array([[-0.08, -0.02], [0.08, -0.02], [0.08, 0.005], [-0.08, 0.005]])
+                places = eta[:2] + body_to_pool(bar, eta[3])
+                corners = locator.view.pixel(np.column_stack([places, np.full(4, DEPTH_M - locator.marker_height_m)]))
+                cv2.fillPoly(frame, [np.rint(corners).astype(np.int32)], (40,))
+        step = Step(truth, locator.step(frame, k * STEP_NS, DEPTHS_M))
+        if k >= 12:
+            assert all(pose.track is Track.KCF and pose.identity_verified for _, pose in step.located.poses)
+            errors.append(step)
+    assert _rms(errors)[:2].max() < 3e-3 and _rms(errors)[2] < np.deg2rad(1.0)
+
+
+def test_covariance_is_honest() -> None:
+    """Errors lie within what is published: not by a wide margin in either direction. These robots are level."""
+    _, *steps = _fly(Locator(LEVEL), 40)
+    squared = [step.error(r) @ np.linalg.solve(step.pose(r).covariance, step.error(r)) for step in steps for r in (1, 2)]
+    assert 0.2 < np.mean(squared) / 3.0 < 1.5
+    assert np.max(squared) < 25.0
+
+
+def test_depth_error_is_covered_by_the_covariance() -> None:
+    """A robot reports 1 cm too deep: 2 sigma of its sensor. The error grows by 2.5 mm per metre off the axis, and so does
+    the published uncertainty, in that direction only."""
+    still = {1: np.array([1.2, 0.0, DEPTH_M, 0.3]), 2: np.array([-0.4, 0.0, DEPTH_M, 0.0])}
+    steps = list(_fly(Locator(EXPERIMENT), 5, lambda t: still, depths_m={1: DEPTH_M + 0.01, 2: DEPTH_M}))
+    error, covariance = steps[-1].error(1), steps[-1].pose(1).covariance
+    assert error[0] == pytest.approx(0.003, abs=1e-3)
+    assert abs(error[0]) < 3.0 * np.sqrt(covariance[0, 0])
+    assert covariance[0, 0] > 2.0 * covariance[1, 1]
+
+
+def test_unreported_depth_is_the_experiments_and_less_sure() -> None:
+    steps = list(_fly(Locator(EXPERIMENT), 3, depths_m={2: float("nan")}))
+    assert steps[-1].pose(1).depth_m == DEPTH_M and steps[-1].pose(2).depth_m == DEPTH_M
+    known = list(_fly(Locator(EXPERIMENT), 3))
+    assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(known[-1].pose(1).covariance)
+
+
+def test_lost_and_found_elsewhere() -> None:
+    """A robot is taken out of the water and put back a metre away. The other one does not notice."""
+
+    def truth(t_s: float) -> dict[int, Array]:
+        poses = _circling(t_s)
+        k = round(t_s / 0.05)
+        if 10 <= k < 35:
+            del poses[1]
+        if k >= 35:
+            poses[1] = poses[1] + np.array([0.3, -0.8, 0.0, 2.0])
+        return poses
+
+    steps = list(_fly(_found(truth), 45, truth))
+    tracks = [step.pose(1).track for step in steps]
+    assert tracks[9] is Track.MARKER and tracks[10] is Track.COAST and tracks[34] is Track.LOST
+    assert tracks.index(Track.LOST) - 10 == pytest.approx(EXPERIMENT.localizer.lost_after_s / 0.05, abs=1)
+    assert not any(steps[k].pose(1).identity_verified for k in range(26, 35))
+    assert "lost: robot 1" in steps[30].located.status.message
+    assert tracks[40] is Track.MARKER and np.abs(steps[40].error(1)[:2]).max() < 2e-3
+    assert all(step.pose(2).track is Track.MARKER for step in steps)
+
+
+def test_a_robot_nobody_saw_has_no_pose() -> None:
+    only_second = {2: np.array([-0.4, 0.1, DEPTH_M, 0.5])}
+    steps = list(_fly(Locator(EXPERIMENT), 7, lambda t: only_second))
+    assert all([robot for robot, _ in step.located.poses] == [2] for step in steps[1:])
+    assert "lost: robot 1" in steps[-1].located.status.message
+
+
+def test_out_of_the_picture_and_back() -> None:
+    def truth(t_s: float) -> dict[int, Array]:
+        return {1: np.array([1.2 + 0.9 * np.sin(1.5 * t_s), 0.9, DEPTH_M, 0.2]), 2: _circling(t_s)[2]}
+
+    steps = list(_fly(_found(truth), 46, truth))
+    assert any(step.pose(1).track is not Track.MARKER for step in steps)
+    assert steps[-1].pose(1).track is Track.MARKER and np.abs(steps[-1].error(1)[:2]).max() < 2e-3
+
+
+def test_crossing_without_markers_is_never_silent() -> None:
+    """Two identical robots brush past each other while their markers cannot be read. Whoever follows whom afterwards, both
+    identities are doubted from the moment they are near until a marker is read, and then they are right."""
+    offset, speed = 0.26, 0.33
+
+    def truth(t_s: float) -> dict[int, Array]:
+        along = speed * (t_s - 1.5)
+        return {
+            1: np.array([along, offset / 2, DEPTH_M, 0.0]),
+            2: np.array([-along, -offset / 2, DEPTH_M, 0.0]),
+        }
+
+    steps = list(_fly(_found(truth), 64, truth, hidden=lambda k: frozenset({1, 2}) if 12 <= k < 56 else frozenset()))
+    touched = False
+    for k, step in enumerate(steps):
+        touched |= float(np.linalg.norm(step.truth[1][:2] - step.truth[2][:2])) < 2.2 * EXPERIMENT.vehicle.radius_m
+        for robot in (1, 2):
+            wrong = float(np.linalg.norm(step.error(robot)[:2])) > 0.15
+            assert not (wrong and step.pose(robot).identity_verified), f"frame {k}"
+            if touched and k < 56:
+                assert not step.pose(robot).identity_verified
+    for robot in (1, 2):
+        assert steps[-1].pose(robot).identity_verified and np.abs(steps[-1].error(robot)[:2]).max() < 2e-3
+
+
+def test_swapped_labels_are_noticed_at_once() -> None:
+    """Somebody swaps the robots between two frames: both are doubted in the next one, and right in the one after."""
+
+    def truth(t_s: float) -> dict[int, Array]:
+        places = [np.array([0.4, 0.0, DEPTH_M, 0.5]), np.array([-0.4, 0.0, DEPTH_M, -0.5])]
+        return dict(zip((1, 2), places if t_s < 0.49 else places[::-1], strict=True))
+
+    steps = list(_fly(Locator(EXPERIMENT), 14, truth))
+    for robot in (1, 2):
+        assert not steps[10].pose(robot).identity_verified
+        assert (
+            steps[11].pose(robot).identity_verified
+            and steps[12].pose(robot).identity_verified
+            and np.abs(steps[12].error(robot)[:2]).max() < 2e-3
+        )
+
+
+def test_two_false_markers_at_different_places_move_nobody() -> None:
+    """Robot 1 has left the water. Later something with its marker shows up for one frame, and elsewhere for the next one: its
+    pose stays where it was lost. The same thing at one place for two frames is believed."""
+    third = EXPERIMENT.robots[0].model_copy(update={"id": 3, "marker_id": EXPERIMENT.robots[0].marker})
+    three = EXPERIMENT.model_copy(update={"robots": (*EXPERIMENT.robots, third)})
+    scene, locator = Scene(three, seed=3), Locator(EXPERIMENT)
+    still = {2: np.array([-0.4, 0.1, DEPTH_M, 0.5])}
+    false = {31: (-1.0, -0.7, 0.3), 32: (-0.85, -0.6, -2.0), 36: (1.1, 0.6, -2.0), 37: (1.1, 0.6, -2.0)}  # scanned at 31, 36
+
+    def poses(k: int) -> dict[int, Pose]:
+        there = still | ({1: np.array([0.5, 0.0, DEPTH_M, 0.0])} if k <= 10 else {})
+        if k in false:
+            x, y, yaw = false[k]
+            there = there | {3: np.array([x, y, DEPTH_M, yaw])}
+        return dict(locator.step(scene.frame(there), k * STEP_NS, DEPTHS_M).poses)
+
+    seen = [poses(k) for k in range(1, 38)]
+    assert seen[29][1].track is Track.LOST
+    for k in (31, 32, 36):
+        pose = seen[k - 1][1]
+        assert pose.track is Track.LOST and not pose.identity_verified
+        assert np.hypot(pose.x_m - 0.5, pose.y_m) < 2e-3
+    assert seen[36][1].track is Track.MARKER and seen[36][1].identity_verified
+    assert abs(seen[36][1].x_m - 1.1) < 3e-3
+    assert all(pose[2].track is Track.MARKER for pose in seen[1:])
+
+
+def test_frozen_black_and_missized_pictures_give_no_poses() -> None:
+    locator = Locator(EXPERIMENT)
+    *_, last = _fly(locator, 5)
+    frame = SIDE.frame(last.truth)
+    tracks = []
+    for k in range(5, 12):
+        located = locator.step(frame, k * STEP_NS, DEPTHS_M)
+        tracks.append((located.status.camera, [pose.track for _, pose in located.poses]))
+    assert tracks[0] == (CameraHealth.OK, [Track.MARKER, Track.MARKER])
+    assert tracks[1:4] == [(CameraHealth.OK, [Track.COAST, Track.COAST])] * 3, "a repeated picture is no news"
+    assert tracks[4:] == [(CameraHealth.FROZEN, [])] * 3
+    for bad, health in ((np.zeros_like(frame), CameraHealth.BLACK), (frame[::2, ::2].copy(), CameraHealth.WRONG_SIZE)):
+        located = locator.step(bad, 12 * STEP_NS, DEPTHS_M)
+        assert located.status.camera is health and located.poses == ()
+        assert health.name.lower().split("_")[0] in located.status.message
+    *_, again = _fly(locator, 2, first=13)
+    assert again.pose(1).track is Track.MARKER and np.abs(again.error(1)[:2]).max() < 2e-3
+
+
+def test_stamps_may_jump_either_way() -> None:
+    locator = Locator(EXPERIMENT)
+    still = _circling(0.0)
+    locator.step(SIDE.frame(still), 10**18 - STEP_NS, DEPTHS_M)
+    for stamp_ns in (10**18, 10**18 + STEP_NS, 5, 10**15, 10**15 - 7 * STEP_NS):
+        located = locator.step(SIDE.frame(still), stamp_ns, DEPTHS_M)
+        for robot, pose in located.poses:
+            assert np.isfinite(pose.covariance).all()
+            assert abs(pose.x_m - still[robot][0]) < 2e-3 and pose.track is Track.MARKER
+
+
+def test_same_frames_same_bits() -> None:
+    frames = [SIDE.frame(_circling(0.05 * k), frozenset({1}) if k > 8 else frozenset()) for k in range(16)]
+
+    def run() -> list[bytes]:
+        locator = Locator(EXPERIMENT)
+        results = [locator.step(frame, k * STEP_NS, DEPTHS_M) for k, frame in enumerate(frames)]
+        return [
+            np.array([p.x_m, p.y_m, p.yaw_rad, p.peak, *p.covariance.ravel()]).tobytes() for r in results for _, p in r.poses
+        ]
+
+    assert run() == run()
+
+
+def test_the_frame_is_only_read() -> None:
+    frame: Pixels = SIDE.frame(_circling(0.0))
+    frame.setflags(write=False)  # as it comes out of a message
+    locator = Locator(EXPERIMENT)
+    locator.step(frame, 0, DEPTHS_M)
+    again = SIDE.frame(_circling(0.0))
+    again.setflags(write=False)
+    assert len(locator.step(again, STEP_NS, DEPTHS_M).poses) == 2
+
+
+def test_a_marker_of_nobody_is_named_until_the_right_one_is_on() -> None:
+    wrong, locator = Scene(load_experiment("pool", ["robots.1.marker_id=9"]), seed=3), Locator(EXPERIMENT)
+    said = [locator.step(wrong.frame(_circling(0.05 * k)), k * STEP_NS, DEPTHS_M).status.message for k in range(12)]
+    assert said[0] == "lost: robot 1, 2" and said[1] == "lost: robot 2", "one sight of it may be a misreading"
+    assert said[-1] == "lost: robot 2; in view, but no robot's: marker 9"
+    *_, step = _fly(locator, 8, first=12)
+    assert step.located.status.message == ""
+
+
+def test_overlay_marks_robots_where_they_are() -> None:
+    locator = Locator(EXPERIMENT)
+    *_, step = _fly(locator, 2)
+    frame = SIDE.frame(step.truth)
+    nobody = replace(step.located, poses=())
+    bare, marked = draw(locator, frame, nobody, Obstacles()), draw(locator, frame, step.located, Obstacles())
+    assert marked.shape == (480, 640, 3) and marked.dtype == np.uint8
+    changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
+    for robot in (1, 2):
+        eta = step.truth[robot]
+        centre = (locator.view.pixel(np.array([eta[0], eta[1], eta[2] - locator.marker_height_m])) + 0.5) / 2 - 0.5
+        near = changed[np.linalg.norm(changed - centre, axis=1) < 80]
+        assert len(near) > 200 and np.linalg.norm(near - centre, axis=1).min() < 3
+    assert draw(locator, np.zeros((200, 300), np.uint8), nobody, Obstacles()).shape == (480, 640, 3)
+
+
+def test_overlay_outlines_obstacles_where_they_are() -> None:
+    locator = Locator(EXPERIMENT)
+    *_, step = _fly(locator, 1)
+    frame, middle = SIDE.frame(step.truth), np.array([-1.0, 0.6])
+    turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    outline = middle + 0.1 * np.column_stack([np.cos(turn), np.sin(turn)])
+    obstacles = Obstacles(ids=(3,), outline=outline[None], velocity=np.array([[0.2, 0.0]]), depth_m=0.5)
+    bare, marked = draw(locator, frame, step.located, Obstacles()), draw(locator, frame, step.located, obstacles)
+    changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
+    for point in (*outline, middle + np.array([0.15, 0.0])):  # its rim, and the way it drifts
+        seen = (locator.view.pixel(np.append(point, 0.5)) + 0.5) / 2 - 0.5
+        assert np.linalg.norm(changed - seen, axis=1).min() < 2.0

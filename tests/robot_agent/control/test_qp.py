@@ -1,0 +1,193 @@
+"""Both backends against an exact solver, and every trap that OSQP sets."""
+
+import sys
+import tomllib
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import osqp
+import pytest
+from packaging.requirements import Requirement
+from scipy.optimize import LinearConstraint, minimize
+
+from robot_agent.control.qp import NO_BOUND, DaqpSolver, OsqpSolver, Solver, make_solver
+from wire.frames import Array
+from wire.toml_loader import ConfigError
+
+N, M = 6, 9
+Backend = Literal["osqp", "daqp"]
+BACKENDS: tuple[Backend, ...] = ("osqp", "daqp")
+Problem = tuple[Array, Array, Array, Array, Array]
+
+
+def problem(random: np.random.Generator) -> Problem:
+    """A strictly convex problem with 0 feasible, some rows one-sided and some bounds active."""
+    root = random.normal(size=(N, N))
+    a = random.normal(size=(M, N))
+    lower, upper = -random.uniform(0.05, 1.0, M), random.uniform(0.05, 1.0, M)
+    lower[::3] = -NO_BOUND
+    return root @ root.T + 0.1 * np.eye(N), random.normal(size=N) * 3.0, a, lower, upper
+
+
+def solver(name: Backend, n: int = N, m: int = M) -> Solver:
+    return make_solver(name, np.ones((n, n), bool), np.ones((m, n), bool), np.ones(n), np.ones(m))
+
+
+def exact(p: Array, q: Array, a: Array, lower: Array, upper: Array) -> Array:
+    """By sequential quadratic programming from scipy, which shares nothing with either backend."""
+
+    def cost(x: Array) -> float:
+        return float(0.5 * x @ p @ x + q @ x)
+
+    def slope(x: Array) -> Array:
+        return np.asarray(p @ x + q)
+
+    rows = LinearConstraint(a, np.maximum(lower, -1e6), upper)
+    found = minimize(
+        cost, np.zeros(len(q)), jac=slope, constraints=[rows], method="SLSQP", options={"ftol": 1e-9, "maxiter": 500}
+    )
+    assert found.success, found.message
+    return np.asarray(found.x)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_random_problems_in_a_row_are_solved(name: Backend) -> None:
+    random, backend = np.random.default_rng(1), solver(name)
+    for _ in range(60):
+        p, q, a, lower, upper = problem(random)
+        solution = backend.solve(p, q, a, lower, upper)
+        assert solution.solved
+        best = exact(p, q, a, lower, upper)
+        cost, least = (float(0.5 * x @ p @ x + q @ x) for x in (solution.x, best))
+        assert cost == pytest.approx(least, abs=0.02 * (1 + abs(least)))
+        assert np.all(a @ solution.x <= upper + 0.02) and np.all(a @ solution.x >= lower - 0.02)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_scales_do_not_change_the_answer(name: Backend) -> None:
+    random = np.random.default_rng(2)
+    p, q, a, lower, upper = problem(random)
+    scale, rows = random.uniform(0.2, 5.0, N), random.uniform(0.2, 5.0, M)
+    scaled = make_solver(name, np.ones((N, N), bool), np.ones((M, N), bool), scale, rows)
+    assert scaled.solve(p, q, a, lower, upper).x == pytest.approx(exact(p, q, a, lower, upper), abs=0.02)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_infeasible_is_not_solved_and_leaves_no_trace(name: Backend) -> None:
+    """OSQP hands back a finite x of about 2e9 here: only the status tells."""
+    random, backend = np.random.default_rng(3), solver(name)
+    p, q, a, lower, upper = problem(random)
+    before = backend.solve(p, q, a, lower, upper).x
+    same = a.copy()
+    same[1] = same[0]
+    low, high = lower.copy(), upper.copy()
+    low[0], high[0], low[1], high[1] = 1.0, 2.0, -2.0, -1.0
+    refused = backend.solve(p, q, same, low, high)
+    assert not refused.solved and not refused.x.any()
+    after = backend.solve(p, q, a, lower, upper)
+    assert after.solved and after.x == pytest.approx(before, abs=0.02)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+@pytest.mark.parametrize("which", range(5))
+@pytest.mark.parametrize("poison", [np.nan, np.inf])
+def test_one_bad_number_is_refused_and_leaves_no_trace(name: Backend, which: int, poison: float) -> None:
+    random, backend = np.random.default_rng(4), solver(name)
+    good = problem(random)
+    before = backend.solve(*good).x
+    bad = [array.copy() for array in good]
+    bad[which].flat[0] = poison if which != 4 else np.nan
+    if which == 3:
+        bad[3].flat[0] = np.nan if np.isnan(poison) else np.inf
+    assert not backend.solve(*bad).solved
+    after = backend.solve(*good)
+    assert after.solved and after.x == pytest.approx(before, abs=0.02)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_crossed_bounds_are_refused_not_ignored(name: Backend) -> None:
+    """OSQP prints and keeps the old bounds."""
+    random, backend = np.random.default_rng(5), solver(name)
+    p, q, a, lower, upper = problem(random)
+    backend.solve(p, q, a, lower, upper)
+    lower[2], upper[2] = 0.5, 0.4
+    assert not backend.solve(p, q, a, lower, upper).solved
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_a_strided_q_is_read_rightly(name: Backend) -> None:
+    """OSQP would read the memory between the elements."""
+    random, backend = np.random.default_rng(6), solver(name)
+    p, q, a, lower, upper = problem(random)
+    table = np.full((N, 3), 77.0)
+    table[:, 1] = q
+    assert backend.solve(p, table[:, 1], a, lower, upper).x == pytest.approx(backend.solve(p, q, a, lower, upper).x, abs=0.01)
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_arguments_are_left_alone(name: Backend) -> None:
+    """OSQP's `update(Px=)` writes into the array it is given."""
+    random, backend = np.random.default_rng(7), solver(name)
+    for _ in range(3):
+        arguments = problem(random)
+        copies = [array.copy() for array in arguments]
+        backend.solve(*arguments)
+        assert all(np.array_equal(now, then) for now, then in zip(arguments, copies, strict=True))
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_answers_are_the_callers_to_keep(name: Backend) -> None:
+    random, backend = np.random.default_rng(8), solver(name)
+    first = backend.solve(*problem(random)).x
+    kept = first.copy()
+    backend.solve(*problem(random))
+    assert np.array_equal(first, kept)
+
+
+def test_osqp_solves_the_same_sequence_bit_for_bit() -> None:
+    """Lockstep: nothing in the solver may depend on time."""
+    runs = []
+    for _ in range(2):
+        random, backend = np.random.default_rng(9), solver("osqp")
+        runs.append([backend.solve(*problem(random)) for _ in range(40)])
+    for a, b in zip(*runs, strict=True):
+        assert np.array_equal(a.x, b.x) and a.iterations == b.iterations
+
+
+def test_masked_entries_follow_the_data() -> None:
+    """Structure frozen with zeros inside the masks: values that come up later must arrive at their places."""
+    mask = np.zeros((4, 4), bool)
+    mask[:2, :2] = mask[2:, 2:] = True
+    rows = np.array([[1, 1, 0, 0], [0, 0, 1, 1]], bool)
+    backend = OsqpSolver(mask, rows, np.ones(4), np.ones(2))
+    random = np.random.default_rng(10)
+    for _ in range(10):
+        p = np.zeros((4, 4))
+        for half in (slice(0, 2), slice(2, 4)):
+            root = random.normal(size=(2, 2))
+            p[half, half] = root @ root.T + 0.2 * np.eye(2)
+        a = np.where(rows, random.normal(size=(2, 4)), 0.0)
+        q = random.normal(size=4)
+        lower, upper = np.full(2, -0.3), np.full(2, 0.3)
+        exactly = DaqpSolver(mask, rows, np.ones(4), np.ones(2)).solve(p, q, a, lower, upper).x
+        assert backend.solve(p, q, a, lower, upper).x == pytest.approx(exactly, abs=0.01)
+
+
+def test_a_robot_without_daqp_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is not part of the base install."""
+    monkeypatch.setitem(sys.modules, "daqp", None)
+    with pytest.raises(ConfigError, match="not installed"):
+        solver("daqp")
+    assert solver("osqp").solve(*problem(np.random.default_rng(0))).solved
+
+
+def test_the_osqp_that_is_pinned_has_the_solver_object_that_is_used() -> None:
+    """Its public wrapper takes another 50 us a step; what lies below it may change with any version."""
+    wanted = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())["project"]["dependencies"]
+    pins = [Requirement(line) for line in wanted if line.startswith("osqp")]
+    assert [str(pin.specifier) for pin in pins] == [f"=={metadata.version('osqp')}"]
+    ext = osqp.OSQP(algebra="builtin").ext
+    needed = {"update_data_vec", "update_data_mat", "solve", "warm_start", "solution", "info"}
+    assert needed <= set(dir(ext.OSQPSolver)) and {"OSQPSettings", "CSC", "osqp_set_default_settings"} <= set(dir(ext))

@@ -1,0 +1,212 @@
+"""The rule by itself: point masses that do exactly what it says, in random geometries."""
+
+import functools
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_agent.guidance.formation import Formation, Neighbour
+from robot_agent.guidance.reference import Path
+from robot_agent.guidance.velocity_obstacles import NOBODY, ROOM_M, SURE_S, Passing, Traffic, robots
+from wire.config.experiment import load_experiment
+from wire.messages.messages import Plan
+
+EXPERIMENT = load_experiment("pool")
+VEHICLE = EXPERIMENT.vehicle
+PERIOD_S, KEEP_M = 0.1, 0.6 + ROOM_M
+TIMES_S = np.concatenate([[0.0], 0.05 + PERIOD_S * np.arange(26)])
+
+
+def one(place: complex, velocity: complex, keep_m: float, sided: bool) -> Traffic:
+    return Traffic(np.array([place]), np.array([velocity]), np.array([keep_m]), np.array([sided]))
+
+
+class Point:
+    """A robot without inertia on a straight line at constant speed, that stops at its end."""
+
+    def __init__(self, start: complex, end: complex, speed_mps: float, room_m: tuple[float, float] | None = None) -> None:
+        self.place, self.start, self.end, self.speed_mps = start, start, end, speed_mps
+        self.passing = Passing(VEHICLE, TIMES_S, PERIOD_S, room_m)
+        self.told = NOBODY
+        self.velocity = 0j
+
+    def path(self, time_s: float) -> Path:
+        along, length = (self.end - self.start) / abs(self.end - self.start), abs(self.end - self.start)
+        way = self.speed_mps * (time_s + TIMES_S)
+        place = self.start + along * np.minimum(way, length)
+        velocity = self.speed_mps * along * (way < length)
+        zero = np.zeros_like(way)
+        eta = np.stack([place.real, place.imag, zero, zero + math.atan2(along.imag, along.real)], axis=1)
+        return Path(eta, np.stack([velocity.real, velocity.imag, zero, zero], axis=1), np.zeros_like(eta))
+
+    def step(self, time_s: float, traffic: Traffic) -> bool:
+        """One period. Returns whether it leaves its path."""
+        path = self.path(time_s)
+        led = self.passing.lead(path, self.place, traffic)
+        self.velocity = complex(led.velocity[1, 0], led.velocity[1, 1]) + 0.5 * (
+            complex(led.eta[1, 0], led.eta[1, 1]) - self.place
+        )
+        second = led.eta[10, :2] - led.eta[0, :2]
+        self.told = one(self.place, complex(*second) / float(TIMES_S[10]), KEEP_M, True)
+        return led is not path
+
+    def move(self) -> None:
+        self.place += self.velocity * PERIOD_S
+
+
+def fly(points: list[Point], seconds: float) -> tuple[float, np.ndarray]:
+    """Everyone hears of everyone a step late. Returns how near any two came, and all places (steps, points)."""
+    nearest, track = math.inf, []
+    for k in range(round(seconds / PERIOD_S)):
+        told = [point.told for point in points]
+        for i, point in enumerate(points):
+            point.step(k * PERIOD_S, functools.reduce(Traffic.joined, told[:i] + told[i + 1 :]))
+        for point in points:
+            point.move()
+        places = np.array([point.place for point in points])
+        nearest = min(nearest, float((np.abs(places[:, None] - places) + 1e9 * np.eye(len(places))).min()))
+        track.append(places)
+    return nearest, np.array(track)
+
+
+@pytest.mark.parametrize("seconds", [0.1, 0.5, 2.5])
+def test_whoever_is_in_the_way_is_seen_whatever_the_horizon(seconds: float) -> None:
+    times_s = TIMES_S[: np.searchsorted(TIMES_S, seconds)]
+    for ahead_m, leaves in ((1.0, True), (-1.0, False)):
+        point = Point(0j, 5.0 + 0j, 0.1)
+        point.passing = Passing(VEHICLE, times_s, PERIOD_S)
+        left = []
+        for k in range(6):
+            whole = point.path(k * PERIOD_S)
+            path = Path(whole.eta[: len(times_s)], whole.velocity[: len(times_s)], whole.acceleration[: len(times_s)])
+            left.append(point.passing.lead(path, 0j, one(ahead_m + 0j, -0.1 + 0j, KEEP_M, True)) is not path)
+        assert left == [leaves and k >= round(SURE_S / PERIOD_S) - 1 for k in range(6)]
+
+
+def arrived(points: list[Point]) -> bool:
+    return all(abs(point.place - point.end) < 0.02 for point in points)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_two_that_meet_pass_and_arrive_wherever_they_come_from(seed: int) -> None:
+    """Courses cross at any angle, at about the same time."""
+    random = np.random.default_rng(seed)
+    angle, speed = random.uniform(math.pi / 3.0, 5.0 * math.pi / 3.0), random.uniform(0.07, 0.14)
+    turned, off = complex(math.cos(angle), math.sin(angle)), complex(*random.uniform(-0.3, 0.3, 2))
+    points = [Point(-1.8, 1.8, 0.1), Point(-1.8 * turned + off, 1.8 * turned + off, speed)]
+    nearest, _ = fly(points, 120.0)
+    assert nearest > KEEP_M - 0.06
+    assert arrived(points)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_head_on_both_leave_one_another_to_port(seed: int) -> None:
+    mine, theirs, early = np.random.default_rng(seed).uniform([-0.15, -0.15, 0.0], [0.15, 0.15, 1.5]).tolist()
+    points = [Point(-1.8 + 1j * mine, 1.8 + 1j * mine, 0.1), Point(1.8 + early + 1j * theirs, -1.8 + 1j * theirs, 0.1)]
+    _, track = fly(points, 30.0)
+    beside = int(np.argmin(np.abs(track[:, 0].real - track[:, 1].real)))
+    assert track[beside, 0].imag > track[beside, 1].imag + 0.6  # y grows to starboard of who goes along x
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_four_through_one_point_go_round_one_another(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    off = random.uniform(-0.1, 0.1, 4) + 1j * random.uniform(-0.1, 0.1, 4)
+    points = [Point(1.5 * 1j**k + off[k], -1.5 * 1j**k, 0.1) for k in range(4)]
+    nearest, _ = fly(points, 65.0)
+    assert nearest > 0.65 and arrived(points)
+
+
+def test_who_is_overtaken_goes_on_and_the_other_goes_round() -> None:
+    points = [Point(-1.9 + 0.02j, 1.9 + 0.02j, 0.1), Point(-1.0, 0.6, 0.04)]
+    nearest, track = fly(points, 60.0)
+    assert nearest > KEEP_M - 0.06 and arrived(points)
+    assert np.abs(track[:, 1].imag).max() < 0.05 and np.abs(track[:, 0].imag).max() > 0.6
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.0, 6.28), st.floats(0.61, 3.0), st.floats(-0.009, 0.009), st.floats(0.0, 0.3))
+def test_robots_in_formation_are_given_back_their_own_path(angle: float, apart: float, drift: float, speed: float) -> None:
+    """Side by side at the same velocity, or nearly so, as near as the planner allows."""
+    me = Point(0j, 100 + 0j, max(speed, 1e-3))
+    where = apart * complex(math.cos(angle), math.sin(angle))
+    mate = one(where, complex(speed, 0.0) - drift * where / apart, KEEP_M, True)
+    assert not any(me.step(k * PERIOD_S, mate) for k in range(20))
+
+
+def test_it_comes_back_without_overshoot() -> None:
+    points = [Point(-1.8, 2.5, 0.1), Point(1.8, -1.8, 0.1)]
+    _, track = fly(points, 60.0)
+    aside = track[:, 0].imag
+    assert aside.max() > 0.2 and aside.min() > -0.01
+    gone = int(np.argmax(aside))
+    assert np.all(np.diff(aside[gone:]) < 1e-3)
+
+
+def test_it_is_not_driven_into_a_wall() -> None:
+    """The wall is 0.5 m to starboard: the other one has to do it all."""
+    room = (10.0, 1.0)
+    points = [Point(-1.8 + 0.3j, 1.8 + 0.3j, 0.1, room), Point(1.8 + 0.3j, -1.8 + 0.3j, 0.1, room)]
+    nearest, track = fly(points, 60.0)
+    assert np.abs(track.imag).max() < 0.5 - VEHICLE.radius_m
+    assert nearest > 0.0
+
+
+@pytest.mark.parametrize("way", [0.2j, -0.2j])
+def test_round_an_obstacle_the_shorter_way_counts(way: complex) -> None:
+    point = Point(-1.8, 1.8, 0.1)
+    ball = one(way, 0j, 0.4, False)
+    side = [point.place.imag]
+    for k in range(500):
+        point.step(k * PERIOD_S, ball)
+        point.move()
+        side.append(point.place.imag)
+        assert abs(point.place - way) > 0.36
+    assert abs(point.place - point.end) < 0.02
+    assert max(side, key=abs) * way.imag < 0.0
+
+
+def plan(urgent: bool = False, depth_m: float = 0.3) -> Plan:
+    eta = np.zeros((51, 4))
+    eta[:, 0], eta[:, 2] = 1.0 - 0.1 * 0.05 * np.arange(51), depth_m
+    return Plan(0.05, eta, eta + np.array([0.0, 0.2, 0.0, 0.0]), urgent=urgent)
+
+
+def met(neighbour: Neighbour, now_ns: int = 0, urgent: bool = False) -> Traffic:
+    """Seen by a robot at 0.3 m."""
+    formation = Formation(EXPERIMENT.controller.mpc, EXPERIMENT.safety, 0.05, 0.05)
+    company = formation.company([neighbour], now_ns)
+    return robots(company, formation.keeps_m(company, now_ns), 0.3, urgent)
+
+
+def test_a_robot_is_where_its_plan_says_it_is_now_and_goes_where_it_means_to() -> None:
+    found = met(Neighbour(2, 0, plan(), True), 1_000_000_000)
+    assert found.place == pytest.approx([0.9]) and found.velocity == pytest.approx([-0.1])
+    assert found.keep_m == pytest.approx([2.0 * EXPERIMENT.safety.radius_m + ROOM_M])
+
+
+def test_a_plan_that_is_used_up_means_standing() -> None:
+    found = met(Neighbour(2, 0, plan(), False), 60_000_000_000)
+    assert found.place == pytest.approx([0.75]) and found.velocity == pytest.approx([0.0])
+    assert found.keep_m[0] > 2.0 * EXPERIMENT.safety.radius_m + ROOM_M + 0.01  # nobody knows where it may be
+
+
+def test_only_who_is_deep_below_is_out_of_the_way() -> None:
+    keep_m = 2.0 * EXPERIMENT.safety.radius_m
+    assert len(met(Neighbour(2, 0, plan(depth_m=0.35 + keep_m), True)).place) == 0
+    assert len(met(Neighbour(2, 0, plan(depth_m=0.25 + keep_m), True)).place) == 1
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "hears_us", "fresh", "yields"),
+    [(True, False, True, True, True), (True, True, True, True, False), (True, False, False, True, False),
+     (True, False, True, False, False), (False, False, True, True, False)],
+)  # fmt: skip
+def test_only_a_robot_that_hears_us_and_is_heard_yields_to_the_urgent(
+    mine: bool, theirs: bool, hears_us: bool, fresh: bool, yields: bool
+) -> None:
+    found = met(Neighbour(2, 0, plan(theirs), fresh, hears_us=hears_us), urgent=mine)
+    assert len(found.place) == (0 if yields else 1)

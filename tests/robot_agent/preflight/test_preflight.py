@@ -1,0 +1,303 @@
+"""The board's configuration, and the look at the board before the water: against a real station and a real simulated board."""
+
+import itertools
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner, Result
+
+from groundstation.deploy import key_ring
+from robot_agent.__main__ import cli
+from robot_agent.host.config import Board, Realtime, choose, load_board
+from robot_agent.preflight import findings
+from robot_agent.preflight.findings import Finding, Verdict
+from robot_agent.preflight.rehearsal import rehearse
+from robot_agent.preflight.thruster_selftest import judge
+from sim_bridge.sil.ports import free_base_port, free_port
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.messages import Mode, Solve, StationHeartbeat
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus
+from wire.transport.network import endpoint
+from wire.transport.transport import Endpoint, ZenohTransport
+
+NOW = datetime(2030, 5, 1, tzinfo=UTC)
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(cli, list(arguments))
+
+
+# --- configuration
+
+
+def test_init_writes_what_run_reads(tmp_path: Path) -> None:
+    file = tmp_path / "agent.toml"
+    wanted = ["--robot", "2", "--station", "tls/192.168.1.10:7447", "--keys", "keys", "--out", str(file)]
+    assert invoke("init", *wanted).exit_code == 0
+    board = load_board(file)
+    assert (board.robot, board.experiment, board.station) == (2, "pool", "tls/192.168.1.10:7447")
+    assert board.keys == str(tmp_path / "keys")
+    assert board.realtime == Realtime(priority=20, cores=(), lock_memory=True)
+    assert sum(line.lstrip().startswith("#") or "#" in line for line in file.read_text().splitlines()) > 8
+    again = invoke("init", *wanted)
+    assert isinstance(again.exception, ConfigError)
+    assert "is there already" in str(again.exception)
+
+
+def test_init_writes_any_path_so_that_toml_reads_it(tmp_path: Path) -> None:
+    file, odd = tmp_path / "agent.toml", 'a "b" \\c.key'
+    options = ["--robot", "1", "--station", "tcp/127.0.0.1:7447", "--link-key", odd, "--experiment", "later.toml"]
+    assert invoke("init", *options, "--out", str(file)).exit_code == 0
+    board = load_board(file)
+    assert (board.link_key, board.experiment) == (str(tmp_path / odd), str(tmp_path / "later.toml"))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--station", "tcp/192.168.1.10:7447"], "other machines could command the robots"),
+        (["--station", "tls/192.168.1.10:7447"], "TLS needs --keys FOLDER"),
+        (["--station", "192.168.1.10"], "not a place where a station can be (allowed: tcp/HOST:PORT"),
+        (["--experiment", "puddle"], "'puddle': no such experiment (allowed: blocked-path"),
+        (["--robot", "3"], "robot 3: not in experiment 'pool' (allowed: 1, 2)"),
+        (["--link", "usb:1"], "--link 'usb:1': not an address of a thruster board (allowed: udp:HOST:PORT"),
+        (["--link", "serial:/dev/ttyACM0:1"], "no baud rate (allowed: 300 to 12000000)"),
+        (["--out", "nowhere/agent.toml"], "nowhere/agent.toml: No such file or directory"),
+        (["--out", ".", "--force"], ".: Is a directory"),
+    ],
+)
+def test_init_refuses_what_run_would(options: list[str], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused = invoke("init", "--robot", "1", "--station", "tcp/127.0.0.1:7447", *options).exception
+    assert isinstance(refused, ConfigError) and says in str(refused)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("robot = 0", "robot = 0: "),
+        ('robot = 1\nspeed = "high"', "speed: unknown key (allowed here: experiment, fleet"),
+        ("robot = 1\nrealtime.priority = 100", "realtime.priority = 100: "),
+        ('robot = 1\nkeys = "k"\ninsecure = true', "agent.toml: insecure = true beside keys: with keys"),
+        ('robot = 1\nfleet = "lab/*"', "fleet = 'lab/*': 'lab/*' is no fleet's name (allowed: up to 32 letters"),
+        ('robot = 1\nfleet = "replay/lab"', "is a recorded run: nobody can join it"),
+    ],
+)
+def test_a_bad_file_says_which_key(tmp_path: Path, text: str, says: str) -> None:
+    file = tmp_path / "agent.toml"
+    file.write_text(f'experiment = "pool"\nstation = "tcp/127.0.0.1:7447"\n{text}\n')
+    with pytest.raises(ConfigError) as refused:
+        load_board(file)
+    assert says in str(refused.value)
+    assert str(file) in str(refused.value)
+
+
+def test_options_go_before_the_file_and_the_file_before_defaults(tmp_path: Path) -> None:
+    file = tmp_path / "agent.toml"
+    file.write_text('experiment = "pool"\nstation = "tcp/127.0.0.1:1"\nrobot = 2\nlink = "udp:10.0.0.2:5"\n')
+    board = choose({"station": "tcp/127.0.0.1:2", "robot": None}, file)
+    assert (board.robot, board.station, board.link) == (2, "tcp/127.0.0.1:2", "udp:10.0.0.2:5")
+    assert choose({"experiment": "pool", "robot": 1}, None) == Board(experiment="pool", robot=1, station="tcp/127.0.0.1:7447")
+    with pytest.raises(ConfigError, match="which robot"):
+        choose({"experiment": "pool"}, None)
+
+
+# --- judgement
+
+
+@pytest.mark.parametrize(
+    ("starts", "expires", "verdict"),
+    [(-1, 397, Verdict.OK), (-1, 10, Verdict.WARN), (-9, -1, Verdict.FAIL), (1, 397, Verdict.FAIL)],
+)
+def test_a_certificate_must_be_valid(starts: int, expires: int, verdict: Verdict) -> None:
+    days = timedelta(days=1)
+    assert findings.certificate("agent-1.0a", NOW + starts * days, NOW + expires * days, NOW).verdict is verdict
+
+
+def test_clocks_and_times_are_judged_by_their_limits() -> None:
+    assert [findings.clock(s).verdict for s in (0.9, -0.9, 1.1, -3600)] == [Verdict.OK] * 2 + [Verdict.WARN] * 2
+    verdicts = [findings.timing(p50, p99, 0.05, 1).verdict for p50, p99 in ((1, 24), (1, 26), (26, 30))]
+    assert verdicts == [Verdict.OK, Verdict.WARN, Verdict.FAIL]
+    assert findings.exit_code([Finding("a", Verdict.WARN, ""), Finding("b", Verdict.SKIPPED, "")]) == 0
+    assert findings.exit_code([Finding("a", Verdict.OK, ""), Finding("b", Verdict.FAIL, "")]) == 1
+
+
+def test_an_echo_tells_which_thruster_turned() -> None:
+    rest, wanted = (1500, 1500, 1500, 1500), (1500, 1540, 1500, 1500)
+    assert judge(1, wanted, [rest, (1500, 1520, 1500, 1500), (1500, 1540, 1500, 1500)]).verdict is Verdict.OK
+    assert judge(1, wanted, [rest]).verdict is Verdict.FAIL
+    assert judge(1, wanted, [()]).verdict is Verdict.FAIL
+    assert "thruster 3 turned as well" in judge(1, wanted, [(1500, 1540, 1540, 1500)]).detail
+
+
+def test_the_rehearsal_flies_with_every_neighbour() -> None:
+    experiment = load_experiment("fleet-20")
+    for agent, inputs, now_ns in itertools.islice(rehearse(experiment, 7), 40):
+        outputs = agent.step(inputs, now_ns)
+    assert (outputs.state.mode, outputs.state.solve, len(outputs.state.heard)) == (Mode.TRACKING, Solve.SOLVED, 19)
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "vehicle.battery={cells=6, full_v=25.2, warn_v=21.6, no_arm_v=21.0, neutral_v=19.8, hysteresis_v=0.3}",
+        "controller.period_s=0.1",
+    ],
+)
+def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> None:
+    """The time of a step of a robot that lies disarmed says nothing."""
+    for agent, inputs, now_ns in itertools.islice(rehearse(load_experiment("pool", [setting]), 1), 40):
+        outputs = agent.step(inputs, now_ns)
+    assert outputs.state.mode is Mode.TRACKING
+
+
+# --- the whole, on a board that is there
+
+
+@pytest.fixture
+def site(tmp_path: Path) -> Iterator[Path]:
+    """A station with keys that beats, and the simulator's thruster boards. Gives the folder with agent.toml."""
+    ring, address = tmp_path / "keys", f"tls/127.0.0.1:{free_port()}"
+    key_ring.init(ring, [], "shoal", datetime.now(UTC))
+    key_ring.add(ring, "robot", 1, datetime.now(UTC))
+    ports = free_base_port((1, 2))
+    stop = threading.Event()
+    station = Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True)))
+
+    def beat() -> None:
+        while not stop.wait(0.05):
+            station.publish(topics.HEARTBEAT, StationHeartbeat(mission="WAITING"), time.time_ns())
+
+    beating = threading.Thread(target=beat)
+    beating.start()
+    pool = ["pool", "pool", "--poses", "--station", address, "--ports", str(ports), "--keys", str(ring)]
+    pool += ["--set", "robots.0.start=[-0.6, 0.0, 0.3, 0.0]", "--set", "robots.1.start=[0.6, 0.0, 0.3, 0.0]"]
+    with subprocess.Popen([sys.executable, "-m", "sim_bridge", *pool], stderr=subprocess.DEVNULL) as simulator:
+        try:
+            wanted = ["--robot", "1", "--station", address, "--keys", "keys", "--link", f"udp:127.0.0.1:{ports + 1}"]
+            assert invoke("init", *wanted, "--out", str(tmp_path / "agent.toml")).exit_code == 0
+            station.watch_presence()
+            assert station.wait(lambda: "sim-bridge" in station.present, 30.0)
+            yield tmp_path
+        finally:
+            simulator.terminate()
+            stop.set()
+            beating.join()
+            station.close()
+
+
+def checked(folder: Path, *more: str) -> tuple[int, dict[str, tuple[str, str]]]:
+    done = invoke("check", "--config", str(folder / "agent.toml"), "--json", *more)
+    rows = json.loads(done.stdout[done.stdout.index("[\n") :])
+    return done.exit_code, {row["what"]: (row["verdict"], row["detail"]) for row in rows}
+
+
+def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> None:
+    code, found = checked(site, "--thrusters", "--yes")
+    bad = {what: row for what, row in found.items() if row[0] == "fail" and what != "control step"}  # that is this machine's
+    assert bad == {}
+    assert code in (0, int(found["control step"][0] == "fail"))
+    assert "robot 1 of 2" in found["experiment"][1]
+    assert "disarmed" in found["thruster board"][1]
+    assert "its mission is WAITING" in found["station"][1]
+    assert found["clock"][0] == "ok"
+    assert [found[f"thruster {i}"][0] for i in (1, 2, 3, 4)] == ["ok"] * 4
+    assert checked(site)[1]["thrusters"][0] == "skipped"
+    assert "disarmed" in checked(site)[1]["thruster board"][1]  # as it was left
+    board = load_board(site / "agent.toml")
+    agent = Bus(ZenohTransport(endpoint(board.station, "agent-1", site / "keys"), patience_s=5.0))
+    try:
+        agent.announce("agent-1")  # it flies: hands off its thrusters
+        found = checked(site, "--thrusters", "--yes")[1]
+        assert [found[what][0] for what in ("thruster board", "thrusters")] == ["skipped", "skipped"]
+    finally:
+        agent.close()
+
+
+def test_what_is_wrong_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "agent.toml"
+    text = 'experiment = "pool"\nrobot = 9\nstation = "{}"\nlink = "serial:/dev/nothing-here"\nkeys = "keys"\n'
+    file.write_text(text.format(f"tls/127.0.0.1:{free_port()}"))
+    code, found = checked(tmp_path, "--thrusters", "--yes")
+    assert code == 1
+    assert found["thrusters"][0] == "skipped"  # nobody turns what is not heard
+    for what, says in (
+        ("experiment", "robot"),
+        ("device", "/dev/nothing-here: not there"),
+        ("thruster board", "silent"),
+        ("certificate", "is missing"),
+    ):
+        assert found[what][0] == "fail"
+        assert says in found[what][1]
+    ring = tmp_path / "keys"
+    key_ring.init(ring, [], "shoal", datetime.now(UTC))
+    key_ring.add(ring, "robot", 9, datetime.now(UTC))
+    shutil.copytree(ring / "viewer", ring / "agent-9", dirs_exist_ok=True)
+    assert "'s, this is agent-9" in checked(tmp_path)[1]["certificate"][1]
+    key_ring.add(ring, "robot", 9, datetime.now(UTC))
+    assert "no station listens" in checked(tmp_path)[1]["station"][1]
+
+
+def test_a_router_without_a_station_is_told_from_a_station(tmp_path: Path) -> None:
+    address = f"tcp/127.0.0.1:{free_port()}"
+    router = ZenohTransport(Endpoint(address, router=True))
+    try:
+        (tmp_path / "agent.toml").write_text(
+            f'experiment = "pool"\nrobot = 1\nstation = "{address}"\nlink = "udp:127.0.0.1:9"\n'
+        )
+        assert "no station is heard" in checked(tmp_path)[1]["station"][1]
+    finally:
+        router.close()
+
+
+def test_a_person_is_asked_before_anything_turns(tmp_path: Path) -> None:
+    (tmp_path / "agent.toml").write_text(
+        f'experiment = "pool"\nrobot = 1\nstation = "tcp/127.0.0.1:{free_port()}"\nlink = "udp:127.0.0.1:9"\n'
+    )
+    done = CliRunner().invoke(cli, ["check", "--config", str(tmp_path / "agent.toml"), "--thrusters"], input="n\n")
+    assert "Each thruster will turn" in done.output
+    assert "not turned" in done.output
+
+
+def test_the_base_install_is_enough(tmp_path: Path) -> None:
+    """Every command of the board, with what only the other roles install made impossible to import."""
+    blocked = (
+        "cv2",
+        "mcap",
+        "mcap_protobuf",
+        "starlette",
+        "uvicorn",
+        "websockets",
+        "matplotlib",
+        "msgspec",
+        "pyarrow",
+    )
+    block = f"import sys; sys.modules.update(dict.fromkeys({blocked})); from robot_agent.__main__ import app; app()"
+    file = str(tmp_path / "agent.toml")
+    for arguments in (
+        ["init", "--robot", "1", "--station", f"tcp/127.0.0.1:{free_port()}", "--link", "udp:127.0.0.1:9", "--out", file],
+        ["check", "--config", file],
+        ["modes"],
+        ["run", "--help"],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", block, *arguments],
+            capture_output=True,
+            text=True,
+            check=False,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        assert "Traceback" not in done.stderr, done.stderr
+        assert done.returncode == (1 if arguments[0] == "check" else 0), done.stderr

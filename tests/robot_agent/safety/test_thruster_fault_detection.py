@@ -1,0 +1,213 @@
+"""What the watch finds in flights of the plant, which knows nothing of it: what is broken, and nothing where nothing is."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from benchmarks.flights import flew, rough_water
+from robot_agent.safety.thruster_fault_detection import ThrusterWatch
+from wire.config.experiment import load_experiment
+from wire.frames import Array
+from wire.messages.messages import Mode
+
+ROUGH = ("sim.plant.gust_mps=0.03", "sim.plant.waves.height_m=0.05")
+WITHIN_S = 2.0
+STEP_NS = 50_000_000
+GYRO_RADPS = 0.003
+
+
+def flagged(settings: Sequence[str], duration_s: float, faults: Sequence[str] = (), name: str = "pool") -> dict[int, float]:
+    """Which robots stopped because of their thrusters, and when."""
+    fleet = flew(load_experiment(name, [*settings, f"duration_s={duration_s}"], faults))
+    found: dict[int, float] = {}
+    for number, robot in zip(fleet.experiment.robot_ids, fleet.robots, strict=True):
+        begin = next(k for k, state in enumerate(robot.states) if state.trajectory_s > 0.0)
+        times = [(k - begin) * 0.05 for k, s in enumerate(robot.states) if s.fault == "thrusters do not do as told"]
+        found |= {number: times[0]} if times else {}
+        assert all(s.mode is Mode.FAULT and s.pulse_us[:4] == (1500,) * 4 for s in robot.states[-1:] if times)
+    return found
+
+
+@pytest.mark.parametrize(
+    ("at_s", "what"),
+    [
+        (12.0, "2/1 dead"),
+        (11.0, "1/2 dead"),
+        (14.0, "2/3 dead"),
+        (17.0, "1/4 dead"),
+        (8.0, "2/1 reversed"),
+        (11.0, "1/4 reversed"),
+    ],
+)  # while each of them pushes
+def test_a_broken_thruster_is_found_within_two_seconds(at_s: float, what: str) -> None:
+    found = flagged((), at_s + WITHIN_S, [f"t={at_s} thruster {what}"])
+    assert list(found) == [int(what[0])]
+    assert at_s < found[int(what[0])] <= at_s + WITHIN_S
+
+
+@pytest.mark.parametrize(
+    ("seed", "at_s", "what"),
+    [(3, 10.0, "2/3 dead"), (12, 11.45, "1/4 dead"), (18, 9.59, "2/2 dead"), (52, 13.07, "2/4 dead"), (59, 10.81, "1/3 dead")],
+)
+def test_a_leg_missing_from_a_turn_is_found_within_two_seconds(seed: int, at_s: float, what: str) -> None:
+    """The others make up for it: of what turns the robot a quarter is missing, no more than a wrong inertia may explain."""
+    assert list(flagged((f"seed={seed}",), at_s + WITHIN_S, [f"t={at_s} thruster {what}"])) == [int(what[0])]
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ("sim.plant.mass_error=-0.3", "sim.plant.thruster_spread=0.3"),
+        ("sim.plant.mass_error=-0.3", "sim.plant.drag_error=0.3", "seed=23"),
+        (*ROUGH, "seed=3", "sim.plant.mass_error=0.3", "sim.plant.current_mps=[0.014,0,0]"),
+    ],
+    ids=str,
+)
+def test_a_wrong_model_and_rough_water_are_no_broken_thrusters(settings: Sequence[str]) -> None:
+    assert flagged(settings, 20.0) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("name", ["pool", "figure-eight"])
+def test_no_false_alarm_in_long_flights(name: str, seed: int) -> None:
+    settings = rough_water(np.random.default_rng(seed))
+    assert flagged((*settings, f"seed={seed}"), 120.0, name=name) == {}
+
+
+def legs(seconds: float, swing: float = 0.06, largest_nm: float = 0.05) -> Array:
+    """What each leg is told (n, 4), N m: to and fro together, and a little against its neighbour of the same side."""
+    k = np.arange(round(seconds / 0.05))
+    bias_nm = 0.01 + 0.004 * np.sin(0.021 * k)
+    together = 0.25 * largest_nm * np.sin(swing * k)
+    return np.column_stack([together + bias_nm, together - bias_nm, together - bias_nm, together + bias_nm])
+
+
+def watched(
+    torque_nm: Array,
+    told_nm: Array,
+    gyro_error: float = 0.0,
+    deaf: range = range(0),
+    late: range = range(0),
+    watch_late_ns: int = 0,
+) -> ThrusterWatch:
+    """A watch on a body that these moments (n,) turn, by an integration of its own in steps of 1 ms; it is told of the legs'
+    (n, 4). In some steps it hears nothing of the gyroscope, in some it hears 0.1 s late, and what was 0.1 s ago; in all of
+    them what it hears may be older than it thinks."""
+    vehicle = load_experiment("pool").vehicle
+    watch, rate, acting = ThrusterWatch(vehicle), 0.0, 0.0
+    drag, mass, thruster = vehicle.drag, vehicle.mass.yaw_kg_m2, vehicle.thruster
+    noise = np.random.default_rng(1).normal(0.0, GYRO_RADPS, len(told_nm))
+    line, rates = [0.0] * round(thruster.dead_time_s / 0.001), [0.0, 0.0]
+    for k, (torque, told) in enumerate(zip(torque_nm, told_nm, strict=True)):
+        watch.told(told, k * STEP_NS)
+        for _ in range(50):
+            line.append(torque)
+            acting += 0.001 / thruster.lag_s * (line.pop(0) - acting)
+            rate += 0.001 / mass * (acting - drag.linear[3] * rate - drag.quadratic[3] * abs(rate) * rate)
+        rates.append(rate + gyro_error + noise[k])
+        at_ns = (k + 1) * STEP_NS + watch_late_ns
+        if k in late and k % 4 < 2:
+            watch.step(rates[-3], at_ns, at_ns - 2 * STEP_NS)
+        elif k not in deaf:
+            watch.step(rates[-1], at_ns, at_ns)
+    return watch
+
+
+def test_an_obeyed_moment_is_no_alarm_and_its_opposite_is() -> None:
+    told = legs(20.0, swing=0.1, largest_nm=0.08)
+    moment = told.sum(axis=1)
+    assert not watched(moment, told).broken
+    assert not watched(1.25 * moment, told).broken
+    assert not watched(0.75 * moment, told).broken
+    assert watched(np.where(np.arange(400) < 300, moment, -moment), told).broken
+
+
+@pytest.mark.parametrize("leg", range(4))
+@pytest.mark.parametrize("gives", [0.7, 0.3, 0.0, -1.0])
+def test_each_leg_that_gives_little_is_found_and_one_that_gives_most_is_not(leg: int, gives: float) -> None:
+    told = legs(34.0)
+    given = told.copy()
+    given[600:, leg] *= gives
+    assert watched(given.sum(axis=1), told).broken is (gives < 0.5)
+
+
+def test_how_a_robot_turns_is_learned() -> None:
+    """Seven tenths of the moment all the time are a heavy robot, and one leg that is weaker than others was built so."""
+    told = legs(35.0)
+    obeyed = 0.7 * told
+    obeyed[:, 1] *= 0.8
+    assert not watched(obeyed.sum(axis=1), told).broken
+    broken = obeyed.copy()
+    broken[600:, 2] = 0.0
+    assert watched(broken.sum(axis=1), told).broken
+
+
+def test_what_was_learned_outlasts_a_gap() -> None:
+    """The gap itself is no alarm either, though the robot turned meanwhile."""
+    told = legs(35.0)
+    obeyed = 0.75 * told
+    gap = range(560, 580)
+    assert not watched(obeyed.sum(axis=1), told, deaf=gap).broken
+    broken = obeyed.copy()
+    broken[620:, 0] = 0.0
+    assert watched(broken.sum(axis=1)[:660], told[:660], deaf=gap).broken
+
+
+def test_a_leg_that_stuck_is_found_when_it_should_do_otherwise() -> None:
+    told = legs(35.0)
+    given = told.copy()
+    given[600:, 3] = given[600, 3]
+    assert watched(given.sum(axis=1), told).broken
+
+
+def test_what_is_heard_late_is_no_alarm() -> None:
+    """Now and then, or all the time."""
+    told = legs(35.0, swing=0.15, largest_nm=0.25)
+    assert not watched(told.sum(axis=1), told, late=range(500, 600)).broken
+    assert not watched(told.sum(axis=1), told, watch_late_ns=20_000_000).broken
+
+
+def test_a_gyroscope_with_a_bias_is_no_alarm() -> None:
+    told = legs(20.0, swing=0.1, largest_nm=0.01)
+    assert not watched(told.sum(axis=1), told, gyro_error=0.02).broken
+
+
+def test_a_push_that_stays_is_no_alarm_until_it_is_as_strong_as_a_leg() -> None:
+    told = legs(30.0)
+    for push_nm, broken in ((0.003, False), (0.015, True)):  # idle, a leg gives 0.01
+        assert watched(told.sum(axis=1) + np.where(np.arange(len(told)) > 400, push_nm, 0.0), told).broken is broken
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_water_that_turns_the_robot_is_no_alarm(seed: int) -> None:
+    """Gusts of any length, a third of what a leg gives at its least."""
+    told, random = legs(60.0), np.random.default_rng(seed)
+    for seconds in (0.3, 2.0):
+        gusts, kept = np.zeros(len(told)), math.exp(-0.05 / seconds)
+        for k in range(1, len(gusts)):
+            gusts[k] = kept * gusts[k - 1] + 0.003 * math.sqrt(1.0 - kept**2) * random.standard_normal()
+        assert not watched(told.sum(axis=1) + gusts, told).broken
+
+
+def test_a_flight_begins_with_thrusters_at_rest() -> None:
+    """However they pushed when the last one ended."""
+    told = legs(10.0, largest_nm=0.4)
+    watch = watched(told.sum(axis=1), told)
+    watch.reset()
+    begin_ns, still = 1000 * STEP_NS, np.zeros(4)
+    for k in range(40):
+        watch.told(still, begin_ns + k * STEP_NS)
+        watch.step(0.0, begin_ns + k * STEP_NS, begin_ns + k * STEP_NS)
+    assert abs(watch._habit.evidence) < 1e-9
+
+
+def test_numbers_that_cannot_be_and_gaps_begin_anew() -> None:
+    watch = watched(np.zeros(100), np.zeros((100, 4)))
+    for at_ns in (10**12, 10**12, 10**12 - STEP_NS):  # after a gap the rate may be any
+        watch.step(3.0, at_ns, at_ns)
+    assert not watch.broken
+    watch.reset()
+    assert not watch.broken

@@ -1,0 +1,192 @@
+"""A robot's program: when it steps, what it does when something in it is slow or breaks, how it ends."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from socket import SOCK_DGRAM
+from typing import Any
+
+import numpy as np
+import pytest
+
+from robot_agent import process
+from robot_agent.agent import Agent
+from robot_agent.control.controller import Controller
+from robot_agent.host.step_clock import Pace
+from sim_bridge.sil.ports import free_port
+from tests.robot_agent.obedient_board import Board
+from wire.config.experiment import load_experiment
+from wire.mavlink.board_port import open_link
+from wire.messages import topics
+from wire.messages.live_gains import tuning
+from wire.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, StationHeartbeat, Track, Tuning
+from wire.process.runtime import Stop, wait
+from wire.transport.bus import Bus, Inbox
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+PATIENCE_S = 20.0
+POOL = load_experiment("pool", ["safety.watch_thrusters=false"])  # nothing that they do moves this robot
+NEVER_S = 1e3
+
+
+@pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
+def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
+    order: Order, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Pace, "due_s", lambda *_: time.monotonic() + NEVER_S)
+    hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    heard = station.inbox(topics.STATE, RobotState, 1)
+    robot = process.Shell(load_experiment("pool"), 1, bus, link, False, stop)
+    robot.agent.mode = Mode.HOLDING
+    thread = threading.Thread(target=robot.run)
+    thread.start()
+    try:
+        while not station.order(Command(order, robot=1), time.time_ns(), 1.0).accepted:  # until it serves, and hears us
+            station.publish(topics.HEARTBEAT, StationHeartbeat(), time.time_ns())
+        assert wait(station, stop, lambda: heard.newest_header() is not None, PATIENCE_S)
+    finally:
+        stop.request()
+        thread.join()
+        link.close()
+    told = heard.newest()
+    assert told is not None
+    assert told.message.mode is {Order.STOP: Mode.STOPPED, Order.DISARM: Mode.DISARMED}[order]
+    assert set(told.message.pulse_us) == {1500}
+
+
+def test_a_board_that_is_not_there_is_named_and_once_is_enough(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(process, "LINK_HEARTBEAT_S", 0.0)
+    hub, stop, link = MemoryHub(), Stop(install=False), open_link("serial:/dev/none")
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    heard = station.inbox(topics.STATE, RobotState, 1)
+    thread = threading.Thread(target=process.Shell(load_experiment("pool"), 1, bus, link, False, stop).run)
+    thread.start()
+    try:
+        assert wait(station, stop, lambda: (header := heard.newest_header()) is not None and header.sequence > 3, PATIENCE_S)
+    finally:
+        stop.request()
+        thread.join()
+    assert [record.getMessage() for record in caplog.records if record.levelname == "WARNING"] == [
+        "thruster board: /dev/none: not there; is the board plugged in, and powered?",
+        "told to stop; neutral and disarm sent to the thruster board, which has not said within 0.25 s that it is disarmed",
+    ]
+
+
+@dataclass
+class Running:
+    """A robot's program on a thread, with a station that beats, poses, and a board that does as it is told."""
+
+    robot: process.Shell
+    station: Bus
+    states: Inbox[RobotState]
+    ended: list[BaseException | None] = field(default_factory=list)
+
+    def until(self, true: Callable[[], bool]) -> bool:
+        """Let the station beat and the camera see until it is so. False if the patience is over before."""
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            if true():
+                return True
+            pose = Pose(0.0, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
+            self.station.publish(topics.POSE, pose, time.time_ns(), 1)
+            self.station.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash), time.time_ns())
+            time.sleep(0.02)
+        return False
+
+    def order(self, order: Order, tuning: Tuning | None = None) -> Reply:
+        self.station.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash), time.time_ns())
+        return self.station.order(Command(order, 1, experiment_hash=POOL.hash, tuning=tuning), time.time_ns(), 1.0)
+
+    @property
+    def state(self) -> RobotState:
+        found = self.states.newest()
+        return found.message if found is not None else RobotState()
+
+
+@pytest.fixture
+def running() -> Iterator[Running]:
+    hub, stop = MemoryHub(), Stop(install=False)
+    bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    robot = process.Shell(POOL, 1, bus, Board(), False, stop)
+    found = Running(robot, station, station.inbox(topics.STATE, RobotState, 1))
+
+    def run() -> None:
+        try:
+            robot.run()
+            found.ended.append(None)
+        except BaseException as error:
+            found.ended.append(error)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    try:
+        assert found.until(lambda: found.order(Order.ARM).accepted)
+        assert found.order(Order.HOLD).accepted
+        yield found
+    finally:
+        stop.request()
+        thread.join()
+
+
+def test_a_step_that_waits_is_as_late_as_one_that_computes(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    """For a lock, a page of memory, another program: the robot does not fly on with a loop that takes thrice its period."""
+    real = Controller.step
+
+    def waiting(*arguments: Any) -> Any:
+        time.sleep(0.1)
+        return real(*arguments)
+
+    monkeypatch.setattr(Controller, "step", waiting)
+    assert running.until(lambda: running.state.mode is Mode.FAULT)
+    assert running.state.fault == "control too slow"
+    assert running.state.missed_deadlines >= 3
+
+
+def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    real, building, built = Controller.make_ready, threading.Event(), threading.Event()
+
+    def slowly(*arguments: Any) -> Any:
+        building.set()
+        assert built.wait(PATIENCE_S)
+        return real(*arguments)
+
+    monkeypatch.setattr(Controller, "make_ready", slowly)
+    replies: list[Reply] = []
+    asked = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
+    asked.start()
+    assert building.wait(PATIENCE_S)
+    before = running.robot._steps
+    assert running.until(lambda: running.robot._steps > before + 5)
+    built.set()
+    asked.join()
+    assert [reply.accepted for reply in replies] == [True]
+
+
+def test_an_order_that_breaks_the_program_ends_it_and_says_why(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Agent, "_follow", lambda *arguments: 1 / 0)
+    reply = running.order(Order.LOAD)
+    assert (reply.accepted, reply.reason) == (False, "carries no trajectory")
+    reply = running.order(Order.HOLD)
+    assert (reply.accepted, reply.reason) == (False, "HOLD: ZeroDivisionError: division by zero; the robot's program ends")
+    assert running.until(lambda: len(running.ended) > 0)
+    assert isinstance(running.ended[0], ZeroDivisionError)
+
+
+def test_a_program_that_is_ending_takes_no_order_that_gives_power(running: Running) -> None:
+    running.robot._stop.request()
+    assert running.until(lambda: len(running.ended) > 0)
+    reply = running.order(Order.HOLD)
+    assert (reply.accepted, reply.reason) == (False, "HOLD: the robot's program is ending")
+    assert running.order(Order.STOP).accepted
+
+
+def test_a_request_to_stop_wakes_a_loop_that_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    stop, woken = Stop(install=False), threading.Event()
+    stop.on_request(woken.set)
+    assert not woken.is_set()
+    stop.request()
+    assert woken.wait(PATIENCE_S) and stop()

@@ -1,0 +1,409 @@
+"""The observer against the truth it cannot see: convergence, delay, gaps, wrong order, nonsense."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, Measurement, Sighting, gains, gains_with_rate
+from tests.robot_agent.water import integrate
+from wire.config.controller import Estimator as EstimatorConfig
+from wire.config.vehicle import load_vehicle
+from wire.frames import Array, wrap
+
+VEHICLE = load_vehicle("spherical")
+STEP_NS, DEAD_S = 50_000_000, VEHICLE.thruster.dead_time_s
+STEP_S = STEP_NS / 1e9
+Wrench = tuple[float, float, float]
+
+
+def estimator(dead_time_s: float = DEAD_S, **changes: object) -> Estimator:
+    return Estimator(Model(VEHICLE), EstimatorConfig().model_copy(update=changes), dead_time_s)
+
+
+@dataclasses.dataclass
+class Flight:
+    """A true robot and what it did; `true(t)` is its pose at any past time."""
+
+    states: list[Array]  # every 5 ms, as seen by one who drifts with the water
+    current: complex = 0j
+
+    def true(self, t: float) -> Array:
+        """Over ground: water that streams evenly is another frame of reference, nothing else (Galilei)."""
+        place = t / 0.005
+        low = min(int(place), len(self.states) - 2)
+        state = self.states[low] + (self.states[low + 1] - self.states[low]) * (place - low)
+        carried = self.current * np.exp(-1j * state[3])
+        state[:2] += self.current.real * t, self.current.imag * t
+        state[4:6] += carried.real, carried.imag
+        return np.asarray(state)
+
+
+def constant(wrench: Wrench) -> Callable[[float], Wrench]:
+    return lambda t: wrench
+
+
+def fly(
+    command: Callable[[float], Wrench],
+    seconds: float,
+    observer: Estimator,
+    *,
+    latency_s: Callable[[int], float] = lambda k: 0.04,
+    told_age: bool = True,
+    seen: Callable[[int], bool] = lambda k: True,
+    disturbance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
+    gyro: bool = True,
+    current: complex = 0j,
+) -> tuple[list[Estimate | None], Flight]:
+    """A control loop without control: poses arrive late, the board is fresh, wrenches act after the dead time."""
+    flight, estimates = Flight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
+    sighting: Sighting | None = None
+    for k in range(round(seconds / STEP_S)):
+        now_s, now_ns = k * STEP_S, k * STEP_NS
+        late = latency_s(k)
+        if seen(k) and now_s >= late:
+            x, y, _, yaw = flight.true(now_s - late)[:4]
+            sighting = Sighting(now_ns - (round(late * 1e9) if told_age else 0), x, y, wrap(yaw))
+        here = flight.states[-1]
+        estimates.append(observer.update(Measurement(sighting, here[2], here[7] if gyro else None), now_ns))
+        observer.applied(command(now_s), now_ns)
+        for i in range(10):
+            acts = now_s + 0.005 * i - DEAD_S
+            held = command(math.floor(acts / STEP_S + 1e-9) * STEP_S) if acts > -1e-9 else (0.0, 0.0, 0.0)
+            flight.states.append(integrate(VEHICLE, flight.states[-1], constant(held), 0.005, disturbance, True, 400))
+    return estimates, flight
+
+
+def weave(t: float) -> Wrench:
+    return 2.5 + math.sin(0.7 * t), 0.3 * math.sin(0.5 * t), 0.08 * math.sin(0.9 * t)
+
+
+def errors(estimates: list[Estimate | None], flight: Flight, since_s: float) -> Array:
+    """Estimate minus truth, [eta, nu] (steps, 8)."""
+    rows = []
+    for k, estimate in enumerate(estimates):
+        if estimate is not None and k * STEP_S >= since_s:
+            true = flight.true(k * STEP_S)
+            error = np.concatenate([estimate.eta, estimate.nu]) - true[:8]
+            error[3] = wrap(error[3])
+            rows.append(error)
+    return np.array(rows)
+
+
+def test_a_late_pose_is_carried_to_now() -> None:
+    compensated, flight = fly(weave, 8.0, estimator())
+    late = np.abs(errors(compensated, flight, 3.0)).max(axis=0)
+    assert np.hypot(late[0], late[1]) < 0.001 and late[3] < 0.003
+    assert late[4] < 0.01 and late[5] < 0.01 and late[7] < 0.02
+
+
+def test_the_same_without_the_age_is_off_by_the_way_flown_meanwhile() -> None:
+    """0.25 m/s x 40 ms = 10 mm. If this fails the test above proves nothing."""
+    ignorant, flight = fly(weave, 8.0, estimator(), told_age=False)
+    assert np.hypot(*np.abs(errors(ignorant, flight, 3.0))[:, :2].T).max() > 0.006
+
+
+def test_dead_time_counts() -> None:
+    right, flight = fly(weave, 8.0, estimator())
+    wrong, other = fly(weave, 8.0, estimator(dead_time_s=0.0))
+    yaw_rate_error = [np.abs(errors(e, f, 3.0))[:, 7].max() for e, f in ((right, flight), (wrong, other))]
+    assert yaw_rate_error[1] > 2 * yaw_rate_error[0]
+
+
+def test_state_at_action_is_where_the_robot_will_be() -> None:
+    estimates, flight = fly(weave, 6.0, estimator())
+    for k in range(60, 110):
+        estimate = estimates[k]
+        assert estimate is not None
+        true = flight.true(k * STEP_S + DEAD_S)
+        action = np.array(estimate.action)
+        assert np.abs(action[:2] - true[:2]).max() < 0.002
+        assert action[8:] == pytest.approx(true[8:], abs=0.01)  # thrust that acts by then
+
+
+def test_jittering_ages_are_no_noise() -> None:
+    random = np.random.default_rng(3)
+    ages = random.uniform(0.02, 0.06, 400)
+    estimates, flight = fly(weave, 8.0, estimator(), latency_s=lambda k: float(ages[k]))
+    error = np.abs(errors(estimates, flight, 3.0)).max(axis=0)
+    assert np.hypot(error[0], error[1]) < 0.001 and error[4] < 0.01
+
+
+@pytest.mark.parametrize("gyro", [True, False])
+def test_constant_disturbances_are_found(gyro: bool) -> None:
+    gamma = (0.01, -0.008, 0.0125, 0.05)
+    observer = estimator(current_rate_radps=0.0)  # else some of a force that turns with the robot is taken for a current
+    estimates, _ = fly(lambda t: (0.5, 0.0, 0.0), 15.0, observer, disturbance=gamma, gyro=gyro)
+    last = estimates[-1]
+    assert last is not None
+    assert last.disturbance == pytest.approx(gamma, abs=1.5e-3)
+    assert np.array_equal(last.lumped, last.disturbance) and last.current == 0j
+
+
+# --- currents
+
+
+def circling(t: float) -> Wrench:
+    return 1.0, 0.0, 0.04 if t > 1.0 else 0.0
+
+
+def test_a_current_is_found_once_the_robot_has_turned() -> None:
+    """Velocities over ground too, which a side force in its place does not give on a bend."""
+    current = 0.06 - 0.04j
+    found, flight = fly(circling, 60.0, estimator(), current=current)
+    last = found[-1]
+    assert last is not None and abs(last.current - current) < 0.004
+    late = np.abs(errors(found, flight, 45.0)).max(axis=0)
+    forces, flight = fly(circling, 60.0, estimator(current_rate_radps=0.0), current=current)
+    without = np.abs(errors(forces, flight, 45.0)).max(axis=0)
+    assert np.hypot(late[0], late[1]) < 0.001 and max(late[4:6]) < 0.002
+    assert np.hypot(without[0], without[1]) > 2 * np.hypot(late[0], late[1]) and max(without[4:6]) > 5 * max(late[4:6])
+
+
+def test_what_a_current_does_is_told_as_the_disturbance_that_still_water_would_need() -> None:
+    """The acceleration over ground less what the nominal model gives for these velocities, by finite differences."""
+    found, flight = fly(circling, 60.0, estimator(), current=0.06 - 0.04j)
+    for k in range(1000, 1150, 10):
+        estimate, t = found[k], k * STEP_S
+        assert estimate is not None
+        before, here, after = (flight.true(t + shift) for shift in (-0.025, 0.0, 0.025))
+        still = integrate(VEHICLE, before, constant(circling(t)), 0.05)  # its thrust is steady by now
+        assert estimate.lumped[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
+
+
+def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> None:
+    observer = estimator()
+    observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0), [0.0, 0.01, 0.0, 0.0]
+    observer.applied((0.0, 0.0, 0.0), 0)
+    before = np.array(observer._propagate(observer._state, 0, 100_000_000))
+    v = observer._put_down_to_current(0.15, 0.02, 0.01, 0.7, 0.05)
+    after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
+    assert observer._disturbance[1] < 0.01 and abs(observer._current) > 1e-4
+    assert after[:2] == pytest.approx(
+        before[:2], abs=abs(observer._current) * 0.1 * 0.02
+    )  # 2 % of how far the current carries
+
+
+def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
+    observer = Estimator(Model(VEHICLE), EstimatorConfig(current_rate_radps=1.0), DEAD_S, fastest_mps=0.05)
+    found, _ = fly(circling, 20.0, observer, current=0.4j)
+    assert max(abs(e.current) for e in found if e is not None) <= 0.05 + 1e-12
+
+
+def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> None:
+    """What no current can explain stays a side force, and leaves the velocity alone."""
+    observer = Estimator(Model(VEHICLE), EstimatorConfig(), DEAD_S, fastest_mps=0.05)
+    for turned in (0.5 * math.pi, 0.5 * math.pi + 0.7):  # from the current to where the side force points
+        observer._current = 0.05 * np.exp(1j * (0.7 + 0.5 * math.pi - turned + 0.5 * math.pi))
+        observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, *(0.0,) * 3), [0.0, 0.4, 0.0, 0.0]
+        before = np.array(observer._propagate(observer._state, 0, 100_000_000))
+        v = observer._put_down_to_current(0.15, 0.02, 0.4, 0.7, 0.05)
+        after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
+        assert abs(observer._current) <= 0.05 + 1e-12
+        assert after[:2] == pytest.approx(before[:2], abs=0.05 * 0.1 * 0.02)
+
+
+def test_without_sway_the_side_channel_stays_silent() -> None:
+    observer = Estimator(Model(VEHICLE, sway=False), EstimatorConfig(sway=False), DEAD_S)
+    estimates, _ = fly(weave, 4.0, observer)
+    assert all(e.nu[1] == 0.0 and e.disturbance[1] == 0.0 for e in estimates if e is not None)
+
+
+def test_disabled_means_no_disturbance() -> None:
+    estimates, _ = fly(weave, 4.0, estimator(enabled=False), disturbance=(0.02, 0.0, 0.0, 0.0))
+    assert all(not e.disturbance.any() for e in estimates if e is not None)
+
+
+def test_poses_missing_for_a_while_are_bridged_by_the_model() -> None:
+    """0.3 s without a pose at full swing: a few millimetres, and nothing left a second later."""
+    estimates, flight = fly(weave, 9.0, estimator(), seen=lambda k: not 100 <= k < 106)
+    error = np.abs(errors(estimates, flight, 4.0))
+    assert np.hypot(error[:, 0], error[:, 1]).max() < 0.005
+    assert np.hypot(error[60:, 0], error[60:, 1]).max() < 0.001
+
+
+def test_coasting_ends() -> None:
+    observer = estimator()
+    estimates, _ = fly(weave, 4.0, observer, seen=lambda k: k < 30)
+    gone = [e is None for e in estimates]
+    assert not any(gone[2:45]) and all(gone[30 + COAST_NS // STEP_NS + 2 :])
+
+
+def test_old_and_repeated_poses_change_nothing() -> None:
+    """Reordering: an older pose that arrives later, and the same one again, count once."""
+    plain, twice = estimator(), estimator()
+    for k in range(1, 40):
+        now = k * STEP_NS
+        sighting = Sighting(now - 40_000_000, 0.01 * k, 0.0, 0.02 * k)
+        a = plain.update(Measurement(sighting), now)
+        twice.update(Measurement(sighting), now)
+        stale = dataclasses.replace(sighting, stamp_ns=sighting.stamp_ns - 30_000_000, x_m=0.2)
+        twice.update(Measurement(stale), now)
+        b = twice.update(Measurement(sighting), now)
+        assert a is not None and b is not None
+        assert np.array_equal(a.eta, b.eta) and np.array_equal(a.nu, b.nu)
+
+
+def test_a_pose_from_the_future_is_not_believed() -> None:
+    observer = estimator()
+    assert observer.update(Measurement(Sighting(STEP_NS + 1, 0.0, 0.0, 0.0)), STEP_NS) is None
+
+
+def test_yaw_is_continuous_across_half_a_turn() -> None:
+    observer, yaws = estimator(), []
+    for k in range(1, 200):
+        estimate = observer.update(Measurement(Sighting(k * STEP_NS, 0.0, 0.0, wrap(0.05 * k))), k * STEP_NS)
+        assert estimate is not None
+        yaws.append(estimate.eta[3])
+    assert np.abs(np.diff(yaws)).max() < 0.3 and yaws[-1] > 9.0
+
+
+def test_yaw_stays_continuous_through_a_leap_that_is_believed() -> None:
+    """Whoever keeps station by a heading of three turns ago would unwind them."""
+    observer, x = estimator(), 0.0
+    for k in range(1, 420):
+        leap, turned = (0.0 if k < 400 else 0.5), 0.05 * min(k, 400)
+        pose = Sighting(k * STEP_NS, leap, 0.0, wrap(turned))
+        estimate = observer.update(Measurement(pose, yaw_rate_radps=1.0), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[3] - turned) < 0.5
+        x = estimate.eta[0]
+    assert x == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_single_leap_is_ignored_and_a_lasting_one_believed() -> None:
+    observer, x = estimator(), 0.0
+    for k in range(1, 60):
+        leap = 1.0 if k == 30 or k >= 45 else 0.0
+        estimate = observer.update(Measurement(Sighting(k * STEP_NS, leap, 0.0, 0.0)), k * STEP_NS)
+        assert estimate is not None
+        x = estimate.eta[0]
+        assert k >= 45 or abs(x) < 1e-9
+    assert x == pytest.approx(1.0)
+
+
+def test_a_single_leap_is_ignored_however_often_it_is_handed_in() -> None:
+    """Poses that stop with a leap: the newest there is comes with every step."""
+    observer = estimator()
+    for k in range(1, 40):
+        pose = Sighting(k * STEP_NS, 0.0, 0.0, 0.0) if k < 30 else Sighting(30 * STEP_NS, 1.0, 0.0, 0.0)
+        estimate = observer.update(Measurement(pose), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[0]) < 1e-9
+
+
+def test_single_leaps_are_ignored_however_many_there_are() -> None:
+    """Five in a row count, not five in a flight."""
+    observer = estimator()
+    for k in range(1, 80):
+        leap = 1.0 if k % 4 == 0 else 0.0
+        estimate = observer.update(Measurement(Sighting(k * STEP_NS, leap, 0.0, 0.0)), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[0]) < 1e-9 and not estimate.leap
+
+
+def test_poses_that_contradict_the_estimate_and_one_another_are_not_believed() -> None:
+    observer, random = estimator(), np.random.default_rng(2)
+    for k in range(1, 60):
+        x, y = (0.0, 0.0) if k < 45 else (3.0 * k, float(random.uniform(-1.0, 1.0)))
+        estimate = observer.update(Measurement(Sighting(k * STEP_NS, x, y, 0.0)), k * STEP_NS)
+        assert estimate is not None and abs(estimate.eta[0]) < 1e-9 and not estimate.leap
+
+
+def test_a_leap_that_is_believed_says_what_was_told_and_what_was_believed() -> None:
+    observer, said = estimator(), []
+    for k in range(1, 60):
+        pose = Sighting(k * STEP_NS, 1.0 if k >= 40 else 0.0, 0.0, 0.0)
+        estimate = observer.update(Measurement(pose, depth_m=0.3), k * STEP_NS)
+        assert estimate is not None and estimate.eta[2] == pytest.approx(0.3, abs=1e-6)  # no pose tells of the depth
+        said += [(k, estimate.leap)] if estimate.leap else []
+    assert said == [(44, "poses say (1.00 m, 0.00 m, 0.00 rad), (0.00 m, 0.00 m, 0.00 rad) was believed")]
+
+
+# --- depth and yaw rate that cannot be
+
+
+def sensing(told: Callable[[int], tuple[float | None, float | None]], steps: int = 60) -> list[Estimate]:
+    """A robot at rest at 0.3 m, whose board says this depth and yaw rate at each step."""
+    observer, found = estimator(), []
+    for k in range(1, steps + 1):
+        depth_m, rate = told(k)
+        late = Sighting(k * STEP_NS - 40_000_000, 0.0, 0.0, 0.0)
+        estimate = observer.update(Measurement(late, depth_m, rate, k * STEP_NS), k * STEP_NS)
+        assert estimate is not None
+        found.append(estimate)
+    return found
+
+
+@pytest.mark.parametrize("bad", [(10.0, 0.0), (-0.4, 0.0), (0.3, 50.0), (0.3, -1.5)])
+def test_one_bad_depth_or_yaw_rate_moves_nothing(bad: tuple[float, float]) -> None:
+    for spoilt, missing in zip(
+        sensing(lambda k: bad if k % 7 == 0 else (0.3, 0.0)),
+        sensing(lambda k: (0.3 if bad[0] == 0.3 else None, 0.0 if bad[1] == 0.0 else None) if k % 7 == 0 else (0.3, 0.0)),
+        strict=True,
+    ):
+        assert np.array_equal(spoilt.eta, missing.eta) and np.array_equal(spoilt.nu, missing.nu)
+        assert np.array_equal(spoilt.disturbance, missing.disturbance)
+        assert np.abs(spoilt.eta - [0.0, 0.0, 0.3, 0.0]).max() < 1e-9 and not spoilt.depth_leap
+
+
+def test_a_depth_that_lasts_against_the_estimate_is_believed_and_told() -> None:
+    found = sensing(lambda k: (0.3 if k < 40 else 10.0, 0.0))
+    said = [(k, e.depth_leap) for k, e in enumerate(found, 1) if e.depth_leap]
+    assert said == [(44, "the sensor says 10.00 m, 0.30 m was believed")]
+    assert found[42].eta[2] == pytest.approx(0.3) and found[-1].eta[2] == pytest.approx(10.0)
+    assert np.abs(found[-1].nu).max() < 1e-6 and np.abs(found[-1].disturbance).max() < 1e-6  # it leapt, it did not dive
+
+
+def test_depths_that_agree_with_nothing_age() -> None:
+    found = sensing(lambda k: (0.3 if k < 40 else 1.0 + 0.5 * k, 0.0))
+    assert not any(e.depth_leap for e in found) and found[-1].eta[2] == pytest.approx(0.3)
+    assert found[38].depth_age_s == 0.0 and found[-1].depth_age_s == pytest.approx(21 * STEP_S)
+
+
+def test_a_yaw_rate_that_lasts_is_believed() -> None:
+    """A robot that was hit."""
+    found = sensing(lambda k: (0.3, 0.0 if k < 40 else 2.0), 46)
+    assert abs(found[42].nu[3]) < 0.1 and found[45].nu[3] > 1.5
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.05, 0.1, 0.4])
+@pytest.mark.parametrize("bandwidth", [0.5, 2.0, 8.0])
+def test_gains_put_all_poles_where_they_say(step_s: float, bandwidth: float) -> None:
+    beta = math.exp(-bandwidth * step_s)
+    a = np.array([[1, step_s, step_s**2 / 2], [0, 1, step_s], [0, 0, 1]])
+    correction = np.eye(3) - np.outer(gains(bandwidth, step_s), [1, 0, 0])
+    assert np.abs(np.linalg.eigvals(correction @ a) - beta).max() < 2e-4  # a triple root: cube root of rounding
+    double = np.eye(2) - np.outer(gains_with_rate(bandwidth, step_s)[1:], [1, 0])
+    assert np.abs(np.linalg.eigvals(double @ a[:2, :2]) - beta).max() < 1e-6
+
+
+def test_gains_tend_to_the_articles_bandwidth_form() -> None:
+    """(31): b1 = 3w, b2 = 3w^2, b3 = w^3 per second."""
+    w, dt = 2.0, 1e-4
+    assert np.array(gains(w, dt)) / dt == pytest.approx([3 * w, 3 * w**2, w**3], rel=1e-3)
+
+
+values = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-2, 2)
+Row = tuple[int, float, float, float, float | None, float | None, int | None]
+times = st.integers(-STEP_NS, 30 * STEP_NS)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    st.lists(
+        st.tuples(times, values, values, values, values | st.none(), values | st.none(), times | st.none()),
+        min_size=1,
+        max_size=30,
+    )
+)
+def test_no_input_makes_it_lose_its_numbers(rows: list[Row]) -> None:
+    observer = estimator()
+    for k, (stamp, x, y, yaw, depth, rate, board) in enumerate(rows):
+        estimate = observer.update(Measurement(Sighting(stamp, x, y, yaw), depth, rate, board), k * STEP_NS)
+        observer.applied((0.1, 0.0, 0.0), k * STEP_NS)
+        if estimate is not None:
+            numbers = np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])
+            assert np.isfinite(numbers).all() and np.abs(numbers[4:12]).max() < 1e3

@@ -1,0 +1,96 @@
+"""What an agent does when depth or poses say what cannot be: whole control steps, on the rehearsal's robot."""
+
+import itertools
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import pytest
+
+from robot_agent.agent import Outputs
+from robot_agent.command_check import StationView
+from robot_agent.inputs import Inputs
+from robot_agent.preflight.rehearsal import ARM_AFTER, DEPTH_M, STATION, rehearse
+from wire.config.experiment import load_experiment
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Mode, Order
+
+POOL = load_experiment("pool")
+BAD = ARM_AFTER + 40  # the first step at which something is wrong
+Change = Callable[[Inputs, int], Inputs]
+
+
+def flown(change: Change, steps: int) -> Iterator[tuple[int, Outputs]]:
+    """Step number and outputs of a robot that is armed, started, and told otherwise from BAD on."""
+    for k, (agent, inputs, now_ns) in enumerate(itertools.islice(rehearse(POOL, 1), BAD + steps)):
+        yield k, agent.step(change(inputs, k - BAD) if k >= BAD else inputs, now_ns)
+
+
+def depth(inputs: Inputs, depth_m: float) -> Inputs:
+    return replace(inputs, telemetry=replace(inputs.telemetry, depth_m=depth_m))
+
+
+def test_one_bad_depth_is_flown_over() -> None:
+    for k, outputs in flown(lambda inputs, n: depth(inputs, 10.0) if n == 0 else inputs, 20):
+        if k >= BAD:
+            assert (outputs.state.mode, outputs.state.fault) == (Mode.TRACKING, "")
+            assert outputs.state.eta[2] == pytest.approx(DEPTH_M, abs=1e-3)
+
+
+def test_a_depth_that_lasts_against_the_estimate_is_a_fault_that_names_both() -> None:
+    for k, outputs in flown(lambda inputs, n: depth(inputs, 10.0), 20):
+        if k >= BAD + 6:
+            assert outputs.state.mode is Mode.FAULT and set(outputs.pulse_us) == {1500}
+            assert outputs.state.fault == "depth in doubt: the sensor says 10.00 m, 0.30 m was believed"
+        assert abs(outputs.state.wrench[1]) < 0.5  # it never rose to meet it
+
+
+def test_depths_that_make_no_sense_at_all_are_no_depth() -> None:
+    seen = [o.state for _, o in flown(lambda inputs, n: depth(inputs, 1.0 + n), 20)]
+    assert seen[BAD + 7].mode is Mode.TRACKING and seen[-1].mode is Mode.FAULT
+    assert seen[-1].fault.startswith("no depth: none that can be true for 0.5")
+
+
+def test_a_robot_that_does_not_keep_its_depth_stops() -> None:
+    """A dead ankle, or a thruster that only pushes ahead: the sensor is right, and the robot sinks at 5 cm/s."""
+    sinking = [o.state for _, o in flown(lambda inputs, n: depth(inputs, DEPTH_M + 0.0025 * n), 100)]
+    faults = [(k - BAD, state.fault) for k, state in enumerate(sinking) if state.mode is Mode.FAULT]
+    assert faults[0][1] == "off its depth" and 60 <= faults[0][0] <= 80  # 0.15 m, and half a second more
+
+
+def leapt(inputs: Inputs, by_m: float) -> Inputs:
+    assert inputs.pose is not None
+    return replace(inputs, pose=replace(inputs.pose, pose=replace(inputs.pose.pose, y_m=inputs.pose.pose.y_m + by_m)))
+
+
+def test_a_place_that_has_to_be_given_up_means_hold_where_the_robot_is_now() -> None:
+    holds = None
+    for k, outputs in flown(lambda inputs, n: leapt(inputs, -0.6), 20):
+        if k >= BAD + 6:
+            assert outputs.state.mode is Mode.HOLDING and outputs.state.fault.startswith("position leapt: poses say (")
+            holds = outputs.state.eta_reference if holds is None else holds
+            assert abs(outputs.state.eta_reference - holds).max() == 0.0
+    assert holds is not None
+
+
+@pytest.mark.parametrize(("depth_m", "why"), [(1.4, "the depth sensor says 1.40 m in a pool of 1 m"), (-0.4, "says -0.40 m")])
+def test_a_robot_does_not_arm_on_a_depth_outside_the_pool(depth_m: float, why: str) -> None:
+    for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER - 2):
+        outputs = agent.step(depth(inputs, depth_m), now_ns)
+    command = Command(Order.ARM, 1, 1.0, outputs.state.experiment_hash)
+    reply = agent.order(Header(STATION, 1, now_ns), command, StationView(STATION, now_ns, 0.0), now_ns)
+    assert not reply.accepted and why in reply.reason
+
+
+def test_a_robot_tells_whom_it_hears() -> None:
+    experiment = load_experiment("fleet-20")
+    for agent, inputs, now_ns in itertools.islice(rehearse(experiment, 7), 3):
+        some = {robot: heard for robot, heard in inputs.plans.items() if robot in (2, 11)}
+        outputs = agent.step(replace(inputs, plans=some), now_ns)
+    assert outputs.plan is not None and outputs.plan.heard == (2, 11)
+
+
+def test_no_thrust_is_asked_of_a_board_that_is_not_armed() -> None:
+    """It would put out none, and the estimator would take what lacks for a disturbance."""
+    for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER + 10):
+        outputs = agent.step(replace(inputs, telemetry=replace(inputs.telemetry, armed=False)), now_ns)
+    assert outputs.state.mode is Mode.TRACKING and not outputs.state.wrench.any() and set(outputs.pulse_us) == {1500}

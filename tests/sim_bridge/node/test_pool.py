@@ -1,0 +1,110 @@
+"""The pool on the wires, by the wall clock: what comes of every exposure."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sim_bridge.camera.renderer import Renderer
+from sim_bridge.node.pool import Pool
+from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.sil.ports import free_base_port
+from sim_bridge.world import World
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.codec import Header
+from wire.messages.topics import Topic
+from wire.process.runtime import Failed, Stop
+from wire.transport.bus import Bus, Received
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+ROBOT = "robots=[{id=1, node_m=[0.0, 0.0, 0.0], start=[0.4, 0.0, 0.3, 0.0]}]"
+EXPOSURES = 8
+
+
+def test_of_every_exposure_there_is_a_pose_however_old_poses_are() -> None:
+    """Four periods of the camera old, and told when they are as old as that."""
+    experiment = load_experiment("pool", ["sim.latency_s=0.2", ROBOT])
+    hub, stop = MemoryHub(), Stop(install=False)
+    exposed: list[int] = []
+    told: list[Header] = []
+
+    def count(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        exposed.append(header.stamp_ns)
+        if len(exposed) == EXPOSURES:
+            stop.request()
+
+    witness = Bus(MemoryTransport(hub))
+    witness.subscribe(topics.TRUTH, None, count)
+    witness.subscribe(topics.POSE, 1, lambda topic, key, header, payload: told.append(header))
+    sockets = Sockets(free_base_port((1,)), (1,), experiment.seed)
+    Pool(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
+    assert [header.stamp_ns for header in told] == exposed
+    assert min(header.age_ns for header in told) >= 200_000_000
+
+
+def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At its third picture. The run ends by itself, although nobody takes pictures any more, and says why."""
+    experiment, seen = load_experiment("pool", [ROBOT]), [0]
+
+    def render(*args: Any) -> Any:
+        seen[0] += 1
+        if seen[0] == 3:
+            raise ValueError("robot 1: eta = nan must be finite")
+        return np.zeros((960, 1280), np.uint8)
+
+    monkeypatch.setattr(Renderer, "render", render)
+    sockets, stop = Sockets(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
+    Pool(experiment, Bus(MemoryTransport(MemoryHub())), sockets, stop, lockstep=False).run()
+    assert seen[0] == 3
+    with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
+        stop.raise_failure()
+
+
+def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
+    """Whatever arrives between two steps wakes the simulator; the next step waits for its time all the same. The clock stands
+    still but for a millisecond at each look at it."""
+    experiment = load_experiment("pool", [ROBOT, "sim.latency_s=0"])
+    hub, stop = MemoryHub(), Stop(install=False)
+    sockets = Flooded(free_base_port((1,)), (1,), experiment.seed)
+    pool = Pool(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True)
+    clock = HandClock()
+    pool._clock = clock
+    steps = []
+    move = pool._move
+
+    def counted(world: World) -> None:
+        move(world)
+        steps.append((world.now_ns, clock.now_ns() - clock.begin_ns))
+        if len(steps) == 50:
+            stop.request()
+
+    pool._move = counted  # type: ignore[method-assign]
+    pool.run()
+    assert sockets.woken > 100, "the flood has woken it between steps"
+    assert all(water_ns - passed_ns <= 2 * 5_000_000 for water_ns, passed_ns in steps)
+
+
+class HandClock:
+    """A millisecond later at each look."""
+
+    begin_ns = 1_700_000_000_000_000_000
+
+    def __init__(self) -> None:
+        self._now_ns = self.begin_ns
+
+    def now_ns(self) -> int:
+        self._now_ns += 1_000_000
+        return self._now_ns
+
+    def instant_ns(self, received: Received[Any]) -> int:
+        return received.header.stamp_ns
+
+
+class Flooded(Sockets):
+    """There is always something to be read."""
+
+    woken = 0
+
+    def wait(self, timeout_s: float) -> None:
+        self.woken += 1

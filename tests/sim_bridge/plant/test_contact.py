@@ -1,0 +1,44 @@
+"""Contact with islands and among many."""
+
+import numpy as np
+import pytest
+
+from sim_bridge.plant.contact import MANY, Basin
+from sim_bridge.plant.fleet import Plant
+from wire.config.experiment import load_experiment
+from wire.toml_loader import ConfigError
+
+ISLAND = ("pool.size_m=[10,10,2]", "islands=[{position_m=[1.0,0.5],radius_m=0.4}]", "sim.plant.buoyancy_n=0")
+
+
+def test_an_island_stops_a_robot_and_lets_it_slide_off() -> None:
+    fleet = Plant(load_experiment("pool", ISLAND), 1)
+    state = fleet.start(np.array([[-0.5, 0.5, 0.5, 0.0], [-0.5, -2.0, 0.5, 0.0]]))
+    nearest = np.inf
+    for _ in range(3000):
+        state = fleet.step(state, np.tile([1700.0] * 4 + [1500.0] * 4, (2, 1)))
+        nearest = min(nearest, float(np.hypot(*(state.eta[0, :2] - [1.0, 0.5]))))
+    assert 0.4 + 0.15 - 0.03 < nearest < 0.4 + 0.15
+    assert state.eta[1, 0] > 3.0  # the other one passes
+
+
+def test_nobody_starts_in_an_island() -> None:
+    fleet = Plant(load_experiment("pool", ISLAND), 1)
+    with pytest.raises(ConfigError, match=r"robot 2: starts at \(1.3, 0.5, 0.5\), in a wall, an island or another robot"):
+        fleet.start(np.array([[-0.5, 0.5, 0.5, 0.0], [1.3, 0.5, 0.5, 0.0]]))
+
+
+def test_a_crowd_pushes_like_any_pair() -> None:
+    """Forces of many, found by a tree, are the sums of the forces of their pairs; and they cancel."""
+    random = np.random.default_rng(3)
+    basin = Basin(load_experiment("pool", ["pool.walls=false"]))
+    place, speed = random.uniform(-0.8, 0.8, (MANY + 20, 3)), random.uniform(-0.5, 0.5, (MANY + 20, 3))
+    found = basin.push(place, speed)
+    expected, touching = np.zeros_like(place), set[int]()
+    for i in range(len(place)):
+        for j in range(i):
+            expected[[i, j]] += basin.push(place[[i, j]], speed[[i, j]])
+            touching |= {i, j} if np.linalg.norm(place[i] - place[j]) < 0.3 else set()
+    assert found == pytest.approx(expected, abs=1e-9)
+    assert found.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-8)
+    assert basin.touches(place) == sorted(touching)

@@ -1,0 +1,126 @@
+"""Process faults against real processes."""
+
+import errno
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from sim_bridge.sil.fault_injector import Saboteur
+from sim_bridge.sil.processes import Child, Children
+from wire.config.experiment import load_experiment
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+
+def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:
+    lines = ["t=0.1 for=0.3 process agent-1 stopped", "t=0.2 process agent-2 killed"]
+    children = Children(tmp_path)
+    try:
+        one, two = (children.start(f"agent-{i}", "http.server", ["0"]) for i in (1, 2))
+        with Bus(MemoryTransport(MemoryHub())) as bus:
+            saboteur = Saboteur(load_experiment("pool", faults=lines), children, bus)
+            saboteur.act(0.0)
+            assert saboteur._start_s is None  # the robots have not started: nothing breaks
+            until_s, was_stopped = time.monotonic() + 20.0, False
+            while time.monotonic() < until_s and (not was_stopped or len(saboteur._broken) != 1 or two.exit_code is None):
+                saboteur.act(0.01)
+                was_stopped |= psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
+                time.sleep(0.01)
+            assert was_stopped and two.exit_code == -9
+            assert psutil.Process(one.process.pid).status() != psutil.STATUS_STOPPED
+            assert saboteur.killed == {"agent-2"}
+    finally:
+        children.stop()
+
+
+def test_what_holds_on_outlives_a_shorter_fault_of_the_same_program(tmp_path: Path) -> None:
+    """Stopped for good, and once more for a moment; a clock an hour off, and a minute for a moment."""
+    lasting = ["t=0.1 process agent-1 stopped", "t=0.1 clock agent-2 step 3600"]
+    passing = ["t=0.2 for=0.2 process agent-1 stopped", "t=0.2 for=0.2 clock agent-2 step 60"]
+    children = Children(tmp_path)
+    try:
+        one, _ = (children.start(f"agent-{i}", "http.server", ["0"]) for i in (1, 2))
+        with Bus(MemoryTransport(MemoryHub())) as bus:
+            saboteur = Saboteur(load_experiment("pool", faults=lasting + passing), children, bus)
+            begin_s, most = time.monotonic(), 0
+            while time.monotonic() - begin_s < 20.0 and not (most == 4 and len(saboteur._broken) == 2):
+                saboteur.act(0.01)
+                most = max(most, len(saboteur._broken))
+                time.sleep(0.01)
+        assert psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
+        assert float(children.clock_file("agent-2").read_text()) == 3600.0
+    finally:
+        children.stop()
+
+
+CLOCK_TELLER = """
+import time
+at_s = time.time() - time.monotonic()
+while True:
+    off_s = time.time() - time.monotonic() - at_s
+    with open("{out}", "w") as file:
+        file.write(str(off_s))
+    time.sleep(0.02)
+"""
+
+
+def test_a_clock_is_set_and_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "off"
+    (tmp_path / "clock_teller.py").write_text(CLOCK_TELLER.format(out=out))
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
+    seen: set[int | str] = set()
+    children = Children(tmp_path / "logs", frozenset({"agent-1"}))
+    try:
+        children.start("agent-1", "clock_teller", [])
+        with Bus(MemoryTransport(MemoryHub())) as bus:
+            saboteur = Saboteur(load_experiment("pool", faults=["t=0.5 for=0.5 clock agent-1 step 3600"]), children, bus)
+            deadline = time.monotonic() + 20.0
+            while time.monotonic() < deadline and seen != {0, 3600, "back"}:
+                told = out.read_text() if out.exists() else ""
+                if told:
+                    saboteur.act(0.01)
+                    hour = round(float(told))
+                    seen.add("back" if hour == 0 and 3600 in seen else hour)
+                time.sleep(0.02)
+    finally:
+        children.stop()
+    assert seen == {0, 3600, "back"}
+
+
+def test_a_full_disk_stops_the_log_and_an_emptied_one_takes_more(tmp_path: Path) -> None:
+    """Against a real process that writes as the station does."""
+    log = tmp_path / "run.mcap"
+    (tmp_path / "logs").mkdir()
+    log.write_bytes(bytes(1000))
+    writer = subprocess.Popen([sys.executable, "-c", WRITER.format(log=log)], stdout=subprocess.PIPE, text=True)
+    assert writer.stdout is not None and writer.stdout.readline() == "0\n"
+    children = Children(tmp_path / "logs", all=[Child("groundstation", writer, tmp_path / "logs" / "groundstation.log")])  # type: ignore[arg-type]
+    try:
+        with Bus(MemoryTransport(MemoryHub())) as bus:
+            saboteur = Saboteur(load_experiment("pool", faults=["t=0.01 for=0.5 disk full"]), children, bus)
+            told: list[int] = []
+            while (len(told) < 400 and told[-3:] != [0, 0, 0]) or errno.EFBIG not in told:
+                saboteur.act(0.02)
+                told.append(int(writer.stdout.readline()))
+    finally:
+        writer.kill()
+        writer.wait()
+    assert told[-3:] == [0, 0, 0] and set(told) == {0, errno.EFBIG}
+
+
+WRITER = """
+import os, time
+fd = os.open("{log}", os.O_WRONLY | os.O_APPEND)
+while True:
+    try:
+        os.write(fd, bytes(100))
+        print(0, flush=True)
+    except OSError as error:
+        print(error.errno, flush=True)
+    time.sleep(0.02)
+"""

@@ -1,0 +1,40 @@
+"""What a person reads in a log while robots fly."""
+
+import numpy as np
+
+from sim_bridge.sil.monitor import Monitor
+from wire.config.experiment import load_experiment
+from wire.messages import topics
+from wire.messages.messages import Mode, RobotState, StationHeartbeat
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+
+def line(name: str, states: dict[int, RobotState]) -> str:
+    hub = MemoryHub()
+    robots, person = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    monitor = Monitor(load_experiment(name), person)
+    robots.publish(topics.HEARTBEAT, StationHeartbeat(mission="RUNNING"), 1)
+    for robot, state in states.items():
+        robots.publish(topics.STATE, state, 1, robot)
+    return monitor.line()
+
+
+def tracking(off_m: float, fault: str = "") -> RobotState:
+    return RobotState(
+        mode=Mode.TRACKING, eta=np.array([off_m, 0.0, 0.3, 0.0]), eta_reference=np.array([0.0, 0.0, 0.3, 0.0]), fault=fault
+    )
+
+
+def test_two_robots_are_named() -> None:
+    told = line("pool", {1: tracking(0.012), 2: RobotState(mode=Mode.HOLDING, fault="the pose is old")})
+    assert told.endswith("1 tracking 12 mm, 2 holding 0 mm (the pose is old)")
+
+
+def test_of_twenty_the_worst_is_named_and_whoever_has_something_to_say() -> None:
+    states = {robot: tracking(0.001 * robot) for robot in range(1, 19)} | {
+        19: RobotState(mode=Mode.DISARMED, fault="no battery")
+    }
+    told = line("fleet-20", states)  # robot 20 has not been heard
+    assert told.endswith("1 disarmed, 18 tracking, worst 18: 18 mm, 19 (no battery)")
+    assert len(told) < 120

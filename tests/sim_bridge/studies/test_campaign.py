@@ -1,0 +1,298 @@
+"""Campaigns: what is flown, that it can be flown again, resumed, and what the statistics are worth."""
+
+import io
+import json
+import shlex
+import subprocess
+import sys
+from concurrent.futures import Future
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from distributed import LocalCluster
+from rich.console import Console
+from scipy import stats
+
+from groundstation.planning import planner
+from sim_bridge.studies import campaign_runner
+from sim_bridge.studies.campaign import Campaign, flights
+from sim_bridge.studies.campaign_flight import planning_text
+from sim_bridge.studies.statistics import distribution, quantile, rate
+from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
+from wire.process.runtime import Stop
+from wire.toml_loader import ConfigError, check
+
+TABLE: dict[str, Any] = {
+    "name": "small",
+    "experiment": "pool",
+    "settings": ["duration_s=2"],
+    "seeds": 2,
+    "sweep": {"sim.plant.mass_error": [-0.2, 0.2]},
+    "draw": {"sim.plant.current_mps": {"uniform": [[-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]]}},
+}
+
+
+def campaign(**changes: Any) -> Campaign:
+    return check(Campaign, {**TABLE, **changes}, "small.toml")
+
+
+def fly(loaded: Campaign, folder: Path, **options: Any) -> int:
+    defaults: dict[str, Any] = {"workers": 1, "scheduler": None, "resume": False, "stop": Stop(install=False)}
+    defaults["console"] = Console(quiet=True)
+    return campaign_runner.run(loaded, folder, **{**defaults, **options})
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = pq.read_table(folder / "results.parquet").to_pylist()
+    return found
+
+
+# --- what is flown
+
+
+def test_every_combination_with_every_seed() -> None:
+    all_of_them = list(flights(campaign(sweep={"a.b": [1, 2], "c": ["x", "y", "z"]}, draw={})))
+    assert [f.index for f in all_of_them] == list(range(12))
+    assert {(f.seed, f.values["a.b"], f.values["c"]) for f in all_of_them} == {
+        (seed, b, c) for seed in (1, 2) for b in (1, 2) for c in "xyz"
+    }
+
+
+def test_draws_are_from_their_distributions_and_repeat() -> None:
+    draws = {
+        "u": {"uniform": [2.0, 4.0]},
+        "n": {"normal": [1.0, 0.5]},
+        "c": {"choice": ["a", "b"]},
+        "v": {"uniform": [[0, 5], [1, 6]]},
+    }
+    loaded = campaign(seeds=2000, sweep={}, draw=draws)
+    drawn = [f.values for f in flights(loaded)]
+    assert stats.kstest([d["u"] for d in drawn], stats.uniform(2, 2).cdf).pvalue > 0.01
+    assert stats.kstest([d["n"] for d in drawn], stats.norm(1, 0.5).cdf).pvalue > 0.01
+    assert 900 < sum(d["c"] == "a" for d in drawn) < 1100
+    assert all(0 <= d["v"][0] <= 1 and 5 <= d["v"][1] <= 6 for d in drawn)
+    assert drawn == [f.values for f in flights(loaded)]
+    assert drawn[:50] == [f.values for f in flights(campaign(seeds=50, sweep={}, draw=draws))]  # a longer one begins the same
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"draw": {"a": {"uniform": [0.0, 1.0], "choice": [1]}}}, "draw.a: has uniform and choice (allowed: one of"),
+        ({"draw": {"a": {"normal": [[0.0, 1.0], 1.0]}}}, "draw.a: normal: the two must have as many components"),
+        ({"draw": {"a": {"uniform": [0.3, -0.3]}}}, "draw.a: uniform: [0.3, -0.3]: must be from, to"),
+        ({"draw": {"a": {"uniform": [[0.0, 1.0], [1.0, 0.0]]}}}, "must be from, to"),
+        ({"draw": {"a": {"normal": [0.0, -1.0]}}}, "draw.a: normal: [0.0, -1.0]: must be mean, standard deviation"),
+        ({"draw": {"sim.plant.mass_error": {"choice": [1]}}}, "sim.plant.mass_error: cannot be set twice"),
+        ({"sweep": {"seed": [1]}}, "seed: cannot be set twice"),
+        ({"sweep": {"a": []}}, "must be a list of at least 1"),
+        ({"seeds": 0}, "seeds = 0"),
+        ({"flights": 3}, "flights: unknown key"),
+    ],
+)
+def test_what_is_refused(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        campaign(**changes)
+    assert complaint in str(caught.value)
+
+
+def test_a_value_that_the_experiment_refuses_is_named_before_anything_flies(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"sim.plant.mass_error = -2.0: "):
+        fly(campaign(sweep={"sim.plant.mass_error": [0.0, -2.0]}), tmp_path / "c")
+    with pytest.raises(ConfigError, match=r"sim.plant.mas_error: unknown key"):
+        fly(campaign(sweep={"sim.plant.mas_error": [0.0]}), tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+# --- flying
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("campaign") / "small"
+    assert fly(campaign(), folder) == 0
+    return folder
+
+
+def test_results_hold_every_flight(flown: Path) -> None:
+    found = rows(flown)
+    assert [(row["index"], row["seed"], row["sim.plant.mass_error"]) for row in found] == [
+        (0, 1, -0.2), (1, 1, 0.2), (2, 2, -0.2), (3, 2, 0.2),
+    ]  # fmt: skip
+    assert all(row["status"] == "flown" and 0.1 < row["rms_m"] < 0.3 for row in found)
+    # two seconds are not twenty: what comes after is neither known nor asked for
+    assert all(row["rms_after_20s_m"] is None and row["passed"] and row["reason"] == "" for row in found)
+    page = (flown / "report.html").read_text()
+    assert "<svg" in page and found[0]["command"].replace("'", "&#39;") in page
+
+
+def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
+    row = rows(flown)[1]
+    program, *arguments = shlex.split(row["command"])
+    assert program == "sim-bridge"
+    subprocess.run([sys.executable, "-m", "sim_bridge", *arguments, "--out", str(tmp_path)], capture_output=True, check=False)
+    (folder,) = tmp_path.iterdir()
+    result = json.loads((folder / "result.json").read_text())
+    per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
+    assert max(per_axis) == pytest.approx(row["rms_m"], rel=2e-3)  # the report begins one step later
+    assert result["min_separation_m"] == pytest.approx(row["min_separation_m"], rel=1e-6)
+
+
+def test_it_goes_on_where_it_was(flown: Path, tmp_path: Path) -> None:
+    """Half a journal, its last line torn, and one flight that is now wanted otherwise."""
+    lines = (flown / "journal.jsonl").read_text().splitlines()
+    (tmp_path / "journal.jsonl").write_text("\n".join([*lines[:2], lines[2][:40]]) + "\n")
+    with pytest.raises(ConfigError, match="--resume goes on with it"):
+        fly(campaign(), tmp_path)
+    assert fly(campaign(), tmp_path, resume=True) == 0
+    kept, fresh = rows(flown), rows(tmp_path)
+    for row in (*kept, *fresh):
+        row.pop("wall_s")
+    assert fresh == kept
+    assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 5
+
+
+def test_any_key_can_be_swept_and_a_grown_campaign_goes_on(tmp_path: Path) -> None:
+    """Lists, tables, numbers beside lists. What is torn at the journal's end takes nothing else with it, what was flown is
+    kept wherever it stands now, and the report has each value once."""
+    journal, fault = tmp_path / "journal.jsonl", {"at_s": 0.1, "what": "thruster 2/3 dead"}
+    small: dict[str, Any] = {"sim.faults": [[], [fault]], "sim.plant.current_mps": [[0.01, 0.0, 0.0]]}
+    large = {"sim.faults": [[], [fault]], "sim.plant.current_mps": [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0]]}
+    for sweep, flights_flown in ((small, 2), ({**large, "sim.plant.disturbance_hz": [0.0, [0.1, 0.2]]}, 8)):
+        assert fly(campaign(seeds=1, draw={}, sweep=sweep, settings=["duration_s=0.3"]), tmp_path, resume=True) == 0
+        whole = [line for line in journal.read_text().splitlines() if line.endswith("}")]
+        assert len({json.loads(line)["hash"] for line in whole}) == len(whole) == flights_flown
+        journal.write_text(journal.read_text() + whole[-1][:40])
+    found = rows(tmp_path)
+    assert [len(row["sim.faults"]) for row in found] == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert [json.loads(row["sim.plant.disturbance_hz"]) for row in found] == [0.0, [0.1, 0.2]] * 4
+    page = (tmp_path / "report.html").read_text()
+    assert [page.count(f"<td>{cell}</td>") for cell in ("(0.01, 0.0, 0.0)", "[0.01, 0.0, 0.0]")] == [1, 0]
+
+
+def test_a_refused_plan_is_a_row(tmp_path: Path) -> None:
+    assert fly(campaign(seeds=1, sweep={"path.lap_s": [1.0]}, draw={}), tmp_path / "c") == 1
+    (row,) = rows(tmp_path / "c")
+    assert (
+        row["status"] == "refused"
+        and "robot 1" in row["reason"]
+        and "Not flown" in (tmp_path / "c" / "report.html").read_text()
+    )
+
+
+@pytest.mark.parametrize("scene", ["numeric", "numeric-disturbed"])
+def test_a_campaign_of_a_numeric_scene_flies(scene: str, tmp_path: Path) -> None:
+    """Its robots start above the surface of water that has none: planning must know that."""
+    loaded = campaign(experiment=scene, settings=["duration_s=0.2"], seeds=1, sweep={}, draw={})
+    assert fly(loaded, tmp_path / "c") == 0
+    assert [row["status"] for row in rows(tmp_path / "c")] == ["flown"]
+
+
+@pytest.mark.parametrize("scene", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
+def test_a_campaign_plans_every_scene_as_the_station_does(scene: str) -> None:
+    """What planning drops for the sake of a shared plan does not change the plan."""
+    whole = load_experiment(scene, [NO_CAMERA])
+    reduced = check(Experiment, json.loads(planning_text(whole)), scene)
+    trajectories = planner.plan(whole)
+    assert {r: t.id for r, t in planner.plan(reduced).items()} == {r: t.id for r, t in trajectories.items()}
+    for robot, start in planner.start_poses(whole, trajectories).items():
+        assert np.array_equal(planner.start_poses(reduced, trajectories)[robot], start)
+
+
+def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
+    """Three seconds are not enough for the way that `swap` has; its limit says that robots must be there at the end."""
+    loaded = campaign(
+        experiment="swap", settings=["duration_s=3", "robots.0.start_offset=[0,0.5,0,0]"], seeds=1, sweep={}, draw={}
+    )
+    assert fly(loaded, tmp_path / "c") == 0
+    (row,) = rows(tmp_path / "c")
+    limit_m = load_experiment("swap").limits.arrived_m
+    assert limit_m is not None and row["arrived_m"] > limit_m
+    assert not row["passed"] and "arrived_m" in row["reason"]
+
+
+def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
+    told = Console(record=True, width=500, file=io.StringIO())
+    refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1)
+    assert fly(refused, tmp_path / "c", console=told) == 1
+    text = told.export_text()
+    assert "0 of 2 flights flown, 2 refused, 0 failed" in text
+    assert "flight 0 (seed 1) refused: robot 1: speed" in text
+
+
+def test_a_bad_value_of_the_last_flight_is_found_before_the_first_one_flies(tmp_path: Path) -> None:
+    """Also among drawn values, and among seeds."""
+    drawn = {"sim.plant.mass_error": {"choice": [0.1, -2.0]}}
+    with pytest.raises(ConfigError, match=r"sim.plant.mass_error = -2.0: "):
+        fly(campaign(seeds=9, sweep={}, draw=drawn), tmp_path / "c")
+    with pytest.raises(ConfigError, match=r"seed = 2147483648: "):
+        fly(campaign(seeds=2, first_seed=2**31 - 1, sweep={}, draw={}), tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+def test_of_a_million_flights_only_a_few_are_prepared_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The flights are swept, so that two of them are checked; the executor counts how many it holds."""
+    stop, held, most = Stop(install=False), [0], [0]
+
+    class Counting:
+        def submit(self, fly_one: Any, text: str) -> Future[dict[str, Any]]:
+            held[0] += 1
+            most[0] = max(most[0], held[0])
+            future: Future[dict[str, Any]] = Future()
+            future.set_result({"status": "flown", "reason": "", "passed": True, "wall_s": 0.0})
+            return future
+
+    loaded = campaign(seeds=1_000_000, sweep={}, draw={})
+    coming = campaign_runner._fly(Counting(), loaded, {}, 4, stop, Console(quiet=True))  # type: ignore[arg-type]
+    for _ in range(10):
+        next(coming)
+        held[0] -= 1
+    assert most[0] <= 4
+    checked: list[int] = []
+    monkeypatch.setattr(campaign_runner, "_experiment", lambda campaign, flight: checked.append(flight.seed))
+    monkeypatch.setattr(campaign_runner, "flights", lambda campaign: islice(flights(campaign), 50))
+    campaign_runner._check_all(loaded, stop)
+    assert checked == [1], "seeds between the first and the last are not loaded"
+
+
+def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        assert fly(campaign(seeds=1), tmp_path / "c", scheduler=cluster.scheduler_address) == 0
+    found, expected = rows(tmp_path / "c"), rows(flown)[:2]
+    assert [row["rms_m"] for row in found] == [row["rms_m"] for row in expected]
+
+
+def test_a_cluster_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:1: "):
+        fly(campaign(seeds=1), tmp_path / "c", scheduler="tcp://127.0.0.1:1")
+
+
+# --- statistics
+
+
+def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
+    """In 2,000 samples of 40 skewed values each: the true mean and quantiles lie inside in 95 %, or more."""
+    random = np.random.default_rng(1)
+    samples = np.sort(random.gamma(4.0, 1.0, (2000, 40)), axis=1)
+    true = stats.gamma(4.0)
+    means = [distribution(s).mean for s in samples]
+    assert np.mean([(m.low or 0) <= 4.0 <= (m.high or 9e9) for m in means]) == pytest.approx(0.95, abs=0.03)
+    for share in (0.5, 0.95):
+        found = [quantile(s, share) for s in samples]
+        held = np.mean([(f.low or 0) <= true.ppf(share) <= (f.high or 9e9) for f in found])
+        assert 0.94 < held < 0.995
+
+
+def test_a_rate_s_interval_is_wilson_s() -> None:
+    found = rate(8, 10)
+    assert [found.value, found.low, found.high] == pytest.approx([0.8, 0.4902, 0.9433], abs=1e-4)
+    assert rate(0, 5).low == 0.0 and (rate(0, 5).high or 0) > 0.4
+
+
+def test_one_flight_is_no_distribution() -> None:
+    found = distribution([3.0])
+    assert found.mean.value == found.median.value == 3.0 and found.mean.low is None and found.high.high is None

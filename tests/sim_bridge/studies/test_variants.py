@@ -1,0 +1,126 @@
+"""What is compared, from where, and that a flight's figures are those of the flight."""
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundstation.planning import planner
+from sim_bridge.studies.variants import VARIANTS, Task, fly, scattered
+from tests.closed_loop.test_numeric import flown
+from wire.config.controller_benchmark import Comparison, Variant
+from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
+from wire.toml_loader import ConfigError
+
+SHORT = ("duration_s=22",)
+
+
+def task(experiment: Experiment, look: bool = True) -> Task:
+    trajectories = planner.plan(experiment)
+    starts = planner.start_poses(experiment, trajectories)
+    return Task(experiment, trajectories, np.array([starts[r] for r in experiment.robot_ids]), experiment.seed, look)
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
+def test_every_variant_of_every_shipped_experiment_can_be_flown(name: str) -> None:
+    hashes = {variant: load_experiment(name, changes).hash for variant, changes in VARIANTS.items()}
+    same = {v for v, h in hashes.items() if v != "eso-mpc" and h == hashes["eso-mpc"]}
+    assert same <= {"mpc-without-sway"} and hashes["eso-mpc"] == load_experiment(name).hash
+
+
+def test_a_seed_moves_the_starts_and_nothing_else_does() -> None:
+    starts = np.zeros((4, 4))
+    one, again, other = scattered(starts, 0.3, 1), scattered(starts, 0.3, 1), scattered(starts, 0.3, 2)
+    np.testing.assert_array_equal(one, again)
+    assert np.abs(one).max() <= 0.3 and np.abs(one).max() > 0.2 and not np.array_equal(one, other)
+    np.testing.assert_array_equal(scattered(starts, 0.0, 1), starts)
+
+
+def test_scattered_robots_begin_outside_of_one_another_s_space() -> None:
+    starts = np.array([[0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0], [0.0, 0.0, 0.7, 0.0]])
+    for seed in range(50):
+        one, two, below = scattered(starts, 0.5, seed, 0.6)[:, :3]
+        assert np.hypot(*(one - two)[:2]) >= 0.6 or abs((one - two)[2]) >= 0.6
+        assert np.hypot(*(one - below)[:2]) >= 0.6 or abs((one - below)[2]) >= 0.6
+    with pytest.raises(ConfigError, match=r"--scatter 0.01: no starts of seed 1 keep the robots 0.6 m apart"):
+        scattered(starts, 0.01, 1, 0.6)
+
+
+def test_figures_are_those_of_the_flight() -> None:
+    flight = flown("numeric", *SHORT, "controller.law=backstepping")
+    figures = fly(task(flight.experiment)).figures
+    error, states = flight.error[1:], [each[1:] for each in flight.states]  # time 0 is the start itself
+    distance = np.sqrt((error[:, :, :3] ** 2).sum(axis=2))
+    assert figures.rms_m == pytest.approx(np.sqrt((distance**2).mean()))
+    assert figures.rms_after_20s_m == pytest.approx(np.sqrt((distance[400:] ** 2).mean()))
+    assert figures.max_after_20s_m == pytest.approx(distance[400:].max())
+    gaps = [error[:, a, :3] - error[:, b, :3] for a, b in ((0, 1), (0, 2), (1, 2))]
+    assert figures.formation_rms_m == pytest.approx(math.sqrt(np.mean([(gap**2).sum(axis=1) for gap in gaps])))
+    wanted = np.array([[s.wrench_wanted for s in each] for each in states])
+    large = fast = either = 0
+    for robot in wanted:
+        for before, now in pairwise(robot):
+            is_large, is_fast = any(abs(now) > [6.0, 3.0, 0.5]), any(abs(now - before) > [0.3, 0.3, 0.1])
+            large, fast, either = large + is_large, fast + is_fast, either + (is_large or is_fast)
+    count = wanted.shape[0] * (wanted.shape[1] - 1)
+    assert (figures.wanted_too_large, figures.wanted_too_fast) == pytest.approx((large / count, fast / count))
+    assert figures.wanted_beyond == pytest.approx(either / count) and 0.0 < figures.wanted_beyond < 1.0
+    assert figures.wanted_most == pytest.approx((np.abs(wanted) / [6.0, 3.0, 0.5]).max())
+    steps = np.array([[s.wrench_step for s in each] for each in states]) / [0.3, 0.3, 0.1]
+    assert figures.input_step_rms == pytest.approx(np.sqrt((steps**2).mean(axis=1)).max())
+    assert figures.under_way == 1.0
+
+
+def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_look_at() -> None:
+    flight = fly(task(load_experiment("numeric", SHORT)))
+    figures, traces = flight.figures, flight.traces
+    assert figures.wanted_beyond == figures.wanted_too_large == figures.wanted_too_fast == 0.0 and figures.wanted_most <= 1.0
+    assert traces is not None and traces.wanted_n == traces.applied_n and len(traces.wanted_n) == 3
+    assert len(traces.applied_n[0]) == 400 and traces.input_period_s == 0.05 and traces.error_period_s == 0.5
+    again = fly(task(load_experiment("numeric", SHORT), look=False))
+    assert again.figures == figures and again.traces is None
+    comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("eso-mpc", [], [flight, again])])
+    assert Comparison.from_json(comparison.to_json()) == comparison
+
+
+def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) -> None:
+    """The same figures to the last bit, whatever the number of processes; a variant that changes nothing is left out."""
+    flights = ["--laws", "eso-mpc,mpc-without-sway,pid", "--seeds", "3", "--duration", "21", "--scatter", "0.2"]
+    result = subprocess.run(
+        [sys.executable, "-m", "sim_bridge", "compare", "numeric", *flights, "--jobs", "2", "--out", str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert "mpc-without-sway is the same as eso-mpc here" in result.stdout and "pid" in result.stdout
+    found = Comparison.from_json((tmp_path / "comparison.json").read_text(encoding="utf-8"))
+    assert [v.name for v in found.variants] == ["eso-mpc", "pid"] and (tmp_path / "comparison.html").is_file()
+    here = task(load_experiment("numeric", ["duration_s=21.0", "controller.law=pid"]))
+    assert [fly(replace(here, starts=scattered(here.starts, 0.2, 3, 0.6), seed=3))] == found.variants[1].flights
+
+
+@pytest.mark.parametrize(
+    "arguments,complaint",
+    [
+        (["numeric", "--laws", "pdi"], "'pdi' (allowed, once each: eso-mpc, backstepping"),
+        (["numeric", "--seeds", "4-2"], "--seeds 4-2: must be a number or a range"),
+        (["numeric", "--duration", "20"], "duration_s = 20: must be more than 20 s"),
+        (["nowhere"], "no such experiment"),
+        (["pool", "--scatter", "3.0", "--seeds", "1", "--laws", "pid"], "starts at"),
+    ],
+)
+def test_what_cannot_be_compared_is_said(arguments: list[str], complaint: str, tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "sim_bridge", "compare", *arguments, "--out", str(tmp_path), "--jobs", "1"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 2 and complaint in " ".join(result.stderr.split()).replace("│ ", ""), result.stderr
+    assert "Traceback" not in result.stderr and not list(tmp_path.glob("*"))

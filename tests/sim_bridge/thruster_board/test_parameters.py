@@ -1,0 +1,187 @@
+"""The board's parameters: bounds, what must hold between them, and the page that lists them."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sim_bridge.thruster_board.parameters import FIXED, Parameter, Parameters, Refusal, single
+from wire.config.experiment import load_experiment
+
+POOL = Parameters.of(load_experiment("pool"))
+
+
+def changed(name: str, value: float) -> Parameters:
+    new = POOL.changed(name, value)
+    assert isinstance(new, Parameters), f"{name} = {value}: {new}"
+    return new
+
+
+def test_they_begin_as_vehicle_and_board_have_them() -> None:
+    experiment = load_experiment("pool")
+    assert Parameters.of(experiment) == POOL  # which was made when this file was read: before `make mutants` changes anything
+    assert POOL.curve == tuple((us, single(force)) for us, force in experiment.vehicle.thruster.curve)
+    assert (POOL.neutral_us, POOL.thruster_us, POOL.ankle_us) == (1500, (1100, 1900), (1000, 2000))
+    assert (POOL.age_ns, POOL["SLEW_US_S"], POOL.trims_us) == (250_000_000, 8000, (0,) * 8)
+    assert POOL.thresholds_v == (single(10.8), single(10.5), single(9.9))
+    assert POOL["BAT_HYST_V"] == single(0.3)
+    assert POOL.dead_zone_us == (1477, 1523)
+    assert POOL.is_consistent()
+
+
+def test_the_age_is_whole_milliseconds() -> None:
+    assert Parameters.of(load_experiment("pool", ["sim.board.neutral_after_s=0.2004"]))["CMD_AGE_MS"] == 200
+
+
+def test_every_value_lies_in_its_range_and_every_name_fits_the_wire() -> None:
+    assert len(POOL.table) == len(POOL.values) == len(FIXED) + 2 * 12
+    for row, value in zip(POOL.table, POOL.values, strict=True):
+        assert row.low <= value <= row.high
+        assert re.fullmatch(r"[A-Z][A-Z0-9_]{2,15}", row.name)
+        assert row.meaning
+    assert len(POOL.index) == len(POOL.table)
+
+
+def test_a_curve_has_a_pulse_and_a_thrust_for_each_point() -> None:
+    rows = Parameters.of(load_experiment("pool")).table[len(FIXED) :]
+    assert rows[:2] == (
+        Parameter("CRV01_US", 500, 2500, True, "thrust curve, point 1: pulse"),
+        Parameter("CRV01_N", -1000, 1000, False, "thrust curve, point 1: thrust, N"),
+    )
+    assert [row.name for row in rows[-2:]] == ["CRV12_US", "CRV12_N"]
+
+
+def test_one_change_changes_one_value() -> None:
+    for row in POOL.table:
+        new = POOL.changed(row.name, POOL[row.name] + 1) if not row.name.startswith("CRV") else POOL
+        if isinstance(new, Parameters):
+            others = [name for name in POOL.index if name != row.name and new[name] != POOL[name]]
+            assert others == [], row.name
+
+
+@pytest.mark.parametrize(("value", "ok"), [(49, False), (50, True), (300, True), (301, False), (200.5, False)])
+def test_range_and_whole_numbers(value: float, ok: bool) -> None:
+    new = POOL.changed("CMD_AGE_MS", value)
+    assert new is Refusal.RANGE if not ok else isinstance(new, Parameters) and new.age_ns == value * 1_000_000
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_no_parameter_takes_what_is_no_number(value: float) -> None:
+    assert {POOL.changed(row.name, value) for row in POOL.table} == {Refusal.RANGE}
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("THR_NEUTRAL_US", 1476),  # outside the dead zone
+        ("THR_NEUTRAL_US", 1524),
+        ("THR_MIN_US", 1099),  # outside the curve
+        ("THR_MAX_US", 1901),
+        ("THR_MIN_US", 1500),  # no room for reverse
+        ("THR_MAX_US", 1500),
+        ("ANK_MIN_US", 2000),
+        ("ANK_MAX_US", 1000),
+        ("BAT_WARN_V", 10.5),
+        ("BAT_NOARM_V", 10.8),
+        ("BAT_NOARM_V", 9.9),
+        ("BAT_NEUTRAL_V", 10.5),
+        ("CRV02_US", 1100),  # not rising
+        ("CRV01_N", -1.9),
+        ("CRV06_N", -0.01),  # the dead zone would be the one point 1523, which is not neutral
+        ("CRV07_N", 0.01),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(name: str, value: float) -> None:
+    assert POOL.changed(name, value) is Refusal.INCONSISTENT
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("THR_NEUTRAL_US", 1477),
+        ("THR_NEUTRAL_US", 1523),
+        ("THR_MIN_US", 1499),
+        ("THR_MAX_US", 1501),
+        ("ANK_MIN_US", 1999),
+        ("ANK_MAX_US", 1001),
+        ("BAT_WARN_V", 10.51),
+        ("CRV02_US", 1101),
+        ("CRV01_N", -1.975),  # level is not falling
+        ("CRV12_N", 2.9),
+        ("SLEW_US_S", 100),
+        ("SLEW_US_S", 100_000),
+        ("THR1_TRIM_US", -100),
+        ("ANK4_TRIM_US", 100),
+        ("BAT_HYST_V", 0),
+        ("BAT_HYST_V", 5),
+    ],
+)
+def test_what_fits_is_taken(name: str, value: float) -> None:
+    assert changed(name, value)[name] == single(value)
+
+
+def test_a_curve_that_is_nowhere_zero_has_no_dead_zone() -> None:
+    values = tuple(
+        1.0 if row.name.endswith("_N") and value == 0 else value for row, value in zip(POOL.table, POOL.values, strict=True)
+    )
+    assert not Parameters(POOL.table, values).is_consistent()
+
+
+def test_unknown_names() -> None:
+    assert POOL.changed("SLEW", 1) is POOL.changed("", 1) is Refusal.UNKNOWN
+
+
+def test_what_was_kept_comes_back() -> None:
+    kept = dict(zip(POOL.index, changed("THR2_TRIM_US", -20).values, strict=True))
+    assert POOL.restored(kept)["THR2_TRIM_US"] == -20
+    assert POOL.restored({}) == POOL
+    assert POOL.restored({"SLEW_US_S": 500.0, "GONE_SINCE": 1.0})["SLEW_US_S"] == 500
+
+
+@pytest.mark.parametrize(
+    ("name", "ends"), [("CMD_AGE_MS", (50, 300)), ("SLEW_US_S", (100, 100_000)), ("ANK4_TRIM_US", (-100, 100))]
+)
+def test_what_was_kept_may_be_at_the_ends_of_its_range(name: str, ends: tuple[float, float]) -> None:
+    assert [POOL.restored({name: value})[name] for value in ends] == list(ends)
+
+
+@pytest.mark.parametrize(
+    "broken", [{"CMD_AGE_MS": 1e9}, {"CMD_AGE_MS": math.nan}, {"CMD_AGE_MS": 60.5}, {"THR_MIN_US": 1600.0}]
+)
+def test_what_was_kept_badly_does_not(broken: dict[str, float]) -> None:
+    assert POOL.restored({"THR2_TRIM_US": 5.0, **broken}) == POOL
+
+
+@settings(max_examples=300)
+@given(st.lists(st.tuples(st.sampled_from(POOL.table), st.floats() | st.integers(-200, 3000).map(float)), max_size=30))
+def test_whatever_is_written_all_stays_consistent(writes: list[tuple[Parameter, float]]) -> None:
+    parameters = POOL
+    for row, value in writes:
+        new = parameters.changed(row.name, value)
+        parameters = new if isinstance(new, Parameters) else parameters
+        assert parameters.is_consistent()
+        assert all(r.low <= v <= r.high for r, v in zip(parameters.table, parameters.values, strict=True))
+
+
+@given(st.floats())
+def test_single_precision(value: float) -> None:
+    rounded = single(value)
+    assert math.isnan(rounded) if math.isnan(value) else single(rounded) == rounded
+    if abs(value) < 1e38 and abs(value) > 1e-37:
+        assert rounded == pytest.approx(value, rel=1e-6)
+
+
+def test_too_large_for_single_precision() -> None:
+    assert (single(1e300), single(-1e300)) == (math.inf, -math.inf)
+
+
+def test_the_page_lists_every_parameter() -> None:
+    """docs/board.md is what somebody writes a firmware from."""
+    page = (Path(__file__).parents[3] / "docs" / "board.md").read_text(encoding="utf-8")
+    for row, value in zip(FIXED, POOL.values, strict=False):
+        text = f"| `{row.name}` | {row.bounds} | {value:g} | {row.meaning} |"
+        assert text in page, text
+        assert len(f"{row.name}: {Refusal.RANGE.words} ({row.bounds})") <= 50  # what a STATUSTEXT holds

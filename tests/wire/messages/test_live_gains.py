@@ -1,0 +1,127 @@
+"""What may be changed in flight, against the experiment file's own checks."""
+
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wire.config.experiment import load_experiment
+from wire.messages.live_gains import Knob, knobs, of_message, tuned, tuning, values_of
+from wire.messages.messages import Tuning
+from wire.toml_loader import ConfigError
+
+POOL = load_experiment("pool")
+KNOBS = knobs(POOL.controller)
+
+each_knob = pytest.mark.parametrize("knob", KNOBS, ids=lambda knob: knob.key)
+
+
+def written(key: str, value: float) -> str:
+    """The `--set` that changes one number; a list is written whole."""
+    name, _, index = key.rpartition(".")
+    if not index.isdecimal():
+        return f"{key}={value!r}"
+    entries = [knob.value for knob in KNOBS if knob.key.rpartition(".")[0] == name]
+    entries[int(index)] = value
+    return f"{name}={entries!r}"
+
+
+def loads(key: str, value: float) -> bool:
+    try:
+        load_experiment("pool", [written(key, value)])
+    except ConfigError:
+        return False
+    return True
+
+
+@each_knob
+def test_bounds_are_those_of_the_experiment_file(knob: Knob) -> None:
+    assert loads(knob.key, math.nextafter(knob.least, math.inf)) and loads(knob.key, math.nextafter(knob.most, -math.inf))
+    assert loads(knob.key, knob.least) is not knob.above
+    assert loads(knob.key, knob.most) is not knob.below
+    assert not loads(knob.key, math.nextafter(knob.least, -math.inf))
+    assert not loads(knob.key, math.nextafter(knob.most, math.inf))
+
+
+@each_knob
+def test_a_change_is_what_the_file_would_have_given(knob: Knob) -> None:
+    value = 0.5 * (knob.value + min(knob.most, knob.value + 1.0))
+    changed = tuned(POOL.controller, {knob.key: value})
+    assert changed == load_experiment("pool", [written(knob.key, value)]).controller
+    assert tuning(changed).id != tuning(POOL.controller).id
+    assert tuning(tuned(changed, {knob.key: knob.value})).id == tuning(POOL.controller).id
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "says"),
+    [
+        ("controller.mpc.q.0", -1.0, "controller.mpc.q.0 = -1.0: Input should be greater than or equal to 0"),
+        ("controller.estimator.bandwidth_radps", 0.0, "greater than 0"),
+        ("controller.mpc.r.1", math.nan, "finite"),
+        ("controller.period_s", 0.1, "controller.period_s: cannot be changed in flight (allowed: controller.estimator.band"),
+        ("controller.mpc.q.4", 1.0, "cannot be changed in flight"),
+        ("vehicle.radius_m", 1.0, "cannot be changed in flight"),
+    ],
+)
+def test_what_is_out_of_bounds_is_refused_with_the_reason(key: str, value: float, says: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        tuned(POOL.controller, {key: value})
+    assert says in str(refused.value)
+
+
+def test_a_message_stands_for_exactly_its_values() -> None:
+    wanted = tuned(POOL.controller, {"controller.mpc.q.0": 3.0})
+    message = tuning(wanted)
+    assert of_message(POOL.controller, message) == wanted
+    count = len(message.keys)
+    for wrong, says in (
+        (Tuning("00000000", message.keys, message.values), f"tuning 00000000: with these values it is {message.id}"),
+        (Tuning(message.id, message.keys[1:], message.values), f"{count - 1} keys and {count} values do not fit together"),
+        (Tuning(message.id, (message.keys[1], *message.keys[1:]), message.values), "values do not fit together"),
+        (Tuning(message.id, message.keys, -message.values), "gains: controller."),
+    ):
+        with pytest.raises(ConfigError) as refused:
+            of_message(POOL.controller, wrong)
+        assert says in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        ("controller.guidance.filter_s=slow", "controller.guidance.filter_s = 'slow': must be a number"),
+        ("controller.guidance.filter_s=true", "controller.guidance.filter_s = True: must be a number"),
+        ("controller.mpc.q=[1, 'x']", "controller.mpc.q.1 = 'x': must be a number"),
+        ("controller.mpc.q", "write it as key=value"),
+    ],
+)
+def test_a_change_that_is_no_number_is_refused_with_its_key(setting: str, says: str) -> None:
+    with pytest.raises(ConfigError, match=re.escape(says)):
+        values_of([setting])
+
+
+@given(st.builds(Tuning, st.text(), st.lists(st.sampled_from([k.key for k in KNOBS]) | st.text()).map(tuple)))
+def test_no_message_gets_further_than_a_refusal(message: Tuning) -> None:
+    with pytest.raises(ConfigError):
+        of_message(POOL.controller, message)
+
+
+def test_another_law_keeps_the_gains_that_stand_in_its_place() -> None:
+    pid = load_experiment("pool", ["controller.law=pid"]).controller
+    keys = {knob.key for knob in knobs(pid)}
+    assert "controller.estimator.bandwidth_radps" in keys
+    assert not keys & {"controller.mpc.q.0", "controller.guidance.position_gain_per_s2"}
+
+
+def test_settings_of_lists_go_by_entries() -> None:
+    assert values_of(["controller.mpc.q=[2,2,1,1.5]", "controller.guidance.filter_s=2"]) == {
+        "controller.mpc.q.0": 2.0,
+        "controller.mpc.q.1": 2.0,
+        "controller.mpc.q.2": 1.0,
+        "controller.mpc.q.3": 1.5,
+        "controller.guidance.filter_s": 2.0,
+    }
+    for wrong in ("controller.mpc.q=[true]", "controller.mpc.q=high", "controller.mpc.q"):
+        with pytest.raises(ConfigError):
+            values_of([wrong])

@@ -1,0 +1,193 @@
+"""Clocks, waiting and lockstep, on the in-memory bus."""
+
+import logging
+import threading
+import time
+
+import pytest
+
+from wire.messages import topics
+from wire.messages.messages import CameraHealth, Event, LocalizerStatus, Obstacles, Pose, StationHeartbeat, Tick
+from wire.process import runtime
+from wire.process.runtime import (
+    Failed,
+    Lockstep,
+    LockstepClock,
+    Stop,
+    WallClock,
+    age_s,
+    guarded_thread,
+    log,
+    log_to_bus,
+    run_app,
+    wait,
+)
+from wire.transport.bus import Bus
+from wire.transport.transport import MemoryHub, MemoryTransport
+
+
+def two_buses() -> tuple[Bus, Bus]:
+    hub = MemoryHub()
+    return Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+
+
+def test_an_age_counts_from_the_content_not_from_the_arrival_and_ignores_the_senders_clock() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.HEARTBEAT, StationHeartbeat)
+    clock = WallClock()
+    hour_ns = 3_600_000_000_000
+    before_ns = clock.now_ns()
+    sender.publish(topics.HEARTBEAT, StationHeartbeat(), before_ns + hour_ns, age_ns=80_000_000)
+    received = inbox.newest()
+    assert received is not None
+    elapsed_s = (clock.now_ns() - before_ns) * 1e-9
+    assert 0.08 <= age_s(clock, received) <= 0.08 + elapsed_s + 1e-3
+    instant_ns = clock.instant_ns(received)
+    assert clock.instant_ns(received) == instant_ns  # the same message was true at one instant, whenever it is asked
+
+
+def test_in_lockstep_an_age_is_the_difference_of_stamps() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.HEARTBEAT, StationHeartbeat)
+    sender.publish(topics.HEARTBEAT, StationHeartbeat(), 50_000_000)
+    received = inbox.newest()
+    assert received is not None
+    clock = LockstepClock()
+    clock.tick_ns = 130_000_000
+    assert age_s(clock, received) == pytest.approx(0.08)
+
+
+def test_waiting_ends_on_arrival_on_time_and_on_stop() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.HEARTBEAT, StationHeartbeat)
+    stop = Stop(install=False)
+    threading.Timer(0.05, lambda: sender.publish(topics.HEARTBEAT, StationHeartbeat(), 1)).start()
+    assert wait(receiver, stop, lambda: inbox.newest_header() is not None, 5.0)
+    assert not wait(receiver, stop, lambda: False, 0.02)
+    threading.Timer(0.05, stop.request).start()
+    assert not wait(receiver, stop, lambda: False, 60.0)
+
+
+def test_lockstep_gives_each_tick_once_and_does_something_meanwhile() -> None:
+    simulator, process = two_buses()
+    clock, stop = LockstepClock(), Stop(install=False)
+    lockstep = Lockstep(process, stop, clock)
+    asked: list[int] = []
+
+    def meanwhile() -> None:
+        asked.append(clock.tick_ns)
+        if len(asked) == 2:
+            simulator.publish(topics.TICK, Tick(30, -1, 0), 30)
+
+    tick = lockstep.next(meanwhile)
+    assert tick is not None
+    assert (tick.now_ns, clock.now_ns(), len(asked)) == (30, 30, 2)
+    simulator.publish(topics.TICK, Tick(80, 30, 50), 80)
+    tick = lockstep.next()
+    assert tick is not None
+    assert (tick.now_ns, tick.previous_ns) == (80, 30)
+    threading.Timer(0.05, stop.request).start()
+    assert lockstep.next() is None  # no tick comes twice
+
+
+def test_lockstep_waits_for_every_input_and_goes_on_without_none(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    simulator, process = two_buses()
+    inbox = process.inbox(topics.HEARTBEAT, StationHeartbeat)
+    tidings, stop = process.inbox(topics.LOCALIZER, LocalizerStatus), Stop(install=False)
+    lockstep = Lockstep(process, stop, LockstepClock())
+    assert lockstep.await_all([(inbox, -1)])  # before the first step there was none to wait for
+    threading.Timer(0.05, lambda: simulator.publish(topics.HEARTBEAT, StationHeartbeat(), 100)).start()
+    assert lockstep.await_all([(inbox, 100)])
+    assert inbox.newest() is not None
+    monkeypatch.setattr(runtime, "LOCKSTEP_SAYS_S", 0.02)
+    threading.Timer(0.1, stop.request).start()
+    assert not lockstep.await_all([(inbox, 100), (tidings, 102)])
+    assert "waiting for localizer/status" in caplog.text and "station/heartbeat" not in caplog.text
+
+
+def test_what_is_seen_counts_when_all_of_it_is_here_in_whatever_order_it_comes() -> None:
+    """The status of a picture says whose poses to wait for, and which obstacles, told at the picture before."""
+    simulator, process = two_buses()
+    localizer, obstacles = process.inbox(topics.LOCALIZER, LocalizerStatus), process.inbox(topics.OBSTACLES, Obstacles)
+    poses = {robot: process.inbox(topics.POSE, Pose, robot) for robot in (1, 2)}
+    lockstep = Lockstep(process, Stop(install=False), LockstepClock())
+    came: list[int | None] = []
+    sight = threading.Thread(target=lambda: came.append(lockstep.await_sight(Tick(80, 30, 50), localizer, poses, obstacles)))
+    sight.start()
+    for topic, message, stamp_ns, robot in (
+        (topics.POSE, Pose(0.0, 0.0, 0.0), 50, 1),
+        (topics.LOCALIZER, LocalizerStatus(CameraHealth.OK, robots=(1,), obstacles_ns=40), 50, None),
+        (topics.OBSTACLES, Obstacles(), 40, None),
+    ):
+        time.sleep(0.02)
+        assert not came
+        simulator.publish(topic, message, stamp_ns, robot)
+    sight.join(10.0)
+    assert came == [40]  # robot 2 was not seen: nobody waits for its pose
+
+
+def test_the_logs_lines_travel_as_events_debug_ones_do_not() -> None:
+    sender, receiver = two_buses()
+    inbox = receiver.inbox(topics.EVENT, Event)
+    before = (list(log.handlers), log.level)
+    try:
+        log.setLevel(logging.DEBUG)
+        log_to_bus(sender, LockstepClock(), "tester")
+        log.warning("water in %s", "the boat")
+        log.debug("a detail")
+    finally:
+        log.handlers[:], log.level = before
+    received = inbox.newest()
+    assert received is not None
+    assert (received.message.level, received.message.source, received.message.message) == (3, "tester", "water in the boat")
+
+
+@pytest.mark.parametrize("error", [ValueError("no picture"), SystemExit(0), KeyboardInterrupt()])
+def test_a_thread_that_ends_by_an_exception_stops_the_process_with_the_reason(error: BaseException) -> None:
+    stop = Stop(install=False)
+
+    def work() -> None:
+        raise error
+
+    thread = guarded_thread(stop, "camera", work)
+    thread.start()
+    thread.join()
+    assert stop.requested
+    with pytest.raises(Failed, match=f"thread camera ended: {type(error).__name__}"):
+        stop.raise_failure()
+
+
+def test_a_thread_that_ends_its_work_stops_nobody() -> None:
+    stop = Stop(install=False)
+    thread = guarded_thread(stop, "camera", lambda: None)
+    thread.start()
+    thread.join()
+    assert not stop.requested
+    stop.raise_failure()
+
+
+def test_the_first_failure_counts_and_a_plain_stop_is_none() -> None:
+    stop = Stop(install=False)
+    stop.request()
+    stop.raise_failure()
+    stop.fail("the camera is gone")
+    stop.fail("so is the film")
+    assert stop.failure == "the camera is gone"
+
+
+def test_a_process_that_failed_says_why_and_exits_with_1(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(log, "handlers", [logging.NullHandler()])  # not what another test's command line left
+
+    def app() -> None:
+        stop = Stop(install=False)
+        stop.fail("the camera is gone")
+        stop.raise_failure()
+
+    with pytest.raises(SystemExit) as ended:
+        run_app(app)
+    assert ended.value.code == 1
+    assert capsys.readouterr().err == "the camera is gone\n"

@@ -1,0 +1,281 @@
+"""Which connections the guard keeps, passes on and closes: given instants, no sockets."""
+
+import ssl
+from collections.abc import Iterator
+
+import pytest
+
+from wire.security import admission
+from wire.security.admission import KNOWN, NEW, Admission, NotTls, Refusals, asks_for_another_hello, hello_is_whole, origin_of
+
+
+def client_hello(name: str = "station.pool") -> bytes:
+    """What OpenSSL begins with."""
+    out = ssl.MemoryBIO()
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    with pytest.raises(ssl.SSLWantReadError):
+        context.wrap_bio(ssl.MemoryBIO(), out, server_hostname=name).do_handshake()
+    return out.read()
+
+
+def test_a_hello_is_whole_with_its_last_byte_and_not_before() -> None:
+    hello = client_hello()
+    assert [size for size in range(len(hello) + 1) if hello_is_whole(hello[:size])] == [len(hello)]
+    assert hello_is_whole(hello + b"what follows")
+
+
+def test_a_hello_may_come_in_several_records() -> None:
+    hello = client_hello()
+    body = hello[5:]
+    parts = [body[:100], body[100:101], body[101:]]
+    split = b"".join(hello[:3] + len(part).to_bytes(2) + part for part in parts)
+    assert [size for size in range(len(split) + 1) if hello_is_whole(split[:size])] == [len(split)]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"hello",
+        b"GET / HTTP/1.1\r\n",
+        b"\x16\x02\x00",  # SSL 2
+        b"\x16\x03\x01\x00\x00",  # an empty record
+        b"\x16\x03\x01\xff\xff",  # longer than a record may be
+        b"\x16\x03\x01\x00\x04\x02\x00\x00\x00",  # a ServerHello
+        b"\x16\x03\x01\x00\x04\x01\xff\xff\xff",  # a hello of 16 MB
+        b"\x15\x03\x01\x00\x02\x01\x00",  # an alert
+        b"".join(b"\x16\x03\x01\x00\x01" + bytes([byte]) for byte in b"\x01\x00\x30\x00" + bytes(20)),  # a record a byte
+    ],
+)
+def test_what_is_no_hello_is_refused(data: bytes) -> None:
+    with pytest.raises(NotTls):
+        hello_is_whole(data)
+
+
+def test_a_request_for_another_hello_is_recognised() -> None:
+    answer = b"\x16\x03\x03\x00\x58\x02\x00\x00\x54\x03\x03" + admission.RETRY + bytes(50)
+    assert asks_for_another_hello(answer)
+    assert not asks_for_another_hello(answer[:11] + bytes(32) + bytes(50))
+    assert not asks_for_another_hello(b"")
+
+
+@pytest.mark.parametrize(
+    ("address", "origin"),
+    [
+        ("192.168.1.7", "192.168.1.7"),
+        ("::ffff:192.168.1.7", "192.168.1.7"),  # a socket of both families
+        ("2001:db8:1:2:3:4:5:6", "2001:db8:1:2::/64"),
+        ("2001:db8:1:2:ffff::1", "2001:db8:1:2::/64"),  # the same host, perhaps
+        ("fe80::1%eth0", "fe80::/64"),
+        ("::1", "::/64"),
+    ],
+)
+def test_one_peer_is_one_origin(address: str, origin: str) -> None:
+    assert origin_of(address) == origin
+
+
+class Door:
+    """Connections with numbers of their own, and what the admission said of them."""
+
+    def __init__(self, most_links: int = 1000) -> None:
+        self.admission = Admission(most_links)
+        self.numbers = iter(range(100_000))
+        self.closed: list[int] = []
+
+    def come(self, address: str, now_s: float, hello: bool = False) -> int:
+        number = next(self.numbers)
+        self.closed += self.admission.come(number, address, now_s)
+        if hello:
+            self.admission.hello(number, now_s)
+        return number
+
+    def turns(self, now_s: float) -> list[tuple[int, int]]:
+        return list(self.admission.turns(now_s))
+
+    def join(self, address: str, now_s: float) -> int:
+        """A member's connection, from its coming to its proof."""
+        number = self.come(address, now_s, hello=True)
+        assert number in dict(self.turns(now_s))
+        self.admission.proven(number, now_s)
+        return number
+
+
+def failures(door: Door, address: str, from_s: float, to_s: float, step_s: float = 0.05) -> Iterator[float]:
+    """One failed handshake after another from an address, as many as are let through. Yields when each is passed on."""
+    now_s = from_s
+    while now_s < to_s:
+        door.come(address, now_s, hello=True)
+        for number, _ in door.turns(now_s):
+            yield now_s
+            door.admission.ended(number, True, now_s)
+        for number in door.admission.overdue(now_s):
+            door.closed.append(number)
+        now_s += step_s
+
+
+def test_only_a_connection_with_a_hello_gets_a_turn() -> None:
+    door = Door()
+    silent = door.come("10.0.0.1", 0.0)
+    member = door.come("10.0.0.1", 0.0, hello=True)
+    assert door.turns(0.0) == [(member, NEW)]
+    assert door.admission.overdue(admission.HELLO_S - 0.01) == ()
+    assert door.admission.next_s(0.0) == admission.HELLO_S
+    assert set(door.admission.overdue(admission.HELLO_S)) == {silent}
+
+
+def test_failed_handshakes_of_one_origin_are_rationed() -> None:
+    seconds = 60.0
+    passed = list(failures(Door(), "10.0.0.1", 0.0, seconds))
+    assert admission.ORIGIN_BURST <= len(passed) <= admission.ORIGIN_BURST + seconds * admission.ORIGIN_PER_S + 1
+
+
+def test_failed_handshakes_of_all_new_origins_together_are_rationed() -> None:
+    door, seconds, passed = Door(), 20.0, 0
+    for step in range(int(seconds / 0.05)):
+        now_s = step * 0.05
+        for host in range(10):
+            door.come(f"10.0.0.{host}", now_s, hello=True)
+        for number, _ in door.turns(now_s):
+            passed += 1
+            door.admission.ended(number, True, now_s)
+        door.admission.overdue(now_s)
+    assert admission.LANE_BURST <= passed <= admission.LANE_BURST + seconds * admission.LANE_PER_S + 1
+
+
+def test_a_member_is_not_rationed() -> None:
+    door = Door()
+    for _ in range(200):
+        door.join("10.0.0.1", 1.0)
+
+
+def test_a_new_origin_does_not_wait_for_the_crowd_of_another() -> None:
+    door = Door()
+    list(failures(door, "10.0.0.1", 0.0, 10.0))
+    for _ in range(50):
+        door.come("10.0.0.1", 10.0, hello=True)
+    member = door.come("10.0.0.2", 10.0, hello=True)
+    assert member in dict(door.turns(10.0))
+
+
+def test_a_known_origin_has_a_lane_of_its_own_which_the_failures_of_others_leave_alone() -> None:
+    door = Door()
+    door.join("10.0.0.99", 0.0)
+    for step in range(200):
+        for host in range(20):
+            door.come(f"10.0.0.{host}", step * 0.05, hello=True)
+        for number, lane in door.turns(step * 0.05):
+            assert lane == NEW
+            door.admission.ended(number, True, step * 0.05)
+    member = door.come("10.0.0.99", 10.0, hello=True)
+    assert (member, KNOWN) in door.turns(10.0)
+
+
+def test_turns_go_round_the_origins() -> None:
+    door = Door()
+    many = {door.come("10.0.0.1", 100.0, hello=True): "many" for _ in range(20)}
+    few = {door.come("10.0.0.2", 100.0, hello=True): "few" for _ in range(2)}
+    order = [{**many, **few}[number] for number, _ in door.turns(100.0)]
+    assert order[:4] == ["many", "few", "many", "few"]
+
+
+def test_an_origin_that_is_crowded_loses_its_oldest_silent_connection() -> None:
+    door = Door()
+    ready = door.come("10.0.0.1", 0.0, hello=True)
+    silent = [door.come("10.0.0.1", 0.0) for _ in range(admission.MOST_WAITING_EACH)]
+    assert door.closed == silent[:1]
+    member = door.come("10.0.0.1", 1.0)  # a member's hello comes before so many others have
+    door.admission.hello(member, 1.0)
+    assert door.closed == silent[:2] and {ready, member} <= set(dict(door.turns(1.0)))
+
+
+def test_with_the_whole_house_crowded_the_most_crowded_origin_pays() -> None:
+    door = Door()
+    hosts = admission.MOST_WAITING // admission.MOST_WAITING_EACH
+    for _ in range(admission.MOST_WAITING_EACH):
+        for host in range(hosts):
+            door.come(f"10.0.0.{host}", 0.0)
+    assert door.closed == []
+    member = door.come("10.0.0.99", 0.0)
+    assert len(door.closed) == 1 and member not in door.closed
+
+
+def test_a_handshake_that_proves_nothing_is_ended_and_counts_as_failed() -> None:
+    door = Door()
+    number = door.come("10.0.0.1", 0.0, hello=True)
+    door.turns(0.0)
+    assert door.admission.overdue(admission.PROOF_S - 0.01) == ()
+    assert door.admission.overdue(admission.PROOF_S) == (number,)
+    assert door.admission.ended(number, False, admission.PROOF_S)
+    member = door.join("10.0.0.1", 5.0)
+    assert door.admission.overdue(1e6) == ()
+    assert not door.admission.ended(member, True, 1e6)
+
+
+def test_handshakes_at_a_time_are_limited_and_the_next_gets_the_turn_of_one_that_ends() -> None:
+    door = Door()
+    waiting = [door.come("10.0.0.1", 0.0, hello=True) for _ in range(20)]
+    first = [number for number, _ in door.turns(0.0)]
+    assert first == waiting[: admission.MOST_TRYING_EACH]
+    door.admission.proven(first[0], 0.1)
+    assert [number for number, _ in door.turns(0.1)] == [waiting[admission.MOST_TRYING_EACH]]
+
+
+def test_a_proof_that_the_router_takes_back_counts_as_failed() -> None:
+    door, closed = Door(), 0
+    for step in range(400):
+        now_s = step * 0.05
+        number = door.come("10.0.0.1", now_s, hello=True)
+        if number in dict(door.turns(now_s)):
+            door.admission.proven(number, now_s)
+            closed += door.admission.ended(number, True, now_s)
+        door.admission.overdue(now_s)
+    assert closed <= 2 * admission.ORIGIN_BURST + 20.0 * admission.ORIGIN_PER_S + 1
+    assert not door.admission.ended(door.join("10.0.0.2", 100.0), False, 100.1)  # a terminal's order is short
+
+
+def test_links_are_limited() -> None:
+    door = Door(most_links=2)
+    door.join("10.0.0.1", 0.0)
+    member = door.join("10.0.0.2", 0.0)
+    waits = door.come("10.0.0.3", 0.0, hello=True)
+    assert door.turns(0.0) == []
+    door.admission.ended(member, False, 0.5)
+    assert door.turns(0.5) == [(waits, NEW)]
+
+
+def test_who_waits_for_tokens_is_looked_at_when_there_is_one() -> None:
+    door = Door()
+    list(failures(door, "10.0.0.1", 0.0, 3.0))
+    last = door.come("10.0.0.1", 3.0, hello=True)
+    due_s = door.admission.next_s(3.0)
+    assert 3.0 <= due_s <= 3.0 + 1.0 / admission.ORIGIN_PER_S + 1e-9
+    passed = [number for number, _ in door.turns(due_s + 1e-6)]
+    assert passed and passed[0] <= last
+
+
+def test_origins_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(admission, "MOST_ORIGINS", 10)
+    door = Door()
+    for host in range(100):
+        door.admission.gone(door.come(f"10.0.0.{host}", 0.0))
+    assert len(door.admission._origins) <= 11
+
+
+def test_an_origin_is_named_once_in_a_while_with_its_count() -> None:
+    refusals = Refusals()
+    for _ in range(3):
+        refusals.note("10.0.0.1")
+    assert refusals.told(0.0) == ["refused a connection from 10.0.0.1 without a valid certificate (3 of them since last told)"]
+    refusals.note("10.0.0.1")
+    refusals.note("10.0.0.2")
+    assert refusals.told(0.1) == ["refused a connection from 10.0.0.2 without a valid certificate"]
+    assert refusals.told(refusals.next_s() - 0.1) == []
+    assert refusals.told(refusals.next_s()) == ["refused a connection from 10.0.0.1 without a valid certificate"]
+    assert refusals.next_s() == float("inf")
+
+
+def test_of_many_origins_a_few_are_named() -> None:
+    refusals = Refusals()
+    for host in range(100):
+        refusals.note(f"10.0.0.{host}")
+    assert len(refusals.told(0.0)) == admission.MOST_NAMED
+    assert refusals.told(1.0) == []

@@ -1,0 +1,79 @@
+"""Each order once, in order, and only for the life of the process that it was meant for."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Mode, Order, Reply
+from wire.transport.command_deduplication import SENDERS, Once
+
+ME = 77
+ORDERS = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 20), st.sampled_from([ME, ME - 1, 0])), max_size=60)
+
+
+def command(recipient: int = ME, order: Order = Order.ARM) -> Command:
+    return Command(order, 1, recipient=recipient)
+
+
+def test_a_repeated_order_gets_the_same_answer_and_an_older_one_a_refusal() -> None:
+    once, head = Once(ME), Header(7, 5, 0)
+    assert once.settled(head, command()) is None
+    answer = once.settle(head, Reply(1, True, "", Mode.ARMED))
+    assert (answer.accepted, answer.mode, answer.session) == (True, Mode.ARMED, ME)
+    assert once.settled(head, command()) is answer
+    older = once.settled(Header(7, 4, 0), command())
+    assert older is not None
+    assert (older.accepted, older.reason) == (False, "ARM is old: order 4 after 5")
+    assert once.settled(Header(7, 6, 0), command()) is None
+
+
+def test_an_order_for_another_life_is_refused_and_told_who_lives_now() -> None:
+    for recipient in (0, ME + 1):
+        reply = Once(ME).settled(Header(7, 1, 0), command(recipient))
+        assert reply is not None
+        assert (reply.accepted, reply.session) == (False, ME)
+        assert "not for this life" in reply.reason
+
+
+@given(ORDERS)
+def test_however_orders_are_repeated_mixed_and_reordered_each_is_taken_at_most_once(
+    orders: list[tuple[int, int, int]],
+) -> None:
+    once, taken = Once(ME), []
+    for session, sequence, recipient in orders:
+        head = Header(session, sequence, 0)
+        if once.settled(head, command(recipient)) is None:
+            once.settle(head, Reply(1, True))
+            taken.append((session, sequence))
+            assert recipient == ME
+    for session in (1, 2, 3):
+        own = [sequence for by, sequence in taken if by == session]
+        assert own == sorted(set(own))
+
+
+def test_what_is_remembered_is_bounded_and_the_newest_senders_are_kept() -> None:
+    once = Once(ME)
+    for session in range(1, SENDERS + 3):
+        once.settle(Header(session, 1, 0), Reply(1, True))
+    assert once.settled(Header(SENDERS + 2, 1, 0), command()) is not None
+    assert once.settled(Header(3, 1, 0), command()) is not None
+    assert len(once._answered) == SENDERS
+
+
+@pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
+def test_power_is_taken_away_however_late_and_often_and_for_whichever_life(order: Order) -> None:
+    once = Once(ME)
+    for sequence, recipient in ((5, ME), (5, ME), (3, ME), (6, ME + 1), (1, 0)):
+        head = Header(7, sequence, 0)
+        assert once.settled(head, command(recipient, order)) is None
+        assert once.settle(head, Reply(1, True)).session == ME
+
+
+def test_a_late_stop_makes_no_other_order_new_again() -> None:
+    once, head = Once(ME), Header(7, 5, 0)
+    armed = once.settle(head, Reply(1, True, "", Mode.ARMED))
+    once.settle(Header(7, 2, 0), Reply(1, True, "", Mode.STOPPED))
+    assert once.settled(head, command()) is armed
+    refused = once.settled(Header(7, 4, 0), command())
+    assert refused is not None and refused.reason == "ARM is old: order 4 after 5"

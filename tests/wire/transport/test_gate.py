@@ -1,0 +1,349 @@
+"""The ways into a router with keys, under attack: real sessions, a real guard, strangers on loopback addresses."""
+
+import contextlib
+import os
+import signal
+import socket
+import stat
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from groundstation.__main__ import cli as groundstation
+from groundstation.deploy import key_ring
+from sim_bridge.sil.ports import free_port
+from tests.wire.strangers import Strangers
+from tests.wire.transport.test_bus import eventually
+from wire.messages import messages, topics
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Order, Reply
+from wire.security import admission
+from wire.security.access_control import DOOR
+from wire.security.admission import RETRY
+from wire.security.guard import Guard
+from wire.transport import gate
+from wire.transport.bus import Bus
+from wire.transport.connection_diagnostics import trouble_reaching
+from wire.transport.gate import door_of, nearest
+from wire.transport.network import endpoint
+from wire.transport.transport import ZenohTransport
+
+SOON_S = 5.0  # without a guard nobody comes in for minutes
+
+
+@pytest.fixture(scope="module")
+def ring(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    ring, now = tmp_path_factory.mktemp("ring") / "keys", datetime.now(UTC)
+    key_ring.init(ring, [], "shoal", now)
+    key_ring.add(ring, "robot", 1, now)
+    return ring
+
+
+@pytest.fixture(scope="module")
+def address() -> str:
+    return f"tls/127.0.0.1:{free_port()}"
+
+
+ASKED: list[Order] = []  # of the station
+
+
+def answer(header: Header, command: Command) -> Reply:
+    ASKED.append(command.order)
+    return Reply(0, command.order is Order.STOP)
+
+
+@pytest.fixture(scope="module")
+def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bus]:
+    """A station's bus, which answers orders for the whole fleet."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
+        with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
+            bus.serve(0, answer)
+            yield bus
+
+
+def stopped(ring: Path, address: str) -> bool:
+    """Whether an operator from elsewhere gets a stop through."""
+    with Bus(ZenohTransport(endpoint(address, "operator", ring), patience_s=SOON_S)) as bus:
+        return bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
+
+
+@pytest.mark.parametrize("source", ["127.0.0.1", "127.0.0.2"])  # also from where the members are
+@pytest.mark.parametrize(
+    ("attack", "first"), [({"knocks_hz": 200.0}, 60), ({"half_open": 900}, 900), ({"handshakes_hz": 20.0}, 4)], ids=str
+)
+def test_strangers_keep_no_member_out(
+    station: Bus, ring: Path, address: str, source: str, attack: dict[str, float], first: int
+) -> None:
+    """A router without a guard would be busy with the first of them for longer than SOON_S."""
+    with Strangers(int(address.rpartition(":")[2]), source, **attack) as strangers:  # type: ignore[arg-type]
+        assert eventually(lambda: strangers.made >= first)
+        assert stopped(ring, address)
+        ZenohTransport(endpoint(address, "agent-1", ring), patience_s=SOON_S).close()
+
+
+def test_a_stranger_is_told_of_in_one_line_and_a_member_is_not(
+    station: Bus, ring: Path, address: str, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    caplog.clear()
+    assert trouble_reaching(address, endpoint(address, "operator", ring).keys) == ""
+    assert stopped(ring, address)
+    port = int(address.rpartition(":")[2])
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", port), source_address=("127.0.0.3", 0)) as stranger:
+            stranger.sendall(b"hello")
+            assert stranger.recv(1) == b""
+    assert eventually(lambda: "127.0.0.3" in caplog.text)
+    told = [record.getMessage() for record in caplog.records if "127.0.0.3" in record.getMessage()]
+    assert len(told) == 1 and told[0].startswith("refused a connection from 127.0.0.3 without a valid certificate")
+    assert "DEBUG" not in (out := "".join(capfd.readouterr())) and "Hint" not in out
+
+
+def test_a_guard_that_dies_is_started_again_and_links_come_back(
+    station: Bus, ring: Path, address: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    beats = station.inbox(topics.STATE, messages.RobotState, robot=1)
+    with Bus(ZenohTransport(endpoint(address, "agent-1", ring), patience_s=SOON_S)) as agent:
+
+        def heard() -> bool:
+            newest = beats.newest_header()
+            sequence = newest.sequence if newest is not None else 0
+            agent.publish(topics.STATE, messages.RobotState(), 1, robot=1)
+            time.sleep(0.02)
+            newest = beats.newest_header()
+            return newest is not None and newest.sequence > sequence
+
+        assert eventually(heard)
+        found = station._transport._gate  # type: ignore[attr-defined]
+        before = found.guard_pid
+        os.kill(before, signal.SIGKILL)
+        assert eventually(lambda: found.guard_pid not in (0, before))
+        assert eventually(heard, 10.0)
+    assert "has ended (exit code -9): it is started again" in caplog.text
+
+
+# --- the door
+
+
+def test_the_door_is_for_orders_to_the_station_and_for_nothing_else(station: Bus, ring: Path, address: str) -> None:
+    where = nearest(endpoint(address, "operator", ring))
+    assert where.address.startswith(f"{DOOR}/")
+    obeyed: list[Order] = []
+    station.serve(1, lambda header, command: obeyed.append(command.order) or Reply(1, True))  # type: ignore[func-returns-value]
+    heard: list[int] = []
+    station.subscribe(topics.HEARTBEAT, None, lambda topic, key, header, payload: heard.append(header.session))
+    with Bus(ZenohTransport(where, patience_s=SOON_S)) as bus:
+        bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1)
+        assert bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
+        assert not bus.order(Command(Order.ARM, 1), 1, 0.2).accepted
+    assert (obeyed, bus.session in heard) == ([], False)
+
+
+def test_a_terminals_stop_comes_through_the_door_under_attack_and_without_keys(station: Bus, address: str) -> None:
+    ASKED.clear()
+    port = int(address.rpartition(":")[2])
+    with Strangers(port, handshakes_hz=50.0) as strangers:  # from the members' own address: the hardest for who needs the port
+        assert eventually(lambda: strangers.made > 4)
+        said = CliRunner().invoke(groundstation, ["stop", "--station", f"tcp/127.0.0.1:{port}"])
+    assert ASKED[:1] == [Order.STOP], said.output
+
+
+def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address: str) -> None:
+    port = int(address.rpartition(":")[2])
+    here = endpoint(f"tcp/127.0.0.1:{port}", "operator", None)
+    assert nearest(here).address == f"{DOOR}/{door_of(port)}"
+    elsewhere = replace(here, address=f"tcp/192.0.2.1:{port}")  # a documentation address: nobody's
+    assert nearest(elsewhere) is elsewhere
+
+
+def test_a_door_that_nobody_is_behind_is_passed_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    where = endpoint("tcp/127.0.0.1:7447", "operator", None)
+    assert nearest(where) is where  # no folder
+    door = door_of(7447, make=True)
+    assert door is not None
+    with closing(socket.socket(socket.AF_UNIX)) as left:
+        left.bind(str(door))  # as after a station that was killed
+    assert nearest(where) is where
+
+
+def test_a_folder_that_others_may_enter_has_no_door(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert door_of(7447, make=True) is not None
+    folder = gate.door_folder()
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    folder.chmod(0o750)
+    assert door_of(7447, make=True) is None
+    folder.rmdir()
+    (tmp_path / "elsewhere").mkdir(mode=0o700)
+    folder.symlink_to(tmp_path / "elsewhere")
+    assert door_of(7447, make=True) is None
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / ("long" * 30)))
+    assert door_of(7447, make=True) is None
+
+
+def test_a_station_without_a_door_says_so_and_runs(
+    ring: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
+    address = f"tls/127.0.0.1:{free_port()}"
+    with Bus(ZenohTransport(endpoint(address, "groundstation", ring, router=True))) as bus:
+        bus.serve(0, lambda header, command: Reply(0, True))
+        assert stopped(ring, address)
+    assert "no door for this machine" in caplog.text
+
+
+# --- what the guard passes on
+
+
+class Passage:
+    """A guard in a thread, between a test's client and a test's server that knows no TLS."""
+
+    def __init__(self) -> None:
+        self.server = socket.create_server(("127.0.0.1", 0))
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.port, self.told = listener.getsockname()[1], list[str]()
+        inner = self.server.getsockname()[1]
+        self.guard = Guard(listener, (inner, inner), self.told.append, most_links=10)
+        self._end, self._ended = socket.socketpair()
+        self.guard.watch(self._ended.fileno())
+        self.thread = threading.Thread(target=self.guard.run)
+        self.thread.start()
+
+    def pair(self, hello: bytes) -> tuple[socket.socket, socket.socket]:
+        """Both ends of a connection, after its hello."""
+        client = socket.create_connection(("127.0.0.1", self.port), timeout=SOON_S)
+        client.sendall(hello)
+        server, _ = self.server.accept()
+        server.settimeout(SOON_S)
+        assert server.recv(len(hello), socket.MSG_WAITALL) == hello
+        return client, server
+
+    def close(self) -> None:
+        self._end.close()
+        self.thread.join()
+        self.guard.close()
+        self._ended.close()
+        self.server.close()
+
+
+@pytest.fixture
+def passage() -> Iterator[Passage]:
+    with closing(Passage()) as passage:
+        yield passage
+
+
+HELLO = b"\x16\x03\x01\x00\x05\x01\x00\x00\x01\x00"
+
+
+def test_bytes_pass_unchanged_both_ways_also_more_than_the_other_takes_at_once(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    with client, server:
+        server.sendall(b"answer")
+        assert client.recv(6, socket.MSG_WAITALL) == b"answer"
+        data = os.urandom(8_000_000)
+        for sender, receiver in ((client, server), (server, client)):
+            sending = threading.Thread(target=sender.sendall, args=(data,))
+            sending.start()
+            time.sleep(0.05)  # every buffer on the way is full
+            got = bytearray()
+            while len(got) < len(data):
+                got += receiver.recv(1 << 20)
+            sending.join()
+            assert bytes(got) == data
+
+
+def test_the_end_of_one_direction_leaves_the_other(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    with client, server:
+        server.sendall(b"answer")
+        assert client.recv(6) == b"answer"
+        client.shutdown(socket.SHUT_WR)
+        assert server.recv(1) == b""
+        server.sendall(b"last words")
+        server.close()
+        assert client.recv(100, socket.MSG_WAITALL) == b"last words"
+
+
+def test_a_lost_end_ends_the_other(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    server.sendall(b"answer")
+    assert client.recv(6) == b"answer"
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")  # a reset
+    client.close()
+    with server, pytest.raises(ConnectionError):
+        while server.recv(1):
+            pass
+        raise ConnectionResetError  # an orderly end says the same
+
+
+def test_what_comes_after_a_hello_waits_for_the_routers_answer(passage: Passage) -> None:
+    """Else a stranger could have the router's first flight counted as the answer to a certificate."""
+    client, server = passage.pair(HELLO)
+    with client, server:
+        client.sendall(bytes(1000))
+        server.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            server.recv(1)
+        server.sendall(b"answer")
+        server.settimeout(SOON_S)
+        assert len(server.recv(1000, socket.MSG_WAITALL)) == 1000
+
+
+def test_a_member_that_is_killed_is_no_stranger(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    with server:
+        server.sendall(b"answer")
+        assert client.recv(6) == b"answer"
+        client.sendall(bytes(1000))  # as much as a certificate
+        assert len(server.recv(1000, socket.MSG_WAITALL)) == 1000
+        server.sendall(bytes(1000))  # as the answer to one
+        assert len(client.recv(1000, socket.MSG_WAITALL)) == 1000
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\0\0\0\0\0\0\0")  # a reset
+        client.close()
+        with contextlib.suppress(OSError):
+            for _ in range(100):
+                server.sendall(bytes(1000))
+                time.sleep(0.001)
+    with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
+        stranger.sendall(b"hello")
+        assert stranger.recv(1) == b""
+    assert eventually(lambda: bool(passage.told))
+    assert passage.told == ["refused a connection from 127.0.0.1 without a valid certificate"]  # the stranger alone
+
+
+def test_a_request_for_another_hello_ends_a_connection(passage: Passage) -> None:
+    client, server = passage.pair(HELLO)
+    with client, server:
+        server.sendall(b"\x16\x03\x03\x00\x58\x02\x00\x00\x54\x03\x03" + RETRY + bytes(50))
+        assert server.recv(1) == b""
+
+
+def test_a_hello_in_too_many_pieces_is_no_hello(passage: Passage) -> None:
+    """Each piece costs the guard a look at all that has come."""
+    with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
+        stranger.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        with contextlib.suppress(OSError):
+            for byte in b"\x16\x03\x01\x40\x00\x01\x00\x3f\xf0" + bytes(1000):
+                stranger.sendall(bytes([byte]))
+                time.sleep(0.0005)
+        with contextlib.suppress(OSError):
+            assert stranger.recv(1) == b""
+    assert eventually(lambda: len(passage.told) == 1, admission.HELLO_S / 2)
+
+
+def test_a_stranger_that_is_gone_before_its_turn_costs_nothing(passage: Passage) -> None:
+    for _ in range(20):
+        with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
+            stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")
+            assert stranger.recv(1) == b""
+    client, server = passage.pair(HELLO)
+    with client, server:
+        assert passage.told == ["refused a connection from 127.0.0.1 without a valid certificate"]

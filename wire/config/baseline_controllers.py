@@ -1,0 +1,77 @@
+"""Settings of the control laws that the ESO-MPC is compared with. Lists are [surge, heave, yaw]: m, m and rad; N, N and N m.
+
+All gains are the outcome of one search with the same budget for each law, for the shipped vehicle (docs/baselines.md);
+`sim-bridge tune` repeats it for another.
+"""
+
+from typing import Literal
+
+from wire.config.vehicle import NotNegative, Positive
+from wire.toml_loader import Section
+
+Gains = tuple[NotNegative, NotNegative, NotNegative]
+Scales = tuple[Positive, Positive, Positive]
+
+LawName = Literal["eso-mpc", "backstepping", "pid", "lqr", "sliding-mode", "fuzzy", "adaptive-nn"]
+
+
+class FeedbackLaw(Section):
+    """What they have in common."""
+
+    guidance_per_s2: NotNegative = 0.1  # in the place of guidance.position_gain_per_s2, which is set for the ESO-MPC
+
+
+class Backstepping(FeedbackLaw):
+    """How fast errors are to decay, then errors of the velocity that makes them decay, and what the one weighs in the
+    Lyapunov function when the other weighs one."""
+
+    guidance_per_s2: NotNegative = 0.0975
+    error_per_s: Gains = (0.102, 0.797, 2.41)
+    velocity_per_s: Gains = (0.801, 2.62, 0.448)
+    coupling_per_s2: Gains = (0.292, 0.169, 0.476)
+
+
+class Pid(FeedbackLaw):
+    """One independent loop per axis."""
+
+    guidance_per_s2: NotNegative = 0.22
+    p: Gains = (7.63, 11.8, 0.781)  # N/m, N/m, N m/rad
+    i: Gains = (1.92, 1.75, 0.0227)  # the same, per second
+    d: Gains = (7.57, 7.22, 0.162)  # N s/m, N s/m, N m s/rad
+
+
+class Lqr(FeedbackLaw):
+    """Weights of squared errors and of squared velocity errors; that of the wrench is 1 / limit^2 (Bryson's rule)."""
+
+    guidance_per_s2: NotNegative = 0.102
+    error: Gains = (3.88, 4.59, 4.02)
+    velocity: Gains = (1.0, 0.892, 1.08)
+
+
+class SlidingMode(FeedbackLaw):
+    """s = velocity error + slope error. The switching term is `reach` m/s^2 strong, and linear for |s| < `layer` m/s."""
+
+    guidance_per_s2: NotNegative = 0.0831
+    slope_per_s: Gains = (0.351, 1.35, 1.97)
+    reach: Gains = (0.377, 0.281, 1.0)
+    layer: Scales = (0.106, 0.0748, 0.0709)
+
+
+class Fuzzy(FeedbackLaw):
+    """Errors and velocity errors that count as "big", and what the rules' verdict (-1 to 1) does, as a share of the limit: at
+    once, and per second."""
+
+    guidance_per_s2: NotNegative = 0.154
+    error: Scales = (0.62, 0.271, 0.552)
+    velocity: Scales = (0.149, 0.407, 0.957)
+    proportional: Gains = (1.13, 2.08, 1.1)
+    integral: Gains = (0.477, 0.342, 0.315)
+
+
+class AdaptiveNn(FeedbackLaw):
+    """s = velocity error + slope error; wrench = gain s + network. The network learns `learning` N per m/s of s and second."""
+
+    guidance_per_s2: NotNegative = 0.142
+    slope_per_s: Gains = (0.38, 0.749, 1.81)
+    gain: Gains = (51.6, 48.1, 0.422)
+    learning: Gains = (7.63, 5.54, 1.73)

@@ -1,0 +1,319 @@
+"""SHELL: the experiment file: what is flown, by whom, how, and what a good result is. One file that all processes share.
+
+A run starts only if every process holds the same experiment, so `Experiment.hash` covers every key, defaults and vehicle
+included. Lengths are metres, angles radians, times seconds; pool frame (see wire/frames.py) unless the key says otherwise.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+import tomli_w
+from pydantic import Field, model_validator
+
+from wire.config.controller import Controller, Safety
+from wire.config.fault_injection import fault_table
+from wire.config.formation_shapes import SHAPES, shape_nodes
+from wire.config.mission import Conduct
+from wire.config.perception import LANDMARKS_NEEDED, Camera, CameraFile, Landmark, Localizer
+from wire.config.recording import Recording
+from wire.config.scene import Formation, Island, PathSpec, Pool, Robot
+from wire.config.simulation import Sim
+from wire.config.vehicle import Fraction, Positive, Vehicle, load_vehicle
+from wire.frames import Array
+from wire.toml_loader import ConfigError, Section, apply_setting, check, read_toml
+
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+SHORTEST_HORIZON_S = 2.25  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
+NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
+MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
+
+
+class ArticleRow(Section):
+    """A row of the article's result table: tracking of robot "1", or formation of the pair "1-2"."""
+
+    subject: str
+    rms_m: tuple[float, ...] = ()
+    rms_yaw_rad: float | None = None
+    max_m: tuple[float, ...] = ()
+
+
+class Limit(Section):
+    """Largest values for a run that passes; checked against the plant's truth after the run."""
+
+    rms_m: Positive | None = None
+    rms_after_20s_m: Positive | None = None
+    rms_yaw_after_20s_rad: Positive | None = None  # to the path's tangent
+    max_after_20s_m: Positive | None = None
+    arrived_m: Positive | None = None  # each robot from its last reference, horizontally, at the end of the run
+    pose_rms_m: Positive | None = None
+    wrench_step_rms: Fraction | None = None  # after 20 s: RMS of the inputs' change per step, as a fraction of its bound
+    exposure_to_pwm_p99_ms: Positive | None = None
+
+
+class Experiment(Section):
+    """The whole file."""
+
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]  # a run's folder has it in its name
+    title: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
+    duration_s: Annotated[float, Field(gt=0, le=36000)]
+    vehicle: Vehicle
+    pool: Pool
+    path: PathSpec
+    formation: Formation = Formation()
+    robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=49)]
+    islands: tuple[Island, ...] = ()
+    safety: Safety = Safety()
+    mission: Conduct = Conduct()
+    controller: Controller = Controller()
+    camera: Camera
+    landmarks: tuple[Landmark, ...] = ()  # with any, the camera is taken to move
+    localizer: Localizer = Localizer()
+    recording: Recording = Recording()
+    sim: Sim = Sim()
+    limits: Limit = Limit()
+    article: tuple[ArticleRow, ...] = ()
+
+    @model_validator(mode="after")
+    def _robots_fit_together(self) -> Self:
+        ids = [robot.id for robot in self.robots]
+        for values, what in ((ids, "id"), ([robot.marker for robot in self.robots], "marker_id")):
+            doubled = sorted({v for v in values if values.count(v) > 1})
+            if doubled:
+                raise ValueError(f"robots: {what} {doubled[0]} is used twice; each robot needs its own")
+        for robot in self.robots:
+            for other in robot.neighbours:
+                if other not in ids or other == robot.id or robot.neighbours.count(other) > 1:
+                    allowed = ", ".join(str(i) for i in ids if i != robot.id) or "none"
+                    raise ValueError(f"robots: neighbours of robot {robot.id}: {other} is not allowed (once each: {allowed})")
+        if self.formation.leader is not None and self.formation.leader not in ids:
+            allowed = ", ".join(map(str, ids))
+            raise ValueError(f"formation.leader = {self.formation.leader}: no such robot (allowed: {allowed})")
+        hz = self.sim.plant.disturbance_hz
+        if isinstance(hz, tuple) and len(hz) != len(ids):
+            raise ValueError(f"sim.plant.disturbance_hz: {len(hz)} values for {len(ids)} robots (allowed: one, or one each)")
+        return self
+
+    @model_validator(mode="after")
+    def _board_outlasts_a_lost_step(self) -> Self:
+        neutral_s, period_s = self.sim.board.neutral_after_s, self.controller.period_s
+        if period_s > neutral_s / 2.0:
+            raise ValueError(
+                f"controller.period_s = {period_s:g}: when one step fails to come the board of "
+                f"sim.board.neutral_after_s = {neutral_s:g} s would disarm (allowed: up to {neutral_s / 2.0:g})"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _faults_meet_something(self) -> Self:
+        processes = ("groundstation", "sim-bridge", "localizer", *(f"agent-{robot}" for robot in self.robot_ids))
+        for i, fault in enumerate(self.sim.faults):
+            broken, allowed = fault.broken, ", ".join(map(str, self.robot_ids))
+            if broken.robot and broken.robot not in self.robot_ids:
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no robot {broken.robot} (allowed: {allowed})")
+            if broken.process and broken.process not in processes:
+                raise ValueError(f"sim.faults.{i}.what = {fault.what!r}: no such process (allowed: {', '.join(processes)})")
+        return self
+
+    @model_validator(mode="after")
+    def _landmarks_can_be_told_apart(self) -> Self:
+        ids = [landmark.id for landmark in self.landmarks]
+        if 0 < len(ids) < LANDMARKS_NEEDED:
+            raise ValueError(f"landmarks: {len(ids)} cannot place a camera (allowed: none, or {LANDMARKS_NEEDED} and more)")
+        for landmark in self.landmarks:
+            if ids.count(landmark.id) > 1:
+                raise ValueError(f"landmarks: id {landmark.id} is used twice; each landmark needs its own")
+            for robot in self.robots:
+                if robot.marker == landmark.id:
+                    free = sorted(set(range(50)) - set(ids) - {r.marker for r in self.robots})
+                    raise ValueError(
+                        f"landmarks: id {landmark.id} is the marker of robot {robot.id} (free: {', '.join(map(str, free))})"
+                    )
+            depth, floor = landmark.position_m[2], self.pool.size_m[2]
+            if depth > floor:
+                raise ValueError(f"landmarks: id {landmark.id} at z = {depth} lies below the floor (allowed: up to {floor})")
+        return self
+
+    @property
+    def wrench_step(self) -> tuple[float, float, float]:
+        """The largest change of the wrench per control step: N, N, N m."""
+        return self.vehicle.limits.wrench_step(self.controller.period_s)
+
+    @property
+    def cautions(self) -> tuple[str, ...]:
+        """Settings that may be flown, and are known to go wrong somewhere: sentences for people."""
+        mpc, period_s = self.controller.mpc, self.controller.period_s
+        ahead_s = mpc.horizon * period_s
+        if self.controller.law != "eso-mpc" or ahead_s >= SHORTEST_HORIZON_S - 1e-9:
+            return ()
+        steps = math.ceil(SHORTEST_HORIZON_S / period_s - 1e-9)
+        return (
+            f"controller.mpc.horizon = {mpc.horizon} looks {ahead_s:.2f} s ahead: below {SHORTEST_HORIZON_S:g} s slow robots "
+            f"have left their paths (docs/control.md); use {steps} or more, or see it fly in simulation first",
+        )
+
+    @property
+    def robot_ids(self) -> tuple[int, ...]:
+        """Ids of all robots, in the file's order."""
+        return tuple(robot.id for robot in self.robots)
+
+    def robot(self, robot_id: int) -> Robot:
+        """The robot of that id. Raises ConfigError naming the ids there are."""
+        for robot in self.robots:
+            if robot.id == robot_id:
+                return robot
+        allowed = ", ".join(str(i) for i in self.robot_ids)
+        raise ConfigError(f"robot {robot_id}: not in experiment {self.name!r} (allowed: {allowed})")
+
+    def leader_of(self, robot_id: int) -> int | None:
+        """Whom a robot follows instead of its own node; None if nobody."""
+        leader = self.robot_ids[0] if self.formation.leader is None else self.formation.leader
+        return leader if self.formation.kind == "leader-follower" and leader != robot_id else None
+
+    def path_of(self, robot: Robot) -> PathSpec:
+        """The path whose node that robot is on."""
+        return self.path if robot.path is None else robot.path
+
+    @property
+    def watches_obstacles(self) -> bool:
+        """Whether the localizer is to watch for obstacles: with a camera that hangs still it does, unless obstacle_min_m is 0.
+        Where it is not to, nobody who hears of no obstacles is blind."""
+        return self.localizer.uses_camera and self.localizer.obstacle_min_m > 0.0 and not self.landmarks
+
+    def nodes_m(self) -> Array:
+        """Formation nodes from the virtual centre, shape (robots, 3), scaled by L = l I (15)."""
+        return self.formation.scale * np.array([robot.node_m for robot in self.robots])
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 (hex) over every value of the experiment and its vehicle, defaults included."""
+        text = json.dumps(self.model_dump(mode="json"), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+def dump_experiment(experiment: Experiment) -> str:
+    """The whole experiment as TOML, vehicle and defaults included: loading it gives the same hash."""
+    return tomli_w.dumps(experiment.model_dump(mode="json", exclude_none=True))
+
+
+def experiment_path(name_or_path: str) -> Path:
+    """Where an experiment lies: a shipped name (`pool`) or a path ending in .toml. Raises ConfigError."""
+    if name_or_path.endswith(".toml"):
+        return Path(name_or_path)
+    path = EXPERIMENTS / f"{name_or_path}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(p.stem for p in EXPERIMENTS.glob("*.toml")))
+        raise ConfigError(f"experiment {name_or_path!r}: no such experiment (allowed: {known}, or a path ending in .toml)")
+    return path
+
+
+def load_experiment(name_or_path: str, settings: Sequence[str] = (), faults: Sequence[str] = ()) -> Experiment:
+    """Load and check an experiment, with `--set key=value` settings laid over it and `--fault` lines added to its own. Raises
+    ConfigError."""
+    path = experiment_path(name_or_path)
+    table: dict[str, Any] = read_toml(path)
+    _insert_files(table, path)
+    for setting in settings:
+        apply_setting(table, setting)
+        _insert_files(table, path)
+    _move_keys(table, path)
+    if _is_record(path):
+        _insert_rates(table)
+    _insert_nodes(table)
+    sim = table.setdefault("sim", {}) if faults else None
+    if isinstance(sim, dict) and isinstance(sim.setdefault("faults", []), list):
+        sim["faults"] += map(fault_table, faults)
+    return check(Experiment, table, str(path))
+
+
+def _insert_files(table: dict[str, Any], experiment: Path) -> None:
+    """Put vehicle and camera in the place of their files' names, so that settings reach into them and the hash covers them.
+
+    A table may name a file as `like` and say only what is different: `vehicle = { like = "spherical", radius_m = 0.2 }`.
+    """
+    for key, load in (("vehicle", load_vehicle), ("camera", load_camera)):
+        given = table.get(key)
+        name = given.get("like") if isinstance(given, dict) else given
+        if not isinstance(name, str):
+            continue
+        try:
+            table[key] = load(name, experiment.parent).model_dump(mode="json")
+        except ConfigError as error:
+            raise ConfigError("\n".join(f"{experiment}: {line}" for line in str(error).splitlines())) from None
+        if isinstance(given, dict):
+            _lay_over(table[key], {k: value for k, value in given.items() if k != "like"})
+
+
+def _move_keys(table: dict[str, Any], path: Path) -> None:
+    """Put keys of an earlier version where they stand now, in the record of a run: the file beside its log. In a file that a
+    person keeps an old key is refused, with its new name."""
+    for old, new in MOVED.items():
+        (holder, key), (target, name) = _holder(table, old), _holder(table, new)
+        if holder is None or key not in holder:
+            continue
+        if not _is_record(path):
+            raise ConfigError(f"{path}: {old}: this key is called {new} now (write {new} = {str(holder[key]).lower()})")
+        value = holder.pop(key)
+        if target is not None:
+            target.setdefault(name, value)
+
+
+def _holder(table: dict[str, Any], dotted: str) -> tuple[dict[str, Any] | None, str]:
+    """The table that a dotted key stands in, None if there is none, and the key's last part."""
+    where, _, key = dotted.rpartition(".")
+    node: Any = table
+    for name in where.split("."):
+        node = node.get(name) if isinstance(node, dict) else None
+    return (node if isinstance(node, dict) else None), key
+
+
+def _is_record(path: Path) -> bool:
+    """Whether a file is the record of a run: the copy beside its log."""
+    return path.name == "experiment.toml" and (path.parent / "run.mcap").is_file()
+
+
+def _insert_rates(table: dict[str, Any]) -> None:
+    """Read the copies of experiments beside older logs: they limit the wrench's change per control step, not per second."""
+    vehicle, controller = table.get("vehicle"), table.get("controller", {})
+    limits = vehicle.get("limits") if isinstance(vehicle, dict) else None
+    if not (isinstance(limits, dict) and isinstance(controller, dict)) or "wrench_rate_per_s" in limits:
+        return
+    steps, period_s = limits.get("wrench_step"), controller.get("period_s", Controller().period_s)
+    if isinstance(steps, list) and all(isinstance(value, int | float) and value > 0.0 for value in (*steps, period_s)):
+        limits["wrench_rate_per_s"] = [step * (1.0 / period_s) for step in steps]
+        del limits["wrench_step"]
+
+
+def _insert_nodes(table: dict[str, Any]) -> None:
+    """Give the robots that have no node one of the formation's shape, in the file's order."""
+    formation, robots = table.get("formation"), table.get("robots")
+    if not (isinstance(formation, dict) and isinstance(robots, list)) or formation.get("shape") not in SHAPES:
+        return
+    spacing_m = formation.get("spacing_m", Formation.model_fields["spacing_m"].default)
+    if isinstance(spacing_m, int | float) and 0.0 < spacing_m < math.inf:
+        for robot, node in zip(robots, shape_nodes(formation["shape"], len(robots), spacing_m).tolist(), strict=True):
+            if isinstance(robot, dict):
+                robot.setdefault("node_m", node)
+
+
+def _lay_over(table: dict[str, Any], changes: dict[str, Any]) -> None:
+    """Write `changes` into `table`, in place; tables within tables likewise."""
+    for key, value in changes.items():
+        if isinstance(value, dict) and isinstance(table.get(key), dict):
+            _lay_over(table[key], value)
+        else:
+            table[key] = value
+
+
+def load_camera(path: str, relative_to: Path | None = None) -> Camera:
+    """The camera of a calibration's file. Raises ConfigError."""
+    if not path.endswith(".toml"):
+        raise ConfigError(f"camera = {path!r}: must be a table, or a path ending in .toml (as `localizer calibrate` writes)")
+    place = (relative_to or Path()) / path
+    return check(CameraFile, read_toml(place), str(place)).camera

@@ -1,0 +1,21 @@
+"""What goes into the log beside what is said: the camera's video. And how full the disk may become."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from wire.config.vehicle import NotNegative, Positive
+from wire.toml_loader import Section
+
+
+class Recording(Section):
+    """Video is made where the localizer runs, in a thread that gives way to everything else; of pictures that come faster than
+    it can, the newest counts. A preview, small and drawn on, is recorded anyway (`localizer.preview_rate_hz`)."""
+
+    video: Literal["none", "h264", "jpeg"] = "none"
+    video_rate_hz: Positive = 20.0
+    video_scale: Annotated[float, Field(gt=0, le=1)] = 1.0  # of the camera's width and height
+    video_mbps: Positive = 4.0  # of h264
+    jpeg_quality: Annotated[int, Field(ge=10, le=100)] = 80
+    min_free_gb: NotNegative = 0.5  # with less room on the disk no run begins
+    stop_video_below_gb: NotNegative = 0.3  # with less, pictures are not recorded any longer, so that the rest is

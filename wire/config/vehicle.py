@@ -1,0 +1,231 @@
+"""SHELL: a vehicle: inertia, drag, limits, legs, thrust curve. Loaded from a TOML file that is checked key by key."""
+
+from collections.abc import Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from wire.frames import Array
+from wire.toml_loader import ConfigError, Section, check, read_toml
+
+VEHICLES = Path(__file__).parents[1] / "vehicles"
+
+LEGS = 4  # of every vehicle: allocation, boards and simulator know no other
+SAME_M = 1e-5  # of legs: nearer than anybody builds
+
+Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+Microseconds = Annotated[int, Field(ge=500, le=2500)]
+
+
+class Mass(Section):
+    """Rigid body, flooded water and added mass together, per axis of motion."""
+
+    surge_kg: Positive
+    sway_kg: Positive
+    heave_kg: Positive
+    yaw_kg_m2: Positive
+
+
+class Drag(Section):
+    """force = linear * v + quadratic * |v| v, for [surge, sway, heave, yaw]."""
+
+    linear: tuple[Positive, Positive, Positive, Positive]
+    quadratic: tuple[NotNegative, NotNegative, NotNegative, NotNegative]
+
+
+class Limits(Section):
+    """What the controller may ask for. Wrenches are [surge N, heave N, yaw N m], their rates the same per second."""
+
+    wrench: tuple[Positive, Positive, Positive]
+    wrench_rate_per_s: tuple[Positive, Positive, Positive]
+    speed_mps: Positive
+    heave_mps: Positive
+    yaw_rate_radps: Positive
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_change_per_step(cls, table: Any) -> Any:
+        if isinstance(table, dict) and "wrench_step" in table:
+            raise ValueError(
+                "wrench_step: the change per control step is now wrench_rate_per_s, in N/s and N m/s (for a control period of "
+                "0.05 s twenty times the numbers)"
+            )
+        return table
+
+    def wrench_step(self, period_s: float) -> tuple[float, float, float]:
+        """The largest change per control step, (40): N, N, N m."""
+        per_s = 1.0 / period_s  # 6 N/s over 20 Hz is 0.3 N to the last bit; 6 N/s times 0.05 s is not
+        surge, heave, yaw = self.wrench_rate_per_s
+        return surge / per_s, heave / per_s, yaw / per_s
+
+
+class Legs(Section):
+    """Four legs whose ankles turn the thrusters in the vertical plane (the article's "H" propulsion)."""
+
+    position_m: tuple[tuple[float, float], ...]
+    ankle_range_rad: Annotated[float, Field(gt=0, le=np.pi)]
+    ankle_rate_radps: Positive
+    ankle_dead_time_s: NotNegative
+    ankle_us: tuple[Microseconds, Microseconds]
+    idle_thrust_n: NotNegative
+
+    @model_validator(mode="after")
+    def _ankles_can_turn(self) -> Self:
+        if self.ankle_us[0] >= self.ankle_us[1]:
+            raise ValueError(f"ankle_us = {list(self.ankle_us)}: must rise: at -ankle_range_rad, at +ankle_range_rad")
+        return self
+
+    @model_validator(mode="after")
+    def _stand_in_a_rectangle(self) -> Self:
+        if len(self.position_m) != LEGS:
+            raise ValueError(
+                f"position_m: has {len(self.position_m)} legs (allowed: exactly {LEGS}; this version models four "
+                "steerable legs: docs/vehicle.md)"
+            )
+        x, y = np.abs(self.position_m).T
+        if np.ptp(x) > SAME_M or np.ptp(y) > SAME_M or len(set(self.position_m)) != 4:
+            given = [list(position) for position in self.position_m]
+            raise ValueError(f"position_m = {given}: must be the corners of a rectangle around the centre")
+        return self
+
+
+class Thruster(Section):
+    """One thruster with its speed controller: static curve (microseconds to newtons) and dynamics."""
+
+    max_thrust_n: Positive
+    lag_s: NotNegative
+    dead_time_s: NotNegative
+    neutral_us: Microseconds
+    curve: Annotated[tuple[tuple[Microseconds, float], ...], Field(min_length=4)]
+
+    @model_validator(mode="after")
+    def _curve_is_usable(self) -> Self:
+        points = np.array(self.curve)
+        if np.any(np.diff(points[:, 0]) <= 0) or np.any(np.diff(points[:, 1]) < 0):
+            raise ValueError("curve must rise: microseconds strictly, newtons never falling")
+        if not (points[0, 1] < 0 < points[-1, 1]):
+            raise ValueError("curve must reach from reverse (negative newtons) to forward thrust")
+        if self.force_n(np.array(float(self.neutral_us))) != 0.0:
+            raise ValueError(f"neutral_us = {self.neutral_us} must lie in the curve's dead zone (0 N)")
+        if self.max_thrust_n > points[-1, 1]:
+            raise ValueError(f"max_thrust_n = {self.max_thrust_n} is more than the curve's {points[-1, 1]} N full ahead")
+        return self
+
+    @cached_property
+    def _points(self) -> tuple[Array, Array]:
+        points = np.array(self.curve, dtype=np.float64)
+        return points[:, 0], points[:, 1]
+
+    @cached_property
+    def _branches(self) -> tuple[Array, Array, Array, Array]:
+        """(newtons, microseconds) of the reverse and of the forward branch, each from its edge of the dead zone."""
+        us, force = self._points
+        last_reverse = int(np.flatnonzero(force < 0)[-1]) + 1
+        first_forward = int(np.flatnonzero(force > 0)[0]) - 1
+        return (
+            force[: last_reverse + 1],
+            us[: last_reverse + 1],
+            force[first_forward:],
+            us[first_forward:],
+        )
+
+    def force_n(self, pulse_us: Array) -> Array:
+        """Steady thrust in N for a pulse width in us (any shape), by the nominal curve."""
+        us, force = self._points
+        return np.asarray(np.interp(pulse_us, us, force))
+
+    def pulse_us(self, force_n: Array) -> Array:
+        """Pulse width in us (float, any shape) for a thrust in N, clipped to the curve's ends. The inverse of `force_n`:
+        a force of any size is put just outside the dead zone, exactly zero is neutral."""
+        reverse_force, reverse_us, forward_force, forward_us = self._branches
+        forward = np.interp(force_n, forward_force, forward_us)
+        reverse = np.interp(force_n, reverse_force, reverse_us)
+        return np.where(force_n > 0, forward, np.where(force_n < 0, reverse, float(self.neutral_us)))
+
+
+class Battery(Section):
+    """Thresholds in volts at the battery, and the hysteresis before a warning is taken back."""
+
+    cells: Annotated[int, Field(gt=0)]
+    full_v: Positive
+    warn_v: Positive
+    no_arm_v: Positive
+    neutral_v: Positive
+    hysteresis_v: NotNegative
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.full_v > self.warn_v > self.no_arm_v > self.neutral_v:
+            raise ValueError("must fall in this order: full_v > warn_v > no_arm_v > neutral_v")
+        return self
+
+
+class Marker(Section):
+    """ArUco marker (DICT_4X4_50) on top of the robot, its upper edge ahead; the id is the experiment's."""
+
+    side_m: Positive
+    height_m: NotNegative
+
+
+class Vehicle(Section):
+    """Everything about one kind of robot that the controller, the localizer or the board must know."""
+
+    name: str
+    radius_m: Positive
+    mass: Mass
+    drag: Drag
+    limits: Limits
+    legs: Legs
+    thruster: Thruster
+    battery: Battery
+    marker: Marker
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Diagonal of the mass matrix for nu = [surge, sway, heave, yaw], shape (4,): kg, kg, kg, kg m^2."""
+        m = self.mass
+        return np.array([m.surge_kg, m.sway_kg, m.heave_kg, m.yaw_kg_m2])
+
+    @cached_property
+    def drag_linear(self) -> Array:
+        """Linear drag of nu = [surge, sway, heave, yaw], shape (4,): N s/m, and N m s for yaw."""
+        return np.array(self.drag.linear)
+
+    @cached_property
+    def drag_quadratic(self) -> Array:
+        """Quadratic drag of nu = [surge, sway, heave, yaw], shape (4,): kg/m, and N m s^2 for yaw."""
+        return np.array(self.drag.quadratic)
+
+    def demands(self, velocity: Array, acceleration: Array) -> Iterator[tuple[str, str, int, float, Array]]:
+        """What a motion takes and what there is: name, unit, power of the pace it grows with, limit, values (n,).
+
+        `velocity` and `acceleration` are those of the pose in the pool frame, (n, 4).
+        """
+        speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        yield "speed", "m/s", 1, self.limits.speed_mps, speed
+        yield "heave", "m/s", 1, self.limits.heave_mps, np.abs(velocity[:, 2])
+        yield "yaw rate", "rad/s", 1, self.limits.yaw_rate_radps, np.abs(velocity[:, 3])
+        flow = np.column_stack([speed, speed, np.abs(velocity[:, 2]), np.abs(velocity[:, 3])])
+        force = self.inertia * acceleration + (self.drag_linear + self.drag_quadratic * flow) * velocity
+        surge_n, heave_n, yaw_nm = self.limits.wrench
+        # no side thruster: in a bend the robot turns inwards until surge gives the side force too
+        yield "thrust", "N", 2, surge_n, np.hypot(force[:, 0], force[:, 1])
+        yield "heave thrust", "N", 2, heave_n, np.abs(force[:, 2])
+        yield "yaw moment", "N m", 2, yaw_nm, np.abs(force[:, 3])
+
+
+def load_vehicle(name_or_path: str, relative_to: Path | None = None) -> Vehicle:
+    """The vehicle of a shipped file (`spherical`) or of a path ending in .toml. Raises ConfigError."""
+    if name_or_path.endswith(".toml"):
+        path = (relative_to or Path()) / name_or_path
+    else:
+        path = VEHICLES / f"{name_or_path}.toml"
+        if not path.is_file():
+            known = ", ".join(sorted(p.stem for p in VEHICLES.glob("*.toml")))
+            raise ConfigError(f"vehicle = {name_or_path!r}: no such vehicle (allowed: {known}, or a path ending in .toml)")
+    return check(Vehicle, read_toml(path), str(path))

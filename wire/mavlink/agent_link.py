@@ -1,0 +1,268 @@
+"""The thruster link, sans-IO: MAVLink 2 (common dialect) between a robot's computer and its thruster board.
+
+This is the computer's end; the board's is wire/mavlink/board_link.py. Bytes in, bytes out; sockets, serial ports and clocks
+belong to the callers. The robot's id is the MAVLink system id of both ends. What a firmware must do beyond the encoding is in
+docs/board.md; how frames are found in the stream, in wire/mavlink/framing.py.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import Any
+
+from pymavlink.dialects.v20 import common as dialect
+
+from wire.mavlink.framing import LOSS_WINDOW_NS, MARKER, Receiver, Sender
+from wire.mavlink.signing import Gate, Key, Verdict
+
+BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
+AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
+
+CHANNELS = 8  # 4 thrusters, 4 ankles
+SERVOS = attrgetter(*(f"servo{i + 1}_raw" for i in range(CHANNELS)))
+OVERRIDES = attrgetter(*(f"chan{i + 1}_raw" for i in range(CHANNELS)))
+IGNORED = 65535  # RC_CHANNELS_OVERRIDE: leave this channel as it is
+PULSE_RANGE_US = (500, 2500)  # what a servo or a speed controller can take at all; the board knows the vehicle's own limits
+
+WATER_DENSITY_KGPM3 = 998.0  # fresh water at 20 degrees
+GRAVITY_MPS2 = 9.81
+SURFACE_HPA = 1013.25
+STANDARD_GRAVITY_MPS2 = 9.80665  # defines the mG of SCALED_IMU
+
+PROTOCOL_VERSION = 3  # what a HEARTBEAT says for MAVLink 2
+TEXT_LENGTH = 50  # of a STATUSTEXT
+TEXTS_KEPT = 16
+CLOCKS_KEPT = 16  # of these the quickest round trip tells the clock: what is slow was held up one way and not the other
+CLOCK_TRIP_NS = 20_000_000  # a slower answer may be wrong by more than what a burst that is read waited for
+CLOCK_STEP_NS = 5_000_000  # two answers that differ by this more than their round trips explain: the board's clock was set
+BOARD_MS_WRAPS = 2**32  # `time_boot_ms` begins at 0 again after 49.7 days
+CHARGE_STATES = range(8)  # MAV_BATTERY_CHARGE_STATE
+
+ARM_DISARM: int = dialect.MAV_CMD_COMPONENT_ARM_DISARM
+ACCEPTED, REJECTED, UNSUPPORTED = 0, 1, 3  # MAV_RESULT; rejected: for now
+
+
+def depth_to_hpa(depth_m: float) -> float:
+    """Absolute pressure in hPa at a depth in fresh water."""
+    return SURFACE_HPA + WATER_DENSITY_KGPM3 * GRAVITY_MPS2 * depth_m / 100.0
+
+
+def hpa_to_depth(pressure_hpa: float) -> float:
+    """Depth in m in fresh water for an absolute pressure."""
+    return (pressure_hpa - SURFACE_HPA) * 100.0 / (WATER_DENSITY_KGPM3 * GRAVITY_MPS2)
+
+
+def is_override(datagram: bytes) -> bool:
+    """Whether a datagram of an agent, one frame each, sets pulses; nothing else about it is checked."""
+    kind = int.from_bytes(datagram[7:10], "little")
+    return datagram[:1] == bytes([MARKER]) and kind == dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE
+
+
+@dataclass(frozen=True)
+class Telemetry:
+    """What the board last said, complete as of the burst of `board_ms`. Values are finite and within a sensor's range."""
+
+    board_ms: int = -1  # the board's time of the last burst; -1: none yet
+    arrival_ns: int = 0  # when that burst was measured, on the receiver's clock; when it was read, until TIMESYNC was answered
+    heading_rad: float = 0.0
+    yaw_rate_radps: float = 0.0
+    acceleration_mps2: tuple[float, float, float] = (0.0, 0.0, 0.0)  # specific force, body frame
+    depth_m: float = 0.0
+    battery_v: float = 0.0  # one raw measurement, under whatever load there was; means nothing before the first report
+    battery_reports: int = 0  # how many voltages the board has told; 0: none yet
+    charge: int = 0  # how low the board takes the battery to be, filtered: MAV_BATTERY_CHARGE_STATE, 0 not known
+    armed: bool = False
+    echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
+    acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
+    acknowledgements: int = 0
+    texts: tuple[tuple[int, str], ...] = ()  # the last few STATUSTEXT: severity (0 worst, 7 debug), text
+    texts_received: int = 0
+    clock_offset_ns: int = 0  # board's clock minus ours, by the quickest of the last TIMESYNCs
+    round_trip_ns: int = 0  # of the last TIMESYNC
+    round_trips: int = 0
+    loss: float = 0.0  # fraction of the board's frames lost over 5 s
+    bad_frames: int = 0
+    foreign_frames: int = 0
+    stale_frames: int = 0
+    refused_frames: int = 0  # intact, but with a value that cannot be true
+    unsigned_frames: int = 0
+    forged_frames: int = 0  # signed with another key, or where no key is expected
+    replayed_frames: int = 0
+
+
+class Refused(Exception):
+    """A frame is intact, but its content is not acceptable."""
+
+
+def within(value: float, low: float, high: float) -> float:
+    """The value, if it lies in its range. Raises Refused."""
+    if not low <= value <= high:  # false for NaN too
+        raise Refused
+    return value
+
+
+def pulses_of(message: Any, fields: Callable[[Any], tuple[int, ...]], ignorable: bool) -> tuple[int, ...]:
+    """The 8 pulses of a message, in these `fields`. Raises Refused."""
+    pulses = fields(message)
+    low, high = PULSE_RANGE_US
+    if not all(low <= pulse <= high or (ignorable and pulse == IGNORED) for pulse in pulses):
+        raise Refused
+    return pulses
+
+
+class AgentLink:
+    """The robot's computer: packs commands, keeps the telemetry."""
+
+    def __init__(self, robot_id: int, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
+        """With a `key` the link is signed; `now()` is the time in ticks, later than in any earlier life of this computer.
+
+        The board signs with times later than all it has heard, so what it says to this life is later than this life's start:
+        older telemetry is somebody's recording.
+        """
+        self._robot_id, self._board, self._me = robot_id, (robot_id, BOARD_COMPONENT), (robot_id, AGENT_COMPONENT)
+        gate = Gate(key, floor=now())
+        self._sender = Sender(self._me, key, lambda: max(now(), gate.newest + 1))
+        self._receiver = Receiver(lambda peer: peer == self._board, gate)
+        self._refused = 0
+        self._has_depth = False  # this burst, so far
+        self._burst_ms = -1  # the board's time of the last burst
+        self._asked_ns: int | None = None
+        self._clocks: deque[tuple[int, int]] = deque(maxlen=CLOCKS_KEPT)  # round trip, the board's clock minus ours
+        self.telemetry = Telemetry()
+
+    @property
+    def stamp(self) -> int:
+        """The latest timestamp of a signature that this end has sent; 0 without a key."""
+        return self._sender.signer.last if self._sender.signer is not None else 0
+
+    def pack(self, message: Any) -> bytes:
+        """Any message, numbered and signed as this end's."""
+        return self._sender.pack(message)
+
+    def pulses(self, pulses_us: Sequence[int]) -> bytes:
+        """Command the 8 outputs in us: 4 thrusters, 4 ankles. Raises ValueError for a pulse that no servo can take."""
+        low, high = PULSE_RANGE_US
+        if len(pulses_us) != CHANNELS or not all(low <= p <= high or p == IGNORED for p in pulses_us):
+            raise ValueError(f"pulses_us = {tuple(pulses_us)}: must be {CHANNELS} values of {low} to {high} (or {IGNORED})")
+        # Channels 9 to 18 stay 0, which for them (unlike 1 to 8) means "ignore" and is trimmed from the frame.
+        message = dialect.MAVLink_rc_channels_override_message(self._robot_id, BOARD_COMPONENT, *map(int, pulses_us))
+        return self._sender.pack(message)
+
+    def arm(self, arm: bool) -> bytes:
+        """Ask the board to arm or to disarm; the answer is `Telemetry.acknowledged`."""
+        return self._sender.pack(
+            dialect.MAVLink_command_long_message(
+                self._robot_id, BOARD_COMPONENT, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 0, float(arm), 0, 0, 0, 0, 0, 0
+            )
+        )
+
+    def heartbeat(self) -> bytes:
+        """This end is alive. The board does not move for it: only pulses keep thrusters running."""
+        return self._sender.pack(
+            dialect.MAVLink_heartbeat_message(
+                dialect.MAV_TYPE_ONBOARD_CONTROLLER,
+                dialect.MAV_AUTOPILOT_INVALID,
+                0,
+                0,
+                dialect.MAV_STATE_ACTIVE,
+                PROTOCOL_VERSION,
+            )
+        )
+
+    def timesync(self, now_ns: int) -> bytes:
+        """Ask for the board's time."""
+        self._asked_ns = now_ns
+        return self._sender.pack(dialect.MAVLink_timesync_message(0, now_ns))
+
+    def receive(self, data: bytes, now_ns: int) -> None:
+        """Take in bytes that arrived at `now_ns`. Never raises, whatever they are."""
+        changes: dict[str, Any] = {}
+        for message in self._receiver.receive(data, now_ns):
+            try:
+                changes |= self._read(message, changes, now_ns)
+            except Refused:
+                self._refused += 1
+        receiver = self._receiver
+        self.telemetry = replace(
+            self.telemetry,
+            **changes,
+            loss=receiver.loss(self._board),
+            bad_frames=receiver.bad_frames,
+            foreign_frames=receiver.foreign_frames,
+            stale_frames=receiver.stale_frames,
+            refused_frames=self._refused,
+            unsigned_frames=receiver.refused[Verdict.UNSIGNED],
+            forged_frames=receiver.refused[Verdict.FORGED],
+            replayed_frames=receiver.refused[Verdict.REPLAYED],
+        )
+
+    def _read(self, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
+        """What a message changes in the telemetry, on top of `changes` from the same bytes."""
+        kind = message.get_type()
+        if kind == "ATTITUDE":  # the last of a burst: its time is the burst's
+            complete, self._has_depth = self._has_depth, False
+            if not complete:  # the pressure sensor is dead, or that frame lost: the last depth must not look live
+                return {}
+            return {
+                "heading_rad": within(message.yaw, -math.tau, math.tau),
+                "yaw_rate_radps": within(message.yawspeed, -50.0, 50.0),
+                "board_ms": message.time_boot_ms,
+                "arrival_ns": self._measured_ns(message.time_boot_ms, now_ns),
+            }
+        if kind == "SCALED_IMU":
+            unit = STANDARD_GRAVITY_MPS2 / 1000.0
+            return {"acceleration_mps2": (message.xacc * unit, message.yacc * unit, message.zacc * unit)}
+        if kind == "SCALED_PRESSURE2":
+            depth_m = hpa_to_depth(within(message.press_abs, 500.0, 20_000.0))
+            self._has_depth = True
+            return {"depth_m": depth_m}
+        if kind == "SERVO_OUTPUT_RAW":
+            return {"echo_us": pulses_of(message, SERVOS, ignorable=False)}
+        if kind == "SYS_STATUS":
+            count = changes.get("battery_reports", self.telemetry.battery_reports)
+            return {"battery_v": within(message.voltage_battery, 0, IGNORED - 1) / 1000.0, "battery_reports": count + 1}
+        if kind == "BATTERY_STATUS":
+            within(message.charge_state, CHARGE_STATES.start, CHARGE_STATES[-1])
+            return {"charge": message.charge_state} if message.id == 0 else {}
+        if kind == "HEARTBEAT":
+            return {"armed": bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)}
+        return self._read_answer(kind, message, changes, now_ns)
+
+    def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
+        if kind == "COMMAND_ACK":
+            if message.target_system and (message.target_system, message.target_component) != self._me:
+                return {}  # the answer to somebody else's
+            count = changes.get("acknowledgements", self.telemetry.acknowledgements)
+            return {"acknowledged": (message.command, message.result), "acknowledgements": count + 1}
+        if kind == "STATUSTEXT":
+            texts = changes.get("texts", self.telemetry.texts)
+            count = changes.get("texts_received", self.telemetry.texts_received)
+            return {"texts": (*texts, (message.severity, message.text))[-TEXTS_KEPT:], "texts_received": count + 1}
+        if kind == "TIMESYNC" and message.tc1 != 0 and message.ts1 == self._asked_ns:
+            round_trip_ns = int(within(now_ns - message.ts1, 0, LOSS_WINDOW_NS))
+            self._asked_ns = None
+            self._note_clock(round_trip_ns, message.tc1 - message.ts1 - round_trip_ns // 2)
+            trips = changes.get("round_trips", self.telemetry.round_trips) + 1
+            return {"clock_offset_ns": min(self._clocks)[1], "round_trip_ns": round_trip_ns, "round_trips": trips}
+        return {}
+
+    def _note_clock(self, round_trip_ns: int, offset_ns: int) -> None:
+        """Take in how far the board's clock is from ours; an answer is wrong by half its round trip at most."""
+        if self._clocks:
+            best_trip_ns, best_ns = min(self._clocks)
+            if abs(offset_ns - best_ns) > (round_trip_ns + best_trip_ns) // 2 + CLOCK_STEP_NS:
+                self._clocks.clear()
+        self._clocks.append((round_trip_ns, offset_ns))
+
+    def _measured_ns(self, board_ms: int, now_ns: int) -> int:
+        """When a burst was measured, on our clock: never later than now, and now while the board's clock is not known. A board
+        that was started again has another clock."""
+        if board_ms < self._burst_ms:
+            self._clocks.clear()
+        self._burst_ms = board_ms
+        if not self._clocks or min(self._clocks)[0] > CLOCK_TRIP_NS:
+            return now_ns
+        age_ns = (now_ns + min(self._clocks)[1] - board_ms * 1_000_000) % (BOARD_MS_WRAPS * 1_000_000)
+        return now_ns - age_ns if age_ns < BOARD_MS_WRAPS * 500_000 else now_ns

@@ -1,0 +1,191 @@
+"""MAVLink 2 frames in a stream of bytes, sans-IO: finding, checking and numbering them. wire/mavlink/agent_link.py has the
+messages.
+
+pymavlink packs and decodes single messages; finding them in the stream is done here. Its own stream parser takes any start
+byte for a frame and throws away what the frame would have covered: at 20 overrides per second a false start byte cost it
+half a second of commands. It also passes messages it does not know without looking at their checksum.
+"""
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from pymavlink.dialects.v20 import common as dialect
+
+from wire.mavlink.signing import SIGNATURE_BYTES, SIGNED, Gate, Key, Signer, Verdict
+
+MARKER = 0xFD
+HEADER_BYTES, CHECKSUM_BYTES = 10, 2
+EXTENSION_BYTES = 32  # a newer dialect at the other end may have appended this much to a message
+FRAME_TIMEOUT_NS = 50_000_000  # 280 bytes take 25 ms at 115200 baud: after this, an unfinished frame is a false start byte
+LOSS_WINDOW_NS = 5_000_000_000
+# After this any sequence number counts as new: the peer was restarted. Longer than a board stays armed on its last override
+# (0.3 s at most), or one frame repeated for ever could keep thrusters running.
+SILENCE_NS = 500_000_000
+PEERS = 16  # whose sequence numbers are followed at a time; who adds more within SILENCE_NS floods the link
+
+Peer = tuple[int, int]  # MAVLink system and component
+
+# An environment variable can switch pymavlink's checksums off. Not for thrusters.
+dialect.MAVLINK_IGNORE_CRC = 0
+
+
+class Sequence8:
+    """MAVLink's 8-bit sequence numbers of one peer: which frames are old or repeated, and how many were lost."""
+
+    def __init__(self) -> None:
+        self._last = -1
+        self._last_ns = 0
+        self._steps: deque[tuple[int, int]] = deque()
+        self._expected = 0
+
+    def accept(self, sequence: int, now_ns: int) -> bool:
+        """Whether a frame is newer than all before it. After a silence anything is."""
+        step = (sequence - self._last) % 256
+        if self._last < 0:
+            step = 1
+        elif (step == 0 or step >= 128) and not self.silent(now_ns):
+            return False
+        self._last, self._last_ns = sequence, now_ns
+        self._steps.append((now_ns, max(step, 1)))
+        self._expected += max(step, 1)
+        while now_ns - self._steps[0][0] > LOSS_WINDOW_NS:
+            self._expected -= self._steps.popleft()[1]
+        return True
+
+    def silent(self, now_ns: int) -> bool:
+        """Whether nothing came for so long that any number is new: there is nothing left to remember."""
+        return now_ns - self._last_ns >= SILENCE_NS
+
+    @property
+    def loss(self) -> float:
+        """Fraction of the peer's frames that did not arrive, over the last 5 s."""
+        return 1.0 - len(self._steps) / self._expected if self._expected else 0.0
+
+
+class Receiver:
+    """Finds the frames of some peers in a stream of bytes. After anything broken it looks again from the next byte, so that a
+    false start byte or a damaged length hides no intact frame behind it."""
+
+    def __init__(self, wanted: Callable[[Peer], bool], gate: Gate) -> None:
+        """Takes frames of `wanted` peers that pass the `gate`."""
+        self._wanted, self._gate = wanted, gate
+        self._mavlink = dialect.MAVLink(None)
+        self._buffer = bytearray()
+        self._waiting_since_ns = 0
+        self._waiting_bytes = 0  # of the buffer, from its beginning, were there when the wait began
+        self._sequences: dict[Peer, Sequence8] = {}
+        self.bad_frames = 0  # start bytes that led to no frame: checksum, impossible header, never completed
+        self.foreign_frames = 0  # intact, but from somebody else, or of a kind that the dialect does not have
+        self.stale_frames = 0  # old or repeated, by their sequence number
+        self.refused = dict.fromkeys(Verdict, 0)  # by their signature
+
+    def loss(self, peer: Peer) -> float:
+        """Fraction of a peer's frames that did not arrive, over the last 5 s."""
+        sequence = self._sequences.get(peer)
+        return sequence.loss if sequence is not None else 0.0
+
+    def receive(self, data: bytes, now_ns: int) -> list[Any]:
+        """The peers' messages, in order, that are complete with these bytes. Never raises, whatever the bytes are."""
+        self._buffer += data
+        messages: list[Any] = []
+        at = 0
+        while (at := self._buffer.find(MARKER, at)) >= 0:
+            size = self._frame_size(at)
+            if size > len(self._buffer) - at:
+                if not self._waited_too_long(at, now_ns):
+                    break
+                size = 0
+            frame = self._buffer[at : at + size]
+            message = self._decode(frame) if size else None
+            if message is None:
+                at += 1
+                continue
+            at += size
+            if self._is_taken(message, frame, now_ns):
+                messages.append(message)
+        done = len(self._buffer) if at < 0 else at
+        del self._buffer[:done]
+        self._waiting_bytes = max(self._waiting_bytes - done, 0)
+        return messages
+
+    def _frame_size(self, at: int) -> int:
+        """Bytes of the frame that starts at `at`, by its header; 0 if there can be no frame."""
+        header = self._buffer[at : at + HEADER_BYTES]
+        if len(header) >= 3 and header[2] & ~SIGNED:  # flags that a receiver must understand
+            self.bad_frames += 1
+            return 0
+        if len(header) < HEADER_BYTES:
+            return HEADER_BYTES + CHECKSUM_BYTES + 1
+        kind = dialect.mavlink_map.get(int.from_bytes(header[7:10], "little"))
+        if kind is None:
+            self.foreign_frames += 1
+            return 0
+        if not 1 <= header[1] <= kind.unpacker.size + EXTENSION_BYTES:
+            self.bad_frames += 1
+            return 0
+        signature = SIGNATURE_BYTES if header[2] & SIGNED else 0
+        return HEADER_BYTES + header[1] + CHECKSUM_BYTES + signature
+
+    def _waited_too_long(self, at: int, now_ns: int) -> bool:
+        """Whether the frame that begins at `at` is overdue. False start bytes that came together are so together."""
+        if at >= self._waiting_bytes:
+            self._waiting_since_ns, self._waiting_bytes = now_ns, len(self._buffer)
+        if now_ns - self._waiting_since_ns <= FRAME_TIMEOUT_NS:
+            return False
+        self.bad_frames += 1
+        return True
+
+    def _decode(self, frame: bytearray) -> Any:
+        try:
+            return self._mavlink.decode(frame)
+        except dialect.MAVError:
+            self.bad_frames += 1
+            return None
+
+    def _is_taken(self, message: Any, frame: bytearray, now_ns: int) -> bool:
+        """Signature before sequence: a forged frame must not make the true ones look old."""
+        peer = (message.get_srcSystem(), message.get_srcComponent())
+        if not self._wanted(peer):
+            self.foreign_frames += 1
+            return False
+        verdict = self._gate.judge(bytes(frame), *peer)
+        if verdict is not Verdict.GOOD:
+            self.refused[verdict] += 1
+            return False
+        sequence = self._sequences.get(peer)
+        if sequence is None:
+            if not self._has_room(now_ns):
+                self.foreign_frames += 1
+                return False
+            sequence = self._sequences[peer] = Sequence8()
+        if not sequence.accept(message.get_seq(), now_ns):
+            self.stale_frames += 1
+            return False
+        return True
+
+    def _has_room(self, now_ns: int) -> bool:
+        if len(self._sequences) >= PEERS:
+            self._sequences = {peer: each for peer, each in self._sequences.items() if not each.silent(now_ns)}
+        return len(self._sequences) < PEERS
+
+
+class Sender:
+    """Numbers, packs and signs the frames of one end."""
+
+    def __init__(self, peer: Peer, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
+        """With a key frames are signed; `now()` is the time in ticks of a signature's timestamp."""
+        self._mavlink = dialect.MAVLink(None, *peer)
+        self.signer = Signer(key, now) if key is not None else None
+
+    def pack(self, message: Any) -> bytes:
+        """The frame of one message. Raises struct.error for a value that its field cannot hold."""
+        frame: bytes = message.pack(self._mavlink)
+        self._mavlink.seq = (self._mavlink.seq + 1) % 256
+        if self.signer is None:
+            return frame
+        # The checksum covers the flag, so the frame that pymavlink made is no longer right.
+        covered = bytes([frame[1], SIGNED]) + frame[3:-CHECKSUM_BYTES]
+        checksum = dialect.x25crc(covered)
+        checksum.accumulate(bytes([message.crc_extra]))
+        return self.signer.sign(bytes([MARKER]) + covered + checksum.crc.to_bytes(CHECKSUM_BYTES, "little"))

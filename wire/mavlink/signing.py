@@ -1,0 +1,90 @@
+"""MAVLink 2 signing, sans-IO: who may speak on the link, and that nothing said before counts again.
+
+A signed frame ends in 13 bytes: link id, a timestamp in 10 us since 2015, and 48 bits of SHA-256 over the secret key and
+everything before. Time comes from the caller; wire/mavlink/signing_key.py keeps key and timestamps in files.
+"""
+
+import hashlib
+import hmac
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+SIGNED = 0x01  # incompatibility flag: a signature follows the checksum
+KEY_BYTES, SIGNATURE_BYTES, HASH_BYTES = 32, 13, 6
+TICK_NS = 10_000  # a timestamp counts in 10 us ...
+EPOCH_NS = 1_420_070_400_000_000_000  # ... since the first of January 2015, UTC
+LATEST = 2**48 - 1
+STREAMS = 16  # one for each sender and link; who has the key and opens more is out of order
+
+
+@dataclass(frozen=True)
+class Key:
+    """What both ends of a link share. Never in a log: the secret is not in the repr."""
+
+    secret: bytes = field(repr=False)
+    link_id: int = 0  # tells the links of one sender apart
+
+    def __post_init__(self) -> None:
+        if len(self.secret) != KEY_BYTES or not 0 <= self.link_id <= 255:
+            raise ValueError(f"a signing key has {KEY_BYTES} bytes and a link id of 0 to 255")
+
+
+class Verdict(Enum):
+    """What the signature of an intact frame says."""
+
+    GOOD = 0
+    UNSIGNED = 1
+    FORGED = 2  # signed with another key, or for a receiver that has none
+    REPLAYED = 3  # well signed, but not later than what the same stream, or an earlier life, has had
+
+
+def ticks(unix_ns: int) -> int:
+    """The timestamp of an instant of Unix time; 0 before 2015."""
+    return max((unix_ns - EPOCH_NS) // TICK_NS, 0)
+
+
+def _hash(key: Key, signed: bytes) -> bytes:
+    return hashlib.sha256(key.secret + signed).digest()[:HASH_BYTES]
+
+
+class Signer:
+    """Signs one end's frames. Each timestamp is later than all before it, whatever the clock does."""
+
+    def __init__(self, key: Key, now: Callable[[], int]) -> None:
+        """`now()` is the time in ticks, and need not rise."""
+        self._key, self._now = key, now
+        self.last = 0
+
+    def sign(self, frame: bytes) -> bytes:
+        """The frame, whose header already says that it is signed, with its signature."""
+        self.last = min(max(self.last + 1, self._now()), LATEST)
+        signed = frame + bytes([self._key.link_id]) + self.last.to_bytes(6, "little")
+        return signed + _hash(self._key, signed)
+
+
+class Gate:
+    """Which signed frames one end takes. Without a key: unsigned ones only."""
+
+    def __init__(self, key: Key | None, floor: int = 0) -> None:
+        """A stream that is new must begin later than `floor`."""
+        self._key, self._floor = key, floor
+        self._streams: dict[tuple[int, int, int], int] = {}
+        self.newest = floor  # the latest timestamp taken so far
+
+    def judge(self, frame: bytes, system: int, component: int) -> Verdict:
+        """Look at an intact frame's flag and signature. Only a good one leaves a trace."""
+        if not frame[2] & SIGNED:
+            return Verdict.GOOD if self._key is None else Verdict.UNSIGNED
+        signed, given = frame[:-HASH_BYTES], frame[-HASH_BYTES:]
+        if self._key is None or not hmac.compare_digest(_hash(self._key, bytes(signed)), bytes(given)):
+            return Verdict.FORGED
+        stream = (frame[-SIGNATURE_BYTES], system, component)
+        timestamp = int.from_bytes(signed[-6:], "little")
+        if timestamp <= self._streams.get(stream, self._floor):
+            return Verdict.REPLAYED
+        if stream not in self._streams and len(self._streams) >= STREAMS:
+            return Verdict.REPLAYED
+        self._streams[stream] = timestamp
+        self.newest = max(self.newest, timestamp)
+        return Verdict.GOOD

@@ -1,0 +1,104 @@
+"""SHELL: the key of a signed thruster link in a file, and the times that its signatures have used up."""
+
+import os
+import secrets
+import stat
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from wire.mavlink.agent_link import AgentLink
+from wire.mavlink.signing import KEY_BYTES, Key, ticks
+from wire.toml_loader import ConfigError
+
+# A program writes down how far it may count before it counts there. Half of this is left when it writes again, from its
+# control loop and without waiting for the disk: longer than a file system holds writes back (ext4: 5 s).
+AHEAD_TICKS = 6_000_000  # 60 s
+HOW = "make one with `robot-agent link-key FILE` and give the board the same"
+
+
+def new_key(path: Path) -> None:
+    """Write a new key, readable by its owner only. Raises ConfigError rather than to write over one."""
+    try:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be made: {error.strerror}") from None
+    with os.fdopen(descriptor, "w", encoding="ascii") as file:
+        file.write(secrets.token_hex(KEY_BYTES) + "\n")
+
+
+def write_key(path: Path, key: Key) -> None:
+    """Put a key in the place of one that may be there, readable by its owner only. Raises OSError."""
+    new = path.with_name(path.name + ".new")
+    new.unlink(missing_ok=True)
+    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
+        file.write(key.secret.hex() + "\n")
+    new.replace(path)
+
+
+def load_key(path: Path, link_id: int = 0) -> Key:
+    """The key of a file that nobody else can read. Raises ConfigError, which never shows what is in the file."""
+    try:
+        mode = path.stat().st_mode
+        text = path.read_text(encoding="ascii").strip()
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such link key ({HOW})") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read as a link key: {type(error).__name__}") from None
+    if stat.S_IMODE(mode) & 0o077:
+        raise ConfigError(
+            f"{path}: mode {stat.S_IMODE(mode):04o} lets others read the link key (allowed: 0600; chmod 600 {path})"
+        )
+    try:
+        return Key(bytes.fromhex(text), link_id)
+    except ValueError:
+        raise ConfigError(f"{path}: not a link key (allowed: {2 * KEY_BYTES} hexadecimal digits; {HOW})") from None
+
+
+class Stamps:
+    """The time for signatures, in ticks: Unix time, but never before what an earlier life of this program has used."""
+
+    def __init__(self, path: Path, unix_ns: Callable[[], int] = time.time_ns) -> None:
+        """The file at `path` holds how far was counted. Raises ConfigError if it cannot be kept."""
+        self._path, self._unix_ns = path, unix_ns
+        try:
+            self._least = self._limit = int(path.read_text(encoding="ascii")) if path.exists() else 0
+            self._reserve(self())
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"{path}: the times that signatures have used cannot be kept: {error}") from None
+
+    def __call__(self) -> int:
+        """Now. What is signed with it, and with the few thousand ticks after it, is covered by the file."""
+        return max(ticks(self._unix_ns()), self._least)
+
+    def renew(self, used: int) -> None:
+        """Write the file again if `used` has come near to what it covers. Call it now and then."""
+        if used > self._limit - AHEAD_TICKS // 2:
+            self._reserve(used)
+
+    def _reserve(self, used: int) -> None:
+        self._limit = used + AHEAD_TICKS
+        new = self._path.with_name(self._path.name + ".new")
+        new.write_text(str(self._limit), encoding="ascii")
+        new.replace(self._path)
+
+
+@dataclass(frozen=True)
+class Signing:
+    """What a program signs with."""
+
+    key: Key
+    stamps: Stamps
+
+    @classmethod
+    def of(cls, path: Path, program: str, link_id: int = 0) -> "Signing":
+        """The key of a file, and the file of the times that this program has used: beside it, or where systemd has a service
+        keep its state, which is all that it may write. Raises ConfigError."""
+        folder = Path(os.environ.get("STATE_DIRECTORY") or path.parent)
+        return cls(load_key(path, link_id), Stamps(folder / f"{path.name}.{program}-stamps"))
+
+
+def agent_end(robot: int, signing: Signing | None) -> AgentLink:
+    """The end of a link at a robot's computer, signed if there is something to sign with."""
+    return AgentLink(robot) if signing is None else AgentLink(robot, signing.key, signing.stamps)

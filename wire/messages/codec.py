@@ -1,0 +1,334 @@
+"""bytes <-> frozen dataclass. Decoding checks everything: a message that gets through is finite, sized and typed.
+
+Our own messages map to wire/messages/fleet.proto field by field, by name; some messages travel as foxglove.* schemas so that
+logs open in the usual viewers. A `Header` travels beside every message.
+"""
+
+import dataclasses
+import math
+import struct
+import types
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cache
+from typing import Any, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from foxglove_schemas_protobuf.CompressedVideo_pb2 import CompressedVideo
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from google.protobuf.descriptor import Descriptor
+from google.protobuf.message import DecodeError as ProtobufError
+
+from wire.messages import fleet_pb2
+from wire.messages.messages import Command, Event, Frame, Message, OrderTaken, Picture, Preview, Trajectory, Video
+from wire.messages.protobuf_packed import DOUBLE, packed_classes
+from wire.messages.protobuf_tail import joined, parted
+
+MAX_FRAME_BYTES = 64 * 1024 * 1024
+MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
+MAX_SMALL_BYTES = 64 * 1024  # what holds neither a path nor a picture: 200 nodes of a plan take 13 kB, 290 obstacles the whole
+MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
+LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
+LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming
+LARGEST = 1e12  # no quantity in any message comes near it; squares of it are still finite
+
+M = TypeVar("M")
+
+
+class DecodeError(Exception):
+    """Bytes that are no valid message. Says which peer, topic and field."""
+
+    def __init__(self, peer: str, topic: str, field: str, reason: str) -> None:
+        super().__init__(f"from {peer}, topic {topic}, field {field}: {reason}")
+        self.peer, self.topic, self.field, self.reason = peer, topic, field, reason
+
+
+@dataclass(frozen=True)
+class Header:
+    """What travels beside every message.
+
+    `stamp_ns` is the instant the content is about, on the sender's clock (for logs, and for ages in lockstep);
+    `age_ns` is how long before publishing that was, by the sender's monotonic clock.
+    """
+
+    session: int  # drawn when the sender's process starts: a restart is a new session
+    sequence: int  # 1, 2, 3 ... per topic and session
+    stamp_ns: int
+    age_ns: int = 0
+
+    _LAYOUT = struct.Struct("<QIqq")
+
+    def encode(self) -> bytes:
+        """28 bytes, little-endian: session u64, sequence u32, stamp i64, age i64."""
+        return self._LAYOUT.pack(self.session, self.sequence, self.stamp_ns, self.age_ns)
+
+    @classmethod
+    def decode(cls, data: bytes, peer: str, topic: str) -> "Header":
+        """Raises DecodeError for a wrong size or a negative age."""
+        if len(data) != cls._LAYOUT.size:
+            raise DecodeError(peer, topic, "header", f"{len(data)} bytes, must be {cls._LAYOUT.size}")
+        header = cls(*cls._LAYOUT.unpack(data))
+        if header.age_ns < 0:
+            raise DecodeError(peer, topic, "header.age_ns", f"{header.age_ns} is negative")
+        return header
+
+
+# --- our own messages: dataclass fields and protobuf fields have the same names
+
+_PACKED = packed_classes(fleet_pb2.DESCRIPTOR)
+
+
+class _Invalid(Exception):
+    """A field's value is not acceptable; the caller adds peer and topic."""
+
+    def __init__(self, field: str, reason: str) -> None:
+        super().__init__(f"{field}: {reason}")
+        self.field, self.reason = field, reason
+
+
+@cache
+def _fields(cls: Any) -> tuple[tuple[str, Callable[[Any, str], Any], bool], ...]:
+    """Per field of a message: its name, the checked conversion from the protobuf value, and whether it may be absent."""
+    hints = get_type_hints(cls)
+    return tuple(
+        (f.name, _reader(hints[f.name], f.metadata), _optional_message(hints[f.name]) is not None)
+        for f in dataclasses.fields(cls)
+    )
+
+
+@cache
+def _growing(cls: Any) -> tuple[str, ...]:
+    """Names of the arrays of any length."""
+    return tuple(f.name for f in dataclasses.fields(cls) if -1 in f.metadata.get("shape", ()))
+
+
+@cache
+def _later(cls: Any) -> frozenset[str]:
+    """Names of those that messages of earlier versions do not have."""
+    return frozenset(f.name for f in dataclasses.fields(cls) if f.metadata.get("later"))
+
+
+def _reader(hint: Any, metadata: Any) -> Callable[[Any, str], Any]:
+    if "shape" in metadata:
+        return _array_reader(metadata["shape"])
+    if hint is float:
+        return _read_positive if metadata.get("positive") else _read_float
+    if isinstance(hint, type) and issubclass(hint, IntEnum):
+        return lambda value, name: _read_enum(value, name, hint)
+    if hint is str:
+        return _read_text
+    if get_origin(hint) is tuple:
+        return lambda value, name: tuple(value)
+    nested = _optional_message(hint)
+    if nested is not None:
+        return lambda value, name: _from_protobuf(nested, value, f"{name}.")
+    return lambda value, name: value
+
+
+def _optional_message(hint: Any) -> type | None:
+    if get_origin(hint) in (Union, types.UnionType):
+        for candidate in get_args(hint):
+            if dataclasses.is_dataclass(candidate) and isinstance(candidate, type):
+                return candidate
+    return None
+
+
+def _read_float(value: float, name: str) -> float:
+    if not math.isfinite(value) or abs(value) > LARGEST:
+        raise _Invalid(name, f"{value} is not a finite number below {LARGEST:g}")
+    return value
+
+
+def _read_positive(value: float, name: str) -> float:
+    if _read_float(value, name) <= 0.0:
+        raise _Invalid(name, f"{value} is not more than 0")
+    return value
+
+
+def _read_text(value: str, name: str) -> str:
+    if len(value) > LONGEST_TEXT:
+        raise _Invalid(name, f"{len(value)} characters, more than the allowed {LONGEST_TEXT}")
+    return value
+
+
+def _cut(text: str, longest: int) -> str:
+    """A text, shortened where it is too long to be shown to people."""
+    return text if len(text) <= longest else text[: longest - 1] + "…"
+
+
+def _read_enum(value: int, name: str, enum: type[IntEnum]) -> IntEnum:
+    try:
+        return enum(value)
+    except ValueError:
+        allowed = ", ".join(f"{member.value} {member.name}" for member in enum)
+        raise _Invalid(name, f"{value} is not allowed (allowed: {allowed})") from None
+
+
+def _array_reader(shape: tuple[int, ...]) -> Callable[[Any, str], Any]:
+    row, any_length = math.prod(n for n in shape if n != -1), -1 in shape
+
+    def read(value: Any, name: str) -> Any:
+        if len(value) % 8 != 0:
+            raise _Invalid(name, f"{len(value)} bytes are no doubles")
+        array = np.frombuffer(value, DOUBLE).astype(np.float64)
+        if not np.abs(array).max(initial=0.0) <= LARGEST:  # true for NaN too
+            raise _Invalid(name, f"holds a value that is not a finite number below {LARGEST:g}")
+        if (array.size % row if any_length else array.size - row) != 0:
+            raise _Invalid(name, f"{array.size} values do not fill the shape {shape}")
+        return array.reshape(shape)
+
+    return read
+
+
+def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
+    values: dict[str, Any] = {}
+    for name, read, may_be_absent in _fields(cast(Any, cls)):
+        absent = may_be_absent and not message.HasField(name)
+        values[name] = None if absent else read(getattr(message, name), prefix + name)
+    first, *others = _growing(cast(Any, cls)) or ("",)
+    for name in others:
+        if len(values[name]) == 0 and name in _later(cast(Any, cls)):
+            values[name] = np.zeros((len(values[first]), *values[name].shape[1:]))
+        if len(values[name]) != len(values[first]):
+            raise _Invalid(prefix + name, f"{len(values[name])} rows, but {first} has {len(values[first])}")
+    return cls(**values)
+
+
+def _to_protobuf(message: Any, target: Any) -> Any:
+    for name, _, is_message in _fields(cast(Any, type(message))):
+        value = getattr(message, name)
+        if isinstance(value, np.ndarray):
+            setattr(target, name, value.astype(DOUBLE).tobytes())
+        elif isinstance(value, tuple):
+            getattr(target, name).extend(value)
+        elif not is_message:
+            setattr(target, name, _cut(value, LONGEST_TEXT) if type(value) is str else value)
+        elif value is not None:
+            _to_protobuf(value, getattr(target, name))
+    return target
+
+
+# --- messages that travel as foxglove schemas
+
+
+def _stamp(target: Any, stamp_ns: int) -> None:
+    target.timestamp.seconds, target.timestamp.nanos = divmod(stamp_ns, 1_000_000_000)
+
+
+def _encode_frame(frame: Frame, stamp_ns: int) -> bytes:
+    """Protobuf's own serializer copies the pixels three times (0.6 ms); put on as the last field they are copied once."""
+    height, width = frame.pixels.shape
+    image = RawImage(frame_id="camera", width=width, height=height, step=width, encoding="bayer_rggb8")
+    _stamp(image, stamp_ns)
+    return joined(image.SerializeToString(), RawImage.DATA_FIELD_NUMBER, np.ascontiguousarray(frame.pixels).data.cast("B"))
+
+
+def _frame_from_protobuf(image: Any, pixels: memoryview | None = None) -> Frame:
+    """`pixels` are what was taken off the image's end, if they were there."""
+    if image.encoding != "bayer_rggb8":
+        raise _Invalid("encoding", f"{image.encoding[:20]!r} is not allowed (allowed: bayer_rggb8)")
+    if not (0 < image.width <= 16384 and 0 < image.height <= 16384 and image.step == image.width):
+        raise _Invalid("step", f"{image.width} x {image.height} with step {image.step} is no packed picture")
+    data = image.data if pixels is None else pixels
+    if len(data) != image.step * image.height:
+        raise _Invalid("data", f"{len(data)} bytes, must be {image.step * image.height}")
+    return Frame(np.frombuffer(data, np.uint8).reshape(image.height, image.width))
+
+
+def _image(cls: Any, schema: Any, form: str) -> tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]:
+    """How messages of one compressed image travel: their one field is named after its format."""
+
+    def encode_image(picture: Any, stamp_ns: int) -> bytes:
+        image = schema(frame_id="camera", format=form, data=getattr(picture, form))
+        _stamp(image, stamp_ns)
+        return bytes(image.SerializeToString())
+
+    def from_protobuf(image: Any) -> Any:
+        if image.format != form:
+            raise _Invalid("format", f"{image.format[:20]!r} is not allowed (allowed: {form})")
+        return cls(bytes(image.data))
+
+    return schema, encode_image, from_protobuf
+
+
+def _encode_event(event: Event, stamp_ns: int) -> bytes:
+    log = Log(name=_cut(event.source, LONGEST_LINE), message=_cut(event.message, LONGEST_LINE))
+    log.level = cast(Log.Level.ValueType, event.level)
+    _stamp(log, stamp_ns)
+    return log.SerializeToString()
+
+
+def _event_from_protobuf(log: Any) -> Event:
+    if not 1 <= log.level <= 5:
+        raise _Invalid("level", f"{log.level} is not allowed (allowed: 1 to 5)")
+    return Event(log.level, _cut(log.name, LONGEST_LINE), _cut(log.message, LONGEST_LINE))
+
+
+_FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]] = {
+    Frame: (RawImage, _encode_frame, _frame_from_protobuf),
+    Preview: _image(Preview, CompressedImage, "jpeg"),
+    Picture: _image(Picture, CompressedImage, "jpeg"),
+    Video: _image(Video, CompressedVideo, "h264"),
+    Event: (Log, _encode_event, _event_from_protobuf),
+}
+
+
+# --- the two directions
+
+
+def protobuf_class(cls: type) -> Any:
+    """The protobuf class of messages of dataclass `cls`, for whoever reads logs."""
+    return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else getattr(fleet_pb2, cls.__name__)
+
+
+@cache
+def _carrier(cls: Any) -> Any:
+    """The same on the wire, and quicker."""
+    return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else _PACKED[f"{fleet_pb2.DESCRIPTOR.package}.{cls.__name__}"]
+
+
+def descriptor(cls: type) -> Descriptor:
+    """Protobuf descriptor of a message class, for the log's schemas."""
+    found: Descriptor = protobuf_class(cls).DESCRIPTOR
+    return found
+
+
+def encode(message: Message, stamp_ns: int = 0) -> bytes:
+    """The wire form of a message. `stamp_ns` goes into schemas that carry a time of their own."""
+    if type(message) in _FOXGLOVE:
+        return _FOXGLOVE[type(message)][1](message, stamp_ns)
+    encoded: bytes = _to_protobuf(message, _carrier(cast(Any, type(message)))()).SerializeToString()
+    return encoded
+
+
+_LARGE = {Trajectory, Command, OrderTaken, Preview, Picture, Video}  # with a path, or compressed pictures
+
+
+def max_bytes(cls: type) -> int:
+    """The most bytes that a message of a class may have: what any member can send must not fill another's memory."""
+    if cls in (Frame, Event):
+        return MAX_FRAME_BYTES if cls is Frame else MAX_EVENT_BYTES
+    return MAX_MESSAGE_BYTES if cls in _LARGE else MAX_SMALL_BYTES
+
+
+def decode(cls: type[M], data: bytes, peer: str, topic: str) -> M:
+    """A checked message of class `cls` from its wire form. Raises DecodeError, and nothing else, for any bytes."""
+    limit = max_bytes(cls)
+    if len(data) > limit:
+        raise DecodeError(peer, topic, "(size)", f"{len(data)} bytes, more than the allowed {limit}")
+    message = _carrier(cast(Any, cls))()
+    taken_off = parted(data, RawImage.DATA_FIELD_NUMBER) if cls is Frame else None
+    try:
+        message.ParseFromString(data if taken_off is None else taken_off[0])
+    except (ProtobufError, UnicodeDecodeError) as error:
+        raise DecodeError(peer, topic, "(all)", f"no valid {message.DESCRIPTOR.full_name}: {error}") from None
+    try:
+        if taken_off is not None:
+            return cast(M, _frame_from_protobuf(message, taken_off[1]))
+        found: M = _FOXGLOVE[cls][2](message) if cls in _FOXGLOVE else _from_protobuf(cls, message)
+        return found
+    except _Invalid as error:
+        raise DecodeError(peer, topic, error.field, error.reason) from None

@@ -1,0 +1,123 @@
+"""What may be changed while robots fly: the keys of `controller` that controller.py marks LIVE, number by number, with bounds.
+
+Station, page and robots read the table off the same fields that check the experiment file, so there is one place that says
+what a gain is and how large it may be. Lists go by entries: `controller.mpc.q.0`. Pure.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, get_args
+
+import numpy as np
+from pydantic.fields import FieldInfo
+
+from wire.config.controller import Controller, Live
+from wire.messages.messages import Tuning
+from wire.toml_loader import ConfigError, Section, apply_setting, check
+
+ROOT = "controller"
+
+
+class _File(Section):
+    """So that complaints name keys as they stand in an experiment file."""
+
+    controller: Controller
+
+
+@dataclass(frozen=True)
+class Knob:
+    """One number that may be changed, and between what. `above`: `least` itself is not allowed; `below`: nor is `most`."""
+
+    key: str
+    value: float
+    least: float
+    most: float
+    above: bool
+    below: bool
+
+
+def knobs(controller: Controller) -> tuple[Knob, ...]:
+    """All that has an effect with this law, as it is set now."""
+    return tuple(knob for knob in _within(ROOT, controller) if not knob.key.startswith(_idle(controller)))
+
+
+def _idle(controller: Controller) -> tuple[str, ...]:
+    """A law other than the ESO-MPC has gains of its own in the place of these: what it has learnt rests on them, they stay."""
+    return () if controller.law == "eso-mpc" else (f"{ROOT}.mpc.", f"{ROOT}.guidance.position_gain_per_s2")
+
+
+def _within(prefix: str, section: Section) -> Iterator[Knob]:
+    for name, field in type(section).model_fields.items():
+        key, value = f"{prefix}.{name}", getattr(section, name)
+        if isinstance(value, Section):
+            yield from _within(key, value)
+        elif not any(isinstance(mark, Live) for mark in field.metadata):
+            continue
+        elif isinstance(value, tuple):
+            for k, (entry, hint) in enumerate(zip(value, get_args(field.annotation), strict=True)):
+                yield _knob(f"{key}.{k}", entry, FieldInfo.from_annotation(hint).metadata)
+        else:
+            yield _knob(key, value, field.metadata)
+
+
+def _knob(key: str, value: float, marks: list[Any]) -> Knob:
+    """From what pydantic checks: its marks have an attribute of the bound's name."""
+    bound = {name: float(getattr(mark, name)) for name in ("ge", "gt", "le", "lt") for mark in marks if hasattr(mark, name)}
+    least, most = bound.get("gt", bound.get("ge", -np.inf)), bound.get("lt", bound.get("le", np.inf))
+    return Knob(key, value, least, most, "gt" in bound, "lt" in bound)
+
+
+def tuning(controller: Controller) -> Tuning:
+    """Its gains as a message. The same values have the same id, everywhere and always."""
+    found = knobs(controller)
+    text = json.dumps([(knob.key, knob.value) for knob in found])
+    name = hashlib.sha256(text.encode()).hexdigest()[:8]
+    return Tuning(name, tuple(knob.key for knob in found), np.array([knob.value for knob in found]))
+
+
+def tuned(controller: Controller, values: Mapping[str, float]) -> Controller:
+    """The controller with other gains. Raises ConfigError naming key, value and what is allowed."""
+    allowed = {knob.key for knob in knobs(controller)}
+    table: dict[str, Any] = {ROOT: controller.model_dump(mode="json")}
+    for key, value in values.items():
+        if key not in allowed:
+            raise ConfigError(f"{key}: cannot be changed in flight (allowed: {', '.join(_names(allowed))})")
+        apply_setting(table, f"{key}={float(value)!r}")
+    return check(_File, table, "gains").controller
+
+
+def _names(keys: set[str]) -> list[str]:
+    """Lists by their own name."""
+    return sorted({key.rpartition(".")[0] if key.rpartition(".")[2].isdecimal() else key for key in keys})
+
+
+def values_of(settings: Sequence[str]) -> dict[str, float]:
+    """What `key=value` settings change, a list's entries one by one. Raises ConfigError for what is no number."""
+    found: dict[str, float] = {}
+    for setting in settings:
+        table: dict[str, Any] = {}
+        apply_setting(table, setting)
+        key = setting.partition("=")[0].strip()
+        value: Any = table
+        for name in key.split("."):
+            value = value[name]
+        entries = {f"{key}.{k}": entry for k, entry in enumerate(value)} if isinstance(value, list) else {key: value}
+        for name, entry in entries.items():
+            if isinstance(entry, bool) or not isinstance(entry, int | float):
+                raise ConfigError(f"{name} = {entry!r}: must be a number")
+            found[name] = float(entry)
+    return found
+
+
+def of_message(controller: Controller, message: Tuning) -> Controller:
+    """The controller that a message asks for. Raises ConfigError also for one that contradicts itself."""
+    if len(message.keys) != len(message.values) or len(set(message.keys)) != len(message.keys):
+        raise ConfigError(
+            f"tuning {message.id}: {len(message.keys)} keys and {len(message.values)} values do not fit together"
+        )
+    found = tuned(controller, dict(zip(message.keys, message.values.tolist(), strict=True)))
+    if tuning(found).id != message.id:
+        raise ConfigError(f"tuning {message.id}: with these values it is {tuning(found).id}")
+    return found

@@ -1,0 +1,129 @@
+"""ONE table of everything that is published: key, type, rate, age limit, quality of service, recorded or not, by and for whom.
+
+Keys are relative to the fleet's name (`--fleet`, default "shoal"), so two fleets share a network without meeting. Where the
+fleet has keys, the router lets nothing through that this table does not name (wire/security/access_control.py).
+"""
+
+from dataclasses import dataclass
+from enum import Enum
+
+from wire.config.controller import Safety
+from wire.messages import messages
+
+
+class Qos(Enum):
+    """How a topic is sent. Nothing ever blocks: one stopped viewer on a shared hub froze everyone's commands for 5 s."""
+
+    CONTROL = "first in line, no batching, dropped rather than queued: only the newest counts"
+    STATE = "as CONTROL, behind it"
+    IMAGE = "last in line: a picture may be late or missing, a command may not"
+    JOURNAL = "as EVENT, but who comes later hears nothing of what was: it is for the log of the run that is on"
+    EVENT = "cached by the publisher and recovered by the subscriber after an outage: each one counts"
+
+
+RECOVERED = frozenset({Qos.EVENT, Qos.JOURNAL})  # from a cache that is asked for what was lost
+
+
+class Role(Enum):
+    """What a process is to the others; its certificate says so."""
+
+    STATION = "groundstation"
+    OPERATOR = "operator"  # a terminal: gives the station orders, and nobody else
+    ROBOT = "robot_agent"
+    LOCALIZER = "localizer"
+    SIMULATOR = "sim_bridge"
+    VIEWER = "viewer"  # reads
+
+
+EVERYONE = tuple(Role)
+SEEING = (Role.SIMULATOR, Role.LOCALIZER)  # the simulator stands for a camera, and with --poses for the localizer
+TELLING = (Role.STATION, Role.ROBOT, Role.LOCALIZER, Role.SIMULATOR)  # whose log lines become events
+OUTSIDE = (Role.STATION, Role.SIMULATOR, Role.OPERATOR, Role.VIEWER)  # of the truth and of the journals: nobody who controls
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One row. `max_age_s` is when a value stops being usable; freshness checks and the page's greying derive from it. Where
+    an experiment sets that age, `limit` is the key of its [safety], and `max_age_s` the key's default: see `max_age_in`."""
+
+    name: str  # key below the fleet's name; {robot} is filled in
+    type: type
+    rate_hz: float
+    max_age_s: float
+    qos: Qos
+    recorded: bool
+    writers: tuple[Role, ...]  # a robot only under its own number
+    readers: tuple[Role, ...] = EVERYONE
+    kept: int = 0  # so many by their publisher, for who comes late or was cut off: for 20 s at most in a run that goes on
+    limit: str = ""
+
+    def max_age_in(self, safety: Safety) -> float:
+        """When a value stops being usable in an experiment with these limits, s: one number for station and robots."""
+        return float(getattr(safety, self.limit)) if self.limit else self.max_age_s
+
+    def key(self, robot: int | None = None) -> str:
+        """The key for one robot, or for all (`*`) when the topic has a robot and none is given."""
+        return self.name.format(robot="*" if robot is None else robot)
+
+    @property
+    def publisher(self) -> str:
+        """Who writes it, for people."""
+        return " or ".join(role.value for role in self.writers)
+
+    @property
+    def audience(self) -> str:
+        """Who may read it, for people."""
+        return "everyone" if self.readers == EVERYONE else ", ".join(role.value for role in self.readers)
+
+
+def _limited(limit: str, name: str, kind: type, rate_hz: float, recorded: bool, writers: tuple[Role, ...]) -> Topic:
+    """A topic for control whose greatest age an experiment sets."""
+    default_s = float(Safety.model_fields[limit].default)
+    return Topic(name, kind, rate_hz, default_s, Qos.CONTROL, recorded, writers, limit=limit)
+
+
+TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))
+EXPOSED = Topic("sim/exposed", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))  # to the localizer, early
+TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OUTSIDE)
+FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, SEEING)
+PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
+VIDEO = Topic("camera/video", messages.Video, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
+PICTURE = Topic("camera/picture", messages.Picture, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
+POSE = _limited("pose_hold_s", "robot/{robot}/pose", messages.Pose, 20, True, SEEING)
+LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, SEEING)
+OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, SEEING)
+PLAN = _limited("plan_max_age_s", "robot/{robot}/plan", messages.Plan, 20, True, (Role.ROBOT,))
+STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, (Role.ROBOT,))
+HEARTBEAT = _limited("station_hold_s", "station/heartbeat", messages.StationHeartbeat, 20, True, (Role.STATION,))
+TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=4)
+TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=100)
+INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE, kept=400)
+ORDERS = Topic(
+    "robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE, kept=32
+)
+EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING, kept=1000)
+
+TOPICS = (
+    TICK, EXPOSED, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY,
+    TUNING, INPUTS, ORDERS, EVENT,
+)  # fmt: skip
+
+COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
+WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
+COMMANDERS = (Role.STATION,)  # who gives orders to robots
+WISHERS = (Role.STATION, Role.OPERATOR)  # who gives orders to the station
+
+PRESENCE_KEY = "presence/{process}"  # a liveliness token: there, not necessarily well
+PROCESSES = {
+    Role.STATION: "groundstation",
+    Role.OPERATOR: "operator",
+    Role.ROBOT: "agent-{robot}",
+    Role.LOCALIZER: "localizer",
+    Role.SIMULATOR: "sim-bridge",
+    Role.VIEWER: "viewer",
+}
+
+
+def process_name(role: Role, robot: int = 0) -> str:
+    """What a process is called: in the log, by its liveliness token, and in the key ring."""
+    return PROCESSES[role].format(robot=robot)

@@ -1,0 +1,59 @@
+"""Obstacles that were seen and are not seen any more: where they may be by now. Pure; robots and station go by it alike.
+
+Whoever cannot see keeps what was there last. It may have drifted on at the velocity that was measured, or have stopped, and it
+may have done something else: it takes up the ground of the way that it would have drifted, and around that the space that
+grows like that of a robot which is not heard (safety.bubble_mps, safety.bubble_max_m).
+"""
+
+import numpy as np
+
+from wire.config.controller import Safety
+from wire.frames import Array
+from wire.messages.messages import Obstacles
+from wire.messages.topics import OBSTACLES
+
+LONGEST_S = 1e6  # unseen for longer is the same: nothing grows any more
+SIDES = 12  # of an outline that covers the ground of a drift
+BLIND = "nobody tells of obstacles"
+
+
+def ages_s(seen: Obstacles, since_s: float) -> list[float]:
+    """How long ago each obstacle was seen, of a message that is `since_s` old. Messages of earlier versions do not say that
+    anything is unseen."""
+    unseen = seen.unseen_s if len(seen.unseen_s) == len(seen.ids) else np.zeros(len(seen.ids))
+    ages: list[float] = np.nan_to_num(np.clip(since_s + unseen, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
+    return ages
+
+
+def is_old(age_s: float) -> bool:
+    """Whether what was seen so long ago may be elsewhere."""
+    return age_s > OBSTACLES.max_age_s
+
+
+def growth_m(safety: Safety, age_s: float) -> float:
+    """How far beyond its outline an obstacle may be that was last seen `age_s` ago, in m."""
+    return min(safety.bubble_mps * max(age_s - OBSTACLES.max_age_s, 0.0), safety.bubble_max_m)
+
+
+def drift_m(safety: Safety, velocity_mps: Array, age_s: float) -> Array:
+    """How far it may have drifted meanwhile, (2,), in m: no further than the space around it ever grows."""
+    drift = velocity_mps * age_s
+    return np.asarray(drift * min(1.0, safety.bubble_max_m / max(float(np.hypot(*drift)), 1e-9)))
+
+
+def swept(outline: Array, drift_m: Array) -> Array:
+    """Corners (12, 2), in order from x to y, of a polygon around an outline (n, 2) and the same one `drift_m` further on."""
+    points = np.vstack([outline, outline + drift_m])
+    step = 2.0 * np.pi / SIDES
+    angle = float(np.arctan2(drift_m[1], drift_m[0])) + step * np.arange(SIDES)
+    normal = np.stack([np.cos(angle), np.sin(angle)])
+    reach = (points @ normal).max(axis=0)
+    along = (np.roll(reach, -1) - reach * np.cos(step)) / np.sin(step)  # from a side's foot to where it meets the next
+    return np.asarray((reach * normal + along * np.array([-normal[1], normal[0]])).T)
+
+
+def blindness(seen: Obstacles | None, since_s: float) -> str:
+    """Why whoever has this message, `since_s` old, cannot tell what lies in the pool; empty if it can."""
+    if seen is None:
+        return BLIND
+    return f"{BLIND} any more" if is_old(since_s) else seen.blind

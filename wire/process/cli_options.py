@@ -1,0 +1,107 @@
+"""SHELL: command line options that all four programs share, so that they read the same everywhere, and how a shell completes
+them."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from wire.config.experiment import EXPERIMENTS, Experiment
+from wire.process.version import code
+
+DEFAULT_STATION = "tcp/127.0.0.1:7447"
+DEFAULT_FLEET = "shoal"
+DEFAULT_WEB = "127.0.0.1:8000"
+REPLAY_PREFIX = "replay/"  # of the fleet that a recorded run is put on the bus as: no program of ours can join it
+
+
+def caution(experiment: Experiment, *more: str) -> None:
+    """Say on the standard error what of an experiment's settings is known to go wrong, and what else the program knows."""
+    for text in (*experiment.cautions, *more):
+        typer.echo(f"warning: {text}", err=True)
+
+
+def fleet_name(fleet: str) -> str:
+    """A fleet's name, if it can be one: keys on the bus and certificates begin with it. Raises ValueError."""
+    if fleet.startswith(REPLAY_PREFIX):
+        raise ValueError(f"{fleet!r} is a recorded run: nobody can join it")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,31}", fleet):
+        raise ValueError(f"{fleet!r} is no fleet's name (allowed: up to 32 letters, digits, _ . and -)")
+    return fleet
+
+
+def live_fleet(fleet: str | None) -> str | None:
+    """`fleet_name` as an option has it."""
+    try:
+        return fleet if fleet is None else fleet_name(fleet)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def experiments(begun: str) -> list[str]:
+    """What an experiment's name may go on to: a shipped one, or a file or folder here."""
+    folder, _, name = begun.rpartition("/")
+    here = Path(folder or ("/" if begun.startswith("/") else "."))
+    shipped = [path.stem for path in EXPERIMENTS.glob(f"{begun}*.toml")] if "/" not in begun else []
+    files = [path for path in here.glob(f"{name}*") if path.is_dir() or path.suffix == ".toml"] if here.is_dir() else []
+    return sorted(shipped) + sorted(f"{path}/" if path.is_dir() else str(path) for path in files)
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(str(code()))
+        raise typer.Exit
+
+
+Version = Annotated[
+    bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Say which version and commit this is.")
+]
+ExperimentName = Annotated[
+    str,
+    typer.Argument(
+        metavar="EXPERIMENT",
+        help="A shipped experiment, for example `pool`, or a path ending in .toml.",
+        autocompletion=experiments,
+    ),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Change one key of the experiment, e.g. --set duration_s=30. Repeatable."),
+]
+FaultLines = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault", metavar="LINE", help='Break something: "t=20 for=5 thruster 2/3 dead". Repeatable (docs/simulator.md).'
+    ),
+]
+StationAddress = Annotated[
+    str, typer.Option("--station", metavar="ENDPOINT", help="Where the ground station's router listens (Zenoh endpoint).")
+]
+FleetName = Annotated[
+    str, typer.Option("--fleet", callback=live_fleet, help="Name of the fleet: fleets of different names ignore each other.")
+]
+LockstepMode = Annotated[bool, typer.Option("--lockstep", help="Run by the simulator's clock instead of the wall clock.")]
+KeyRing = Annotated[
+    Path | None,
+    typer.Option(
+        "--keys",
+        metavar="FOLDER",
+        envvar="SHOAL_KEYS",
+        help="The fleet's key ring: mutual TLS, access control (docs/security.md).",
+    ),
+]
+Insecure = Annotated[
+    bool, typer.Option("--insecure", help="Off this machine without keys: anybody on the network can command the robots.")
+]
+LinkKey = Annotated[
+    Path | None, typer.Option("--link-key", metavar="FILE", help="Sign the link to the board with this key (mode 0600).")
+]
+LinkInsecure = Annotated[
+    bool, typer.Option("--link-insecure", help="Let an unsigned link to the board leave this machine over UDP.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print it as JSON, for a script.")]
+ListenAddress = Annotated[str, typer.Option("--listen", metavar="ENDPOINT", help="Where the fleet's Zenoh router listens.")]
+ExternalRouter = Annotated[bool, typer.Option(help="Connect to a router that runs elsewhere at --listen.")]
+WebAddress = Annotated[str, typer.Option("--web", metavar="HOST:PORT", help="Where the operator's page is served.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="Log details too.")]

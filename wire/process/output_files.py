@@ -1,0 +1,92 @@
+"""SHELL: files that commands write: whole or not at all, never through a link, never over what is read or belongs to a run.
+
+    check_output(out, reads=[image])                # raises ConfigError: would be written over what is read, or a run's own
+    with replacing(out) as file: ...                # binary; beside it until it is whole, then in its place
+    replace_text(run / "result.json", text)
+
+A file is made beside its place under a name that nobody can know, and put there by renaming. So a link that lies there, for
+example in a run that somebody handed over, is replaced and not followed, and a command that reads what it writes over could
+not cut it.
+"""
+
+import errno
+import os
+import secrets
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO
+
+from wire.toml_loader import ConfigError
+
+# What tells a folder of results, and the files in it that only the command which made it may write.
+RUN = ("run.mcap", "experiment.toml", "result.json", "report.html")
+CAMPAIGN = ("journal.jsonl", "results.parquet", "report.html")
+COMPARISON = ("comparison.json", "comparison.html")
+_OWN = {"run.mcap": RUN, "experiment.toml": RUN, "journal.jsonl": CAMPAIGN, "comparison.json": COMPARISON}
+_KINDS = {RUN: "a run", CAMPAIGN: "a campaign", COMPARISON: "a comparison"}
+
+
+def check_output(path: Path, reads: Iterable[Path] = (), mine: tuple[str, ...] = ()) -> None:
+    """Refuse to write over one of the files that the command reads, or over a file of a folder of results. `mine` are the
+    files that the command itself keeps there. Raises ConfigError."""
+    for read in reads:
+        if _same(path, read):
+            raise ConfigError(f"{path}: is read by this command and would be lost (write to another file)")
+    for mark, own in _OWN.items():
+        if own is mine or not (path.parent / mark).exists():
+            continue
+        if path.name in own or any(_same(path, path.parent / name) for name in own):
+            raise ConfigError(f"{path}: is a file of {_KINDS[own]}, and would be lost (write to another file)")
+
+
+@contextmanager
+def replacing(path: Path, durable: bool = False) -> Iterator[IO[bytes]]:
+    """A new binary file that takes the place of `path` when the block ends without an error; `durable`: and is on the disk
+    before that. Raises OSError that names `path`."""
+    if path.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if _is_device(path):
+        with path.open("wb") as file:
+            yield file
+        return
+    new = path.with_name(f".{secrets.token_hex(8)}.new")
+    try:
+        kept = path.stat(follow_symlinks=False).st_mode & 0o777 if path.is_file() and not path.is_symlink() else None
+        descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    try:
+        with os.fdopen(descriptor, "wb") as file:
+            if kept is not None:
+                os.fchmod(file.fileno(), kept)
+            yield file
+            file.flush()
+            if durable:
+                os.fsync(file.fileno())
+        new.replace(path)
+    except OSError as error:
+        if error.filename not in (None, str(new)):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def replace_text(path: Path, text: str) -> None:
+    """Write a text as UTF-8, see `replacing`."""
+    with replacing(path) as file:
+        file.write(text.encode())
+
+
+def _same(path: Path, other: Path) -> bool:
+    """Whether both are one file, by whatever names and links."""
+    try:
+        return path.samefile(other)
+    except OSError:  # one of them is not there
+        return path.absolute() == other.absolute()
+
+
+def _is_device(path: Path) -> bool:
+    """A terminal, a pipe, /dev/null: what cannot be replaced is written to."""
+    return path.absolute().parts[1:2] in (("dev",), ("proc",)) or (path.exists() and not path.is_file())

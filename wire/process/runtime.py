@@ -1,0 +1,266 @@
+"""SHELL: what every process needs around its core: time, a clean stop, a log, and lockstep.
+
+Two ways to run, and one loop for both:
+
+    for now_ns in pace:             # wall clock: when an input arrives or the period is over; lockstep: when the simulator
+        outputs = core.step(...)    # says so and every input it names is here
+"""
+
+import logging
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from types import FrameType
+from typing import Any, Protocol
+
+from wire.messages import topics
+from wire.messages.messages import Event, LocalizerStatus, Obstacles, Pose, Tick
+from wire.messages.topics import Topic
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus, Inbox, Received
+from wire.transport.transport import Unreached
+
+log = logging.getLogger("shoal")
+
+SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
+LOCKSTEP_SAYS_S = 60.0  # how often a process says what it waits for: to go on without would be another run
+
+_LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
+
+
+class Clock(Protocol):
+    """The process's time, and when on it a received message's content was true."""
+
+    def now_ns(self) -> int: ...
+    def instant_ns(self, received: Received[Any]) -> int: ...
+
+
+class WallClock:
+    """Unix time as it was at the start, carried on by the monotonic clock: a step of the system's clock changes nothing."""
+
+    def __init__(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def now_ns(self) -> int:
+        return time.monotonic_ns() + self._offset_ns
+
+    def instant_ns(self, received: Received[Any]) -> int:
+        """Arrival here, less the age that the sender states and what it was held up on its way. What the sender's clock shows
+        plays no part."""
+        return received.arrived_ns + self._offset_ns - received.header.age_ns - received.late_ns
+
+
+class LockstepClock:
+    """The simulator's time. All processes share it, so a stamp is an instant."""
+
+    def __init__(self) -> None:
+        self.tick_ns = 0
+
+    def now_ns(self) -> int:
+        return self.tick_ns
+
+    def instant_ns(self, received: Received[Any]) -> int:
+        return received.header.stamp_ns
+
+
+def age_s(clock: Clock, received: Received[Any]) -> float:
+    """Seconds since a message's content was true."""
+    return (clock.now_ns() - clock.instant_ns(received)) * 1e-9
+
+
+class Failed(Exception):
+    """A part of this process cannot go on, so the process has ended itself: exit code 1, the text is the reason."""
+
+
+class Stop:
+    """Set by SIGINT, SIGTERM or a call; every loop looks at it. A second signal ends the process at once.
+
+    A part of the process that cannot go on calls `fail`; all loops then end as for a signal, within SLICE_S, and who has
+    closed everything calls `raise_failure`, so that the process does not end as if all were well."""
+
+    def __init__(self, install: bool = True) -> None:
+        self.requested = False
+        self._wakes: list[Callable[[], None]] = []
+        self.failure = ""  # why the process ends itself; empty: nothing has failed
+        if install:
+            signal.signal(signal.SIGINT, self._on_signal)
+            signal.signal(signal.SIGTERM, self._on_signal)
+
+    def _on_signal(self, number: int, frame: FrameType | None) -> None:
+        if self.requested:
+            os._exit(128 + number)
+        self.request()
+
+    def __call__(self) -> bool:
+        """Whether a stop has been asked for."""
+        return self.requested
+
+    def request(self) -> None:
+        """Ask for a clean stop."""
+        self.requested = True
+        for wake in self._wakes:
+            threading.Thread(target=wake, name="stop", daemon=True).start()
+
+    def on_request(self, wake: Callable[[], None]) -> None:
+        """Have `wake` called when a stop is asked for, for a loop that sleeps too long to look. On a thread of its own: a
+        signal may come while the loop holds a lock that `wake` needs."""
+        self._wakes.append(wake)
+
+    def fail(self, reason: str) -> None:
+        """Ask for a stop because a part of the process cannot go on. From any thread; the first reason counts."""
+        if not self.failure:
+            self.failure = reason
+            log.critical("%s", reason)
+        self.request()
+
+    def raise_failure(self) -> None:
+        """Raises Failed if a part of the process has failed."""
+        if self.failure:
+            raise Failed(self.failure)
+
+
+def guarded_thread(stop: Stop, name: str, work: Callable[[], object], daemon: bool = False) -> threading.Thread:
+    """A thread, not started yet, that the process cannot do without: an exception that leaves `work` ends the process with
+    the reason. `work` itself survives what it can."""
+
+    def run() -> None:
+        try:
+            work()
+        except BaseException as error:  # SystemExit too would end a thread without a word
+            log.debug("thread %s", name, exc_info=True)
+            stop.fail(f"thread {name} ended: {type(error).__name__}: {error}")
+
+    return threading.Thread(target=run, name=name, daemon=daemon)
+
+
+def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:
+    """Sleep until `ready()`, the time is over or a stop is asked for. Returns whether `ready()`."""
+    deadline = time.monotonic() + timeout_s
+    while not stop.requested:
+        left = deadline - time.monotonic()
+        if bus.wait(ready, min(left, SLICE_S)):
+            return True
+        if left <= SLICE_S:
+            return False
+    return False
+
+
+class Reminder:
+    """When a process that waits is to say so again."""
+
+    def __init__(self) -> None:
+        self._said_s = time.monotonic()
+
+    def due(self) -> bool:
+        """Once every LOCKSTEP_SAYS_S, from the beginning on."""
+        now_s = time.monotonic()
+        if now_s - self._said_s <= LOCKSTEP_SAYS_S:
+            return False
+        self._said_s = now_s
+        return True
+
+
+class Lockstep:
+    """One process's side of the simulator's clock. Make it before the process is announced: the first tick comes but once."""
+
+    def __init__(self, bus: Bus, stop: Stop, clock: LockstepClock, ticks: Topic = topics.TICK) -> None:
+        self._bus, self._stop, self._clock = bus, stop, clock
+        self._ticks = bus.inbox(ticks, Tick)
+        self._last_ns = -1
+
+    def next(self, meanwhile: Callable[[], None] = lambda: None) -> Tick | None:
+        """Wait for the next tick and set the clock to it, doing `meanwhile` now and then. None when the process is to stop."""
+        while not self._stop.requested:
+            if wait(self._bus, self._stop, self._fresh, SLICE_S):
+                received = self._ticks.newest()
+                if received is None:
+                    continue
+                self._last_ns = self._clock.tick_ns = received.message.now_ns
+                return received.message
+            meanwhile()
+        return None
+
+    def _fresh(self) -> bool:
+        header = self._ticks.newest_header()
+        return header is not None and header.stamp_ns > self._last_ns
+
+    def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> bool:
+        """Wait until each inbox holds a message with at least the stamp given. A negative stamp asks for nothing: there was no
+        step before the first. False when the process is to stop."""
+        wanted = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
+
+        def missing() -> list[str]:
+            headers = [(inbox.name, inbox.newest_header(), stamp_ns) for inbox, stamp_ns in wanted]
+            return [name for name, header, stamp_ns in headers if header is None or header.stamp_ns < stamp_ns]
+
+        while not wait(self._bus, self._stop, lambda: not missing(), LOCKSTEP_SAYS_S):
+            if self._stop.requested:
+                return False
+            log.warning("lockstep: at %.3f s waiting for %s", self._clock.tick_ns * 1e-9, ", ".join(missing()))
+        return True
+
+    def await_sight(
+        self, tick: Tick, localizer: Inbox[LocalizerStatus], poses: Mapping[int, Inbox[Pose]], obstacles: Inbox[Obstacles]
+    ) -> int | None:
+        """Wait for what the localizer tells of the picture that counts at a tick: its status says whose poses that are, and
+        which obstacles it told of before. Returns up to which stamp obstacles count at this tick; None when the process is to
+        stop."""
+        if not self.await_all([(localizer, tick.frame_ns)]):
+            return None
+        status = localizer.newest()
+        assert status is not None, localizer.last_error
+        told, up_to_ns = status.message.robots, status.message.obstacles_ns
+        seen = [(inbox, tick.frame_ns) for robot, inbox in poses.items() if robot in told]
+        return up_to_ns if self.await_all([*seen, (obstacles, up_to_ns)]) else None
+
+
+class _BusHandler(logging.Handler):
+    """Publishes the log's lines as events, so that the recorder has them."""
+
+    def __init__(self, bus: Bus, clock: Clock, source: str) -> None:
+        super().__init__(logging.INFO)
+        self._bus, self._clock, self._source = bus, clock, source
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = _LEVELS.get(record.levelno, 2)
+        event = Event(level, self._source, record.getMessage())
+        try:
+            self._bus.publish(topics.EVENT, event, self._clock.now_ns())
+        except Exception:  # whatever goes wrong here must not end the process: the line is on stderr anyway
+            self.handleError(record)
+
+
+def start_log(process: str, verbose: bool = False) -> None:
+    """Log to stderr, one line an event, with the process's name."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d {process} %(levelname)s %(message)s", "%H:%M:%S"))
+    log.handlers[:] = [handler]
+    log.setLevel(logging.DEBUG if verbose else logging.INFO)
+    log.propagate = False
+
+
+def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
+    """From here on the log's lines also go out as events."""
+    log.addHandler(_BusHandler(bus, clock, process))
+
+
+def run_app(app: Callable[[], None]) -> None:
+    """Run a command line. A configuration that cannot be used, or a file that cannot be read or written, is one message and
+    exit code 2, a station that cannot be reached, or a part of the process that has failed, one message and exit code 1;
+    never a traceback."""
+    try:
+        app()
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        sys.exit(2)
+    except OSError as error:
+        if error.filename is None:  # no file of a person's: a bug
+            raise
+        print(f"{error.filename2 or error.filename}: {error.strerror}", file=sys.stderr)
+        sys.exit(2)
+    except (Unreached, Failed) as error:
+        print(error, file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,351 @@
+"""SHELL: the guard in front of the router's public port: a process of its own that accepts, and passes bytes on unchanged.
+
+    python -m wire.security.guard LISTENER_FD NEW_PORT KNOWN_PORT
+
+The station starts it (wire/router.py) with the listening socket; the router listens at two loopback ports behind it. TLS goes
+end to end between member and router: the guard reads a ClientHello's length and counts bytes, no more. Which connections are
+passed on, and when, is decided in wire/security/admission.py. It ends when its standard input does, that is with the station,
+and tells on its standard output of whom it refused, a line each.
+"""
+
+import contextlib
+import os
+import resource
+import selectors
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable
+
+from wire.security.admission import (
+    MOST_HELLO,
+    MOST_WAITING,
+    Admission,
+    NotTls,
+    Refusals,
+    asks_for_another_hello,
+    hello_is_whole,
+)
+
+CHUNK = 256 * 1024  # bytes passed on in one go
+INNER_BUFFER = 128 * 1024  # bytes: the kernel's between router and guard. What waits there for a slow member gets old
+# A proof of a member's handshake: it has sent a certificate, and the router has answered with more than an alert (24 bytes).
+# On what was measured here: certificate, signature and Finished 700 bytes and more; session tickets 150 and more.
+CERTIFICATE_BYTES, ANSWER_BYTES = 300, 64
+MOST_PIECES = 64  # that a ClientHello comes in; each costs a look at all that has come
+ACCEPTS = 32  # in one go, between which bytes are passed on
+FILES_APART = 64  # file descriptors for everything but connections
+MOST_LINKS = 2048  # 49 robots take some 150
+
+READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
+
+
+class Gone(Exception):
+    """A socket's other end is no more."""
+
+    def __init__(self, which: socket.socket) -> None:
+        super().__init__()
+        self.which = which
+
+
+class Pump:
+    """Bytes one way between two sockets. What the receiver does not take at once waits, and nothing more is read meanwhile."""
+
+    def __init__(self, source: socket.socket, sink: socket.socket) -> None:
+        self.source, self.sink = source, sink
+        self.waiting = b""
+        self.passed = 0  # bytes read
+        self.ended = False  # the source has said all
+
+    @property
+    def over(self) -> bool:
+        """Whether all has been said and sent."""
+        return self.ended and not self.waiting
+
+    @property
+    def wanted(self) -> int:
+        """READ while the source is to be read."""
+        return 0 if self.ended or self.waiting else READ
+
+    def read(self, buffer: bytearray) -> bytes | memoryview:
+        """What the source has to say now, sent on as far as the sink takes it. Raises Gone."""
+        try:
+            size = self.source.recv_into(buffer)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            raise Gone(self.source) from None
+        if not size:
+            self.ended = True
+            self.write()
+            return b""
+        self.passed += size
+        read = memoryview(buffer)[:size]
+        taken = self._send(read)
+        if taken < size:
+            self.waiting = bytes(read[taken:])
+        return read
+
+    def write(self) -> None:
+        """Send what waits. Raises Gone."""
+        if self.waiting:
+            self.waiting = self.waiting[self._send(self.waiting) :]
+        if self.over:
+            with contextlib.suppress(OSError):  # gone already
+                self.sink.shutdown(socket.SHUT_WR)
+
+    def _send(self, data: bytes | memoryview) -> int:
+        try:
+            return self.sink.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            raise Gone(self.sink) from None
+
+
+class Link:
+    """A connection that was passed on: the peer's socket and the router's, and what has gone between them."""
+
+    def __init__(self, number: int, peer: socket.socket, router: socket.socket, hello: bytes) -> None:
+        self.number = number
+        self.up, self.down = Pump(peer, router), Pump(router, peer)
+        self.up.waiting = hello
+        self.proven = self.by_router = False
+        self.claimed_at: int | None = None  # bytes from the router when the peer had sent as much as a certificate
+
+
+class Guard:
+    """The loop."""
+
+    def __init__(self, listener: socket.socket, ports: tuple[int, int], tell: Callable[[str], None], most_links: int) -> None:
+        """`ports`: the router's loopback ports, of the lane of new origins and of known ones. `tell` takes a sentence."""
+        self._ports, self._tell = ports, tell
+        self._admission, self._refusals = Admission(most_links), Refusals()
+        self._selector = selectors.DefaultSelector()
+        self._interest: dict[socket.socket, int] = {}  # events for which a socket is registered
+        self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
+        self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
+        self._links: dict[int, Link] = {}
+        self._number = 0
+        self._buffer = bytearray(CHUNK)
+        self._look_s = float("inf")  # when the admission is to be asked again
+        self._ending = False
+        listener.setblocking(False)
+        self._selector.register(listener, READ, lambda events: self._accept(listener))
+
+    def watch(self, descriptor: int) -> None:
+        """End when there is something to read here, or its end."""
+        self._selector.register(descriptor, READ, self._end)
+
+    def _end(self, events: int) -> None:
+        self._ending = True
+
+    def run(self) -> None:
+        """Until the end of what is watched."""
+        while not self._ending:
+            wait_s = None if self._look_s == float("inf") else max(self._look_s - time.monotonic(), 0.0)
+            for key, events in self._selector.select(wait_s):
+                key.data(events)
+            if self._look_s != float("inf") and time.monotonic() >= self._look_s:
+                self._look()
+
+    def close(self) -> None:
+        """Close every connection."""
+        for number in list(self._links):
+            self._drop(number)
+        for number in list(self._peers):
+            self._close(number)
+        self._selector.close()
+
+    def _want(self, one: socket.socket, events: int, call: Callable[[int], None]) -> None:
+        """Have `call` called for these events of a socket; for none of them with 0."""
+        before = self._interest.get(one, 0)
+        if events == before:
+            return
+        if not before:
+            self._selector.register(one, events, call)
+        elif not events:
+            self._selector.unregister(one)
+        else:
+            self._selector.modify(one, events, call)
+        self._interest[one] = events
+
+    def _shut(self, one: socket.socket) -> None:
+        if self._interest.pop(one, 0):
+            self._selector.unregister(one)
+        one.close()
+
+    # --- who waits
+
+    def _accept(self, listener: socket.socket) -> None:
+        for _ in range(ACCEPTS):
+            try:
+                peer, where = listener.accept()
+            except OSError:  # none left, or gone already
+                return
+            peer.setblocking(False)
+            self._number += 1
+            number, address = self._number, str(where[0])
+            self._peers[number], self._hellos[number] = (peer, address), []
+            self._want(peer, READ, lambda events, number=number: self._greeted(number))  # type: ignore[misc]
+            for other in self._admission.come(number, address, time.monotonic()):
+                self._refuse(other)
+            self._look_s = 0.0
+
+    def _greeted(self, number: int) -> None:
+        """A connection that is not passed on has sent something, or has ended."""
+        if number not in self._hellos:
+            return  # closed meanwhile, for another
+        peer, _ = self._peers[number]
+        try:
+            if hello_is_whole(b"".join(self._hellos[number])):  # it waits for its turn: is it still there?
+                if not peer.recv(1, socket.MSG_PEEK):
+                    raise NotTls
+                self._want(peer, 0, self._end)  # what it says before the router's answer is read after it
+                return
+            said = peer.recv(2 * MOST_HELLO)
+            self._hellos[number].append(said)
+            if not said or len(self._hellos[number]) > MOST_PIECES:
+                raise NotTls
+            if hello_is_whole(b"".join(self._hellos[number])):
+                self._admission.hello(number, time.monotonic())
+        except BlockingIOError:
+            return
+        except (OSError, NotTls):
+            self._admission.gone(number)
+            self._refuse(number)
+        self._look_s = 0.0
+
+    def _look(self) -> None:
+        """Close what is overdue, pass on whose turn it is, tell whom was refused."""
+        now_s = time.monotonic()
+        for number in self._admission.overdue(now_s):
+            if number in self._links:
+                self._drop(number)
+            else:
+                self._refuse(number)
+        for number, lane in self._admission.turns(now_s):
+            self._pass_on(number, lane)
+        for sentence in self._refusals.told(now_s):
+            self._tell(sentence)
+        self._look_s = min(self._admission.next_s(now_s), self._refusals.next_s())
+
+    def _refuse(self, number: int) -> None:
+        """Close a connection that was not passed on."""
+        self._refusals.note(self._peers[number][1])
+        self._close(number)
+
+    def _close(self, number: int) -> None:
+        peer, _ = self._peers.pop(number)
+        self._hellos.pop(number, None)
+        self._shut(peer)
+
+    # --- who is at the router
+
+    def _pass_on(self, number: int, lane: int) -> None:
+        peer, _ = self._peers[number]
+        self._want(peer, 0, self._end)
+        router = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        router.setblocking(False)
+        router.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, INNER_BUFFER)
+        for one in (peer, router):
+            one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        link = self._links[number] = Link(number, peer, router, b"".join(self._hellos.pop(number)))
+        router.connect_ex(("127.0.0.1", self._ports[lane]))
+        self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
+
+    def _from_router(self, link: Link, events: int) -> None:
+        if link.number not in self._links:
+            return
+        try:
+            if events & WRITE:
+                link.up.write()
+            if events & READ:
+                first = not link.down.passed
+                read = link.down.read(self._buffer)
+                link.by_router = link.by_router or (link.down.ended and not link.up.ended)
+                if first and (link.down.ended or asks_for_another_hello(bytes(read[:64]))):
+                    self._drop(link.number)
+                    return
+                if not link.proven:
+                    self._judge(link)
+        except Gone as gone:
+            link.by_router = link.by_router or (gone.which is link.down.source and not link.up.ended)
+            self._drop(link.number)
+            return
+        self._go_on(link)
+
+    def _from_peer(self, link: Link, events: int) -> None:
+        if link.number not in self._links:
+            return
+        try:
+            if events & WRITE:
+                link.down.write()
+            if events & READ:
+                link.up.read(self._buffer)
+                if link.claimed_at is None and link.up.passed >= CERTIFICATE_BYTES:
+                    link.claimed_at = link.down.passed
+        except Gone:
+            self._drop(link.number)
+            return
+        self._go_on(link)
+
+    def _judge(self, link: Link) -> None:
+        if link.claimed_at is not None and link.down.passed - link.claimed_at >= ANSWER_BYTES:
+            link.proven = True
+            self._admission.proven(link.number, time.monotonic())
+            self._look_s = 0.0
+
+    def _go_on(self, link: Link) -> None:
+        """Look at both sockets for what they are good for now; end a link that is over."""
+        up, down = link.up, link.down
+        if up.over and down.over:
+            self._drop(link.number)
+            return
+        self._want(down.source, down.wanted | (WRITE if up.waiting else 0), lambda events: self._from_router(link, events))
+        if down.passed:
+            self._want(up.source, up.wanted | (WRITE if down.waiting else 0), lambda events: self._from_peer(link, events))
+
+    def _drop(self, number: int) -> None:
+        """End a connection at the router."""
+        link = self._links.pop(number)
+        self._shut(link.down.source)
+        if self._admission.ended(number, link.by_router, time.monotonic()):
+            self._refusals.note(self._peers[number][1])
+        self._close(number)
+        self._look_s = 0.0
+
+
+def most_links() -> int:
+    """Connections that the process may have files for, two each. Raises the soft limit as far as that is allowed."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = 2 * MOST_LINKS + MOST_WAITING + FILES_APART
+    with contextlib.suppress(ValueError, OSError):  # some systems know a hard limit that they do not grant
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted if hard == resource.RLIM_INFINITY else min(wanted, hard), hard))
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return max(min((soft - MOST_WAITING - FILES_APART) // 2, MOST_LINKS), 1)
+
+
+def _tell(sentence: str) -> None:
+    """To the station; what it does not take at once is not told."""
+    with contextlib.suppress(OSError):
+        os.write(sys.stdout.fileno(), f"{sentence}\n".encode())
+
+
+def main() -> None:
+    """See the module's docstring."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # meant for the station, which ends us when it has ended its links
+    os.set_blocking(sys.stdout.fileno(), False)
+    listener = socket.socket(fileno=int(sys.argv[1]))
+    guard = Guard(listener, (int(sys.argv[2]), int(sys.argv[3])), _tell, most_links())
+    guard.watch(sys.stdin.fileno())
+    try:
+        guard.run()
+    finally:
+        guard.close()
+
+
+if __name__ == "__main__":
+    main()

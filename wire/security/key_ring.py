@@ -1,0 +1,133 @@
+"""SHELL: a process's own keys: the folder they lie in, and whether they can be used.
+
+A key ring is a folder with one folder per process, named as the process is:
+
+    keys/ca.pem  members.toml  authority.key      only where the station runs; the last belongs in a safe
+    keys/agent-1/ca.pem  cert.pem  key.pem        all that robot 1's board gets
+
+`groundstation keys` makes it. Private keys are read by OpenSSL and Zenoh, from the file; nothing here looks at them.
+"""
+
+import ssl
+import stat
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import AwareDatetime, Field
+
+from wire.messages.topics import Role
+from wire.security.access_control import Member
+from wire.toml_loader import ConfigError, Section, check, files_named, read_toml
+
+CA, CERTIFICATE, PRIVATE_KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.toml"
+EXPIRES_SOON = timedelta(days=30)
+ROLE_NAMES = {
+    "station": Role.STATION,
+    "operator": Role.OPERATOR,
+    "robot": Role.ROBOT,
+    "localizer": Role.LOCALIZER,
+    "simulator": Role.SIMULATOR,
+    "viewer": Role.VIEWER,
+}
+
+
+@dataclass(frozen=True)
+class Keys:
+    """One process's certificate, private key, and the authority that it believes."""
+
+    folder: Path
+
+    @property
+    def ca(self) -> Path:
+        """Certificate of the fleet's authority."""
+        return self.folder / CA
+
+    @property
+    def certificate(self) -> Path:
+        """Who this process is."""
+        return self.folder / CERTIFICATE
+
+    @property
+    def private_key(self) -> Path:
+        """The proof of it."""
+        return self.folder / PRIVATE_KEY
+
+
+class Issued(Section):
+    """A certificate that the fleet's authority has given out."""
+
+    process: str
+    role: Annotated[str, Field(pattern=f"^({'|'.join(ROLE_NAMES)})$")]
+    robot: Annotated[int, Field(ge=0, le=999)] = 0
+    common_name: str
+    issued: AwareDatetime
+    expires: AwareDatetime
+    revoked: AwareDatetime | None = None
+
+
+class MemberList(Section):
+    """members.toml: every certificate ever given out."""
+
+    hosts: tuple[str, ...] = ()  # where the station can be reached: names and addresses in its certificate
+    member: tuple[Issued, ...] = ()
+
+    def valid(self, now: datetime) -> tuple[Issued, ...]:
+        """Those that count."""
+        return tuple(m for m in self.member if m.revoked is None and now < m.expires)
+
+
+def open_keys(ring: Path, process: str) -> Keys:
+    """The keys of one process. Raises ConfigError saying what is missing, damaged or another's, or who else can read them."""
+    keys = Keys(ring / process)
+    with files_named(keys.folder):
+        for path in (keys.ca, keys.certificate, keys.private_key):
+            if not path.is_file():
+                raise ConfigError(f"--keys {ring}: {path} is missing (made by `groundstation keys add`, copied by `deploy`)")
+            path.open("rb").close()
+        mode = stat.S_IMODE(keys.private_key.stat().st_mode)
+    if mode & 0o077:
+        raise ConfigError(f"{keys.private_key}: mode {mode:04o} lets others read it; chmod 600 {keys.private_key}")
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    try:
+        context.load_verify_locations(keys.ca)
+    except ssl.SSLError:
+        raise ConfigError(f"{keys.ca}: not a certificate (made by `groundstation keys`, copied by `deploy`)") from None
+    try:
+        context.load_cert_chain(keys.certificate, keys.private_key, password="")  # nobody is asked for one
+    except ssl.SSLError as error:
+        why = (error.reason or "not PEM").lower().replace("_", " ")
+        raise ConfigError(f"{keys.certificate} and {keys.private_key}: not a certificate and its key: {why}") from None
+    owner = common_name(keys)
+    if owner.partition(".")[0] != process:  # the router would let it in, and keep to itself whatever it says
+        raise ConfigError(f"{keys.certificate}: is {owner}'s, this is {process} (`groundstation keys add` makes one for it)")
+    return keys
+
+
+def common_name(keys: Keys) -> str:
+    """By which name the router knows a process: its own, a dot, and what no other certificate has."""
+    from cryptography import x509  # a fleet without keys has no use for it
+    from cryptography.x509.oid import NameOID
+
+    certificate = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
+    names = certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    return str(names[0].value) if names else "nobody"
+
+
+def read_members(ring: Path) -> MemberList:
+    """Everybody who has a certificate. Raises ConfigError where there is no such list, or it is no good."""
+    with files_named(ring):
+        if not (ring / MEMBERS).exists():
+            raise ConfigError(f"--keys {ring}: no key ring, {MEMBERS} is missing in it (`groundstation keys init` makes one)")
+    return check(MemberList, read_toml(ring / MEMBERS), str(ring / MEMBERS))
+
+
+def expiring(ring: Path, now: datetime) -> tuple[Issued, ...]:
+    """Whose certificate ends within EXPIRES_SOON: links are closed when it does, also in flight."""
+    return tuple(m for m in read_members(ring).valid(now) if m.expires - now < EXPIRES_SOON)
+
+
+def admitted(ring: Path, now: datetime) -> tuple[Member, ...]:
+    """Whom the router lets in."""
+    return tuple(Member(ROLE_NAMES[m.role], m.common_name, m.robot) for m in read_members(ring).valid(now))

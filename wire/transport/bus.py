@@ -1,0 +1,316 @@
+"""SHELL: the fleet's bus: typed publishing, latest-wins inboxes, orders with an answer, presence.
+
+    bus = Bus(ZenohTransport(Endpoint("tcp/127.0.0.1:7447")))
+    poses = bus.inbox(topics.POSE, robot=1)
+    bus.announce("agent-1")               # last: who sees us present may rely on our subscriptions
+    received = poses.newest()
+
+Network threads only store bytes and wake the loop; decoding happens in the loop that asks.
+"""
+
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Generic, TypeVar
+
+from wire.messages import topics
+from wire.messages.codec import DecodeError, Header, decode, encode
+from wire.messages.messages import Command, Message, Reply
+from wire.messages.topics import Topic
+from wire.transport.command_deduplication import Once
+from wire.transport.delay_estimator import Lateness
+from wire.transport.transport import Await, Transport
+
+M = TypeVar("M")
+Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
+Collected = Callable[[], Iterator[tuple[Topic, str, Header, bytes]]]
+Handle = Callable[[Header, Command], Reply]
+
+KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
+
+
+@dataclass(frozen=True)
+class Received(Generic[M]):
+    """A message with what is known of its way here."""
+
+    message: M
+    header: Header
+    arrived_ns: int  # receiver's monotonic clock
+    late_ns: int = 0  # how much longer it was on its way than the fastest of late
+
+
+@dataclass(slots=True, eq=False)
+class _Kept(Generic[M]):
+    """What an inbox keeps of a message; decoded when somebody asks for it."""
+
+    header: Header
+    payload: bytes
+    arrived_ns: int
+    late_ns: int
+    decoded: bool = False
+    received: Received[M] | None = None
+
+
+class Inbox(Generic[M]):
+    """The newest message of one topic. Never a queue: what is older than the newest is gone.
+
+    Repeated and reordered messages of a session are dropped; a restarted sender (a new session) is taken up at once.
+    """
+
+    def __init__(self, bus: "Bus", topic: Topic, kind: type[M], robot: int | None, wakes: bool) -> None:
+        """Of `Bus.inbox`, which has it filled."""
+        self.dropped = 0  # repeated, reordered
+        self.bad = 0  # not decodable
+        self.last_error = ""
+        self.name = topic.key(robot)
+        self._bus, self._topic, self._kind, self._wakes = bus, topic, kind, wakes
+        self._kept: tuple[_Kept[M], ...] = ()  # replaced, never changed: readers need no lock
+        self._lateness = Lateness()
+
+    def store(self, header: Header, payload: bytes) -> None:
+        """A message has come."""
+        with self._bus.arrival:
+            last = self._kept[-1].header if self._kept else None
+            if last is not None and last.session == header.session and header.sequence <= last.sequence:
+                self.dropped += 1
+                return
+            arrived_ns = time.monotonic_ns()
+            late_ns = self._lateness.of(header.session, header.stamp_ns + header.age_ns, arrived_ns)
+            self._kept = (*self._kept[1 - KEPT :], _Kept(header, payload, arrived_ns, late_ns))
+            if self._wakes:
+                self._bus.arrival.notify_all()
+
+    def newest_header(self) -> Header | None:
+        """Header of the newest message, decoded or not: cheap, for waiting."""
+        kept = self._kept
+        return kept[-1].header if kept else None
+
+    def headers(self) -> tuple[Header, ...]:
+        """Headers of the last few messages, oldest first."""
+        return tuple(kept.header for kept in self._kept)
+
+    def newest(self, up_to_ns: int | None = None) -> Received[M] | None:
+        """The newest valid message; with `up_to_ns` the newest whose stamp is not later. None if there is none."""
+        for one in reversed(self._kept):
+            if up_to_ns is not None and one.header.stamp_ns > up_to_ns:
+                continue
+            if not one.decoded:
+                one.received, one.decoded = self._decode(one), True
+            if one.received is not None:
+                return one.received
+        return None
+
+    def _decode(self, kept: "_Kept[M]") -> Received[M] | None:
+        try:
+            message = decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
+        except DecodeError as error:
+            self.bad += 1
+            self.last_error = str(error)
+            return None
+        return Received(message, kept.header, kept.arrived_ns, kept.late_ns)
+
+
+class Bus:
+    """One process's access to the fleet. Thread-safe. Close it in a `finally`."""
+
+    def __init__(self, transport: Transport, fleet: str = "shoal") -> None:
+        self.session = secrets.randbits(63) | 1
+        self.arrival = threading.Condition()  # notified whenever something arrives
+        self.rejected = 0  # messages without a readable header
+        self._transport, self._fleet = transport, fleet
+        self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
+        self._sequences: dict[str, int] = {}
+        self._present: set[str] = set()
+        self._recipients: dict[str, int] = {}  # session of whoever answers orders under a key
+        self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
+
+    def _key(self, name: str) -> str:
+        return f"{self._fleet}/{name}"
+
+    def publish(
+        self, topic: Topic, message: Message, stamp_ns: int, robot: int | None = None, age_ns: int = 0
+    ) -> tuple[str, Header, bytes]:
+        """Send a message about the instant `stamp_ns`, which was `age_ns` ago. Returns what went out, for a local log."""
+        return self.forward(topic, encode(message, stamp_ns), stamp_ns, robot, age_ns)
+
+    def forward(
+        self, topic: Topic, payload: bytes, stamp_ns: int, robot: int | None = None, age_ns: int = 0
+    ) -> tuple[str, Header, bytes]:
+        """`publish` of what is encoded already."""
+        key = self._key(topic.key(robot))
+        with self._turns.setdefault(key, threading.Lock()):  # numbered and sent in one order, also from several threads
+            if key not in self._publishers:
+                self._publishers[key] = self._transport.publisher(key, topic.qos, topic.kept)
+            header = self._next_header(key, stamp_ns, age_ns)
+            self._publishers[key](payload, header.encode())
+        return key, header, payload
+
+    def _next_header(self, key: str, stamp_ns: int, age_ns: int = 0) -> Header:
+        with self.arrival:
+            self._sequences[key] = self._sequences.get(key, 0) + 1
+            return Header(self.session, self._sequences[key], stamp_ns, age_ns)
+
+    def inbox(self, topic: Topic, kind: type[M], robot: int | None = None) -> Inbox[M]:
+        """The newest message of a topic, of one robot where the topic has robots. `kind` is the topic's type."""
+        inbox = self._inbox(topic, kind, robot, wakes=True)
+        self.subscribe(topic, robot, lambda topic, key, header, payload: inbox.store(header, payload))
+        return inbox
+
+    def inboxes(self, topic: Topic, kind: type[M], robots: Iterable[int], wakes: bool = True) -> dict[int, Inbox[M]]:
+        """An inbox for each of these robots, filled by one subscription: Zenoh has a thread for each, and 19 that take turns
+        at Python's lock cost more than what they bring. `wakes`: whether what comes ends somebody's `wait`."""
+        inboxes = {robot: self._inbox(topic, kind, robot, wakes) for robot in robots}
+        by_key = {self._key(inbox.name): inbox for inbox in inboxes.values()}
+
+        def store(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+            inbox = by_key.get(key)
+            if inbox is not None:
+                inbox.store(header, payload)
+
+        if inboxes:
+            self.subscribe(topic, None, store)
+        return inboxes
+
+    def _inbox(self, topic: Topic, kind: type[M], robot: int | None, wakes: bool) -> Inbox[M]:
+        if kind is not topic.type:
+            raise TypeError(f"topic {topic.name} carries {topic.type.__name__}, not {kind.__name__}")
+        return Inbox(self, topic, kind, robot, wakes)
+
+    def subscribe(self, topic: Topic, robot: int | None, raw: Raw) -> None:
+        """Every message of a topic as bytes (of all robots if none is named). Called from a network thread: be quick."""
+
+        def deliver(key: str, payload: bytes, header: bytes) -> None:
+            decoded = self._header(topic, header)
+            if decoded is not None:
+                raw(topic, key, decoded, payload)
+
+        self._transport.subscribe(self._key(topic.key(robot)), topic.qos, deliver)
+
+    def collect(self, topic: Topic) -> Collected:
+        """As `subscribe`, of all robots, for messages that can wait: to be called now and then, from one thread, for those
+        that have come. Cheaper, and no network thread ever waits for whoever collects."""
+        collect = self._transport.collect(self._key(topic.key()), topic.qos)
+
+        def collected() -> Iterator[tuple[Topic, str, Header, bytes]]:
+            for key, payload, header in collect():
+                decoded = self._header(topic, header)
+                if decoded is not None:
+                    yield topic, key, decoded, payload
+
+        return collected
+
+    def _header(self, topic: Topic, header: bytes) -> Header | None:
+        try:
+            return Header.decode(header, "unknown peer", topic.name)
+        except DecodeError:
+            self.rejected += 1
+            return None
+
+    def serve(self, robot: int, handle: Handle) -> None:
+        """Answer the orders to a robot. `handle` runs in a network thread, and sees each order once
+        (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason."""
+        name, once, turn = topics.COMMAND_KEY.format(robot=robot), Once(self.session), threading.Lock()
+
+        def answer(payload: bytes, header: bytes) -> bytes:
+            try:
+                decoded = Header.decode(header, "unknown peer", name)
+                command = decode(Command, payload, f"session {decoded.session:x}", name)
+            except DecodeError as error:
+                self.rejected += 1
+                return encode(Reply(robot, False, str(error)))
+            with turn:
+                reply = once.settled(decoded, command)
+                if reply is None:
+                    reply = once.settle(decoded, handle(decoded, command))
+            with self.arrival:
+                self.arrival.notify_all()
+            return encode(reply)
+
+        self._transport.serve(self._key(name), answer)
+
+    def order(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
+        """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
+        return self.send_order(command, stamp_ns, timeout_s)()
+
+    def send_order(self, command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
+        """Send an order, and return what waits for its answer (`order`). Orders to one recipient reach it in the order of
+        these calls: an order neither overtakes another nor waits until another is answered.
+
+        The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
+        started again is refused: what it was meant for is no more. So is a second try that would come after a later order."""
+        key = self._key(topics.COMMAND_KEY.format(robot=command.robot))
+        known = self._recipients.get(key, 0)
+        first = self._ask(key, replace(command, recipient=known), stamp_ns, timeout_s)
+        assert first is not None
+
+        def reply() -> Reply:
+            sequence, answer = first
+            reply = self._read(command, key, answer(), timeout_s)
+            if reply.session:
+                self._recipients[key] = reply.session
+            if known or not reply.session or reply.accepted:
+                return reply
+            named = self._ask(key, replace(command, recipient=reply.session), stamp_ns, timeout_s, only_after=sequence)
+            if named is None:
+                return Reply(command.robot, False, f"{command.order.name} was overtaken by a later order")
+            return self._read(command, key, named[1](), timeout_s)
+
+        return reply
+
+    def _ask(
+        self, key: str, command: Command, stamp_ns: int, timeout_s: float, only_after: int | None = None
+    ) -> tuple[int, Await] | None:
+        """Send; returns the number that was given, and what waits. With `only_after` nothing, and None, if the last number
+        that was given is another."""
+        payload = encode(command)  # a trajectory takes its time: before the turn, so that no other order waits for it
+        with self._turns.setdefault(key, threading.Lock()):
+            if only_after is not None and self._sequences.get(key) != only_after:
+                return None
+            header = self._next_header(key, stamp_ns)
+            return header.sequence, self._transport.ask(key, payload, header.encode(), timeout_s)
+
+    def _read(self, command: Command, key: str, answer: bytes | None, timeout_s: float) -> Reply:
+        if answer is None:
+            return Reply(command.robot, False, f"no answer within {timeout_s:g} s", silent=True)
+        try:
+            return decode(Reply, answer, f"robot {command.robot}", key)
+        except DecodeError as error:
+            return Reply(command.robot, False, str(error))
+
+    def announce(self, process: str) -> None:
+        """Make this process visible to the others. Do it last, when every subscription stands."""
+        self._transport.announce(self._key(topics.PRESENCE_KEY.format(process=process)))
+
+    def watch_presence(self) -> None:
+        """Start to follow who is there; see `present`."""
+
+        def presence(key: str, there: bool) -> None:
+            process = key.rsplit("/", 1)[-1]
+            with self.arrival:
+                (self._present.add if there else self._present.discard)(process)
+                self.arrival.notify_all()
+
+        self._transport.watch(self._key(topics.PRESENCE_KEY.format(process="*")), presence)
+
+    @property
+    def present(self) -> frozenset[str]:
+        """Names of the processes that are there (not necessarily well). Needs `watch_presence`."""
+        with self.arrival:
+            return frozenset(self._present)
+
+    def wait(self, ready: Callable[[], bool], timeout_s: float) -> bool:
+        """Sleep until `ready()` or the time is over; woken by every arrival. Returns the last `ready()`."""
+        with self.arrival:
+            return self.arrival.wait_for(ready, max(timeout_s, 0.0))
+
+    def close(self) -> None:
+        """Leave the fleet."""
+        self._transport.close()
+
+    def __enter__(self) -> "Bus":
+        return self
+
+    def __exit__(self, *exception: Any) -> None:
+        self.close()

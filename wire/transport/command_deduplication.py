@@ -1,0 +1,53 @@
+"""Each order once, and only for the life of the process it was meant for. Pure.
+
+A process draws a number when it starts (its session). An order names the number of the process that it is for, so what was
+recorded in an earlier life is refused, however fresh it looks and whoever's heartbeats are played back with it. Within a life
+the sender's session and sequence number tell an order that has been dealt with: the same once more gets the answer it got, and
+no second effect; an older one is refused.
+
+STOP and DISARM are the exception: they only take power away, and the same once more changes nothing for the worse. They are
+looked at whenever they come, from whoever may command: late, repeated, or meant for an earlier life.
+"""
+
+from collections import OrderedDict
+from dataclasses import replace
+
+from wire.messages.codec import Header
+from wire.messages.messages import Command, Order, Reply
+
+ALWAYS_TAKEN = frozenset({Order.STOP, Order.DISARM})  # they only take power away
+SENDERS = 4096  # remembered; each station's life and each terminal's order is one
+
+
+class Once:
+    """What one process remembers of the orders it has dealt with."""
+
+    def __init__(self, session: int) -> None:
+        self._session = session
+        self._answered: OrderedDict[int, tuple[int, Reply]] = OrderedDict()  # by sender's session: last sequence and answer
+
+    def settled(self, header: Header, command: Command) -> Reply | None:
+        """The answer to an order that is not to be looked at (again); None if it is new and for this life."""
+        if command.order in ALWAYS_TAKEN:
+            return None
+        if command.recipient != self._session:
+            return self._refuse(command, "is not for this life of the process: it has been started again since, or never met")
+        sequence, reply = self._answered.get(header.session, (0, None))
+        if header.sequence == sequence:
+            return reply
+        if header.sequence < sequence:
+            return self._refuse(command, f"is old: order {header.sequence} after {sequence}")
+        return None
+
+    def settle(self, header: Header, reply: Reply) -> Reply:
+        """Note an order as dealt with. Returns the answer, which tells for whom the next order must be."""
+        reply = replace(reply, session=self._session)
+        if header.sequence >= self._answered.get(header.session, (0, None))[0]:  # a late STOP makes no other order new again
+            self._answered[header.session] = (header.sequence, reply)
+            self._answered.move_to_end(header.session)
+        if len(self._answered) > SENDERS:
+            self._answered.popitem(last=False)
+        return reply
+
+    def _refuse(self, command: Command, why: str) -> Reply:
+        return Reply(command.robot, False, f"{command.order.name} {why}", session=self._session)

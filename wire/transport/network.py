@@ -1,0 +1,70 @@
+"""SHELL: from a command line to an endpoint: plain on this machine, mutual TLS and access control beyond it.
+
+Off loopback a network without keys lets anybody who is on it command the robots. That must be asked for (`--insecure`), and
+then it is said wherever somebody looks: in every process's log, and on the operator's page.
+"""
+
+import logging
+from datetime import UTC, datetime
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Any
+
+from wire.security.access_control import INSECURE, access_control
+from wire.security.key_ring import admitted, expiring, open_keys
+from wire.toml_loader import ConfigError
+from wire.transport.endpoint import Endpoint, parse_address
+
+log = logging.getLogger("shoal")
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can be meant."""
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def refuse_open(address: str, insecure: bool) -> None:
+    """Raises ConfigError for an address that needs keys, to be used where there are none."""
+    protocol, host, _ = parse_address(address)
+    if protocol == "tls":
+        raise ConfigError(f"{address}: TLS needs --keys FOLDER (`groundstation keys init` makes them)")
+    if not is_loopback(host) and not insecure:
+        raise ConfigError(
+            f"{address}: other machines could command the robots; off loopback a fleet needs --keys FOLDER "
+            "(`groundstation keys init` makes them, docs/security.md), or an explicit --insecure"
+        )
+
+
+def endpoint(
+    address: str,
+    process: str,
+    ring: Path | None,
+    *,
+    insecure: bool = False,
+    router: bool = False,
+    lossless: bool = False,
+    fleet: str = "shoal",
+) -> Endpoint:
+    """Where the router is, or to be, and how to speak to it. With a key ring always TLS, whatever the address says.
+    Raises ConfigError for what would be open to others without having been asked for."""
+    _, host, port = parse_address(address)
+    if ring is not None:
+        if insecure:
+            raise ConfigError("--insecure and --keys: with keys the network is not open; leave one of them out")
+        where = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+        keys = open_keys(ring, process)
+        return Endpoint(f"tls/{where}", router, lossless, keys, _access(fleet, ring) if router else None)
+    refuse_open(address, insecure)
+    if not is_loopback(host):
+        log.warning(INSECURE)
+    return Endpoint(address, router, lossless, insecure=not is_loopback(host))
+
+
+def _access(fleet: str, ring: Path) -> dict[str, Any]:
+    now = datetime.now(UTC)
+    for member in expiring(ring, now):
+        log.warning("the certificate of %s ends on %s UTC", member.process, f"{member.expires:%Y-%m-%d %H:%M}")
+    return access_control(fleet, admitted(ring, now))
