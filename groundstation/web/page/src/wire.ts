@@ -1,4 +1,4 @@
-/** What the station sends (groundstation/web/scene.py, snapshot.py, hub.py) and what the page may say (requests.py). */
+/** What the station sends (groundstation/web/scene.py, snapshot.py, client_hub.py) and what the page may say (protocol.py). */
 
 import { decode } from "@msgpack/msgpack";
 
