@@ -32,6 +32,8 @@ from wire.messages import Mode, RobotState
 from wire.runtime import Stop
 from wire.transport import Endpoint, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 
 def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(

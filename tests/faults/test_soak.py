@@ -14,6 +14,8 @@ from tests.faults.soak import Watch, random_faults
 from wire.experiment import load_experiment
 from wire.messages import Event
 
+pytestmark = pytest.mark.real_time
+
 
 def soak(name: str, seed: int, duration_s: float) -> None:
     random = np.random.default_rng(seed)

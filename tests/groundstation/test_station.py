@@ -28,6 +28,8 @@ from wire.runtime import Stop, WallClock, wait
 from wire.topics import WHOLE_FLEET
 from wire.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 PERIOD_S = 0.125
 PATIENCE_S = 20.0
 TRIES = 5

@@ -33,6 +33,8 @@ from wire.messages import Obstacles, Plan, RobotState
 from wire.runtime import LockstepClock
 from wire.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 SECOND = 1_000_000_000
 
 

@@ -35,6 +35,8 @@ from wire.runtime import WallClock, log
 from wire.toml_file import ConfigError
 from wire.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 POOL = load_experiment("pool")
 HEAD = struct.Struct("<If")
 PATIENCE_S = 20.0

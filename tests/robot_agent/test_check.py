@@ -31,6 +31,8 @@ from wire.network import endpoint
 from wire.toml_file import ConfigError
 from wire.transport import Endpoint, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 NOW = datetime(2030, 5, 1, tzinfo=UTC)
 
 

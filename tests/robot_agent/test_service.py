@@ -18,6 +18,8 @@ from sim_bridge.ports import free_port
 from wire.toml_file import ConfigError
 from wire.transport import Endpoint, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 SYSTEMD = shutil.which("systemd-analyze")
 
 

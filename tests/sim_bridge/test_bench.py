@@ -28,6 +28,8 @@ from wire.mavlink_frames import Sender
 from wire.mavlink_signing import Key
 from wire.toml_file import ConfigError
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).parents[2]
 HEARTBEAT = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)  # of a ground station
 

@@ -18,6 +18,8 @@ from tests.sim_bridge.test_bench import board
 from wire.link import open_link
 from wire.mavlink import AgentLink
 
+pytestmark = pytest.mark.real_time
+
 NEUTRAL = (1500,) * 8
 WITHIN_S = 30.0
 

@@ -14,6 +14,8 @@ from wire.bus import Bus
 from wire.codec import Header, encode
 from wire.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 MakeBus = Callable[[], Bus]
 
 

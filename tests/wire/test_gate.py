@@ -33,6 +33,8 @@ from wire.network import endpoint
 from wire.reach import trouble_reaching
 from wire.transport import ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 SOON_S = 5.0  # without a guard nobody comes in for minutes
 
 

@@ -27,6 +27,8 @@ from wire.reach import trouble_reaching
 from wire.topics import Role, Topic
 from wire.transport import Endpoint, Unreached, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 ROLES = {
     "groundstation": Role.STATION,
     "operator": Role.OPERATOR,

@@ -27,6 +27,8 @@ from wire.reach import trouble_reaching
 from wire.toml_file import ConfigError
 from wire.transport import Endpoint, Unreached, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture
 def ring(tmp_path: Path) -> Path:
