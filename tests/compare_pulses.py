@@ -1,6 +1,6 @@
 """Compares the pulses of two runs bit by bit: a change of form must not change what a lockstep flight does.
 
-    python -m tests.compare_pulses RUN RUN      # exit code 0: the same pulses at the same instants, 1: not, 2: nothing to compare
+python -m tests.compare_pulses RUN RUN   # exit code 0: same pulses at same instants, 1: not, 2: nothing to compare
 """
 
 import sys

@@ -181,6 +181,9 @@ class Estimator:
         """Whether a depth can be the robot's. One that lasts against the estimate replaces it: heave begins anew there."""
         if self._state is None:
             return True
+        if self._depth_ns is None:  # the first one: nothing was believed before
+            self._sink_to(depth_m)
+            return True
         believed_m = self._state[2] + self._state[6] * (at_ns - self._at_ns) / NS
         if abs(depth_m - believed_m) <= GATE_DEPTH_M:
             self._other_depths.end()
@@ -188,10 +191,15 @@ class Estimator:
         if not self._other_depths.lasts(depth_m):
             return False
         self._depth_leap = f"the sensor says {depth_m:.2f} m, {believed_m:.2f} m was believed"
-        x, y, _, yaw, u, v, _, r, *thrust = self._state
-        self._state, self._disturbance[2] = (x, y, depth_m, yaw, u, v, 0.0, r, *thrust), 0.0
+        self._sink_to(depth_m)
         self._forget(1)
         return True
+
+    def _sink_to(self, depth_m: float) -> None:
+        """Begin heave anew: at rest at a depth."""
+        assert self._state is not None
+        x, y, _, yaw, u, v, _, r, *thrust = self._state
+        self._state, self._disturbance[2] = (x, y, depth_m, yaw, u, v, 0.0, r, *thrust), 0.0
 
     def _believes_rate(self, rate_radps: float) -> bool:
         """Whether a yaw rate can be the robot's; a glitch is left out, what lasts is taken over."""

@@ -15,6 +15,8 @@ from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Children
 from wire.config.experiment import dump_experiment, load_experiment
 
+pytestmark = pytest.mark.real_time
+
 
 class Lab:
     """Station, simulated pool and two agents."""

@@ -32,6 +32,8 @@ from wire.messages.messages import Mode, RobotState
 from wire.process.runtime import Stop
 from wire.transport.transport import Endpoint, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 
 def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(

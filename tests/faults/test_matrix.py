@@ -13,6 +13,8 @@ from tests.faults.rig import Rig, moment
 from tests.faults.row import Row
 from tests.faults.table import ROWS
 
+pytestmark = pytest.mark.real_time
+
 SLACK_S = 1.0
 FAST = ("localizer-killed", "agent-hung", "agent-killed", "link-garbage", "partition", "emergency-stop")
 

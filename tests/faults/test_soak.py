@@ -14,6 +14,8 @@ from tests.faults.soak import Watch, random_faults
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Event
 
+pytestmark = pytest.mark.real_time
+
 
 def soak(name: str, seed: int, duration_s: float) -> None:
     random = np.random.default_rng(seed)

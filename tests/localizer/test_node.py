@@ -37,6 +37,8 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Inbox
 from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 EXPERIMENT = load_experiment("pool")
 ETA = {1: np.array([0.45, 0.1, 0.3, 0.7]), 2: np.array([-0.4, -0.05, 0.3, -2.0])}
 FROZEN_FRAMES = EXPERIMENT.localizer.frozen_frames

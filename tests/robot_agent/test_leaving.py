@@ -23,6 +23,8 @@ from wire.messages.messages import Command, Mode, Order, Pose, RobotState, Stati
 from wire.transport.bus import Bus
 from wire.transport.transport import Endpoint, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 # Nothing that the thrusters do moves this robot; its steps are slow, so that a busy machine makes few of them late.
 SETTINGS = ("safety.watch_thrusters=false", "controller.period_s=0.1")
 POOL = load_experiment("pool", SETTINGS)

@@ -19,6 +19,8 @@ from wire.process.runtime import Stop
 from wire.transport.bus import Bus
 from wire.transport.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.mark.parametrize("same", [True, False], ids=["one key", "two keys"])
 def test_state_tells_of_the_board_and_of_its_clock_only_where_the_keys_match(same: bool, tmp_path: Path) -> None:

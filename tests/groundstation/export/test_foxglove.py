@@ -33,6 +33,8 @@ from wire.process.runtime import LockstepClock
 from wire.transport.bus import Bus
 from wire.transport.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 SECOND = 1_000_000_000
 
 

@@ -29,6 +29,8 @@ from wire.process.runtime import Stop, WallClock, wait
 from wire.transport.bus import Bus, Inbox
 from wire.transport.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 PERIOD_S = 0.125
 PATIENCE_S = 20.0
 TRIES = 5

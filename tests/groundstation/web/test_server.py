@@ -35,6 +35,8 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 POOL = load_experiment("pool")
 HEAD = struct.Struct("<If")
 PATIENCE_S = 20.0

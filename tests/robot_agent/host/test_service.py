@@ -18,6 +18,8 @@ from sim_bridge.sil.ports import free_port
 from wire.toml_loader import ConfigError
 from wire.transport.transport import Endpoint, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 SYSTEMD = shutil.which("systemd-analyze")
 
 

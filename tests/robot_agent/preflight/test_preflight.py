@@ -31,6 +31,8 @@ from wire.transport.bus import Bus
 from wire.transport.network import endpoint
 from wire.transport.transport import Endpoint, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 NOW = datetime(2030, 5, 1, tzinfo=UTC)
 
 

@@ -357,6 +357,14 @@ def test_a_depth_that_lasts_against_the_estimate_is_believed_and_told() -> None:
     assert np.abs(found[-1].nu).max() < 1e-6 and np.abs(found[-1].disturbance).max() < 1e-6  # it leapt, it did not dive
 
 
+def test_the_first_depth_is_taken_at_once_however_long_poses_came_without_one() -> None:
+    """Nothing was believed before it, so it contradicts nothing: a robot that is armed a moment later has no fault."""
+    found = sensing(lambda k: (None if k < 20 else 2.0, 0.0))
+    assert not any(e.depth_leap for e in found)
+    assert found[18].depth_age_s == math.inf and found[19].depth_age_s == 0.0
+    assert all(e.eta[2] == pytest.approx(2.0, abs=1e-6) and abs(e.nu[2]) < 1e-6 for e in found[19:])
+
+
 def test_depths_that_agree_with_nothing_age() -> None:
     found = sensing(lambda k: (0.3 if k < 40 else 1.0 + 0.5 * k, 0.0))
     assert not any(e.depth_leap for e in found) and found[-1].eta[2] == pytest.approx(0.3)

@@ -28,6 +28,8 @@ from wire.mavlink.signing import Key
 from wire.mavlink.signing_key import Signing, agent_end, new_key
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).parents[3]
 HEARTBEAT = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)  # of a ground station
 

@@ -18,6 +18,8 @@ from tests.sim_bridge.node.test_bench import board
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_port import open_link
 
+pytestmark = pytest.mark.real_time
+
 NEUTRAL = (1500,) * 8
 WITHIN_S = 30.0
 

@@ -15,6 +15,8 @@ from wire.transport import transport
 from wire.transport.bus import Bus
 from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 MakeBus = Callable[[], Bus]
 
 

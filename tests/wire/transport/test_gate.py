@@ -35,6 +35,8 @@ from wire.transport.gate import door_of, nearest
 from wire.transport.network import endpoint
 from wire.transport.transport import ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 SOON_S = 5.0  # without a guard nobody comes in for minutes
 
 

@@ -27,6 +27,8 @@ from wire.transport.endpoint import FLOOD
 from wire.transport.network import endpoint
 from wire.transport.transport import Endpoint, Unreached, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 ROLES = {
     "groundstation": Role.STATION,
     "operator": Role.OPERATOR,

@@ -28,6 +28,8 @@ from wire.transport.endpoint import FLOOD
 from wire.transport.network import endpoint
 from wire.transport.transport import Endpoint, Unreached, ZenohTransport
 
+pytestmark = pytest.mark.real_time
+
 
 @pytest.fixture
 def ring(tmp_path: Path) -> Path:
