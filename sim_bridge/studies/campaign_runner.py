@@ -31,6 +31,7 @@ from wire.toml_loader import ConfigError
 
 JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
 LOOK_EVERY_S = 0.5
+CLUSTER_WITHIN_S = 10.0
 IN_THE_AIR = 4  # flights a worker that are handed out at a time
 
 
@@ -128,7 +129,7 @@ def _executor(workers: int | None, scheduler: str | None) -> Iterator[Executor]:
     except ImportError:
         raise ConfigError("--scheduler needs Dask: pip install -c constraints.txt '.[cluster]'") from None
     try:
-        client = Client(scheduler, timeout=10)
+        client = Client(scheduler, timeout=CLUSTER_WITHIN_S)
     except OSError as error:
         raise ConfigError(f"--scheduler {scheduler}: {error}") from None
     with client, client.get_executor(retries=1, pure=False) as cluster:

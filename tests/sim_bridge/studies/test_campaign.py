@@ -266,7 +266,8 @@ def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
     assert [row["rms_m"] for row in found] == [row["rms_m"] for row in expected]
 
 
-def test_a_cluster_that_is_not_there(tmp_path: Path) -> None:
+def test_a_cluster_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign_runner, "CLUSTER_WITHIN_S", 0.3)
     with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:1: "):
         fly(campaign(seeds=1), tmp_path / "c", scheduler="tcp://127.0.0.1:1")
 
