@@ -111,6 +111,16 @@ class Experiment(Section):
         return self
 
     @model_validator(mode="after")
+    def _distances_hold_the_hulls(self) -> Self:
+        radius_m, hull_m = self.safety.radius_m, self.vehicle.radius_m
+        if radius_m < hull_m:
+            raise ValueError(
+                f"safety.radius_m = {radius_m:g}: centres may come within {2.0 * radius_m:g} m of each other, but hulls of "
+                f"vehicle.radius_m = {hull_m:g} touch at {2.0 * hull_m:g} m (allowed: from {hull_m:g} on)"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _faults_meet_something(self) -> Self:
         processes = ("groundstation", "sim-bridge", "localizer", *(f"agent-{robot}" for robot in self.robot_ids))
         for i, fault in enumerate(self.sim.faults):

@@ -469,3 +469,14 @@ def test_a_step_may_fail_to_come_without_the_board_disarming() -> None:
     load_experiment("pool", ["controller.period_s=0.04", "sim.board.neutral_after_s=0.08"])
     with pytest.raises(ConfigError, match=r"controller.period_s = 0.05: .*neutral_after_s = 0.08 s .*allowed: up to 0.04"):
         load_experiment("pool", ["sim.board.neutral_after_s=0.08"])
+
+
+def test_a_safety_distance_smaller_than_the_hull_is_refused() -> None:
+    """Whichever of the two was changed: plans, right of way and reports all count from safety.radius_m."""
+    assert load_experiment("pool", ["safety.radius_m=0.15"]).vehicle.radius_m == 0.15
+    for setting, wrong in (
+        ("safety.radius_m=0.149", r"0.149: .* within 0.298 m .*0.15"),
+        ("vehicle.radius_m=0.35", "0.3: .*0.35"),
+    ):
+        with pytest.raises(ConfigError, match=rf"safety.radius_m = {wrong} touch at .*allowed: from"):
+            load_experiment("pool", [setting])
