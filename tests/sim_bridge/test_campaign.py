@@ -21,6 +21,7 @@ from groundstation import planner
 from sim_bridge import campaign_run
 from sim_bridge.campaign import Campaign, flights
 from sim_bridge.campaign_flight import planning_text
+from sim_bridge.measures import MEASURES, broken_limits
 from sim_bridge.summary import distribution, quantile, rate
 from wire.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
 from wire.runtime import Stop
@@ -213,6 +214,31 @@ def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
     limit_m = load_experiment("swap").limits.arrived_m
     assert limit_m is not None and row["arrived_m"] > limit_m
     assert not row["passed"] and "arrived_m" in row["reason"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [
+        ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "at_fault"),
+        ("robots.1.start=[0.71,-0.33,0.3,1.6]", "min_separation_m"),
+    ],
+)
+def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: str, reason: str, tmp_path: Path) -> None:
+    """A robot that gives up, and robots nearer to each other than twice safety.radius_m: the command that flies the row again
+    fails too, though no limit of the experiment is asked of so short a flight."""
+    loaded = campaign(settings=["duration_s=1.5", setting], seeds=1, sweep={}, draw={})
+    assert fly(loaded, tmp_path / "c") == 0
+    (row,) = rows(tmp_path / "c")
+    assert (row["status"], row["passed"], row["reason"]) == ("flown", False, reason)
+    words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 1
+
+
+def test_a_figure_that_is_no_number_breaks_its_limit() -> None:
+    found = {**dict.fromkeys(MEASURES, 0.0), "min_separation_m": 1.0}
+    diverged: dict[str, float | None] = {**found, "rms_after_20s_m": float("nan"), "min_separation_m": float("nan")}
+    assert broken_limits(load_experiment("pool"), {**found}) == []
+    assert broken_limits(load_experiment("pool"), diverged) == ["rms_after_20s_m", "min_separation_m"]
 
 
 def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
