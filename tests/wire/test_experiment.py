@@ -480,3 +480,14 @@ def test_a_safety_distance_smaller_than_the_hull_is_refused() -> None:
     ):
         with pytest.raises(ConfigError, match=rf"safety.radius_m = {wrong} touch at .*allowed: from"):
             load_experiment("pool", [setting])
+
+
+def test_a_neighbours_plan_does_not_count_when_all_of_it_is_past() -> None:
+    """While it counts, a silent neighbour has no bubble that grows, and is taken to yield."""
+    load_experiment("pool", ["safety.plan_max_age_s=2.5"])
+    load_experiment("pool", ["controller.mpc.horizon=5", "controller.mpc.blocks=[1,4]"])  # as runs were flown
+    for settings in (["safety.plan_max_age_s=2.6"], ["safety.plan_max_age_s=1.3", "controller.mpc.horizon=25"]):
+        with pytest.raises(
+            ConfigError, match=r"safety.plan_max_age_s = (2.6|1.3): a plan reaches .*allowed: up to (2.5|1.25)"
+        ):
+            load_experiment("pool", settings)
