@@ -19,10 +19,10 @@ from groundstation.legs import Leg, at
 from groundstation.lookout import Surroundings
 from groundstation.pacing import Pace
 from groundstation.phases import FLYING, JOINING, OVER, PLANNING, UNDER_WAY, Event, Phase, after, refusal
-from groundstation.stages import STAGES, Stage
+from groundstation.stages import LIVE, STAGES, Stage
 from groundstation.timetable import Timetable
 from groundstation.watch import noticed
-from groundstation.wishes import UNFIT, can_move, objection
+from groundstation.wishes import UNFIT, can_move, mode_name, objection
 from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array
@@ -287,6 +287,10 @@ class Mission:
         if fallen is not None and self.phase in GETTING_READY:  # no order but DISARM would reach it
             self._unheeded(f"robot {fallen[0]}: {fallen[1]}", now_ns)
             return ()
+        flying = [r for r in waiting if fleet[r].heard and fleet[r].mode in LIVE]
+        if flying and self.phase is Phase.CLEARING:  # the stop has not reached it, and it would fly on when nobody expects it
+            self._unheeded(f"robot {flying[0]} has not stopped: it is {mode_name(fleet[flying[0]])}", now_ns)
+            return ()
         self._waited_ns = {r: self._waited_ns.get(r, now_ns) for r in waiting}
         patience_s = JOIN_WITHIN_S if self.phase in JOINING else PATIENCE_S
         late = [r for r in waiting if now_ns - self._waited_ns[r] > patience_s * 1e9]
@@ -297,11 +301,11 @@ class Mission:
         return self._ask(stage.order, waiting, now_ns)
 
     def _has_obeyed(self, robot: int, stage: Stage, fleet: Fleet, now_ns: int) -> bool:
-        """By what a robot has told lately, or since it was asked: what it told before that says nothing. That it is disarmed
-        counts only if told since: an ARM may have been on its way."""
+        """By what a robot has told lately, or since it was asked: what it told before that says nothing. That it is disarmed,
+        or its stop cleared, counts only if told since: an ARM or a STOP may have been on its way."""
         seen = fleet[robot]
         told_since = seen.state_age_s * 1e9 <= now_ns - self._since_ns
-        told = told_since or (seen.heard and stage.order is not Order.DISARM)
+        told = told_since or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
         return told and stage.obeyed(seen.mode, self.crew.is_on(self.leg, fleet, robot))
 
     @property

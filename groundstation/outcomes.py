@@ -73,7 +73,7 @@ GOALS: dict[Order, Goal] = {
     ),
     Order.STOP: Goal(frozenset(), frozenset({Phase.STOPPED}), _in(Mode.STOPPED), asks=True, everybody=True),
     Order.CLEAR_STOP: Goal(
-        frozenset({Phase.CLEARING}), frozenset({Phase.WAITING}), _not_in(frozenset({Mode.STOPPED})), everybody=True
+        frozenset({Phase.CLEARING}), frozenset({Phase.WAITING}), _not_in(LIVE | {Mode.STOPPED}), everybody=True
     ),
     Order.TEST: Goal(
         frozenset({Phase.TEST_ARMING, Phase.TESTING, Phase.TEST_ENDING}), frozenset({Phase.WAITING}), _tested

@@ -6,6 +6,7 @@ from groundstation.crew import Crew
 from groundstation.detour import can_detour
 from groundstation.fleet import Fleet, RobotView, preflight
 from groundstation.legs import Leg
+from groundstation.stages import LIVE
 from wire.experiment import Experiment
 from wire.frames import Array
 from wire.messages import Mode, Order
@@ -28,8 +29,13 @@ def objection(
     if order is Order.TEST:
         return "; ".join(preflight(experiment, fleet, but=("thrusters",)))
     if order is Order.RESUME:
-        moving = [f"robot {r} does not hold yet ({_name(fleet[r])})" for r in crew.active if fleet[r].mode is not Mode.HOLDING]
+        moving = [
+            f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in crew.active if fleet[r].mode is not Mode.HOLDING
+        ]
         return "; ".join(moving)
+    if order is Order.CLEAR_STOP:
+        flying = [r for r in crew.everybody if fleet[r].heard and fleet[r].mode in LIVE]
+        return "; ".join(f"robot {r} has not stopped yet ({mode_name(fleet[r])})" for r in flying)
     if order is Order.HOLD and all(fleet[r].mode is Mode.DISARMED for r in crew.active):
         return "no robot is armed"
     if order is Order.GO and leg.home:
@@ -57,7 +63,8 @@ def _inside(experiment: Experiment, x: float, y: float) -> bool:
     return abs(x) <= length / 2.0 and abs(y) <= width / 2.0
 
 
-def _name(robot: RobotView) -> str:
+def mode_name(robot: RobotView) -> str:
+    """A robot's mode as people read it."""
     return robot.mode.name if robot.mode is not None else "never heard"
 
 

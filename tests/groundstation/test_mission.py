@@ -929,3 +929,61 @@ def test_a_robot_that_was_carried_off_while_it_held_is_led_back_before_all_go_on
     assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
     assert run.at(Phase.HALTING) and run.mission.reason == "robot 2 is 1.10 m from its place"
     assert all(Order.RESUME not in [c.order for c in robot.got] for robot in run.robots.values())
+
+
+# --- after an emergency stop
+
+
+def test_a_stop_is_not_cleared_while_a_robot_flies_that_it_has_not_reached() -> None:
+    run = running(automatic=False)
+    run.robots[2].refuses = frozenset({Order.STOP})
+    assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.1)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == "robot 2 has not stopped yet (TRACKING)"
+    assert run.at(Phase.STOPPED)
+    run.robots[2].refuses = frozenset()
+    run.step(0.5)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.at(Phase.WAITING) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarmed() -> None:
+    run = running(automatic=False)
+    run.robots[2].silent = True
+    assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert run.at(Phase.CLEARING)
+    run.robots[2].silent = False
+    run.step(0.5)
+    assert run.at(Phase.FAILED) and run.mission.reason == "robot 2 has not stopped: it is TRACKING"
+    assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_a_stop_that_is_cleared_before_robots_have_told_of_it_is_cleared_on_each() -> None:
+    """They say that they are disarmed, which was so before the STOP that is on its way."""
+    run = Run(automatic=False)
+    run.step(0.2)
+    before = run.fleet()
+    assert run.mission.wish(Order.STOP, before, run.now_ns) == ""
+    assert run.mission.wish(Order.CLEAR_STOP, before, run.now_ns) == ""
+    orders = run.mission.step(before, (), run.now_ns + 10_000_000)
+    assert [(c.order, c.robot) for c in orders] == [(Order.CLEAR_STOP, 1), (Order.CLEAR_STOP, 2)]
+    assert run.at(Phase.CLEARING)
+
+
+def test_a_thruster_test_after_a_cleared_stop_does_not_begin_an_automatic_mission() -> None:
+    run = running()
+    assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.mission.wish(Order.TEST, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    for robot in run.robots.values():
+        robot.test = "passed"
+    run.step(3.0)
+    assert run.at(Phase.WAITING) and run.phases[-2] is Phase.TEST_ENDING
+    assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
