@@ -89,7 +89,8 @@ class Mission:
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
             self._begin_anew()
         self._stop_after = {Order.LOAD: Phase.LOADING, Order.ARM: Phase.ARMING}.get(order)
-        self._held_by_person = order in (Order.HOLD, Order.CLEAR_STOP)
+        if order is not Order.TEST:  # it asks nobody to fly: who waits for a person waits on
+            self._held_by_person = order in (Order.HOLD, Order.CLEAR_STOP)
         if order is Order.RETURN:
             self._come_home(fleet)
         if order is Order.REJOIN:
