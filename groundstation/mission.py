@@ -22,7 +22,7 @@ from groundstation.phases import FLYING, JOINING, OVER, PLANNING, UNDER_WAY, Eve
 from groundstation.stages import LIVE, STAGES, Stage
 from groundstation.timetable import Timetable
 from groundstation.watch import noticed
-from groundstation.wishes import UNFIT, can_move, mode_name, objection
+from groundstation.wishes import UNFIT, mode_name, objection, stays
 from wire import topics
 from wire.experiment import Experiment
 from wire.frames import Array
@@ -120,8 +120,9 @@ class Mission:
         if self.phase in (Phase.WAITING, *OVER):
             self._begin_anew()
         for robot in self.crew.active:
-            if not can_move(fleet[robot]):
-                self.crew.lose(robot, "not fit to move")
+            why = stays(self._experiment, fleet, robot)
+            if why:
+                self.crew.lose(robot, why)
         self.itinerary.head_home()
 
     # --- the cycle

@@ -987,3 +987,23 @@ def test_a_thruster_test_after_a_cleared_stop_does_not_begin_an_automatic_missio
     run.step(3.0)
     assert run.at(Phase.WAITING) and run.phases[-2] is Phase.TEST_ENDING
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+# --- home
+
+
+def test_nobody_is_armed_for_the_way_home_who_may_not_be_armed_at_all() -> None:
+    run = Run(automatic=False, settings=["mission.thruster_test=true"])
+    run.step(0.2)
+    untested = "thruster test: not done (groundstation order test)"
+    refused = f"no robot is fit to move; robot 1: {untested}; robot 2: {untested}"
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == refused
+    assert run.at(Phase.WAITING)
+    run.robots[1].test, run.robots[1].eta = "passed", (0.9, 0.9, 0.0, 0.0)  # far from its start: that is why it returns
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.crew.out == {2: untested}
+    run.step(0.5)
+    run.mission.planned(replace(next_leg(run, 0.05), home=True), run.fleet(), run.now_ns)
+    run.step(2.0)
+    assert run.at(Phase.RETURNING)
+    assert run.in_mode(1, Mode.TRACKING) and run.in_mode(2, Mode.DISARMED)
