@@ -40,6 +40,8 @@ class Asking:
             if command.robot not in self._crew.everybody:
                 continue
             held = self._crew.trajectory(self._itinerary.next, command.robot)
+            if answer.reply.silent and command.robot in self._crew.out:
+                continue  # as is to be expected
             if not answer.reply.accepted:
                 how = "has not answered" if answer.reply.silent else "refuses"
                 refusal = f"robot {command.robot} {how} {command.order.name}: {answer.reply.reason}"

@@ -146,7 +146,7 @@ class Mission:
         if self.phase in FLYING | {Phase.PAUSED} and self.crew.active:
             self._watch(fleet, now_ns)
         self._keep_pace(fleet, elapsed_s)
-        return self._orders(fleet, now_ns) + self._hold_lost(fleet, now_ns)
+        return self._orders(fleet, now_ns) + self._tell_lost(fleet, now_ns)
 
     def _orders(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         if self.phase in STAGES:
@@ -163,11 +163,15 @@ class Mission:
             return self._ask(Order.STOP, self._not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
 
-    def _hold_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """A robot that was silent for a while may fly on by a plan that the others have no longer."""
-        if self.phase not in UNDER_WAY:
-            return ()
-        return self._ask(Order.HOLD, [r for r in self.crew.out if fleet[r].heard and fleet[r].mode is Mode.TRACKING], now_ns)
+    def _tell_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """A robot that is out may fly on by a plan that the others have no longer, and hear though it is not heard: what it
+        told last counts. Nobody waits for it."""
+        if self.phase in UNDER_WAY:
+            return self._ask(Order.HOLD, [r for r in self.crew.out if fleet[r].mode is Mode.TRACKING], now_ns)
+        if self.phase is Phase.ENDING:  # those who are heard are among the others
+            silent = [r for r in self.crew.out if not fleet[r].heard and fleet[r].mode in LIVE]
+            return self._ask(Order.DISARM, silent, now_ns)
+        return ()
 
     def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         reasons = preflight(self._experiment, fleet, self._starts)

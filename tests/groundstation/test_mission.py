@@ -31,6 +31,7 @@ class Robot:
     loaded_next: str = ""  # under way
     refuses: frozenset[Order] = frozenset()
     silent: bool = False
+    hears: bool = False  # also when silent: nothing that it says arrives
     unknown: bool = False
     test: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -45,7 +46,7 @@ class Robot:
     def obey(self, command: Command, now_ns: int) -> Reply:
         self.got.append(command)
         unheard = self.silent or self.unknown
-        if unheard or command.order in self.refuses:
+        if (unheard and not self.hears) or command.order in self.refuses:
             return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
         leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
                  Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED}  # fmt: skip
@@ -61,7 +62,7 @@ class Robot:
         if command.order in (Order.START, Order.RESUME):
             self.trajectory_s = command.trajectory_s + max(now_ns - command.start_ns, 0) * 1e-9
             self.starts_at_ns = command.start_ns
-        return Reply(command.robot, True)
+        return Reply(command.robot, not unheard, "no answer" if unheard else "", silent=unheard)
 
     def view(self) -> RobotView:
         pose = Pose(0, 0, 0, np.eye(3), Track.MARKER, self.verified)
@@ -1007,3 +1008,29 @@ def test_nobody_is_armed_for_the_way_home_who_may_not_be_armed_at_all() -> None:
     run.step(2.0)
     assert run.at(Phase.RETURNING)
     assert run.in_mode(1, Mode.TRACKING) and run.in_mode(2, Mode.DISARMED)
+
+
+# --- links that lose one way
+
+
+@pytest.mark.parametrize("policy", ["hold", "go-on", "close-up"])
+def test_a_lost_robot_that_still_hears_is_told_to_hold_though_nothing_that_it_says_arrives(policy: str) -> None:
+    run = three_running(policy)
+    told = run.robots[2].view()
+    run.robots[2].silent = run.robots[2].hears = True
+    run.robots[2].view = lambda: replace(told, state_age_s=9.0)  # type: ignore[method-assign]  # its last word: TRACKING
+    run.step(0.5)
+    assert run.mission.crew.out == {2: "silent"}
+    assert run.in_mode(2, Mode.HOLDING)
+
+
+def test_a_lost_robot_that_still_hears_is_disarmed_with_the_others() -> None:
+    run = three_running("go-on")
+    told = run.robots[2].view()
+    run.robots[2].silent = run.robots[2].hears = True
+    run.robots[2].view = lambda: replace(told, state_age_s=9.0)  # type: ignore[method-assign]
+    run.step(0.5)
+    assert run.mission.wish(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.at(Phase.CANCELLED)  # nobody waits for it
+    assert run.in_mode(2, Mode.DISARMED)
