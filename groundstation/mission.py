@@ -289,7 +289,9 @@ class Mission:
                 self._go(self._obeyed, now_ns)
             self._waited_ns.clear()
             return ()
-        fallen = casualty([r for r in waiting if fleet[r].mode in UNFIT], fleet)
+        fallen = casualty(
+            [r for r in waiting if fleet[r].mode in UNFIT or self._is_disarmed_again(r, fleet[r], now_ns)], fleet
+        )
         if fallen is not None and self.phase in GETTING_READY:  # no order but DISARM would reach it
             self._unheeded(f"robot {fallen[0]}: {fallen[1]}", now_ns)
             return ()
@@ -305,6 +307,11 @@ class Mission:
             self._unheeded(f"robot {who} does not follow {stage.order.name}: {self.reason or 'no answer'}", now_ns)
             return ()
         return self._ask(stage.order, waiting, now_ns)
+
+    def _is_disarmed_again(self, robot: int, seen: RobotView, now_ns: int) -> bool:
+        """Whether it was armed for this start and is so no more, as after a restart: it is not armed again unasked."""
+        armed_ns = self._asking.armed.get(robot)
+        return seen.mode is Mode.DISARMED and armed_ns is not None and seen.state_age_s * 1e9 < now_ns - armed_ns
 
     def _has_obeyed(self, robot: int, stage: Stage, fleet: Fleet, now_ns: int) -> bool:
         """By what a robot has told lately, or since it was asked: what it told before that says nothing. That it is disarmed,
@@ -485,6 +492,8 @@ class Mission:
         self.itinerary.wanted = None  # a plan for what went before would be taken for the one that comes next
         if phase is Phase.TEST_ARMING:
             self._asking.tested = {}
+        if phase is Phase.ARMING:
+            self._asking.armed = {}
         self.phase, self._since_ns, self._out_of_step_ns = phase, now_ns, None
         self._waited_ns.clear()
         self._asking.anew()

@@ -402,6 +402,22 @@ def test_a_robot_that_falls_out_before_the_start_ends_it_at_once_and_the_reason_
     assert run.in_mode(1, Mode.DISARMED)
 
 
+@pytest.mark.parametrize("phase", [Phase.ARMING, Phase.STARTING])
+def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again(phase: Phase) -> None:
+    run = Run(automatic=False)
+    run.robots[1].refuses = frozenset({Order.START})
+    order = Order.ARM if phase is Phase.ARMING else Order.START
+    assert run.mission.wish(order, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(phase)
+    run.robots[2].mode, run.robots[2].loaded = Mode.DISARMED, ""
+    run.step(0.1)
+    assert run.at(Phase.ABORTING) and run.mission.reason == "robot 2: disarmed"
+    run.step(0.5)
+    assert run.at(Phase.FAILED) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+    assert [c.order for c in run.robots[2].got].count(Order.ARM) == 1
+
+
 def test_nobody_rejoins_those_who_are_on_their_way_home() -> None:
     """That way has no places for robots that are out."""
     run = Run()
