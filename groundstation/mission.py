@@ -81,9 +81,9 @@ class Mission:
 
     def wish(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = ()) -> str:
         """What a person at the station asks for. Returns why not, or nothing when it is under way."""
-        reason = refusal(order, self.phase) or objection(
-            order, self._experiment, fleet, self.crew, self.leg, self._starts, via
-        )
+        anew = order is Order.RETURN and self._rests  # then also for robots that were out of the run before
+        crew = Crew(self._experiment.robot_ids, self.leg) if anew else self.crew
+        reason = refusal(order, self.phase) or objection(order, self._experiment, fleet, crew, self.leg, self._starts, via)
         if reason:
             return reason
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
@@ -111,13 +111,17 @@ class Mission:
             self.itinerary.want_detour(fleet, now_ns, tuple(via))
         return ""
 
+    @property
+    def _rests(self) -> bool:
+        return self.phase is Phase.WAITING or self.phase in OVER
+
     def _begin_anew(self) -> None:
         self.failed = self._gap = self._cancelled = False
         self.itinerary.begin_anew()
         self.pace.start()
 
     def _come_home(self, fleet: Fleet) -> None:
-        if self.phase in (Phase.WAITING, *OVER):
+        if self._rests:
             self._begin_anew()
         for robot in self.crew.active:
             why = stays(self._experiment, fleet, robot)

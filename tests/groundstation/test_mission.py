@@ -1050,3 +1050,17 @@ def test_a_lost_robot_that_still_hears_is_disarmed_with_the_others() -> None:
     run.step(0.5)
     assert run.at(Phase.CANCELLED)  # nobody waits for it
     assert run.in_mode(2, Mode.DISARMED)
+
+
+def test_a_robot_that_was_out_of_the_run_comes_home_after_it_though_the_others_cannot() -> None:
+    run = three_running("go-on")
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(0.5)
+    assert run.mission.wish(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(Phase.CANCELLED) and set(run.mission.crew.out) == {2}
+    run.robots[2].fault = ""
+    for robot in (1, 3):
+        run.robots[robot].battery_v = 10.0
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert set(run.mission.crew.out) == {1, 3}
