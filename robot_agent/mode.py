@@ -66,6 +66,7 @@ class Health:
     depth_age_s: float = 0.0  # of the last depth that did not contradict the estimate
     depth_leap: str = ""  # the depth that is told and the one that was believed, when one had to give way
     leap: str = ""  # the same for the place
+    place_age_s: float = 0.0  # of the last pose that did not contradict the estimate
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,10 @@ REACTIONS: tuple[Reaction, ...] = (
     ),
     Reaction("battery empty", LIVE, lambda h, s: h.battery_empty, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
+    Reaction(
+        "no pose that can be true", POWERED, lambda h, s: h.place_age_s > s.pose_neutral_s, Mode.FAULT,
+        lambda h: f"for {h.place_age_s:.2f} s all that came contradict the estimate",
+    ),
     Reaction("no control solution", POWERED, lambda h, s: h.solver_failed, Mode.FAULT),
     Reaction("estimate ended", POWERED, lambda h, s: h.estimate_ended, Mode.FAULT),
     Reaction("control too slow", POWERED, lambda h, s: h.late_s >= LATE_S, Mode.FAULT),

@@ -102,6 +102,7 @@ class Vitals:
             depth_age_s=self._output.depth_age_s if self._output is not None else 0.0,
             depth_leap=self._output.depth_leap if self._output is not None else "",
             leap=self._output.leap if self._output is not None else "",
+            place_age_s=self._output.pose_age_s if self._output is not None and self._output.estimated else 0.0,
         )
 
     def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:

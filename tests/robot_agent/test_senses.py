@@ -72,6 +72,14 @@ def test_a_place_that_has_to_be_given_up_means_hold_where_the_robot_is_now() -> 
     assert holds is not None
 
 
+def test_poses_that_make_no_sense_at_all_are_no_pose() -> None:
+    """Reflections here and there: nothing is corrected any more, so thrust goes by the model alone."""
+    seen = [o.state for _, o in flown(lambda inputs, n: leapt(inputs, 0.6 if n % 2 else -0.6), 12)]
+    assert seen[BAD + 7].mode is Mode.TRACKING
+    assert (seen[-1].mode, set(seen[-1].pulse_us)) == (Mode.FAULT, {1500})
+    assert seen[-1].fault.startswith("no pose that can be true: for 0.")
+
+
 @pytest.mark.parametrize(("depth_m", "why"), [(1.4, "the depth sensor says 1.40 m in a pool of 1 m"), (-0.4, "says -0.40 m")])
 def test_a_robot_does_not_arm_on_a_depth_outside_the_pool(depth_m: float, why: str) -> None:
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER - 2):
