@@ -111,6 +111,16 @@ class Experiment(Section):
         return self
 
     @model_validator(mode="after")
+    def _distances_hold_hulls(self) -> Self:
+        kept_m, hull_m = self.safety.radius_m, self.vehicle.radius_m
+        if kept_m < hull_m:
+            raise ValueError(
+                f"safety.radius_m = {kept_m:g}: robots that stay twice that apart would touch, their hulls have "
+                f"vehicle.radius_m = {hull_m:g} (allowed: {hull_m:g} or more)"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _faults_meet_something(self) -> Self:
         processes = ("groundstation", "sim-bridge", "localizer", *(f"agent-{robot}" for robot in self.robot_ids))
         for i, fault in enumerate(self.sim.faults):

@@ -465,6 +465,14 @@ def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(tmp_path: Path
     assert load_experiment(str(tmp_path / "experiment.toml")).hash == recorded.hash
 
 
+def test_a_distance_to_keep_that_hulls_do_not_fit_in_is_refused() -> None:
+    load_experiment("pool", ["safety.radius_m=0.15"])
+    with pytest.raises(ConfigError, match=r"safety.radius_m = 0.14: .*vehicle.radius_m = 0.15 \(allowed: 0.15 or more"):
+        load_experiment("pool", ["safety.radius_m=0.14"])
+    with pytest.raises(ConfigError, match=r"safety.radius_m = 0.3: .*vehicle.radius_m = 0.4"):
+        load_experiment("pool", ["vehicle.radius_m=0.4"])
+
+
 def test_a_step_may_fail_to_come_without_the_board_disarming() -> None:
     load_experiment("pool", ["controller.period_s=0.04", "sim.board.neutral_after_s=0.08"])
     with pytest.raises(ConfigError, match=r"controller.period_s = 0.05: .*neutral_after_s = 0.08 s .*allowed: up to 0.04"):
