@@ -14,11 +14,12 @@ from robot_agent import check, realtime
 from robot_agent.check import Finding, Verdict
 from robot_agent.check_network import look_at_network
 from robot_agent.config import Board, open_board
-from robot_agent.rehearsal import rehearse
+from robot_agent.rehearsal import Grounded, rehearse
 from wire.experiment import Experiment, load_experiment
 from wire.link import parse_link, serial_trouble
 from wire.link_key import agent_end
 from wire.mavlink import Telemetry
+from wire.messages import Mode
 from wire.toml_file import ConfigError
 
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
@@ -123,9 +124,14 @@ def _computer(board: Board) -> Iterator[Finding]:
 
 def _timing(experiment: Experiment, robot: int) -> Finding:
     steps_ms = []
-    for agent, inputs, now_ns in itertools.islice(rehearse(experiment, robot), REHEARSED):
-        began = time.perf_counter_ns()
-        agent.step(inputs, now_ns)
-        steps_ms.append((time.perf_counter_ns() - began) * 1e-6)
+    try:
+        for agent, inputs, now_ns in itertools.islice(rehearse(experiment, robot), REHEARSED):
+            began = time.perf_counter_ns()
+            state = agent.step(inputs, now_ns).state
+            steps_ms.append((time.perf_counter_ns() - began) * 1e-6)
+    except Grounded as why:
+        return check.not_timed(str(why))
+    if state.mode is not Mode.TRACKING:
+        return check.not_timed(f"the robot is {state.mode.name}, {state.fault or 'for no reason told'}")
     p50, p99 = np.percentile(steps_ms[WARM_UP:], [50, 99]).tolist()
     return check.timing(p50, p99, experiment.controller.period_s, len(experiment.robot_ids) - 1)

@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from groundstation import keys
-from robot_agent import check
+from robot_agent import check, check_shell
 from robot_agent.__main__ import cli
 from robot_agent.check import Finding, Verdict
 from robot_agent.config import Board, Realtime, choose, load_board
@@ -161,6 +161,14 @@ def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> 
     for agent, inputs, now_ns in itertools.islice(rehearse(load_experiment("pool", [setting]), 1), 40):
         outputs = agent.step(inputs, now_ns)
     assert outputs.state.mode is Mode.TRACKING
+
+
+def test_a_rehearsal_that_does_not_fly_tells_no_time() -> None:
+    """The steps of a robot that lies disarmed are in time on any CPU."""
+    finding = check_shell._timing(load_experiment("pool", ["pool.size_m=[1.5, 0.9, 1.0]"]), 1)
+    assert (finding.what, finding.verdict) == ("control step", Verdict.WARN)
+    assert "not timed" in finding.detail and "LOAD is refused: trajectory.eta leaves the pool" in finding.detail
+    assert "p50" not in finding.detail
 
 
 # --- the whole, on a board that is there
