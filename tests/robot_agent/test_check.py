@@ -16,7 +16,7 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from groundstation import keys
-from robot_agent import check, check_shell
+from robot_agent import check, check_network, check_shell
 from robot_agent.__main__ import cli
 from robot_agent.check import Finding, Verdict
 from robot_agent.config import Board, Realtime, choose, load_board
@@ -30,7 +30,7 @@ from wire.experiment import Experiment, load_experiment
 from wire.messages import Mode, Solve, StationHeartbeat
 from wire.network import endpoint
 from wire.toml_file import ConfigError
-from wire.transport import Endpoint, ZenohTransport
+from wire.transport import Endpoint, MemoryHub, MemoryTransport, Presence, ZenohTransport
 
 NOW = datetime(2030, 5, 1, tzinfo=UTC)
 
@@ -213,6 +213,39 @@ def test_thrusters_are_turned_only_on_a_board_that_says_it_is_disarmed(
     assert found["thruster board"].verdict is (Verdict.OK if turns else Verdict.WARN)
     assert turned == (["pool"] if turns else [])
     assert ("thrusters" in found) is not turns
+
+
+def test_an_agent_whose_presence_is_told_late_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The router tells who is there when it comes to that; the station's heartbeat may be here before."""
+    hub, stop = MemoryHub(), threading.Event()
+    station, agent = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    agent.announce("agent-1")
+
+    class Late(MemoryTransport):
+        def __init__(self, *arguments: object, **options: object) -> None:
+            super().__init__(hub)
+
+        def watch(self, key: str, presence: Presence) -> None:
+            threading.Timer(0.1, super().watch, (key, presence)).start()
+
+    def beat() -> None:
+        while not stop.wait(0.01):
+            station.publish(topics.HEARTBEAT, StationHeartbeat(), time.time_ns())
+
+    monkeypatch.setattr(check_network, "ZenohTransport", Late)
+    monkeypatch.setattr(check_network, "trouble_reaching", lambda *_: "")
+    monkeypatch.setattr(check_network, "PRESENT_WITHIN_S", 20.0)
+    beating = threading.Thread(target=beat)
+    beating.start()
+    look = check_network.look_at_network(Board(robot=1, experiment="pool", station="tcp/127.0.0.1:9"))
+    try:
+        while True:
+            next(look)
+    except StopIteration as end:
+        assert end.value is True
+    finally:
+        stop.set()
+        beating.join()
 
 
 # --- the whole, on a board that is there
