@@ -19,9 +19,7 @@ from wire.topics import Role, process_name
 from wire.transport import Unreached, ZenohTransport
 
 STATION_WITHIN_S = 3.0
-PRESENT_WITHIN_S = (
-    0.5  # after the station is heard: who is there already is told by the router, in no order with what it sends
-)
+PRESENT_WITHIN_S = 0.5  # after the station is heard: who is there already the router tells in its own time
 
 
 def look_at_network(board: Board) -> Generator[Finding, None, bool]:
