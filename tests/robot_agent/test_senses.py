@@ -9,6 +9,7 @@ import pytest
 from robot_agent.agent import Outputs
 from robot_agent.inputs import Inputs
 from robot_agent.orders import StationView
+from robot_agent.pulse_test import ThrusterTest
 from robot_agent.rehearsal import ARM_AFTER, DEPTH_M, STATION, rehearse
 from wire.codec import Header
 from wire.experiment import load_experiment
@@ -102,3 +103,19 @@ def test_no_thrust_is_asked_of_a_board_that_is_not_armed() -> None:
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER + 10):
         outputs = agent.step(replace(inputs, telemetry=replace(inputs.telemetry, armed=False)), now_ns)
     assert outputs.state.mode is Mode.TRACKING and not outputs.state.wrench.any() and set(outputs.pulse_us) == {1500}
+
+
+def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_in_doubt() -> None:
+    """Preflight asks for one that was passed: nobody takes off again on what was so before they broke."""
+    steps = rehearse(POOL, 1)
+    for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 1):
+        agent.step(inputs, now_ns)
+    agent._test = ThrusterTest(POOL.vehicle, agent.neutral_us)
+    agent._test.result = "passed"
+    for agent, inputs, now_ns in itertools.islice(steps, 20):
+        state = agent.step(inputs, now_ns).state
+    assert (state.mode, state.thruster_test) == (Mode.TRACKING, "passed")
+    for agent, inputs, now_ns in itertools.islice(steps, 20):
+        stuck = replace(inputs.telemetry, echo_us=(1900, *agent.neutral_us[1:]))
+        state = agent.step(replace(inputs, telemetry=stuck), now_ns).state
+    assert (state.mode, state.fault, state.thruster_test) == (Mode.FAULT, "thruster board disobeys", "")
