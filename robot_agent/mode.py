@@ -84,7 +84,7 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s: h.emergency_stop, Mode.STOPPED),
     Reaction("thruster board silent", LIVE, lambda h, s: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
     Reaction("thruster board disarmed", LIVE, lambda h, s: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
-    Reaction("thruster board disobeys", POWERED, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
+    Reaction("thruster board disobeys", LIVE, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
     Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
     Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT),
     Reaction("off its depth", POWERED, lambda h, s: h.off_depth, Mode.FAULT),

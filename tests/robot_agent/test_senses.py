@@ -119,3 +119,25 @@ def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_i
         stuck = replace(inputs.telemetry, echo_us=(1900, *agent.neutral_us[1:]))
         state = agent.step(replace(inputs, telemetry=stuck), now_ns).state
     assert (state.mode, state.fault, state.thruster_test) == (Mode.FAULT, "thruster board disobeys", "")
+
+
+@pytest.mark.parametrize("testing", [False, True])
+def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: bool) -> None:
+    """In ARMED, where people are nearest. A test says itself what it finds, and what it found stays."""
+    agent = None
+    for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER):
+        agent.step(inputs, now_ns)
+    assert agent is not None
+    agent.mode = Mode.ARMED
+    if testing:
+        agent._test = ThrusterTest(POOL.vehicle, agent.neutral_us)
+    seen = []
+    for k in range(20):
+        at_ns = now_ns + (k + 1) * 50_000_000
+        echo_us = (1900, *agent.neutral_us[1:])
+        board = replace(inputs.telemetry, armed=True, echo_us=echo_us, board_ms=at_ns // 1_000_000, arrival_ns=at_ns)
+        station, pose = StationView(STATION, at_ns, 0.0), replace(inputs.pose, instant_ns=at_ns) if inputs.pose else None
+        seen.append(agent.step(replace(inputs, telemetry=board, station=station, pose=pose), at_ns).state)
+    found = next(k for k, state in enumerate(seen) if state.mode is Mode.FAULT)
+    assert seen[found].fault == "thruster board disobeys" and found <= (12 if testing else 6)
+    assert seen[-1].thruster_test.startswith("thruster 1 was asked for") is testing
