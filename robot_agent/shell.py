@@ -17,7 +17,7 @@ from dataclasses import replace
 from robot_agent.agent import Agent, Outputs
 from robot_agent.gains import Prepared
 from robot_agent.journal import answered, inputs_of, noted, order_noted, station_view
-from robot_agent.mode import POWERED
+from robot_agent.mode import LIVE
 from robot_agent.pace import Pace
 from robot_agent.watchdog import Watchdog
 from wire import topics
@@ -198,10 +198,10 @@ class Shell:
         now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
         heartbeat = self._station()
         record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
-        powered = self.agent.mode in POWERED
+        live = self.agent.mode in LIVE  # a thruster test runs in ARMED
         reply = self.agent.order(header, command, station_view(record, now_ns), now_ns, prepared)
         self._orders += 1
-        if powered and self.agent.mode not in POWERED:
+        if live and self.agent.mode not in LIVE:
             self._awake()
         self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
         return reply

@@ -132,7 +132,7 @@ def test_robots_load_every_plan_that_is_made_under_way_and_plans_made_of_plans(r
 
     def check(leg: Leg) -> None:
         for trajectory in leg.trajectories.values():
-            assert unflyable(trajectory, BLOCKED.pool.size_m, BLOCKED.vehicle) == ""
+            assert unflyable(trajectory, BLOCKED.pool, BLOCKED.vehicle) == ""
 
     leg = first_leg(BLOCKED)
     check(detour(BLOCKED, leg, 10.0, BALL))
