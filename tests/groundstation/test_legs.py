@@ -207,7 +207,7 @@ def test_a_vehicle_that_turns_slowly_is_given_time_to_turn() -> None:
     home = homeward(experiment, 1.0, rests, starts)
     into_place = gathered(experiment, ready, 1.0, 5.0, rests, {r: r for r in rests})
     for leg in (home, into_place):
-        assert [unflyable(t, experiment.pool.size_m, vehicle) for t in leg.trajectories.values()] == ["", ""]
+        assert [unflyable(t, experiment.pool, vehicle) for t in leg.trajectories.values()] == ["", ""]
     assert home.end_s < 25.0  # and not at a snail's pace
 
 
