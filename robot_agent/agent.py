@@ -33,6 +33,7 @@ from wire.obstacle_memory import blindness, is_old
 
 THRUSTERS = 4
 UNSEEN = frozenset({"pose late", "no pose"})  # reasons of modes.py
+SUSPECT = frozenset({"thruster board disobeys", "thrusters do not do as told"})  # after these no earlier test counts
 LEFT = ": it has left the camera's picture"
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 
@@ -138,10 +139,12 @@ class Agent:
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         self._inputs = inputs
-        self._vitals.note(inputs, self.mode, now_ns)
+        self._vitals.note(inputs, self.mode, now_ns, self._test is not None and self._test.result == "running")
         solver_failed = self._last is not None and self._last.solve is Solve.FAILED
         health = self._vitals.health(inputs, solver_failed, now_ns)
         mode, reason = react(self.mode, health, self._experiment.safety)
+        if reason in SUSPECT and self._test is not None and self._test.result == "passed":
+            self._test = None
         if mode is not self.mode:
             self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
         neighbours = self._neighbours(inputs, now_ns)

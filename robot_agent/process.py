@@ -18,7 +18,7 @@ from robot_agent.agent import Agent, Outputs
 from robot_agent.control.live_tuning import Prepared
 from robot_agent.host.sd_notify import Watchdog
 from robot_agent.host.step_clock import Pace
-from robot_agent.safety.modes import POWERED
+from robot_agent.safety.modes import LIVE
 from robot_agent.step_record import answered, inputs_of, noted, order_noted, station_view
 from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import ACCEPTED, ARM_DISARM
@@ -209,10 +209,10 @@ class Shell:
         now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
         heartbeat = self._station()
         record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
-        powered = self.agent.mode in POWERED
+        live = self.agent.mode in LIVE  # a thruster test runs in ARMED
         reply = self.agent.order(header, command, station_view(record, now_ns), now_ns, prepared)
         self._orders += 1
-        if powered and self.agent.mode not in POWERED:
+        if live and self.agent.mode not in LIVE:
             self._awake()
         self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
         return reply

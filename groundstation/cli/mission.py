@@ -125,7 +125,7 @@ def come_back(
 ) -> None:
     """Every robot back to where it started, clear of one another, of islands and of what the camera sees; then disarm.
 
-    Waits until all are there (`--wait`). Exit code 0 then, 1 and the reason if not.
+    Waits until all are there (`--wait`). Exit code 0 then, 1 and the reason if not, also when one had to be left out.
 
     Example:  groundstation return
     """

@@ -21,4 +21,4 @@ def record(experiment: Experiment, run_dir: Path, mode: str, stream: IO[bytes]) 
         problem = str(error)
     finally:
         recorder.close()
-    return problem or recorder.error or (f"{recorder.dropped} messages were dropped" if recorder.dropped else "")
+    return problem or recorder.error

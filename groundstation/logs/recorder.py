@@ -160,8 +160,10 @@ class Recorder:
 
     @property
     def error(self) -> str:
-        """Why nothing is recorded any more; empty while all is well."""
-        return self._error
+        """Why nothing is recorded any more, or not everything; empty while all is well."""
+        if self._error or not self._dropped:
+            return self._error
+        return f"{self._dropped} messages are lost: the disk does not take them as fast as they come"
 
     @property
     def warning(self) -> str:

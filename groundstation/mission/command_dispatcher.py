@@ -25,6 +25,7 @@ class Asking:
     def __init__(self, experiment_hash: str, itinerary: Itinerary, crew: Crew) -> None:
         self.accepted: set[int] = set()  # robots that hold the next leg's trajectory
         self.tested: dict[int, int] = {}  # robots that have taken a TEST, and when we heard of it
+        self.armed: dict[int, int] = {}  # robots that have taken an ARM since the arming began, and when we heard of it
         self._hash, self._itinerary, self._crew = experiment_hash, itinerary, crew
         self._asked_ns: dict[int, int] = {}
 
@@ -40,6 +41,8 @@ class Asking:
             if command.robot not in self._crew.everybody:
                 continue
             held = self._crew.trajectory(self._itinerary.next, command.robot)
+            if answer.reply.silent and command.robot in self._crew.out:
+                continue  # as is to be expected
             if not answer.reply.accepted:
                 how = "has not answered" if answer.reply.silent else "refuses"
                 refusal = f"robot {command.robot} {how} {command.order.name}: {answer.reply.reason}"
@@ -47,6 +50,8 @@ class Asking:
                 self.accepted.add(command.robot)
             elif command.order is Order.TEST:
                 self.tested[command.robot] = now_ns
+            elif command.order is Order.ARM:
+                self.armed[command.robot] = now_ns
         return refusal
 
     def orders(

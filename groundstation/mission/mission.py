@@ -16,11 +16,11 @@ from groundstation.mission.obstacle_monitor import Surroundings
 from groundstation.mission.plan_manager import Itinerary, Wanted
 from groundstation.mission.progress_governor import Pace
 from groundstation.mission.roster import Crew
-from groundstation.mission.stages import STAGES, Stage
+from groundstation.mission.stages import LIVE, STAGES, Stage
 from groundstation.mission.state_machine import FLYING, JOINING, OVER, PLANNING, UNDER_WAY, Event, Phase, after, refusal
 from groundstation.mission.timetable import Timetable
 from groundstation.mission.watch import noticed
-from groundstation.mission.wishes import UNFIT, can_move, objection
+from groundstation.mission.wishes import UNFIT, mode_name, objection, stays
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import Leg, at
 from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, casualty, preflight
@@ -82,15 +82,16 @@ class Mission:
 
     def wish(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = ()) -> str:
         """What a person at the station asks for. Returns why not, or nothing when it is under way."""
-        reason = refusal(order, self.phase) or objection(
-            order, self._experiment, fleet, self.crew, self.leg, self._starts, via
-        )
+        anew = order is Order.RETURN and self._rests  # then also for robots that were out of the run before
+        crew = Crew(self._experiment.robot_ids, self.leg) if anew else self.crew
+        reason = refusal(order, self.phase) or objection(order, self._experiment, fleet, crew, self.leg, self._starts, via)
         if reason:
             return reason
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
             self._begin_anew()
         self._stop_after = {Order.LOAD: Phase.LOADING, Order.ARM: Phase.ARMING}.get(order)
-        self._held_by_person = order in (Order.HOLD, Order.CLEAR_STOP)
+        if order is not Order.TEST:  # it asks nobody to fly: who waits for a person waits on
+            self._held_by_person = order in (Order.HOLD, Order.CLEAR_STOP)
         if order is Order.RETURN:
             self._come_home(fleet)
         if order is Order.REJOIN:
@@ -111,17 +112,22 @@ class Mission:
             self.itinerary.want_detour(fleet, now_ns, tuple(via))
         return ""
 
+    @property
+    def _rests(self) -> bool:
+        return self.phase is Phase.WAITING or self.phase in OVER
+
     def _begin_anew(self) -> None:
         self.failed = self._gap = self._cancelled = False
         self.itinerary.begin_anew()
         self.pace.start()
 
     def _come_home(self, fleet: Fleet) -> None:
-        if self.phase in (Phase.WAITING, *OVER):
+        if self._rests:
             self._begin_anew()
         for robot in self.crew.active:
-            if not can_move(fleet[robot]):
-                self.crew.lose(robot, "not fit to move")
+            why = stays(self._experiment, fleet, robot)
+            if why:
+                self.crew.lose(robot, why)
         self.itinerary.head_home()
 
     # --- the cycle
@@ -145,7 +151,7 @@ class Mission:
         if self.phase in FLYING | {Phase.PAUSED} and self.crew.active:
             self._watch(fleet, now_ns)
         self._keep_pace(fleet, elapsed_s)
-        return self._orders(fleet, now_ns) + self._hold_lost(fleet, now_ns)
+        return self._orders(fleet, now_ns) + self._tell_lost(fleet, now_ns)
 
     def _orders(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         if self.phase in STAGES:
@@ -162,11 +168,15 @@ class Mission:
             return self._ask(Order.STOP, self._not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
 
-    def _hold_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """A robot that was silent for a while may fly on by a plan that the others have no longer."""
-        if self.phase not in UNDER_WAY:
-            return ()
-        return self._ask(Order.HOLD, [r for r in self.crew.out if fleet[r].heard and fleet[r].mode is Mode.TRACKING], now_ns)
+    def _tell_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """A robot that is out may fly on by a plan that the others have no longer, and hear though it is not heard: what it
+        told last counts. Nobody waits for it."""
+        if self.phase in UNDER_WAY:
+            return self._ask(Order.HOLD, [r for r in self.crew.out if fleet[r].mode is Mode.TRACKING], now_ns)
+        if self.phase is Phase.ENDING:  # those who are heard are among the others
+            silent = [r for r in self.crew.out if not fleet[r].heard and fleet[r].mode in LIVE]
+            return self._ask(Order.DISARM, silent, now_ns)
+        return ()
 
     def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         reasons = preflight(self._experiment, fleet, self._starts)
@@ -284,9 +294,15 @@ class Mission:
                 self._go(self._obeyed, now_ns)
             self._waited_ns.clear()
             return ()
-        fallen = casualty([r for r in waiting if fleet[r].mode in UNFIT], fleet)
+        fallen = casualty(
+            [r for r in waiting if fleet[r].mode in UNFIT or self._is_disarmed_again(r, fleet[r], now_ns)], fleet
+        )
         if fallen is not None and self.phase in GETTING_READY:  # no order but DISARM would reach it
             self._unheeded(f"robot {fallen[0]}: {fallen[1]}", now_ns)
+            return ()
+        flying = [r for r in waiting if fleet[r].heard and fleet[r].mode in LIVE]
+        if flying and self.phase is Phase.CLEARING:  # the stop has not reached it, and it would fly on when nobody expects it
+            self._unheeded(f"robot {flying[0]} has not stopped: it is {mode_name(fleet[flying[0]])}", now_ns)
             return ()
         self._waited_ns = {r: self._waited_ns.get(r, now_ns) for r in waiting}
         patience_s = JOIN_WITHIN_S if self.phase in JOINING else PATIENCE_S
@@ -297,12 +313,17 @@ class Mission:
             return ()
         return self._ask(stage.order, waiting, now_ns)
 
+    def _is_disarmed_again(self, robot: int, seen: RobotView, now_ns: int) -> bool:
+        """Whether it was armed for this start and is so no more, as after a restart: it is not armed again unasked."""
+        armed_ns = self._asking.armed.get(robot)
+        return seen.mode is Mode.DISARMED and armed_ns is not None and seen.state_age_s * 1e9 < now_ns - armed_ns
+
     def _has_obeyed(self, robot: int, stage: Stage, fleet: Fleet, now_ns: int) -> bool:
-        """By what a robot has told lately, or since it was asked: what it told before that says nothing. That it is disarmed
-        counts only if told since: an ARM may have been on its way."""
+        """By what a robot has told lately, or since it was asked: what it told before that says nothing. That it is disarmed,
+        or its stop cleared, counts only if told since: an ARM or a STOP may have been on its way."""
         seen = fleet[robot]
         told_since = seen.state_age_s * 1e9 <= now_ns - self._since_ns
-        told = told_since or (seen.heard and stage.order is not Order.DISARM)
+        told = told_since or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
         return told and stage.obeyed(seen.mode, self.crew.is_on(self.leg, fleet, robot))
 
     @property
@@ -476,6 +497,8 @@ class Mission:
         self.itinerary.wanted = None  # a plan for what went before would be taken for the one that comes next
         if phase is Phase.TEST_ARMING:
             self._asking.tested = {}
+        if phase is Phase.ARMING:
+            self._asking.armed = {}
         self.phase, self._since_ns, self._out_of_step_ns = phase, now_ns, None
         self._waited_ns.clear()
         self._asking.anew()

@@ -43,6 +43,10 @@ def _tested(mission: Mission, seen: RobotView, robot: int) -> bool:
     return seen.heard and seen.state is not None and seen.state.thruster_test == "passed"
 
 
+def _back(mission: Mission, seen: RobotView, robot: int) -> bool:
+    return robot not in mission.crew.out and seen.heard and seen.mode is Mode.DISARMED
+
+
 @dataclass(frozen=True)
 class Goal:
     """Where a request leads, through which phases, and how a robot is then. `asks`: in that phase robots are asked again and
@@ -65,7 +69,7 @@ GOALS: dict[Order, Goal] = {
     Order.RESUME: Goal(_FROM_REST | {Phase.RESUMING}, FLYING, _in(Mode.TRACKING)),
     Order.GO: Goal(frozenset({Phase.SWITCHING}), ON_COURSE, _in(Mode.TRACKING), new_leg=True),
     Order.RETURN: Goal(
-        _FROM_REST | FLYING | {Phase.ENDING}, frozenset({Phase.DONE}), _in(Mode.DISARMED), new_leg=True
+        _FROM_REST | FLYING | {Phase.ENDING}, frozenset({Phase.DONE}), _back, everybody=True, new_leg=True
     ),
     Order.REJOIN: Goal(_FROM_REST, ON_COURSE, _in(Mode.TRACKING), new_leg=True),
     Order.DISARM: Goal(
@@ -73,7 +77,7 @@ GOALS: dict[Order, Goal] = {
     ),
     Order.STOP: Goal(frozenset(), frozenset({Phase.STOPPED}), _in(Mode.STOPPED), asks=True, everybody=True),
     Order.CLEAR_STOP: Goal(
-        frozenset({Phase.CLEARING}), frozenset({Phase.WAITING}), _not_in(frozenset({Mode.STOPPED})), everybody=True
+        frozenset({Phase.CLEARING}), frozenset({Phase.WAITING}), _not_in(LIVE | {Mode.STOPPED}), everybody=True
     ),
     Order.TEST: Goal(
         frozenset({Phase.TEST_ARMING, Phase.TESTING, Phase.TEST_ENDING}), frozenset({Phase.WAITING}), _tested
@@ -156,7 +160,8 @@ class Requests:
             return (Progress.UNDER_WAY if flying else Progress.DONE), "", waiting
         if not waiting:
             return Progress.DONE, "", []
-        return (Progress.UNDER_WAY if goal.asks else Progress.FAILED), "", waiting
+        left = "; ".join(f"robot {r} is left out: {why}" for r, why in mission.crew.out.items() if r in waiting)
+        return (Progress.UNDER_WAY, "", waiting) if goal.asks else (Progress.FAILED, left, waiting)
 
     def _gains(self, request: _Request, fleet: Fleet, tuning: TuningStatus) -> tuple[Progress, str, list[int]]:
         states = {robot: fleet[robot].state for robot in self._robots}

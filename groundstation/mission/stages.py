@@ -27,7 +27,7 @@ STAGES: dict[Phase, Stage] = {
     Phase.REARMING: Stage(Order.ARM, lambda mode, loaded: mode in ARMED),
     Phase.RELEASING: Stage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
     Phase.ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
-    Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode not in (None, Mode.STOPPED)),
+    Phase.CLEARING: Stage(Order.CLEAR_STOP, lambda mode, loaded: mode is not None and mode not in LIVE | {Mode.STOPPED}),
     Phase.ABORTING: Stage(Order.DISARM, lambda mode, loaded: mode is not None and mode not in LIVE),
     Phase.TEST_ARMING: Stage(Order.ARM, lambda mode, loaded: mode is Mode.ARMED),
     Phase.TEST_ENDING: Stage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),

@@ -3,9 +3,10 @@
 from collections.abc import Mapping, Sequence
 
 from groundstation.mission.roster import Crew
+from groundstation.mission.stages import LIVE
 from groundstation.planning.replanning import can_detour
 from groundstation.planning.segment import Leg
-from groundstation.telemetry import Fleet, RobotView, preflight
+from groundstation.telemetry import Fleet, RobotView, barred, casualty, preflight
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Mode, Order
@@ -28,8 +29,13 @@ def objection(
     if order is Order.TEST:
         return "; ".join(preflight(experiment, fleet, but=("thrusters",)))
     if order is Order.RESUME:
-        moving = [f"robot {r} does not hold yet ({_name(fleet[r])})" for r in crew.active if fleet[r].mode is not Mode.HOLDING]
+        moving = [
+            f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in crew.active if fleet[r].mode is not Mode.HOLDING
+        ]
         return "; ".join(moving)
+    if order is Order.CLEAR_STOP:
+        flying = [r for r in crew.everybody if fleet[r].heard and fleet[r].mode in LIVE]
+        return "; ".join(f"robot {r} has not stopped yet ({mode_name(fleet[r])})" for r in flying)
     if order is Order.HOLD and all(fleet[r].mode is Mode.DISARMED for r in crew.active):
         return "no robot is armed"
     if order is Order.GO and leg.home:
@@ -46,8 +52,9 @@ def objection(
         return "the others are on their way back to the start, where nobody has a place to take"
     if order is Order.REJOIN:
         return "; ".join(preflight(experiment, {r: fleet[r] for r in crew.out}, but=("thrusters",)))
-    if order is Order.RETURN and not any(can_move(fleet[r]) for r in crew.active):
-        return "no robot is fit to move"
+    if order is Order.RETURN:
+        stay = [f"robot {r}: {why}" for r in crew.active if (why := stays(experiment, fleet, r))]
+        return "" if len(stay) < len(crew.active) else "; ".join(["no robot is fit to move", *stay])
     return ""
 
 
@@ -57,10 +64,16 @@ def _inside(experiment: Experiment, x: float, y: float) -> bool:
     return abs(x) <= length / 2.0 and abs(y) <= width / 2.0
 
 
-def _name(robot: RobotView) -> str:
+def mode_name(robot: RobotView) -> str:
+    """A robot's mode as people read it."""
     return robot.mode.name if robot.mode is not None else "never heard"
 
 
-def can_move(robot: RobotView) -> bool:
-    """Whether it hears orders and has no reason to refuse them."""
-    return robot.heard and robot.mode not in UNFIT
+def stays(experiment: Experiment, fleet: Fleet, robot: int) -> str:
+    """Why a robot can have no part in a way home; empty if it can. One that lies disarmed has to be armed for it: whatever
+    keeps it from that counts, but for where it lies."""
+    lost = casualty((robot,), fleet, (robot,))
+    if lost is not None:
+        return lost[1]
+    bars = barred(experiment, {robot: fleet[robot]}) if fleet[robot].mode is Mode.DISARMED else ()
+    return "; ".join(finding.told for finding in bars)

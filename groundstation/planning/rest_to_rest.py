@@ -17,7 +17,7 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.prioritized_planning import marshal
 from groundstation.planning.segment import NOTHING, Leg, at
-from groundstation.planning.transfer import RAMP_S, TURN_S, ramp, spinning, turning
+from groundstation.planning.transfer import RAMP_S, ramp, spinning, turn_samples, turning
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Trajectory
@@ -56,11 +56,12 @@ def gathered(
     still = max(len(m.eta) for m in moves.values())
     on_way = {slots[r]: m for r, m in moves.items()}
     left = round((leg.end_s - reached_s + RAMP_S) / period_s) + planner.horizon(experiment)
-    trajectories = {s: _then_on(t, on_way.get(s), still, reached_s, left) for s, t in leg.trajectories.items()}
+    turn = turn_samples(experiment)
+    trajectories = {s: _then_on(t, on_way.get(s), still, turn, reached_s, left) for s, t in leg.trajectories.items()}
     moved = {s: planner.trajectory(m, period_s, begin_s) for s, m in trajectories.items()}
-    centre = planner.trajectory(_then_on(leg.centre, None, still, reached_s, left), period_s, begin_s)
-    end_s = begin_s + (still + _turn_samples(period_s)) * period_s + (leg.end_s - reached_s) + 0.5 * RAMP_S
-    on_s = begin_s + (still + _turn_samples(period_s)) * period_s
+    centre = planner.trajectory(_then_on(leg.centre, None, still, turn, reached_s, left), period_s, begin_s)
+    end_s = begin_s + (still + turn) * period_s + (leg.end_s - reached_s) + 0.5 * RAMP_S
+    on_s = begin_s + (still + turn) * period_s
     return Leg(moved, centre, end_s, leg.home, leg.via, on_s)
 
 
@@ -77,8 +78,11 @@ def _free_from(leg: Leg, reached_s: float, slots: Sequence[int], away: Array) ->
     return float(time_s[int(np.argmax(free))])
 
 
-def _then_on(trajectory: Trajectory, move: NodeMotion | None, still: int, reached_s: float, samples: int) -> NodeMotion:
-    """A move of `still` samples, or standing as long, then the trajectory from `reached_s` on, its clock starting slowly."""
+def _then_on(
+    trajectory: Trajectory, move: NodeMotion | None, still: int, turn: int, reached_s: float, samples: int
+) -> NodeMotion:
+    """A move of `still` samples, or standing as long, a turn of `turn` samples, then the trajectory from `reached_s` on, its
+    clock starting slowly."""
     way_s, rate, bend = ramp(trajectory.period_s * np.arange(samples, dtype=np.float64))
     on = at(trajectory, reached_s + way_s)
     velocity = on.velocity * rate[:, None]
@@ -87,20 +91,15 @@ def _then_on(trajectory: Trajectory, move: NodeMotion | None, still: int, reache
         move = NodeMotion(np.tile(on.eta[0], (still, 1)), np.zeros((still, 4)), np.zeros((still, 4)))
     turns = 2.0 * np.pi * round(float(move.eta[-1, 3] - on.eta[0, 3]) / (2.0 * np.pi))
     eta = on.eta + np.array([0.0, 0.0, 0.0, turns])
-    count = _turn_samples(trajectory.period_s)
-    facing = np.tile(move.eta[-1], (count, 1))
-    facing[:, 3] = turning(float(move.eta[-1, 3]), float(eta[0, 3]), count)
-    spin, push = np.zeros((count, 4)), np.zeros((count, 4))
+    facing = np.tile(move.eta[-1], (turn, 1))
+    facing[:, 3] = turning(float(move.eta[-1, 3]), float(eta[0, 3]), turn)
+    spin, push = np.zeros((turn, 4)), np.zeros((turn, 4))
     spin[:, 3], push[:, 3] = spinning(facing[:, 3], trajectory.period_s)
     return NodeMotion(
         np.vstack([move.eta, facing, eta]),
         np.vstack([move.velocity, spin, velocity]),
         np.vstack([move.acceleration, push, acceleration]),
     )
-
-
-def _turn_samples(period_s: float) -> int:
-    return round(TURN_S / period_s)
 
 
 def assigned(leg: Leg, time_s: float, eta: Rests, slots: Sequence[int]) -> dict[int, int]:

@@ -16,7 +16,8 @@ from wire.config.scene import Waypoints
 from wire.frames import Array
 
 RAMP_S = 3.0  # from rest to full speed: 0.15 m/s then takes 0.9 N of the 6 N there are
-TURN_S = 4.0  # to face the other way before one leaves: 1.5 rad/s at most, of the 1.9 a robot reaches
+TURN_S = 4.0  # to face the other way before one leaves: 1.5 rad/s at most; longer for a vehicle that cannot turn so fast
+SLOWER_TURN, LONGEST_TURN_S = 1.1, 60.0  # times as long, until it can; a vehicle that needs more is none for such trips
 CLEAR_M = 0.05  # between hulls and islands or walls, beside the way
 SLOWER = 0.7  # a bend that is too sharp for the speed is taken at less of it
 NEAR_M = 1e-3  # less is no way at all
@@ -82,7 +83,7 @@ def planned_trip(experiment: Experiment, around: Basin, start: Array, goal: Arra
     speed = min(speed, 0.8 * limits.heave_mps * max(flat_m, abs(rise_m)) / max(abs(rise_m), 1e-9))
     while True:
         way, rate, bend = glide(max(flat_m, abs(rise_m)), speed, period_s)
-        trip = padded(_along(path, start, flat_m, rise_m, way, rate, bend), round(TURN_S / period_s), 0)
+        trip = padded(_along(path, start, flat_m, rise_m, way, rate, bend), turn_samples(experiment), 0)
         if speed < 0.02 or float(np.max(too_fast(experiment, {0: with_heading(trip, float(start[3]), experiment)}))) <= 1.0:
             return trip
         speed *= SLOWER
@@ -180,6 +181,21 @@ def spinning(yaw_rad: Array, period_s: float) -> tuple[Array, Array]:
     rate = np.gradient(yaw_rad, period_s)
     rate[[0, -1]] = 0.0
     return rate, np.gradient(rate, period_s)
+
+
+def turn_samples(experiment: Experiment) -> int:
+    """In how many samples a robot turns half round on the spot, within its limits. Raises NoRoute for one that cannot."""
+    period_s, turn_s = experiment.controller.period_s, TURN_S
+    while turn_s <= LONGEST_TURN_S:
+        samples = round(turn_s / period_s)
+        pose = np.zeros((samples + 2, 4))
+        pose[1:-1, 3], pose[-1, 3] = turning(0.0, math.pi, samples), math.pi
+        spin, push = np.zeros_like(pose), np.zeros_like(pose)
+        spin[:, 3], push[:, 3] = spinning(pose[:, 3], period_s)
+        if float(np.max(too_fast(experiment, {0: NodeMotion(pose, spin, push)}))) <= 1.0:
+            return samples
+        turn_s *= SLOWER_TURN
+    raise NoRoute(f"this vehicle does not turn half round within {LONGEST_TURN_S:g} s (limits.yaw_rate_radps, limits.wrench)")
 
 
 def turning(from_rad: float, to_rad: float, samples: int) -> Array:

@@ -53,8 +53,8 @@ class Again:
 
     @property
     def exact(self) -> bool:
-        """Every step is there, and the same to the last bit."""
-        return self.compared > 0 and self.compared == self.steps and not self.differing
+        """The log holds every step and all that it names, and each is the same to the last bit."""
+        return self.compared > 0 and self.compared == self.steps and not self.differing and not self.left_out
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""

@@ -66,8 +66,9 @@ def figures_of(runs: Sequence[Run]) -> list[Row]:
 
 
 def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
+    """None where one of them has none: a robot that never flew is not better than the others."""
     known = [max(values) for error in errors if (values := getattr(error, key)) is not None]
-    return max(known, default=None)
+    return max(known) if known and len(known) == len(errors) else None
 
 
 def differences(runs: Sequence[Run]) -> list[tuple[str, tuple[str, ...]]]:

@@ -58,7 +58,7 @@ def _system(
     experiment: Experiment, fleet: Fleet, localizer: LocalizerStatus | None, age_s: float, recorder_error: str
 ) -> Iterator[Alarm]:
     if recorder_error:
-        yield Alarm("critical", "recorder", f"the log is not being written: {recorder_error}")
+        yield Alarm("critical", "recorder", f"the log is not whole: {recorder_error}")
     if localizer is None:
         limit_s = topics.POSE.max_age_in(experiment.safety)
         if not any(robot.pose_age_s <= limit_s for robot in fleet.values()):  # poses may come without one

@@ -220,8 +220,11 @@ class Desk:
 
 
 def _linked(seen: RobotView, known: RobotView | None) -> RobotView:
-    """A view with what only the station's cycle knows: it counts every message of a robot, here some are passed over."""
-    return seen if known is None else replace(seen, clock_offset_s=known.clock_offset_s, loss=known.loss)
+    """A view with what only the station's cycle knows: it counts every message of a robot, here some are passed over, and it
+    has the timetable."""
+    if known is None:
+        return seen
+    return replace(seen, clock_offset_s=known.clock_offset_s, loss=known.loss, behind_s=known.behind_s)
 
 
 def _aged(inbox: Inbox[Any]) -> Aged:

@@ -18,6 +18,9 @@ from localizer.sources.base import Shot, Source
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
+from wire.messages.codec import DecodeError, Header, decode
+from wire.messages.messages import CameraHealth, LocalizerStatus
+from wire.messages.topics import Topic
 from wire.process.runtime import Clock, Stop
 from wire.transport.bus import Bus
 from wire.transport.transport import MemoryHub, MemoryTransport
@@ -37,6 +40,7 @@ class Timing:
     arrived_ns: int
     ready_ns: int
     stamped: bool
+    trouble: str = ""  # why there were no poses of it
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ class Latency:
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
-Told = Callable[[int], None]  # the poses of the picture with this stamp are out
+Told = Callable[[int, str], None]  # the picture with this stamp is done: its poses are out, or why there are none
 
 
 class _Watched:
@@ -87,7 +91,7 @@ class _Watched:
 
     def __init__(self, source: Source, clock: Clock, seconds: float) -> None:
         self.pictures: list[Shot] = []
-        self.ready_ns: dict[int, int] = {}  # by stamp
+        self.done: dict[int, tuple[int, str]] = {}  # by stamp: when, and why there were no poses
         self._source, self._clock, self._seconds = source, clock, seconds
 
     @property
@@ -106,8 +110,8 @@ class _Watched:
             if self._clock.now_ns() >= end_ns:
                 return
 
-    def told(self, stamp_ns: int) -> None:
-        self.ready_ns.setdefault(stamp_ns, self._clock.now_ns())
+    def told(self, stamp_ns: int, trouble: str) -> None:
+        self.done.setdefault(stamp_ns, (self._clock.now_ns(), trouble))
 
     def close(self) -> None:
         """The source is the caller's."""
@@ -118,12 +122,12 @@ def measure(
 ) -> tuple[list[Timing], int]:
     """Localize for a while. Returns the pictures after WARM_UP and how many were dropped meanwhile.
 
-    `localize` works through a source until it ends, and tells when the poses of a picture are out."""
+    `localize` works through a source until it ends, and tells when the poses of a picture are out, or that there are none."""
     watched = _Watched(source, clock, seconds)
     localize(watched, watched.told)
     before, counted = watched.pictures[:WARM_UP], watched.pictures[WARM_UP:]
-    ready = [(shot, watched.ready_ns[shot.stamp_ns]) for shot in counted if shot.stamp_ns in watched.ready_ns]
-    timings = [Timing(shot.instant_ns, shot.arrived_ns, ready_ns, shot.stamped) for shot, ready_ns in ready]
+    done = [(shot, *watched.done[shot.stamp_ns]) for shot in counted if shot.stamp_ns in watched.done]
+    timings = [Timing(shot.instant_ns, shot.arrived_ns, ready_ns, shot.stamped, why) for shot, ready_ns, why in done]
     return timings, counted[-1].dropped - before[-1].dropped if counted else 0
 
 
@@ -131,7 +135,20 @@ def in_this_process(experiment: Experiment, clock: Clock, stop: Stop, source: So
     """Run the localizer on a source, with a bus that nobody else is on."""
     hub = MemoryHub()
     witness, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    witness.subscribe(topics.LOCALIZER, None, lambda topic, key, header, payload: told(header.stamp_ns))
+    failed = 0  # pictures
+
+    def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
+        nonlocal failed
+        try:
+            status = decode(LocalizerStatus, payload, "localizer", key)
+        except DecodeError as error:  # times that cannot be
+            told(header.stamp_ns, str(error))
+            return
+        localized = status.camera is CameraHealth.OK and status.failed == failed
+        failed = status.failed
+        told(header.stamp_ns, "" if localized else status.message)
+
+    witness.subscribe(topics.LOCALIZER, None, hear)
     Shell(experiment, own, stop, clock, source).run()
     stop.raise_failure()
 
@@ -145,10 +162,12 @@ def judge(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | 
         for name in ("instant_ns", "arrived_ns", "ready_ns")
     )
     intervals, unstamped = np.diff(instants), sum(not t.stamped for t in timings)
+    without = [t.trouble for t in timings if t.trouble]
     age, period = _quantiles(ready - instants), 1e3 / rate_hz
     jitter = float(np.quantile(np.abs(intervals - np.median(intervals)), 0.99))
     loss = dropped / (len(timings) + dropped)
     found = (
+        (bool(without), f"no poses of {len(without)} pictures ({without[-1]})" if without else ""),
         (unstamped > 0, f"{unstamped} pictures without a usable stamp of the camera: their age is a guess"),
         (jitter > _LARGEST_JITTER * period,
          f"exposures {jitter:.1f} ms off their rhythm (p99; limit {_LARGEST_JITTER * period:.1f})"),

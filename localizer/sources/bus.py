@@ -26,6 +26,27 @@ class _Sequence:
         return self.dropped
 
 
+class _OneCamera:
+    """Notices that two cameras publish: a session that another one has taken the place of is heard again."""
+
+    def __init__(self, apart_s: float) -> None:
+        self.apart_s = apart_s  # one of them has gone when it was not heard for so long
+        self._session, self._replaced = 0, set[int]()
+        self._two_s = -math.inf  # when both were heard last
+
+    def are_two(self, now_s: float) -> bool:
+        """Whether frames may be of either."""
+        return now_s - self._two_s < self.apart_s
+
+    def note(self, session: int, now_s: float) -> None:
+        """A frame has come."""
+        if session in self._replaced:
+            self._two_s = now_s
+        if session != self._session:
+            self._replaced = (self._replaced | {self._session}) - {session}
+            self._session = session
+
+
 class BusSource:
     """Frames that another process publishes, in real time. The newest wins; the sender's clock may be anything."""
 
@@ -33,10 +54,10 @@ class BusSource:
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._bus, self._clock = bus, clock
         self._frames = bus.inbox(topics.FRAME, Frame)
-        self._sequence = _Sequence()
+        self._sequence, self._camera = _Sequence(), _OneCamera(self.silent_after_s)
 
     def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """See Source. Frames that cannot be read are as good as none."""
+        """See Source. Frames that cannot be read are as good as none, and so are those of two cameras in turn."""
         seen = given = self._frames.newest_header()
         bad, silent_since = self._frames.bad, time.monotonic()
         while not stop.requested:
@@ -47,11 +68,20 @@ class BusSource:
                 if received is None or received.header is given:  # unreadable; or it was newer than `seen` a moment ago
                     continue
                 given, bad = received.header, self._frames.bad
+                self._camera.note(given.session, time.monotonic())
+                if self._camera.are_two(time.monotonic()):
+                    continue
                 yield self._shot(received)
             elif not stop.requested:
-                self.trouble = self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
+                self.trouble = self._why(bad)
                 yield None
             silent_since = time.monotonic()
+
+    def _why(self, bad: int) -> str:
+        """Why no frame comes; `bad` were unreadable when the last one came."""
+        if self._camera.are_two(time.monotonic()):
+            return "two cameras publish frames: end one of them"
+        return self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
 
     def _shot(self, received: Received[Frame]) -> Shot:
         header, instant_ns = received.header, self._clock.instant_ns(received)

@@ -18,7 +18,8 @@ from wire.messages.messages import Obstacles
 from wire.obstacle_memory import ages_s, drift_m, growth_m, is_old, swept
 
 SPACING_M = 0.15  # of pieces along an edge: 0.3 m away, the way between two of them is 1 cm too near
-ABSURD_M, ABSURD_MPS = 1e3, 2.0  # limits of what can be an obstacle; nothing in a pool is faster
+ABSURD_M = 1e3  # what lies farther away is no obstacle
+FASTEST_MPS = 2.0  # nothing in a pool is faster for long: an arm may be, and an outline that grows looks as if it were
 TOUCHING_M = 1e-6
 MOST_PIECES = 200  # of one obstacle: an outline of 30 m
 
@@ -83,19 +84,26 @@ def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
 
 
 def things_seen(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Thing, ...]:
-    """What the localizer reports of an instant on our clock, each as of when it was seen. What cannot be an obstacle is left
-    out."""
+    """What the localizer reports of an instant on our clock, each as of when it was seen. What lies where nothing can be is
+    left out; what moves faster than anything can is there all the same, and moves as fast as it can."""
     found = []
     seen_s = ages_s(seen, 0.0)
     for number, outline, velocity, unseen_s in zip(seen.ids, seen.outline, seen.velocity, seen_s, strict=False):
-        if not np.abs(outline).max() < ABSURD_M or not np.abs(velocity).max() < ABSURD_MPS:  # false for NaN too
+        if not np.abs(outline).max() < ABSURD_M:  # false for NaN too
             continue
-        corners, speed = outline[:, 0] + 1j * outline[:, 1], complex(velocity[0], velocity[1])
+        corners, speed = outline[:, 0] + 1j * outline[:, 1], _believed(complex(velocity[0], velocity[1]))
         pieces = _along(corners)
         middle = complex(pieces.mean())
         seen_ns = instant_ns - round(unseen_s * 1e9)
         found.append(Thing(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
     return tuple(found)
+
+
+def _believed(velocity: complex) -> complex:
+    """A velocity that something can have; none for what is no number."""
+    if not math.isfinite(abs(velocity)):
+        return 0j
+    return velocity * min(1.0, FASTEST_MPS / max(abs(velocity), FASTEST_MPS))
 
 
 def spread(thing: Thing, safety: Safety, now_ns: int) -> Thing:

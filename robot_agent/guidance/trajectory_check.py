@@ -7,11 +7,13 @@ come from another version, another vehicle file, or a fault in the planner, and 
 import numpy as np
 from numpy.typing import NDArray
 
+from wire.config.scene import Pool
 from wire.config.vehicle import Vehicle
 from wire.messages.messages import Trajectory
 
 PERIOD_S = (0.001, 1.0)
 LATEST_S = 1e6  # of the first sample
+AT_SURFACE_M = 1e-6  # a path at depth 0, rounded
 OVER = 1.05  # times a limit: sampled derivatives of a smooth path overshoot by a few percent where a turn begins
 # How far a pose may be from where the velocities before and after it lead, per second of sampling period: m/s and rad/s. At
 # 0.05 s that is 1 mm and 0.025 rad; the shipped experiments' smooth paths need 0.3 um and 0.2 mrad.
@@ -23,8 +25,8 @@ STILL = 0.1 * LEAP  # of a velocity: that is rest
 AXES = (("x", "m"), ("y", "m"), ("z", "m"), ("yaw", "rad"))
 
 
-def unflyable(trajectory: Trajectory | None, pool_m: tuple[float, float, float], vehicle: Vehicle) -> str:
-    """Why a trajectory cannot be flown by this vehicle in a pool of this size; empty if it can."""
+def unflyable(trajectory: Trajectory | None, pool: Pool, vehicle: Vehicle) -> str:
+    """Why a trajectory cannot be flown by this vehicle in this pool; empty if it can."""
     if trajectory is None:
         return "carries no trajectory"
     if not trajectory.id:
@@ -37,7 +39,10 @@ def unflyable(trajectory: Trajectory | None, pool_m: tuple[float, float, float],
     lengths = {len(trajectory.eta), len(trajectory.velocity), len(trajectory.acceleration)}
     if len(lengths) != 1 or min(lengths) < 2:
         return "trajectory: eta, velocity and acceleration must have the same number of samples, at least 2"
-    inside = np.abs(trajectory.eta[:, :3]) <= [0.5 * pool_m[0], 0.5 * pool_m[1], pool_m[2]]
+    length_m, width_m, depth_m = pool.size_m
+    inside = np.abs(trajectory.eta[:, :3]) <= [0.5 * length_m, 0.5 * width_m, depth_m]
+    if pool.walls:  # else there is no surface either
+        inside[:, 2] &= trajectory.eta[:, 2] >= -AT_SURFACE_M
     if not inside.all():
         return f"trajectory.eta leaves the pool at {_time_s(trajectory, int(np.argmin(inside.all(axis=1)))):.2f} s"
     return _inconsistent(trajectory) or _too_much(trajectory, vehicle)

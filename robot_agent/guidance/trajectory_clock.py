@@ -24,7 +24,7 @@ class Course:
     """One robot's, from LOAD to LOAD."""
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
-        self._pool_m, self._vehicle = experiment.pool.size_m, experiment.vehicle
+        self._pool, self._vehicle = experiment.pool, experiment.vehicle
         self._me, self._join_within_m = experiment.robot(robot), experiment.safety.join_within_m
         self.reached_s = 0.0  # on the trajectory's clock
         self.trajectory: Trajectory | None = None  # what is flown
@@ -47,7 +47,7 @@ class Course:
         """Why an order about trajectories cannot be followed; empty if it can. START and RESUME count from `begins_ns` on our
         clock; `eta` (4,) is where the robot is, None if it does not know."""
         if command.order is Order.LOAD:
-            return unflyable(command.trajectory, self._pool_m, self._vehicle) or (
+            return unflyable(command.trajectory, self._pool, self._vehicle) or (
                 self._unjoinable(command.trajectory) if under_way else ""
             )
         if command.order is Order.SWITCH:

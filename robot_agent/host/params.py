@@ -12,7 +12,7 @@ import typer
 
 from robot_agent.host.config import DEFAULT_LINK
 from wire.mavlink.board_port import Link, open_link
-from wire.mavlink.parameters import LINK_ID, ParameterClient
+from wire.mavlink.parameters import DOES_NOT_EXIST, LINK_ID, ParameterClient
 from wire.mavlink.signing_key import Signing
 from wire.process.cli_options import LinkInsecure, LinkKey
 from wire.toml_loader import ConfigError
@@ -155,5 +155,14 @@ def _check_name(name: str) -> None:
 
 def _found(client: ParameterClient, name: str) -> float:
     if name not in client.values:
-        raise ConfigError(f"{name}: {'the board has no such parameter' if client.error is not None else 'no answer'}")
+        raise ConfigError(f"{name}: {_refusal(client)}")
     return client.values[name]
+
+
+def _refusal(client: ParameterClient) -> str:
+    """Why the board told no value."""
+    if client.error is None:
+        return "no answer"
+    if client.error[1] == DOES_NOT_EXIST:
+        return "the board has no such parameter"
+    return f"the board refuses: {client.said or f'error {client.error[1]}'}"

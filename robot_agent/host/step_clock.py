@@ -14,6 +14,7 @@ APART = 0.49  # of a period: no two steps are nearer; less than what LATE leaves
 FOLLOWS = 0.1  # of what a pose is off the grid, the grid moves with each step: how long poses take varies, this is their mean
 MOST = 0.01  # of a period, that it moves at most with a step: whatever the camera does, the period is within 1 %
 IN_STEP = 0.15  # of a period: poses are in step that are off the grid by less than this in the mean; at 30 Hz it is 0.17
+MOST_LATE_S = 0.5  # of steps that count as late: what made a loop slow while the robot lay there is over that soon after it
 BUDGET = 0.5  # of a period: pulses that leave later than this after their step was due are late
 
 
@@ -24,6 +25,7 @@ class Pace:
         self.missed = 0  # steps whose pulses left late
         self.late_steps = 0  # by how much late steps outnumber timely ones of late
         self._period_s, self._grid_s = period_s, now_s
+        self._most_late = math.ceil(MOST_LATE_S / period_s)
         self._off_s = period_s  # how far poses are off the grid, in the mean
         self._had_pose = False  # the last step
 
@@ -56,4 +58,4 @@ class Pace:
         good: a single hiccup ends nothing, and a loop that cannot keep up is found however it alternates."""
         late = late_s > BUDGET * self._period_s
         self.missed += late
-        self.late_steps = self.late_steps + 1 if late else max(self.late_steps - 1, 0)
+        self.late_steps = min(self.late_steps + 1, self._most_late) if late else max(self.late_steps - 1, 0)

@@ -15,11 +15,12 @@ from robot_agent.host.config import Board, open_board
 from robot_agent.preflight import findings
 from robot_agent.preflight.findings import Finding, Verdict
 from robot_agent.preflight.network import look_at_network
-from robot_agent.preflight.rehearsal import rehearse
+from robot_agent.preflight.rehearsal import Grounded, rehearse
 from wire.config.experiment import Experiment, load_experiment
 from wire.mavlink.agent_link import Telemetry
 from wire.mavlink.board_port import parse_link, serial_trouble
 from wire.mavlink.signing_key import agent_end
+from wire.messages.messages import Mode
 from wire.toml_loader import ConfigError
 
 REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
@@ -46,13 +47,14 @@ def look_over(board: Board, thrusters: Callable[[Experiment], Iterator[Finding]]
     if experiment is not None:
         yield _timing(experiment, board.robot)
     yield from _device(board)
-    heard = False
+    idle = False
     if flying:  # two programs on one thruster board: what one sends the other would spoil
         yield Finding("thruster board", Verdict.SKIPPED, "this robot's agent has it (systemctl stop shoal-agent)")
     else:
-        heard = yield from _board(board)
-    if thrusters is None or experiment is None or not heard:
-        yield Finding("thrusters", Verdict.SKIPPED, "not turned (--thrusters turns them one by one)")
+        idle = yield from _board(board)
+    if thrusters is None or experiment is None or not idle:
+        needs = "(--thrusters turns them one by one)" if thrusters is None else "(the board must say that it is disarmed)"
+        yield Finding("thrusters", Verdict.SKIPPED, f"not turned {needs}")
     else:
         yield from thrusters(experiment)
 
@@ -69,17 +71,18 @@ def _device(board: Board) -> Iterator[Finding]:
 
 
 def _board(board: Board) -> Generator[Finding, None, bool]:
-    """Returns whether it is heard."""
+    """Returns whether it is heard, and says that it is disarmed: so nobody flies the robot."""
     try:
         telemetry = hear_board(board)
     except ConfigError as error:
         yield Finding("thruster board", Verdict.FAIL, str(error))
         return False
-    detail = (
-        f"heard; {telemetry.battery_v:.1f} V, depth {telemetry.depth_m:.2f} m, {'ARMED' if telemetry.armed else 'disarmed'}"
-    )
-    yield Finding("thruster board", Verdict.WARN if telemetry.armed else Verdict.OK, detail)
-    return True
+    idle = telemetry.heartbeats > 0 and not telemetry.armed
+    battery = f"{telemetry.battery_v:.1f} V" if telemetry.battery_reports else "no voltage told"
+    armed = "disarmed" if idle else "ARMED: by whom?" if telemetry.armed else "does not say whether it is armed"
+    detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m, {armed}"
+    yield Finding("thruster board", Verdict.OK if idle and telemetry.battery_reports else Verdict.WARN, detail)
+    return idle
 
 
 def hear_board(board: Board) -> Telemetry:
@@ -94,7 +97,7 @@ def hear_board(board: Board) -> Telemetry:
             mavlink.receive(wires.read(), time.monotonic_ns())
             if mavlink.telemetry.board_ms >= 0:
                 heard = mavlink.telemetry
-                if heard.battery_v > 0.0:
+                if heard.battery_reports and heard.heartbeats:
                     break
         if heard is None:
             why = wires.trouble or _others(mavlink.telemetry)
@@ -124,9 +127,14 @@ def _computer(board: Board) -> Iterator[Finding]:
 
 def _timing(experiment: Experiment, robot: int) -> Finding:
     steps_ms = []
-    for agent, inputs, now_ns in itertools.islice(rehearse(experiment, robot), REHEARSED):
-        began = time.perf_counter_ns()
-        agent.step(inputs, now_ns)
-        steps_ms.append((time.perf_counter_ns() - began) * 1e-6)
+    try:
+        for agent, inputs, now_ns in itertools.islice(rehearse(experiment, robot), REHEARSED):
+            began = time.perf_counter_ns()
+            state = agent.step(inputs, now_ns).state
+            steps_ms.append((time.perf_counter_ns() - began) * 1e-6)
+    except Grounded as why:
+        return findings.not_timed(str(why))
+    if state.mode is not Mode.TRACKING:
+        return findings.not_timed(f"the robot is {state.mode.name}, {state.fault or 'for no reason told'}")
     p50, p99 = np.percentile(steps_ms[WARM_UP:], [50, 99]).tolist()
     return findings.timing(p50, p99, experiment.controller.period_s, len(experiment.robot_ids) - 1)

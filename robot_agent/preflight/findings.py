@@ -67,3 +67,8 @@ def timing(p50_ms: float, p99_ms: float, period_s: float, neighbours: int) -> Fi
     verdict = Verdict.OK if p99_ms <= budget_ms else Verdict.WARN if p50_ms <= budget_ms else Verdict.FAIL
     detail = f"p50 {p50_ms:.2f} ms, p99 {p99_ms:.2f} ms with {neighbours} neighbours; half a period is {budget_ms:g} ms"
     return Finding("control step", verdict, detail)
+
+
+def not_timed(why: str) -> Finding:
+    """No time of a control step is known: a robot that does not fly has little to compute."""
+    return Finding("control step", Verdict.WARN, f"not timed: in the rehearsal, a circle of 1 m at 0.3 m, {why}")

@@ -19,6 +19,7 @@ from wire.transport.network import endpoint
 from wire.transport.transport import Unreached, ZenohTransport
 
 STATION_WITHIN_S = 3.0
+PRESENT_WITHIN_S = 0.5  # after the station is heard: who is there already the router tells in its own time
 
 
 def look_at_network(board: Board) -> Generator[Finding, None, bool]:
@@ -48,7 +49,9 @@ def look_at_network(board: Board) -> Generator[Finding, None, bool]:
             beats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
             bus.watch_presence()
             bus.wait(lambda: beats.newest_header() is not None, STATION_WITHIN_S)
-            received, now_ns, flying = beats.newest(), time.time_ns(), process in bus.present
+            received, now_ns = beats.newest(), time.time_ns()
+            since_ns = received.header.age_ns + time.monotonic_ns() - received.arrived_ns if received is not None else 0
+            flying = bus.wait(lambda: process in bus.present, PRESENT_WITHIN_S)
     except Unreached as error:
         yield Finding("station", Verdict.FAIL, str(error))
         return False
@@ -57,7 +60,6 @@ def look_at_network(board: Board) -> Generator[Finding, None, bool]:
         yield Finding("station", Verdict.FAIL, f"{where.address}: {why}")
         return flying
     yield Finding("station", Verdict.OK, f"{where.address}: heard, its mission is {received.message.mission}")
-    since_ns = received.header.age_ns + time.monotonic_ns() - received.arrived_ns
     yield findings.clock((now_ns - received.header.stamp_ns - since_ns) * 1e-9)
     return flying
 

@@ -24,8 +24,13 @@ STATION = 1  # session
 ARM_AFTER = 20  # steps, 1 s: until the estimate stands
 
 
+class Grounded(Exception):
+    """The robot does not fly in this rehearsal; says why."""
+
+
 def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs, int]]:
-    """Agent, inputs and time of one control step after the other, without end; whoever asks does the step."""
+    """Agent, inputs and time of one control step after the other, without end; whoever asks does the step. Raises Grounded if
+    the agent refuses to fly."""
     unmoved = experiment.safety.model_copy(update={"watch_thrusters": False})  # here thrusters move nothing
     experiment = experiment.model_copy(update={"safety": unmoved})
     agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
@@ -55,7 +60,9 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
                     trajectory=trajectory if order is Order.LOAD else None,
                     start_ns=given_ns + period_ns,
                 )
-                agent.order(Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns)
+                reply = agent.order(Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns)
+                if not reply.accepted:
+                    raise Grounded(f"{order.name} is refused: {reply.reason}")
         yield agent, Inputs(Seen(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
         k += 1
 

@@ -39,8 +39,9 @@ class Vitals:
         self._asked_ns: int | None = None  # when the board was last told so
         self._estimated = self._estimate_ended = False
 
-    def note(self, inputs: Inputs, mode: Mode, now_ns: int) -> None:
-        """Take in what a step has to go by, in the mode that the robot has been in until now."""
+    def note(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
+        """Take in what a step has to go by, in the mode that the robot has been in until now. While thrusters are tested the
+        test judges what the board puts out."""
         seen, telemetry = inputs.pose, inputs.telemetry
         if seen is not None and seen.pose.track >= Track.KCF:
             self._sighted_ns = seen.instant_ns
@@ -51,7 +52,8 @@ class Vitals:
             self._depth.reset()
         self._mode = mode
         self._battery.note(telemetry, now_ns)
-        self._echo.note(telemetry, now_ns)
+        if not testing:
+            self._echo.note(telemetry, now_ns)
         if mode not in POWERED:
             self._thrusters.reset()
             self._estimate_ended = False
@@ -102,6 +104,7 @@ class Vitals:
             depth_age_s=self._output.depth_age_s if self._output is not None else 0.0,
             depth_leap=self._output.depth_leap if self._output is not None else "",
             leap=self._output.leap if self._output is not None else "",
+            place_age_s=self._output.pose_age_s if self._output is not None and self._output.estimated else 0.0,
         )
 
     def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:

@@ -66,6 +66,7 @@ class Health:
     depth_age_s: float = 0.0  # of the last depth that did not contradict the estimate
     depth_leap: str = ""  # the depth that is told and the one that was believed, when one had to give way
     leap: str = ""  # the same for the place
+    place_age_s: float = 0.0  # of the last pose that did not contradict the estimate
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ REACTIONS: tuple[Reaction, ...] = (
     Reaction("emergency stop", ANY - {Mode.STOPPED}, lambda h, s: h.emergency_stop, Mode.STOPPED),
     Reaction("thruster board silent", LIVE, lambda h, s: h.board_age_s > BOARD_LOST_S, Mode.FAULT),
     Reaction("thruster board disarmed", LIVE, lambda h, s: h.board_disarmed_s > BOARD_ARMS_WITHIN_S, Mode.FAULT),
-    Reaction("thruster board disobeys", POWERED, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
+    Reaction("thruster board disobeys", LIVE, lambda h, s: h.echo_wrong_s > BOARD_DISOBEYS_S, Mode.FAULT),
     Reaction("thrusters do not do as told", POWERED, lambda h, s: h.thrusters_broken and s.watch_thrusters, Mode.FAULT),
     Reaction("off its path", POWERED, lambda h, s: h.off_path, Mode.FAULT),
     Reaction("off its depth", POWERED, lambda h, s: h.off_depth, Mode.FAULT),
@@ -94,6 +95,10 @@ REACTIONS: tuple[Reaction, ...] = (
     ),
     Reaction("battery empty", LIVE, lambda h, s: h.battery_empty, Mode.FAULT),
     Reaction("no pose", POWERED, lambda h, s: h.pose_age_s > s.pose_neutral_s, Mode.FAULT),
+    Reaction(
+        "no pose that can be true", POWERED, lambda h, s: h.place_age_s > s.pose_neutral_s, Mode.FAULT,
+        lambda h: f"for {h.place_age_s:.2f} s all that came contradict the estimate",
+    ),
     Reaction("no control solution", POWERED, lambda h, s: h.solver_failed, Mode.FAULT),
     Reaction("estimate ended", POWERED, lambda h, s: h.estimate_ended, Mode.FAULT),
     Reaction("control too slow", POWERED, lambda h, s: h.late_s >= LATE_S, Mode.FAULT),

@@ -45,10 +45,23 @@ class ThrusterTest:
         asked = list(self._neutral_us)
         asked[thruster] = self._push_us
         if since_s >= SETTLED_S and len(echo_us) >= THRUSTERS:
+            wild = self._wild(asked, echo_us)
+            if wild:  # it may run at full thrust: the sooner the board is disarmed the better
+                self.result = wild
+                return self._neutral_us
             self._seen[thruster] = echo_us[thruster]
             if all(abs(echo_us[k] - asked[k]) <= TOLERANCE_US for k in range(THRUSTERS)):
                 self._confirmed.add(thruster)
         return tuple(asked)
+
+    def _wild(self, asked_us: Sequence[int], echo_us: Sequence[int]) -> str:
+        """Which thrusters turn that should not, or faster than asked, or the other way; empty if none does."""
+        told = zip(asked_us, self._neutral_us, echo_us, strict=False)
+        return "; ".join(
+            f"thruster {k + 1} was asked for {asked} us, the board says {echo}"
+            for k, (asked, neutral, echo) in enumerate(list(told)[:THRUSTERS])
+            if not min(asked, neutral) - TOLERANCE_US <= echo <= max(asked, neutral) + TOLERANCE_US
+        )
 
     def _verdict(self) -> str:
         wrong = [

@@ -205,7 +205,7 @@ class AgentFleet:
 
     def start(self) -> None:
         """Hold the robots where they are until their estimates stand, then let go at the instant at which the trajectories
-        begin: time 0 of the scene. Raises RuntimeError if a robot refuses."""
+        begin: time 0 of the scene. Raises ConfigError if a robot refuses, with its reason."""
         self.held = True
         for _ in range(max(READY_NS // self.period_ns - 1, 1)):
             self.step()
@@ -218,11 +218,11 @@ class AgentFleet:
         self.held, self.begin = False, len(self.truth)
 
     def _all(self, order: Order) -> None:
-        """Give an order to every robot; START is for the next step. Raises RuntimeError if one refuses."""
+        """Give an order to every robot; START is for the next step. Raises ConfigError if one refuses."""
         for i in range(len(self.robots)):
             reply = self.order(order, i, start_in_s=self.period_ns / NS)
             if not reply.accepted:
-                raise RuntimeError(f"robot {reply.robot}: {order.name}: {reply.reason}")
+                raise ConfigError(f"robot {reply.robot} refuses {order.name}: {reply.reason}")
 
     def step(self) -> None:
         """One control period of water, then one control step of every robot."""

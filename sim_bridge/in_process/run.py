@@ -21,26 +21,28 @@ from sim_bridge.sil import launcher
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages.messages import Trajectory
 from wire.messages.pipe import PipeWriter
-from wire.process.runtime import Stop
+from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError
 
 STATION = (sys.executable, "-m", "groundstation")
+REFUSED = 2  # exit code for what cannot be flown
 
 
 def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
-    """Robots in the water with the station's trajectories, not started yet. Raises ConfigError, and leaves nothing behind, if
+    """Robots in the water at the beginning of the station's trajectories. Raises ConfigError, and leaves nothing behind, if
     the experiment cannot be flown like this."""
     fault_schedule.only(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
     trajectories, starts = plan(experiment)
     water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
-    return AgentFleet(experiment, trajectories, water, experiment.seed, time.perf_counter_ns), water
+    fleet = AgentFleet(experiment, trajectories, water, experiment.seed, time.perf_counter_ns)
+    fleet.start()
+    return fleet, water
 
 
 def run(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, console: Console) -> int:
     """Fly what is `prepared`, with agents and plant in this process. Returns the exit code: 0 passed, 1 failed, 130
     interrupted."""
     (run_dir / "experiment.toml").write_text(dump_experiment(fleet.experiment), encoding="utf-8")
-    fleet.start()
     return fly_and_report(fleet, water, run_dir, stop=stop, console=console)
 
 
@@ -76,13 +78,17 @@ def fly_and_report(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: 
 
 
 def plan(experiment: Experiment) -> tuple[dict[int, Trajectory], dict[int, Any]]:
-    """Trajectories and start poses by `groundstation plan`. Raises ConfigError with its reasons if it refuses."""
+    """Trajectories and start poses by `groundstation plan`. Raises ConfigError with its reasons if it refuses, Failed if it
+    ended otherwise: for want of memory, for example."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         file.write_text(dump_experiment(experiment), encoding="utf-8")
         planning = subprocess.run([*STATION, "plan", str(file)], capture_output=True, text=True, check=False)
+    said = planning.stderr.strip().replace(f"{file}: ", "")
+    if planning.returncode == REFUSED:
+        raise ConfigError(said)
     if planning.returncode != 0:
-        raise ConfigError(planning.stderr.strip().replace(f"{file}: ", ""))
+        raise Failed(f"groundstation plan ended with exit code {planning.returncode}: {said or 'without a word'}")
     robots = {int(robot): planned for robot, planned in json.loads(planning.stdout)["robots"].items()}
     trajectories = {
         robot: Trajectory(p["id"], p["period_s"], np.array(p["eta"]), np.array(p["velocity"]), np.array(p["acceleration"]))

@@ -183,13 +183,16 @@ def _watch(
 
 def report(run_dir: Path, console: Console) -> bool:
     """Let the station's own command write the report, and print the table. Returns whether the result passed."""
+    file = run_dir / "result.json"
+    before = _written(file)
     writing = subprocess.run(
         [sys.executable, "-m", "groundstation", "report", str(run_dir)], capture_output=True, text=True, check=False
     )
-    if writing.returncode not in (0, 1):  # 1: there is one, of a run that did not pass
+    # 1: there is one, of a run that did not pass; but so ends a program with an error of its own
+    if writing.returncode not in (0, 1) or _written(file) == before:
         _alarm(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
-    result = json.loads((run_dir / "result.json").read_text(encoding="utf-8"))
+    result = json.loads(file.read_text(encoding="utf-8"))
     if result["log_trouble"]:
         _alarm(console, result["log_trouble"])
     console.print(_table(result) if result["duration_s"] else "[red]nothing was flown[/]")
@@ -199,6 +202,11 @@ def report(run_dir: Path, console: Console) -> bool:
     for fault in result["faults"]:
         _alarm(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
     return bool(result["passed"])
+
+
+def _written(file: Path) -> tuple[int, int] | None:
+    """What changes when a file is written anew; None if it is not there."""
+    return (file.stat().st_ino, file.stat().st_mtime_ns) if file.exists() else None
 
 
 def _table(result: dict[str, Any]) -> Table:

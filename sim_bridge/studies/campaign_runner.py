@@ -38,8 +38,8 @@ IN_THE_AIR = 4  # flights a worker that are handed out at a time
 def run(
     campaign: Campaign, folder: Path, *, workers: int | None, scheduler: str | None, resume: bool, stop: Stop, console: Console
 ) -> int:
-    """Fly what is not flown yet. Returns the exit code: 0 all flown, 1 some were refused or failed, 130 interrupted. Raises
-    ConfigError, before anything flies, for a value that the experiment refuses."""
+    """Fly what is not flown yet, or failed. Returns the exit code: 0 all flown, 1 some were refused or failed, 130
+    interrupted. Raises ConfigError, before anything flies, for a value that the experiment refuses."""
     _check_all(campaign, stop)
     journal = folder / JOURNAL
     if journal.exists() and not resume:
@@ -48,7 +48,7 @@ def run(
         check_output(folder / name, mine=CAMPAIGN)
     folder.mkdir(parents=True, exist_ok=True)
     said = journal.read_text(encoding="utf-8") if journal.exists() else ""
-    kept, total = {row["hash"]: row for row in _rows(said)}, campaign.flights
+    kept, total = {row["hash"]: row for row in _rows(said) if row["status"] != "failed"}, campaign.flights
     rows: dict[int, dict[str, Any]] = {}
     console.print(f"{campaign.title or campaign.name}: {total} flights, into {folder}")
     try:

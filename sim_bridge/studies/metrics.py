@@ -1,4 +1,4 @@
-"""What a campaign keeps of a numeric flight: a handful of numbers, and whether the experiment's limits held. Pure."""
+"""What a campaign keeps of a numeric flight: a handful of numbers, and whether the limits held. Pure."""
 
 from itertools import combinations
 
@@ -19,6 +19,7 @@ MEASURES = {
     "arrived_m": "farthest robot from its reference at the end, horizontally [m]",
     "min_separation_m": "least distance between two centres [m]",
     "wrench_step_rms": "RMS of input changes after 20 s, of the largest allowed, worst axis of any robot",
+    "at_fault": "share of control steps in which a robot told of a fault: why it held, stopped or gave up",
     "off_track": "share of control steps in which a robot was not tracking",
     "unsolved": "share of control steps without a fresh solution",
 }
@@ -47,6 +48,7 @@ def measures(fleet: AgentFleet) -> dict[str, float | None]:
         "arrived_m": np.hypot(error[-1, :, 0], error[-1, :, 1]).max(),
         "min_separation_m": min(apart) if apart else None,
         "wrench_step_rms": smooth.max() if has_late else None,
+        "at_fault": np.mean([bool(s.fault) for s in flat]),
         "off_track": np.mean([s.mode is not Mode.TRACKING for s in flat]),
         "unsolved": np.mean([s.solve is not Solve.SOLVED for s in flat]),
     }
@@ -54,14 +56,20 @@ def measures(fleet: AgentFleet) -> dict[str, float | None]:
 
 
 def broken_limits(experiment: Experiment, found: dict[str, float | None]) -> list[str]:
-    """Names of the experiment's limits that do not hold. What comes after 20 s is not asked of a shorter flight, as in a
-    run's report."""
+    """Names of the limits that do not hold: the experiment's, and as in a run's report those of every run, that centres stay
+    twice safety.radius_m apart and that no robot tells of a fault. What comes after 20 s is not asked of a shorter flight. A
+    figure that is no number has not been shown to be good."""
     later = ("rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms")
     broken = []
     for name in ("rms_m", "arrived_m", *(later if settled(experiment.duration_s) else ())):
         limit, value = getattr(experiment.limits, name), found[name]
-        if limit is not None and (value is None or value > limit):
+        if limit is not None and (value is None or not value <= limit):
             broken.append(name)
+    apart_m, at_fault = found.get("min_separation_m"), found.get("at_fault")
+    if apart_m is not None and not apart_m >= 2.0 * experiment.safety.radius_m:
+        broken.append("min_separation_m")
+    if at_fault is not None and not at_fault <= 0.0:
+        broken.append("at_fault")
     return broken
 
 

@@ -31,15 +31,17 @@ NEVER_S = 1e3
 
 
 @pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
+@pytest.mark.parametrize("mode", [Mode.HOLDING, Mode.ARMED])
 def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
-    order: Order, monkeypatch: pytest.MonkeyPatch
+    order: Order, mode: Mode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Nor one that ends a thruster test, which is made in ARMED."""
     monkeypatch.setattr(Pace, "due_s", lambda *_: time.monotonic() + NEVER_S)
     hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     heard = station.inbox(topics.STATE, RobotState, 1)
     robot = process.Shell(load_experiment("pool"), 1, bus, link, False, stop)
-    robot.agent.mode = Mode.HOLDING
+    robot.agent.mode = mode
     thread = threading.Thread(target=robot.run)
     thread.start()
     try:

@@ -48,6 +48,8 @@ def _field(hint: Any, field: dataclasses.Field[Any], kind: int, rows: int) -> st
     if get_args(hint)[:1] == (str,):
         return st.lists(st.text(), max_size=8).map(tuple)
     integers = st.integers(*_LIMITS[kind])
+    if field.metadata.get("each_row"):
+        return st.lists(integers, min_size=rows, max_size=rows).map(tuple)
     return st.lists(integers, max_size=8).map(tuple) if get_origin(hint) is tuple else integers
 
 

@@ -39,7 +39,7 @@ class Safety(Section):
     station_hold_s: Positive = 1.0
     station_neutral_s: Positive = 3.0
     station_disarm_s: Annotated[float, Field(gt=0, le=60)] = 10.0  # and a board that is forgotten does not stay armed
-    plan_max_age_s: Annotated[float, Field(gt=0, le=5)] = 0.5  # a plan reaches 2.5 s ahead
+    plan_max_age_s: Annotated[float, Field(gt=0, le=5)] = 0.5  # and at most as old as a plan reaches ahead (experiment.py)
     watch_thrusters: bool = True  # neutral when the gyroscope does not feel what the thrusters were told
     off_path_m: Positive = (
         0.3  # neutral when farther off its path than this for 0.5 s, nothing being in the way; still water: 0.1

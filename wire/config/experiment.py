@@ -30,6 +30,7 @@ from wire.toml_loader import ConfigError, Section, apply_setting, check, read_to
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 SHORTEST_HORIZON_S = 2.25  # that kept slow robots on their paths in every flight (docs/control.md, Optimisation)
+SHORT_PLAN_AGE_S = float(Safety.model_fields["plan_max_age_s"].default)  # in which no robot gets far, whatever plans reach
 NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses are the simulation's truth
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
@@ -107,6 +108,28 @@ class Experiment(Section):
             raise ValueError(
                 f"controller.period_s = {period_s:g}: when one step fails to come the board of "
                 f"sim.board.neutral_after_s = {neutral_s:g} s would disarm (allowed: up to {neutral_s / 2.0:g})"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _distances_hold_the_hulls(self) -> Self:
+        radius_m, hull_m = self.safety.radius_m, self.vehicle.radius_m
+        if radius_m < hull_m:
+            raise ValueError(
+                f"safety.radius_m = {radius_m:g}: centres may come within {2.0 * radius_m:g} m of each other, but hulls of "
+                f"vehicle.radius_m = {hull_m:g} touch at {2.0 * hull_m:g} m (allowed: from {hull_m:g} on)"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _plans_count_no_longer_than_they_reach(self) -> Self:
+        age_s, mpc, period_s = self.safety.plan_max_age_s, self.controller.mpc, self.controller.period_s
+        allowed_s = max(mpc.horizon * period_s, SHORT_PLAN_AGE_S)
+        if age_s > allowed_s + 1e-9:
+            raise ValueError(
+                f"safety.plan_max_age_s = {age_s:g}: a plan reaches controller.mpc.horizon = {mpc.horizon} steps of "
+                f"controller.period_s = {period_s:g} s ahead, and when it is older it tells of nothing that is to come "
+                f"(allowed: up to {allowed_s:g})"
             )
         return self
 

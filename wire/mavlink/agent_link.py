@@ -74,6 +74,7 @@ class Telemetry:
     battery_reports: int = 0  # how many voltages the board has told; 0: none yet
     charge: int = 0  # how low the board takes the battery to be, filtered: MAV_BATTERY_CHARGE_STATE, 0 not known
     armed: bool = False
+    heartbeats: int = 0  # how many times the board has told whether it is armed; 0: that is not known
     echo_us: tuple[int, ...] = ()  # what the board put out: 4 thrusters, 4 ankles
     acknowledged: tuple[int, int] | None = None  # last COMMAND_ACK: command, MAV_RESULT
     acknowledgements: int = 0
@@ -227,7 +228,8 @@ class AgentLink:
             within(message.charge_state, CHARGE_STATES.start, CHARGE_STATES[-1])
             return {"charge": message.charge_state} if message.id == 0 else {}
         if kind == "HEARTBEAT":
-            return {"armed": bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED)}
+            count = changes.get("heartbeats", self.telemetry.heartbeats)
+            return {"armed": bool(message.base_mode & dialect.MAV_MODE_FLAG_SAFETY_ARMED), "heartbeats": count + 1}
         return self._read_answer(kind, message, changes, now_ns)
 
     def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from wire.mavlink.framing import Peer, Receiver, Sender
 from wire.mavlink.signing import Gate, Key, Verdict
 
 STATION: Peer = (255, 190)  # what ground stations go by
+DOES_NOT_EXIST: int = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
 LINK_ID = 1  # beside the robot's computer, which has 0
 
 

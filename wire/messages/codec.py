@@ -106,6 +106,12 @@ def _growing(cls: Any) -> tuple[str, ...]:
 
 
 @cache
+def _numbers(cls: Any) -> tuple[str, ...]:
+    """Names of the integers that say whose each row of the arrays is."""
+    return tuple(f.name for f in dataclasses.fields(cls) if f.metadata.get("each_row"))
+
+
+@cache
 def _later(cls: Any) -> frozenset[str]:
     """Names of those that messages of earlier versions do not have."""
     return frozenset(f.name for f in dataclasses.fields(cls) if f.metadata.get("later"))
@@ -194,6 +200,9 @@ def _from_protobuf(cls: type[M], message: Any, prefix: str = "") -> M:
             values[name] = np.zeros((len(values[first]), *values[name].shape[1:]))
         if len(values[name]) != len(values[first]):
             raise _Invalid(prefix + name, f"{len(values[name])} rows, but {first} has {len(values[first])}")
+    for name in _numbers(cast(Any, cls)):
+        if len(values[name]) != len(values[first]):
+            raise _Invalid(prefix + name, f"{len(values[name])} numbers for {len(values[first])} rows of {first}")
     return cls(**values)
 
 

@@ -28,6 +28,11 @@ def later_array(*shape: int) -> Any:
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape, "later": True})
 
 
+def row_numbers() -> Any:
+    """A field of integers, one for each row of the message's arrays: whose it is."""
+    return field(default=(), metadata={"each_row": True})
+
+
 POSITIVE = {"positive": True}  # metadata of a float that others divide by
 
 
@@ -115,7 +120,7 @@ class Tick:
 class Truth:
     """The simulated plant's true state; nobody who controls may read it."""
 
-    robots: tuple[int, ...] = ()
+    robots: tuple[int, ...] = row_numbers()
     eta: Array = array(-1, 4)
     nu: Array = array(-1, 4)
     wrench: Array = array(-1, 3)  # delivered by the thrusters
@@ -159,7 +164,7 @@ class Obstacles:
     `depth_m`: a camera alone cannot tell how deep. The k-th of all arrays and of `ids` belong together.
     """
 
-    ids: tuple[int, ...] = ()  # an obstacle keeps its number while it is followed; no number is used twice
+    ids: tuple[int, ...] = row_numbers()  # an obstacle keeps its number while it is followed; no number is used twice
     outline: Array = array(-1, 12, 2)  # x, y
     velocity: Array = array(-1, 2)  # over the floor, pool frame
     depth_m: float = 0.0  # assumed: that of the robots' path, where an obstacle would be in their way

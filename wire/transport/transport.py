@@ -193,15 +193,17 @@ class ZenohTransport:
         else:
             self._control = _open(endpoint, stopped, patience_s)
         self._images: zenoh.Session | None = None
+        self._opening = threading.Lock()  # around the pictures' session: previews and film begin in threads of their own
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
 
     def _session(self, qos: Qos) -> zenoh.Session:
         if qos is not Qos.IMAGE:
             return self._control
-        if self._images is None:
-            where = self._gate.inside if self._gate is not None else beside(self._endpoint)
-            self._images = _open(where, self._stopped, float("inf"))
-        return self._images
+        with self._opening:
+            if self._images is None:
+                where = self._gate.inside if self._gate is not None else beside(self._endpoint)
+                self._images = _open(where, self._stopped, float("inf"))
+            return self._images
 
     @property
     def _congestion(self) -> zenoh.CongestionControl:

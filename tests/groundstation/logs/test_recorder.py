@@ -162,8 +162,10 @@ def test_what_does_not_fit_in_memory_is_dropped_and_counted(tmp_path: Path) -> N
     half = bytes(MAX_PENDING_BYTES // 2 + 1)
     recorder._write_pending = lambda: None  # type: ignore[method-assign]  # as while the disk hangs
     recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, 1, 0), half, 0)
+    assert recorder.error == ""
     recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, 2, 0), half, 0)
     assert recorder.dropped == 1
+    assert recorder.error == "1 messages are lost: the disk does not take them as fast as they come"
     recorder.close()
 
 

@@ -31,6 +31,7 @@ class Robot:
     loaded_next: str = ""  # under way
     refuses: frozenset[Order] = frozenset()
     silent: bool = False
+    hears: bool = False  # also when silent: nothing that it says arrives
     unknown: bool = False
     test: str = ""
     eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
@@ -45,7 +46,7 @@ class Robot:
     def obey(self, command: Command, now_ns: int) -> Reply:
         self.got.append(command)
         unheard = self.silent or self.unknown
-        if unheard or command.order in self.refuses:
+        if (unheard and not self.hears) or command.order in self.refuses:
             return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
         leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
                  Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED}  # fmt: skip
@@ -61,7 +62,7 @@ class Robot:
         if command.order in (Order.START, Order.RESUME):
             self.trajectory_s = command.trajectory_s + max(now_ns - command.start_ns, 0) * 1e-9
             self.starts_at_ns = command.start_ns
-        return Reply(command.robot, True)
+        return Reply(command.robot, not unheard, "no answer" if unheard else "", silent=unheard)
 
     def view(self) -> RobotView:
         pose = Pose(0, 0, 0, np.eye(3), Track.MARKER, self.verified)
@@ -399,6 +400,22 @@ def test_a_robot_that_falls_out_before_the_start_ends_it_at_once_and_the_reason_
     run.step(0.5)
     assert run.at(Phase.FAILED)
     assert run.in_mode(1, Mode.DISARMED)
+
+
+@pytest.mark.parametrize("phase", [Phase.ARMING, Phase.STARTING])
+def test_a_robot_that_was_armed_and_restarts_before_the_start_is_not_armed_again(phase: Phase) -> None:
+    run = Run(automatic=False)
+    run.robots[1].refuses = frozenset({Order.START})
+    order = Order.ARM if phase is Phase.ARMING else Order.START
+    assert run.mission.wish(order, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(phase)
+    run.robots[2].mode, run.robots[2].loaded = Mode.DISARMED, ""
+    run.step(0.1)
+    assert run.at(Phase.ABORTING) and run.mission.reason == "robot 2: disarmed"
+    run.step(0.5)
+    assert run.at(Phase.FAILED) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+    assert [c.order for c in run.robots[2].got].count(Order.ARM) == 1
 
 
 def test_nobody_rejoins_those_who_are_on_their_way_home() -> None:
@@ -929,3 +946,121 @@ def test_a_robot_that_was_carried_off_while_it_held_is_led_back_before_all_go_on
     assert run.mission.wish(Order.RESUME, run.fleet(), run.now_ns) == ""
     assert run.at(Phase.HALTING) and run.mission.reason == "robot 2 is 1.10 m from its place"
     assert all(Order.RESUME not in [c.order for c in robot.got] for robot in run.robots.values())
+
+
+# --- after an emergency stop
+
+
+def test_a_stop_is_not_cleared_while_a_robot_flies_that_it_has_not_reached() -> None:
+    run = running(automatic=False)
+    run.robots[2].refuses = frozenset({Order.STOP})
+    assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.1)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == "robot 2 has not stopped yet (TRACKING)"
+    assert run.at(Phase.STOPPED)
+    run.robots[2].refuses = frozenset()
+    run.step(0.5)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.at(Phase.WAITING) and {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarmed() -> None:
+    run = running(automatic=False)
+    run.robots[2].silent = True
+    assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.2)
+    assert run.at(Phase.CLEARING)
+    run.robots[2].silent = False
+    run.step(0.5)
+    assert run.at(Phase.FAILED) and run.mission.reason == "robot 2 has not stopped: it is TRACKING"
+    assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+def test_a_stop_that_is_cleared_before_robots_have_told_of_it_is_cleared_on_each() -> None:
+    """They say that they are disarmed, which was so before the STOP that is on its way."""
+    run = Run(automatic=False)
+    run.step(0.2)
+    before = run.fleet()
+    assert run.mission.wish(Order.STOP, before, run.now_ns) == ""
+    assert run.mission.wish(Order.CLEAR_STOP, before, run.now_ns) == ""
+    orders = run.mission.step(before, (), run.now_ns + 10_000_000)
+    assert [(c.order, c.robot) for c in orders] == [(Order.CLEAR_STOP, 1), (Order.CLEAR_STOP, 2)]
+    assert run.at(Phase.CLEARING)
+
+
+def test_a_thruster_test_after_a_cleared_stop_does_not_begin_an_automatic_mission() -> None:
+    run = running()
+    assert run.mission.wish(Order.STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.mission.wish(Order.CLEAR_STOP, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.mission.wish(Order.TEST, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    for robot in run.robots.values():
+        robot.test = "passed"
+    run.step(3.0)
+    assert run.at(Phase.WAITING) and run.phases[-2] is Phase.TEST_ENDING
+    assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
+
+
+# --- home
+
+
+def test_nobody_is_armed_for_the_way_home_who_may_not_be_armed_at_all() -> None:
+    run = Run(automatic=False, settings=["mission.thruster_test=true"])
+    run.step(0.2)
+    untested = "thruster test: not done (groundstation order test)"
+    refused = f"no robot is fit to move; robot 1: {untested}; robot 2: {untested}"
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == refused
+    assert run.at(Phase.WAITING)
+    run.robots[1].test, run.robots[1].eta = "passed", (0.9, 0.9, 0.0, 0.0)  # far from its start: that is why it returns
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert run.mission.crew.out == {2: untested}
+    run.step(0.5)
+    run.mission.planned(replace(next_leg(run, 0.05), home=True), run.fleet(), run.now_ns)
+    run.step(2.0)
+    assert run.at(Phase.RETURNING)
+    assert run.in_mode(1, Mode.TRACKING) and run.in_mode(2, Mode.DISARMED)
+
+
+# --- links that lose one way
+
+
+@pytest.mark.parametrize("policy", ["hold", "go-on", "close-up"])
+def test_a_lost_robot_that_still_hears_is_told_to_hold_though_nothing_that_it_says_arrives(policy: str) -> None:
+    run = three_running(policy)
+    told = run.robots[2].view()
+    run.robots[2].silent = run.robots[2].hears = True
+    run.robots[2].view = lambda: replace(told, state_age_s=9.0)  # type: ignore[method-assign]  # its last word: TRACKING
+    run.step(0.5)
+    assert run.mission.crew.out == {2: "silent"}
+    assert run.in_mode(2, Mode.HOLDING)
+
+
+def test_a_lost_robot_that_still_hears_is_disarmed_with_the_others() -> None:
+    run = three_running("go-on")
+    told = run.robots[2].view()
+    run.robots[2].silent = run.robots[2].hears = True
+    run.robots[2].view = lambda: replace(told, state_age_s=9.0)  # type: ignore[method-assign]
+    run.step(0.5)
+    assert run.mission.wish(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    assert run.at(Phase.CANCELLED)  # nobody waits for it
+    assert run.in_mode(2, Mode.DISARMED)
+
+
+def test_a_robot_that_was_out_of_the_run_comes_home_after_it_though_the_others_cannot() -> None:
+    run = three_running("go-on")
+    run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
+    run.step(0.5)
+    assert run.mission.wish(Order.DISARM, run.fleet(), run.now_ns) == ""
+    run.step(1.0)
+    assert run.at(Phase.CANCELLED) and set(run.mission.crew.out) == {2}
+    run.robots[2].fault = ""
+    for robot in (1, 3):
+        run.robots[robot].battery_v = 10.0
+    assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == ""
+    assert set(run.mission.crew.out) == {1, 3}

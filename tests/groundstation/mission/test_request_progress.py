@@ -13,7 +13,7 @@ from groundstation.mission.state_machine import TABLE, Phase
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import Leg
 from tests.groundstation.mission.test_mission import Run
-from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Tuning
+from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
 
 FLOWN, WANTED = Tuning("flown"), Tuning("wanted")
 
@@ -220,3 +220,23 @@ def test_an_answer_about_gains_is_no_refusal_of_the_mission() -> None:
     answers = [Answer(Command(order, 2), Reply(2, False, order.name)) for order in (Order.LOAD, Order.TUNE)]
     asked.requests.follow(asked.run.mission, asked.run.fleet(), asked.tuning, answers)
     assert asked.outcome(number).why == ("is disarmed", "LOAD")
+
+
+@pytest.mark.parametrize("fit", [True, False])
+def test_a_return_that_leaves_a_robot_out_has_failed_and_says_which(fit: bool) -> None:
+    asked = Asked()
+    asked.run.step(0.2)
+    asked.run.robots[2].verified = fit
+    number = asked.ask(Order.RETURN)
+    asked.step(0.5)
+    line = np.zeros((20, 4))
+    home = {r: Trajectory(f"{t.id} home", 0.05, line, line, line, 0.05) for r, t in asked.run.mission.leg.trajectories.items()}
+    asked.run.mission.planned(Leg(home, home[1], 1.0, home=True), asked.run.fleet(), asked.run.now_ns)
+    asked.step(4.0)
+    assert asked.run.at(Phase.DONE)
+    found = asked.outcome(number)
+    if fit:
+        assert (found.progress, found.confirmed, found.waiting) == (Progress.DONE, (1, 2), ())
+        return
+    assert (found.progress, found.confirmed, found.waiting) == (Progress.FAILED, (1,), (2,))
+    assert found.reason.startswith("robot 2 is left out: pose is MARKER, identity not verified")

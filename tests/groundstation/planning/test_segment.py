@@ -132,7 +132,7 @@ def test_robots_load_every_plan_that_is_made_under_way_and_plans_made_of_plans(r
 
     def check(leg: Leg) -> None:
         for trajectory in leg.trajectories.values():
-            assert unflyable(trajectory, BLOCKED.pool.size_m, BLOCKED.vehicle) == ""
+            assert unflyable(trajectory, BLOCKED.pool, BLOCKED.vehicle) == ""
 
     leg = first_leg(BLOCKED)
     check(detour(BLOCKED, leg, 10.0, BALL))
@@ -194,6 +194,21 @@ def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:
     for a, b in combinations(new.trajectories.values(), 2):
         assert np.linalg.norm(a.eta[:, :3] - b.eta[:, :3], axis=1).min() > 0.59
     assert new.end_s > leg.end_s
+
+
+def test_a_vehicle_that_turns_slowly_is_given_time_to_turn() -> None:
+    """Robots refuse what they cannot fly: then a way home ends in an abort, with everybody disarmed where they are."""
+    pool = load_experiment("pool")
+    limits = pool.vehicle.limits.model_copy(update={"yaw_rate_radps": 1.2})
+    vehicle = pool.vehicle.model_copy(update={"limits": limits})
+    experiment, ready = pool.model_copy(update={"vehicle": vehicle}), first_leg(pool)
+    starts = {r: t.eta[0] for r, t in ready.trajectories.items()}
+    rests = {r: np.array([start[0] + 0.9, start[1], start[2], 0.0]) for r, start in starts.items()}  # they look away
+    home = homeward(experiment, 1.0, rests, starts)
+    into_place = gathered(experiment, ready, 1.0, 5.0, rests, {r: r for r in rests})
+    for leg in (home, into_place):
+        assert [unflyable(t, experiment.pool, vehicle) for t in leg.trajectories.values()] == ["", ""]
+    assert home.end_s < 25.0  # and not at a snail's pace
 
 
 def test_a_gap_closes_without_anybody_crossing() -> None:

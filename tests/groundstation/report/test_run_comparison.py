@@ -52,6 +52,15 @@ def test_figures_are_those_of_the_results(runs: list[Path]) -> None:
     assert worst == pytest.approx(max(AMPLITUDE_M[1][1], 0.0) / np.sqrt(2.0), rel=0.03)
 
 
+def test_a_run_in_which_one_robot_has_no_errors_has_no_worst_robot(runs: list[Path]) -> None:
+    """Else a run in which the worse robot never flew is the better one."""
+    one, other = read(runs)
+    lame = dataclasses.replace(other.result.robots["1"], rms_after_20s_m=None)
+    other = dataclasses.replace(other, result=dataclasses.replace(other.result, robots={**other.result.robots, "1": lame}))
+    rows = {row.name: row.values for row in figures_of([one, other])}
+    assert rows["tracking, RMS after 20 s"][0] is not None and rows["tracking, RMS after 20 s"][1] is None
+
+
 def test_only_what_differs_is_told(runs: list[Path]) -> None:
     assert differences(read(runs)) == [("controller.mpc.horizon", ("50", "40")), ("seed", ("1", "7"))]
     assert differences(read([runs[0], runs[0]])) == []

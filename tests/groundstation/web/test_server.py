@@ -464,8 +464,8 @@ def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: Lab) -> None:
     assert seen["robots"][0]["state"]["fault"] == "here"
 
 
-def test_the_page_shows_what_the_station_knows_of_links_and_clocks(lab: Lab) -> None:
-    lab.seen = {1: RobotView(loss=0.5, clock_offset_s=0.3), 2: RobotView()}
+def test_the_page_shows_what_the_station_knows_of_links_clocks_and_the_timetable(lab: Lab) -> None:
+    lab.seen = {1: RobotView(loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: RobotView()}
     page = lab.open()
     page.hello()
     for robot in (1, 2):
@@ -474,7 +474,8 @@ def test_the_page_shows_what_the_station_knows_of_links_and_clocks(lab: Lab) -> 
     texts = {a["key"]: a["text"] for a in seen["alarms"]}
     assert texts["1:link"] == "50% of its messages are lost"
     assert texts["1:clock"] == "its clock is 300 ms ahead of the station's"
-    assert "2:link" not in texts
+    assert texts["1:step"] == "is 0.8 s behind the others"
+    assert not {"2:link", "2:step"} & texts.keys()
 
 
 def test_the_map_gets_the_paths_that_are_flown_now(lab: Lab) -> None:

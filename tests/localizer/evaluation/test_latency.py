@@ -1,7 +1,8 @@
 """The latency test: its arithmetic on made-up times, and the whole command on a video."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from localizer.detection.image_regions import Pixels
 from localizer.detection.obstacles import ObstacleWatch
 from localizer.evaluation.latency import WARM_UP, Latency, Timing, Told, in_this_process, judge, measure
 from localizer.sources.base import Shot, Source
+from localizer.tracking.fleet_localizer import Located, Locator
 from tests.localizer.stand_ins import MS, HandClock
 from wire.config.experiment import load_experiment
 from wire.frames import Array
@@ -93,7 +95,7 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
         for shot in source.shots(stop):
             clock.sleep(0.002)
             if shot is not None:
-                told(shot.stamp_ns)
+                told(shot.stamp_ns, "")
                 clock.sleep(0.003)
 
     found, dropped = measure(Camera(), localize, clock, 1.0)
@@ -123,11 +125,42 @@ def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch
         def close(self) -> None:
             """Nothing to do."""
 
-    def told(stamp_ns: int) -> None:
-        order.append(f"told {stamp_ns}")
+    def told(stamp_ns: int, trouble: str) -> None:
+        order.append(f"told {stamp_ns}{trouble}")
 
-    in_this_process(load_experiment("pool"), WallClock(), Stop(install=False), Camera(), told)
+    in_this_process(load_experiment("pool"), HandClock(), Stop(install=False), Camera(), told)
     assert order == ["told 1", "obstacles 1", "told 2", "obstacles 2", "told 3", "obstacles 3"]
+
+
+def test_pictures_that_no_pose_comes_of_are_no_good_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A covered lens is quickly looked at, and so is a picture that an error costs: their times are not those of poses."""
+    random, clock, step = np.random.default_rng(1), WallClock(), Locator.step
+    begin_ns = clock.now_ns()
+
+    def fail_once(locator: Locator, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> Located:
+        if frame[0, 0] == 99:
+            raise ValueError("no solution")
+        return step(locator, frame, stamp_ns, depths_m)
+
+    monkeypatch.setattr(Locator, "step", fail_once)
+
+    class Camera:
+        trouble, silent_after_s = "", 0.25
+
+        def shots(self, stop: Stop) -> Iterator[Shot | None]:
+            for k, (low, high) in enumerate(
+                ((60, 90),) * WARM_UP + ((60, 90), (99, 100), (60, 90), (0, 4), (60, 90)), start=1
+            ):
+                yield Shot(
+                    random.integers(low, high, (960, 1280), np.uint8), k, begin_ns + k * 50 * MS, begin_ns + k * 50 * MS
+                )
+
+        def close(self) -> None:
+            """Nothing to do."""
+
+    found, _ = measure(Camera(), partial(in_this_process, load_experiment("pool"), clock, Stop(install=False)), clock, 60.0)
+    assert [t.trouble for t in found] == ["", "picture skipped: ValueError: no solution", "", "camera black", ""]
+    assert "no poses of 2 pictures (camera black)" in judged(found).warnings
 
 
 def test_the_command_measures_a_source_and_says_what_is_wrong(tmp_path: Path) -> None:

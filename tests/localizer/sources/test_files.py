@@ -1,5 +1,6 @@
 """Pictures from a bus, a video and a folder: right colours, right instants, the newest wins, drops are counted."""
 
+import itertools
 import threading
 import time
 from collections.abc import Iterator
@@ -104,6 +105,34 @@ def test_the_newest_frame_wins_and_the_ones_it_overtook_are_counted() -> None:
     camera = Bus(MemoryTransport(hub))
     third = later(9)
     assert (level(third), third.dropped) == (9, 2)
+
+
+def test_two_cameras_at_once_are_none_until_one_is_gone() -> None:
+    """A simulator that was left running beside the camera: its pictures in turn with the camera's show robots at two places.
+    A camera that is started again is taken up at once, as ever."""
+    hub, stop = MemoryHub(), Stop(install=False)
+    cameras, mine = [Bus(MemoryTransport(hub)) for _ in range(2)], Bus(MemoryTransport(hub))
+    source = BusSource(mine, WallClock(), RATE_HZ)
+    shots, ending, number = source.shots(stop), threading.Event(), itertools.count(1)
+
+    def film(both: threading.Event) -> None:
+        while not ending.wait(0.01):
+            for value, camera in enumerate(cameras if both.is_set() else cameras[1:], start=1):
+                camera.publish(topics.FRAME, Frame(flat(value + (not both.is_set()))[..., 0]), next(number))
+                time.sleep(0.01)
+
+    both = threading.Event()
+    both.set()
+    filming = threading.Thread(target=film, args=(both,))
+    filming.start()
+    try:
+        assert None in itertools.islice(shots, 50)
+        assert next(shots) is None and source.trouble == "two cameras publish frames: end one of them"
+        both.clear()
+        assert {level(shot) for shot in itertools.islice((shot for shot in shots if shot is not None), 3)} == {2}
+    finally:
+        ending.set()
+        filming.join()
 
 
 def test_instants_are_by_our_clock_and_the_stated_age_whatever_the_cameras_clock_says() -> None:

@@ -101,6 +101,7 @@ class Robot:
         (bent("eta", 7, 0, 9.0), "leaves the pool at 0.35 s"),
         (bent("eta", 0, 1, -9.0), "leaves the pool at 0.00 s"),
         (bent("eta", 0, 2, 9.0), "leaves the pool"),
+        (bent("eta", 7, 2, -0.51), "leaves the pool at 0.35 s"),
         (bent("eta", 0, 2, float("nan")), "leaves the pool"),
         (bent("eta", 7, 0, 0.4), "eta moves by 0.405 m in x at 0.30 s, its velocities say 0.005 m"),
         (bent("eta", 7, 3, 1.0), "eta moves by 1 rad in yaw at 0.30 s, its velocities say 0 rad"),
@@ -127,7 +128,7 @@ def test_a_trajectory_that_cannot_be_flown_is_refused(loaded: Trajectory | None,
 def test_what_the_planner_plans_is_loaded(scene: str) -> None:
     experiment = load_experiment(scene)
     for trajectory in planner.plan(experiment).values():
-        assert unflyable(trajectory, experiment.pool.size_m, experiment.vehicle) == ""
+        assert unflyable(trajectory, experiment.pool, experiment.vehicle) == ""
 
 
 def test_a_path_may_set_off_and_stop_at_once() -> None:

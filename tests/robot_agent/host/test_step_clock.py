@@ -93,6 +93,17 @@ def test_a_hiccup_now_and_then_is_not_too_slow(hiccup_s: float) -> None:
     assert (pace.missed > 0, pace.late_steps * PERIOD_S < LATE_S) == (True, True)
 
 
+def test_a_loop_that_was_slow_for_a_minute_is_quick_again_within_a_second() -> None:
+    """Before the robot flies nothing stops a slow loop; once it flies, only how it runs now may."""
+    pace = Pace(PERIOD_S, 0.0)
+    for _ in range(1200):
+        pace.put_out(0.1)
+    assert pace.late_steps * PERIOD_S >= LATE_S
+    for _ in range(20):
+        pace.put_out(0.004)
+    assert (pace.missed, pace.late_steps * PERIOD_S < LATE_S) == (1200, True)
+
+
 def test_places_that_were_missed_are_left_out_and_the_grid_stays_where_it_was() -> None:
     pace = Pace(PERIOD_S, 0.0)
     pace.stepped(0.0, None)

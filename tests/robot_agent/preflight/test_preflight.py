@@ -18,18 +18,20 @@ from typer.testing import CliRunner, Result
 from groundstation.deploy import key_ring
 from robot_agent.__main__ import cli
 from robot_agent.host.config import Board, Realtime, choose, load_board
-from robot_agent.preflight import findings
+from robot_agent.preflight import board as check_shell
+from robot_agent.preflight import findings, network
 from robot_agent.preflight.findings import Finding, Verdict
 from robot_agent.preflight.rehearsal import rehearse
 from robot_agent.preflight.thruster_selftest import judge
 from sim_bridge.sil.ports import free_base_port, free_port
-from wire.config.experiment import load_experiment
+from tests.robot_agent import obedient_board
+from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.messages import Mode, Solve, StationHeartbeat
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.network import endpoint
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, Presence, ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -163,6 +165,90 @@ def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> 
     for agent, inputs, now_ns in itertools.islice(rehearse(load_experiment("pool", [setting]), 1), 40):
         outputs = agent.step(inputs, now_ns)
     assert outputs.state.mode is Mode.TRACKING
+
+
+def test_a_rehearsal_that_does_not_fly_tells_no_time() -> None:
+    """The steps of a robot that lies disarmed are in time on any CPU."""
+    finding = check_shell._timing(load_experiment("pool", ["pool.size_m=[1.5, 0.9, 1.0]"]), 1)
+    assert (finding.what, finding.verdict) == ("control step", Verdict.WARN)
+    assert "not timed" in finding.detail and "LOAD is refused: trajectory.eta leaves the pool" in finding.detail
+    assert "p50" not in finding.detail
+
+
+class Told(obedient_board.Board):
+    """A thruster board that tells whether it is armed only after `late` reads, and then every time."""
+
+    def __init__(self, armed: bool, late: int) -> None:
+        super().__init__()
+        self._armed, self._late = armed, late
+
+    def read(self) -> bytes:
+        self._late -= 1
+        self._ms += 50
+        told = [self._link.status(12.1, 0, 0, 0), self._link.pressure(self._ms, 0.3), self._link.attitude(self._ms, 0.2, 0.0)]
+        return b"".join(told + ([self._link.heartbeat(self._armed, True)] if self._late < 0 else []))
+
+
+@pytest.mark.parametrize(
+    ("armed", "late", "says", "turns"),
+    [
+        (False, 3, "disarmed", True),
+        (True, 3, "ARMED: by whom?", False),
+        (True, 10**9, "does not say whether it is armed", False),
+    ],
+)
+def test_thrusters_are_turned_only_on_a_board_that_says_it_is_disarmed(
+    armed: bool, late: int, says: str, turns: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Somebody else may fly the robot: an agent of another fleet's name, or one whose station is off."""
+    monkeypatch.setattr(check_shell, "open_board", lambda board: (Told(armed, late), None))
+    monkeypatch.setattr(check_shell, "BOARD_WITHIN_S", 0.05)
+    monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
+    turned: list[str] = []
+
+    def turn(experiment: Experiment) -> Iterator[Finding]:
+        turned.append(experiment.name)
+        yield Finding("thruster 1", Verdict.OK, "turned")
+
+    board = Board(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
+    found = {finding.what: finding for finding in check_shell.look_over(board, turn)}
+    assert says in found["thruster board"].detail
+    assert found["thruster board"].verdict is (Verdict.OK if turns else Verdict.WARN)
+    assert turned == (["pool"] if turns else [])
+    assert ("thrusters" in found) is not turns
+
+
+def test_an_agent_whose_presence_is_told_late_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The router tells who is there when it comes to that; the station's heartbeat may be here before."""
+    hub, stop = MemoryHub(), threading.Event()
+    station, agent = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    agent.announce("agent-1")
+
+    class Late(MemoryTransport):
+        def __init__(self, *arguments: object, **options: object) -> None:
+            super().__init__(hub)
+
+        def watch(self, key: str, presence: Presence) -> None:
+            threading.Timer(0.1, super().watch, (key, presence)).start()
+
+    def beat() -> None:
+        while not stop.wait(0.01):
+            station.publish(topics.HEARTBEAT, StationHeartbeat(), time.time_ns())
+
+    monkeypatch.setattr(network, "ZenohTransport", Late)
+    monkeypatch.setattr(network, "trouble_reaching", lambda *_: "")
+    monkeypatch.setattr(network, "PRESENT_WITHIN_S", 20.0)
+    beating = threading.Thread(target=beat)
+    beating.start()
+    look = network.look_at_network(Board(robot=1, experiment="pool", station="tcp/127.0.0.1:9"))
+    try:
+        while True:
+            next(look)
+    except StopIteration as end:
+        assert end.value is True
+    finally:
+        stop.set()
+        beating.join()
 
 
 # --- the whole, on a board that is there

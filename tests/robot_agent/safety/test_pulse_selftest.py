@@ -38,6 +38,25 @@ def test_a_thruster_that_stays_or_runs_is_named(echo: dict[int, int], says: str)
     assert says in run(echo)[0]
 
 
+@pytest.mark.parametrize(
+    ("echo", "result", "turned"),
+    [
+        ({3: 1900}, "thruster 4 was asked for 1500 us, the board says 1900", {0}),
+        ({0: 1900}, "thruster 1 was asked for 1540 us, the board says 1900", {0}),
+        ({1: 1460}, "thruster 2 was asked for 1500 us, the board says 1460", {0}),
+    ],
+)
+def test_a_thruster_that_runs_wild_ends_the_test_and_is_the_only_one_named(
+    echo: dict[int, int], result: str, turned: set[int]
+) -> None:
+    """It may stand beside a person: the station disarms as soon as there is a result."""
+    found, sent = run(echo)
+    push_us = max(max(pulses[:4]) for pulses in sent)
+    assert found == result.replace("1540", str(push_us))
+    assert {k for pulses in sent for k in range(4) if pulses[k] != 1500} == turned
+    assert sum(pulses != NEUTRAL for pulses in sent) <= 6  # 0.3 s
+
+
 def test_a_board_that_says_nothing_fails_every_thruster() -> None:
     assert run(silent=True)[0].count("the board says nothing") == 4
 

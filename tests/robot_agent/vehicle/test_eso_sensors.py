@@ -10,6 +10,7 @@ from robot_agent.agent import Outputs
 from robot_agent.command_check import StationView
 from robot_agent.inputs import Inputs
 from robot_agent.preflight.rehearsal import ARM_AFTER, DEPTH_M, STATION, rehearse
+from robot_agent.safety.pulse_selftest import ThrusterTest
 from wire.config.experiment import load_experiment
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order
@@ -72,6 +73,14 @@ def test_a_place_that_has_to_be_given_up_means_hold_where_the_robot_is_now() -> 
     assert holds is not None
 
 
+def test_poses_that_make_no_sense_at_all_are_no_pose() -> None:
+    """Reflections here and there: nothing is corrected any more, so thrust goes by the model alone."""
+    seen = [o.state for _, o in flown(lambda inputs, n: leapt(inputs, 0.6 if n % 2 else -0.6), 12)]
+    assert seen[BAD + 7].mode is Mode.TRACKING
+    assert (seen[-1].mode, set(seen[-1].pulse_us)) == (Mode.FAULT, {1500})
+    assert seen[-1].fault.startswith("no pose that can be true: for 0.")
+
+
 @pytest.mark.parametrize(("depth_m", "why"), [(1.4, "the depth sensor says 1.40 m in a pool of 1 m"), (-0.4, "says -0.40 m")])
 def test_a_robot_does_not_arm_on_a_depth_outside_the_pool(depth_m: float, why: str) -> None:
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER - 2):
@@ -94,3 +103,41 @@ def test_no_thrust_is_asked_of_a_board_that_is_not_armed() -> None:
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER + 10):
         outputs = agent.step(replace(inputs, telemetry=replace(inputs.telemetry, armed=False)), now_ns)
     assert outputs.state.mode is Mode.TRACKING and not outputs.state.wrench.any() and set(outputs.pulse_us) == {1500}
+
+
+def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_in_doubt() -> None:
+    """Preflight asks for one that was passed: nobody takes off again on what was so before they broke."""
+    steps = rehearse(POOL, 1)
+    for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 1):
+        agent.step(inputs, now_ns)
+    agent._test = ThrusterTest(POOL.vehicle, agent.neutral_us)
+    agent._test.result = "passed"
+    for agent, inputs, now_ns in itertools.islice(steps, 20):
+        state = agent.step(inputs, now_ns).state
+    assert (state.mode, state.thruster_test) == (Mode.TRACKING, "passed")
+    for agent, inputs, now_ns in itertools.islice(steps, 20):
+        stuck = replace(inputs.telemetry, echo_us=(1900, *agent.neutral_us[1:]))
+        state = agent.step(replace(inputs, telemetry=stuck), now_ns).state
+    assert (state.mode, state.fault, state.thruster_test) == (Mode.FAULT, "thruster board disobeys", "")
+
+
+@pytest.mark.parametrize("testing", [False, True])
+def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: bool) -> None:
+    """In ARMED, where people are nearest. A test says itself what it finds, and what it found stays."""
+    agent = None
+    for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER):
+        agent.step(inputs, now_ns)
+    assert agent is not None
+    agent.mode = Mode.ARMED
+    if testing:
+        agent._test = ThrusterTest(POOL.vehicle, agent.neutral_us)
+    seen = []
+    for k in range(20):
+        at_ns = now_ns + (k + 1) * 50_000_000
+        echo_us = (1900, *agent.neutral_us[1:])
+        board = replace(inputs.telemetry, armed=True, echo_us=echo_us, board_ms=at_ns // 1_000_000, arrival_ns=at_ns)
+        station, pose = StationView(STATION, at_ns, 0.0), replace(inputs.pose, instant_ns=at_ns) if inputs.pose else None
+        seen.append(agent.step(replace(inputs, telemetry=board, station=station, pose=pose), at_ns).state)
+    found = next(k for k, state in enumerate(seen) if state.mode is Mode.FAULT)
+    assert seen[found].fault == "thruster board disobeys" and found <= (12 if testing else 6)
+    assert seen[-1].thruster_test.startswith("thruster 1 was asked for") is testing

@@ -1,7 +1,12 @@
 """What can keep a run from being one."""
 
-import pytest
+import io
+from pathlib import Path
 
+import pytest
+from rich.console import Console
+
+from sim_bridge.sil import launcher
 from sim_bridge.sil.commands import Way, check
 from wire.config.experiment import load_experiment
 from wire.toml_loader import ConfigError
@@ -21,3 +26,20 @@ def test_who_cannot_be_seen_flies_without_the_camera_or_not_at_all(
     check(experiment, Way(poses=True))
     with pytest.raises(ConfigError, match=f"{complaint}.*--poses"):
         check(experiment, Way())
+
+
+@pytest.mark.parametrize("earlier", [None, '{"passed": true}'])
+def test_a_report_that_ends_with_an_error_is_none(
+    earlier: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A Python program that raises ends with 1, as the report of a run that did not pass does. What was there before is no
+    result of this run."""
+    (tmp_path / "groundstation").mkdir()
+    (tmp_path / "groundstation" / "__init__.py").touch()
+    (tmp_path / "groundstation" / "__main__.py").write_text("raise MemoryError('on purpose')")
+    monkeypatch.chdir(tmp_path)  # where `python -m` looks first
+    if earlier is not None:
+        (tmp_path / "result.json").write_text(earlier)
+    told = Console(record=True, width=500, file=io.StringIO())
+    assert not launcher.report(tmp_path, told)
+    assert "no report: Traceback" in (text := told.export_text()) and "MemoryError: on purpose" in text

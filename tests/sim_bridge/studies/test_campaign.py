@@ -16,14 +16,18 @@ import pytest
 from distributed import LocalCluster
 from rich.console import Console
 from scipy import stats
+from typer.testing import CliRunner
 
 from groundstation.planning import planner
+from sim_bridge.__main__ import cli
+from sim_bridge.in_process import run
 from sim_bridge.studies import campaign_runner
 from sim_bridge.studies.campaign import Campaign, flights
 from sim_bridge.studies.campaign_flight import planning_text
+from sim_bridge.studies.metrics import MEASURES, broken_limits
 from sim_bridge.studies.statistics import distribution, quantile, rate
 from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_experiment
-from wire.process.runtime import Stop
+from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError, check
 
 TABLE: dict[str, Any] = {
@@ -215,6 +219,63 @@ def test_a_flight_that_does_not_arrive_has_not_passed(tmp_path: Path) -> None:
     assert not row["passed"] and "arrived_m" in row["reason"]
 
 
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [
+        ('sim.faults=[{at_s=0.2,what="battery 2 sag 4"}]', "at_fault"),
+        ("robots.1.start=[0.71,-0.33,0.3,1.6]", "min_separation_m"),
+    ],
+)
+def test_a_flight_that_breaks_what_every_run_must_keep_has_not_passed(setting: str, reason: str, tmp_path: Path) -> None:
+    """A robot that gives up, and robots nearer to each other than twice safety.radius_m: the command that flies the row again
+    fails too, though no limit of the experiment is asked of so short a flight."""
+    loaded = campaign(settings=["duration_s=1.5", setting], seeds=1, sweep={}, draw={})
+    assert fly(loaded, tmp_path / "c") == 0
+    (row,) = rows(tmp_path / "c")
+    assert (row["status"], row["passed"], row["reason"]) == ("flown", False, reason)
+    words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 1
+
+
+def test_a_figure_that_is_no_number_breaks_its_limit() -> None:
+    found = {**dict.fromkeys(MEASURES, 0.0), "min_separation_m": 1.0}
+    diverged: dict[str, float | None] = {**found, "rms_after_20s_m": float("nan"), "min_separation_m": float("nan")}
+    assert broken_limits(load_experiment("pool"), {**found}) == []
+    assert broken_limits(load_experiment("pool"), diverged) == ["rms_after_20s_m", "min_separation_m"]
+
+
+def test_a_robot_that_refuses_is_a_refusal_with_its_reason_and_leaves_no_folder(tmp_path: Path) -> None:
+    """In a numeric flight as in a campaign: the battery is too low to arm."""
+    settings = ["duration_s=1", "sim.sensors.battery_v=9"]
+    sets = [word for setting in settings for word in ("--set", setting)]
+    done = CliRunner().invoke(cli, ["numeric", "pool", *sets, "--out", str(tmp_path / "runs")])
+    assert isinstance(done.exception, ConfigError) and not (tmp_path / "runs").exists()
+    assert str(done.exception).startswith("robot 1 refuses ARM: the battery has 9.0 V")
+    assert fly(campaign(settings=settings, seeds=1, sweep={}, draw={}), tmp_path / "c") == 1
+    (row,) = rows(tmp_path / "c")
+    assert (row["status"], row["reason"]) == ("refused", str(done.exception))
+
+
+def test_a_planner_that_is_killed_has_refused_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    dies = (sys.executable, "-c", "import os; os.kill(os.getpid(), 9)")
+    monkeypatch.setattr(run, "STATION", dies)
+    with pytest.raises(Failed, match="groundstation plan ended with exit code -9: without a word"):
+        run.plan(load_experiment("pool", [NO_CAMERA]))
+
+
+def test_a_flight_that_failed_is_flown_again_by_resume(flown: Path, tmp_path: Path) -> None:
+    """What made it fail, such as a machine without memory, may be over; what was refused would be refused again."""
+    first, second, *others = [json.loads(line) for line in (flown / "journal.jsonl").read_text().splitlines()]
+    spoilt = [
+        {**first, "status": "failed", "reason": "MemoryError: "},
+        {**second, "status": "refused", "reason": "why"},
+        *others,
+    ]
+    (tmp_path / "journal.jsonl").write_text("".join(json.dumps(row) + "\n" for row in spoilt))
+    assert fly(campaign(), tmp_path, resume=True) == 1
+    assert [row["status"] for row in rows(tmp_path)] == ["flown", "refused", "flown", "flown"]
+
+
 def test_a_campaign_in_which_no_flight_flew_says_so_with_the_first_reason(tmp_path: Path) -> None:
     told = Console(record=True, width=500, file=io.StringIO())
     refused = campaign(sweep={"path.lap_s": [1.0, 2.0]}, draw={}, seeds=1)
@@ -266,8 +327,7 @@ def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
     assert [row["rms_m"] for row in found] == [row["rms_m"] for row in expected]
 
 
-def test_a_cluster_that_is_not_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(campaign_runner, "CLUSTER_WITHIN_S", 0.3)
+def test_a_cluster_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:1: "):
         fly(campaign(seeds=1), tmp_path / "c", scheduler="tcp://127.0.0.1:1")
 

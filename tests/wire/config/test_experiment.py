@@ -469,3 +469,25 @@ def test_a_step_may_fail_to_come_without_the_board_disarming() -> None:
     load_experiment("pool", ["controller.period_s=0.04", "sim.board.neutral_after_s=0.08"])
     with pytest.raises(ConfigError, match=r"controller.period_s = 0.05: .*neutral_after_s = 0.08 s .*allowed: up to 0.04"):
         load_experiment("pool", ["sim.board.neutral_after_s=0.08"])
+
+
+def test_a_safety_distance_smaller_than_the_hull_is_refused() -> None:
+    """Whichever of the two was changed: plans, right of way and reports all count from safety.radius_m."""
+    assert load_experiment("pool", ["safety.radius_m=0.15"]).vehicle.radius_m == 0.15
+    for setting, wrong in (
+        ("safety.radius_m=0.149", r"0.149: .* within 0.298 m .*0.15"),
+        ("vehicle.radius_m=0.35", "0.3: .*0.35"),
+    ):
+        with pytest.raises(ConfigError, match=rf"safety.radius_m = {wrong} touch at .*allowed: from"):
+            load_experiment("pool", [setting])
+
+
+def test_a_neighbours_plan_does_not_count_when_all_of_it_is_past() -> None:
+    """While it counts, a silent neighbour has no bubble that grows, and is taken to yield."""
+    load_experiment("pool", ["safety.plan_max_age_s=2.5"])
+    load_experiment("pool", ["controller.mpc.horizon=5", "controller.mpc.blocks=[1,4]"])  # as runs were flown
+    for settings in (["safety.plan_max_age_s=2.6"], ["safety.plan_max_age_s=1.3", "controller.mpc.horizon=25"]):
+        with pytest.raises(
+            ConfigError, match=r"safety.plan_max_age_s = (2.6|1.3): a plan reaches .*allowed: up to (2.5|1.25)"
+        ):
+            load_experiment("pool", settings)

@@ -180,6 +180,14 @@ def test_arrays_of_one_message_have_one_length() -> None:
     assert error.field == "trajectory.acceleration"
 
 
+def test_an_obstacle_without_a_number_is_not_passed_over() -> None:
+    """Readers go through numbers and outlines together: what has no number would be nowhere."""
+    two = Obstacles(ids=(7,), outline=np.zeros((2, 12, 2)), velocity=np.zeros((2, 2)), unseen_s=np.zeros(2), watched=1.0)
+    assert _refused(Obstacles, encode(two)).reason == "1 numbers for 2 rows of outline"
+    assert _refused(Obstacles, encode(dataclasses.replace(two, ids=(7, 8, 9)))).field == "ids"
+    assert _decode(Obstacles, encode(dataclasses.replace(two, ids=(7, 8)))).ids == (7, 8)
+
+
 @pytest.mark.parametrize("period_s", [0.0, -0.05, -0.0])
 def test_a_period_is_positive(period_s: float) -> None:
     assert _refused(Plan, encode(Plan(period_s))).field == "period_s"

@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+import zenoh
 
 from sim_bridge.sil.ports import free_port
 from wire.messages import messages, topics
@@ -205,6 +206,32 @@ def test_what_nobody_collects_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -
         sender.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1000)
         assert eventually(lambda: beats.newest() is not None)
         assert [header.stamp_ns for _, _, header, _ in collect()] == [8, 9, 10, 11]
+
+
+def test_threads_that_send_their_first_pictures_at_once_share_a_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The localizer's previews and its film begin with the same picture. A second session would never be closed."""
+    opened, real, together = [], transport._open, threading.Barrier(2)
+
+    def open_and_note(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) -> zenoh.Session:
+        opened.append(real(endpoint, stopped, patience_s))
+        return opened[-1]
+
+    address = f"tcp/127.0.0.1:{free_port()}"
+    with Bus(ZenohTransport(Endpoint(address, router=True))), Bus(ZenohTransport(Endpoint(address))) as sender:
+        monkeypatch.setattr(transport, "_open", open_and_note)
+
+        def send(topic: topics.Topic, message: messages.Message) -> None:
+            together.wait()
+            sender.publish(topic, message, 1)
+
+        with ThreadPoolExecutor(2) as pool:
+            sent: list[tuple[topics.Topic, messages.Message]] = [
+                (topics.PREVIEW, messages.Preview(b"1")),
+                (topics.PICTURE, messages.Picture(b"2")),
+            ]
+            for future in [pool.submit(send, *one) for one in sent]:
+                future.result()
+    assert [session.is_closed() for session in opened] == [True]
 
 
 def test_a_picture_arrives_whole(make_bus: MakeBus) -> None:

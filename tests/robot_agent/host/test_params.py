@@ -1,0 +1,21 @@
+"""`robot-agent params`: what it says of a board's answers."""
+
+import pytest
+
+from robot_agent.host.params import _found
+from wire.mavlink.board_link import BoardLink
+from wire.mavlink.parameters import STATION, ParameterClient
+from wire.toml_loader import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("code", "says"), [(1, "CMD_AGE_MS: the board has no such parameter"), (3, "CMD_AGE_MS: the board refuses: error 3")]
+)
+def test_an_error_that_comes_before_the_value_is_told_as_what_it_is(code: int, says: str) -> None:
+    """An armed board refuses a change; on a serial line, the end of its answer may come later."""
+    board, client = BoardLink(1), ParameterClient(1)
+    client.receive(board.heartbeat(armed=True, healthy=True), 0)
+    client.receive(board.parameter_error(STATION, "CMD_AGE_MS", 0, code), 0)
+    with pytest.raises(ConfigError) as refused:
+        _found(client, "CMD_AGE_MS")
+    assert str(refused.value) == says
