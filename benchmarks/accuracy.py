@@ -26,7 +26,7 @@ from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import AgentFleet, BareWater
 from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import Robot
+from wire.config.scene import RobotConfig
 from wire.frames import Array, pool_to_body, wrap
 from wire.messages.messages import Pose, Track, Trajectory
 
@@ -320,7 +320,7 @@ def _identity() -> Iterator[Row]:
         n = 10
         courses = Courses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
         pool = load_experiment("pool", [f"seed={seed}", "sim.picture.alike=true"])
-        experiment = pool.model_copy(update={"robots": tuple(Robot(id=i + 1, node_m=(0.0, 0.0, 0.0)) for i in range(n))})
+        experiment = pool.model_copy(update={"robots": tuple(RobotConfig(id=i + 1, node_m=(0.0, 0.0, 0.0)) for i in range(n))})
         renderer, locator, random = Renderer(experiment, seed), Locator(experiment), np.random.default_rng([seed, 8])
         aruco = _aruco_alone(experiment, courses)["ArUco alone"]
         hidden, silent = np.zeros(n, dtype=bool), np.zeros((round(CROWD_S / PERIOD_S), n), dtype=bool)

@@ -17,7 +17,7 @@ def settled(flown_s: float) -> bool:
 
 
 @dataclass(frozen=True)
-class Figures:
+class FlightMetrics:
     """One flight in numbers."""
 
     rms_m: float  # distance from the reference, over all robots and the whole run
@@ -48,11 +48,11 @@ class Traces:
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightRecord:
     """One variant on one seed."""
 
     seed: int
-    figures: Figures
+    figures: FlightMetrics
     traces: Traces | None = None  # of the first seed
 
 
@@ -62,7 +62,7 @@ class Variant:
 
     name: str
     settings: list[str]
-    flights: list[Flight]
+    flights: list[FlightRecord]
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,8 @@ class Comparison:
         return cls(variants=variants, **table)
 
 
-def _flight(table: dict[str, object]) -> Flight:
+def _flight(table: dict[str, object]) -> FlightRecord:
     figures, traces = table["figures"], table["traces"]
     if not isinstance(figures, dict) or not isinstance(traces, dict | None):
         raise TypeError("figures and traces must be objects")
-    return Flight(int(str(table["seed"])), Figures(**figures), Traces(**traces) if traces is not None else None)
+    return FlightRecord(int(str(table["seed"])), FlightMetrics(**figures), Traces(**traces) if traces is not None else None)

@@ -16,13 +16,13 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
-from wire.config.controller import Controller, Safety
+from wire.config.controller import ControllerConfig, Safety
 from wire.config.fault_injection import fault_table
 from wire.config.formation_shapes import SHAPES, shape_nodes
-from wire.config.mission import Conduct
+from wire.config.mission import MissionConfig
 from wire.config.perception import LANDMARKS_NEEDED, Camera, CameraFile, Landmark, Localizer
 from wire.config.recording import Recording
-from wire.config.scene import Formation, Island, PathSpec, Pool, Robot
+from wire.config.scene import FormationConfig, Island, PathSpec, PoolConfig, RobotConfig
 from wire.config.simulation import Sim
 from wire.config.vehicle import Fraction, Positive, Vehicle, load_vehicle
 from wire.frames import Array
@@ -65,14 +65,14 @@ class Experiment(Section):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
     duration_s: Annotated[float, Field(gt=0, le=36000)]
     vehicle: Vehicle
-    pool: Pool
+    pool: PoolConfig
     path: PathSpec
-    formation: Formation = Formation()
-    robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=49)]
+    formation: FormationConfig = FormationConfig()
+    robots: Annotated[tuple[RobotConfig, ...], Field(min_length=1, max_length=49)]
     islands: tuple[Island, ...] = ()
     safety: Safety = Safety()
-    mission: Conduct = Conduct()
-    controller: Controller = Controller()
+    mission: MissionConfig = MissionConfig()
+    controller: ControllerConfig = ControllerConfig()
     camera: Camera
     landmarks: tuple[Landmark, ...] = ()  # with any, the camera is taken to move
     localizer: Localizer = Localizer()
@@ -186,7 +186,7 @@ class Experiment(Section):
         """Ids of all robots, in the file's order."""
         return tuple(robot.id for robot in self.robots)
 
-    def robot(self, robot_id: int) -> Robot:
+    def robot(self, robot_id: int) -> RobotConfig:
         """The robot of that id. Raises ConfigError naming the ids there are."""
         for robot in self.robots:
             if robot.id == robot_id:
@@ -199,7 +199,7 @@ class Experiment(Section):
         leader = self.robot_ids[0] if self.formation.leader is None else self.formation.leader
         return leader if self.formation.kind == "leader-follower" and leader != robot_id else None
 
-    def path_of(self, robot: Robot) -> PathSpec:
+    def path_of(self, robot: RobotConfig) -> PathSpec:
         """The path whose node that robot is on."""
         return self.path if robot.path is None else robot.path
 
@@ -307,7 +307,7 @@ def _insert_rates(table: dict[str, Any]) -> None:
     limits = vehicle.get("limits") if isinstance(vehicle, dict) else None
     if not (isinstance(limits, dict) and isinstance(controller, dict)) or "wrench_rate_per_s" in limits:
         return
-    steps, period_s = limits.get("wrench_step"), controller.get("period_s", Controller().period_s)
+    steps, period_s = limits.get("wrench_step"), controller.get("period_s", ControllerConfig().period_s)
     if isinstance(steps, list) and all(isinstance(value, int | float) and value > 0.0 for value in (*steps, period_s)):
         limits["wrench_rate_per_s"] = [step * (1.0 / period_s) for step in steps]
         del limits["wrench_step"]
@@ -318,7 +318,7 @@ def _insert_nodes(table: dict[str, Any]) -> None:
     formation, robots = table.get("formation"), table.get("robots")
     if not (isinstance(formation, dict) and isinstance(robots, list)) or formation.get("shape") not in SHAPES:
         return
-    spacing_m = formation.get("spacing_m", Formation.model_fields["spacing_m"].default)
+    spacing_m = formation.get("spacing_m", FormationConfig.model_fields["spacing_m"].default)
     if isinstance(spacing_m, int | float) and 0.0 < spacing_m < math.inf:
         for robot, node in zip(robots, shape_nodes(formation["shape"], len(robots), spacing_m).tolist(), strict=True):
             if isinstance(robot, dict):

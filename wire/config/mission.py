@@ -8,7 +8,7 @@ from wire.config.vehicle import NotNegative, Positive
 from wire.toml_loader import Section
 
 
-class Conduct(Section):
+class MissionConfig(Section):
     """The experiment's `[mission]`."""
 
     # when a robot falls out: everybody disarms; holds; goes on without it; or the others take the places of the file's first

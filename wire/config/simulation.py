@@ -6,14 +6,14 @@ import numpy as np
 from pydantic import Field
 
 from wire.config.fault_injection import Fault
-from wire.config.plant import Plant
+from wire.config.plant import PlantConfig
 from wire.config.scene import Vec3
 from wire.config.vehicle import Fraction, NotNegative, Positive
 from wire.frames import Array
 from wire.toml_loader import Section
 
 
-class Picture(Section):
+class PictureConfig(Section):
     """What the simulated camera sees besides robots."""
 
     noise: NotNegative = 2.0  # standard deviation at mid grey, in grey levels of 255
@@ -90,9 +90,9 @@ class Sim(Section):
     # in lockstep, numeric flights and with --poses: from the middle of an exposure to the control step
     latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03
     numeric: Numeric = Numeric()
-    plant: Plant = Plant()
+    plant: PlantConfig = PlantConfig()
     faults: tuple[Fault, ...] = ()
-    picture: Picture = Picture()
+    picture: PictureConfig = PictureConfig()
     camera_motion: CameraMotion = CameraMotion()
     drifters: tuple[Drifter, ...] = ()
     sensors: Sensors = Sensors()

@@ -13,7 +13,7 @@ from typing import Any, get_args
 import numpy as np
 from pydantic.fields import FieldInfo
 
-from wire.config.controller import Controller, Live
+from wire.config.controller import ControllerConfig, Live
 from wire.messages.messages import Tuning
 from wire.toml_loader import ConfigError, Section, apply_setting, check
 
@@ -23,11 +23,11 @@ ROOT = "controller"
 class _File(Section):
     """So that complaints name keys as they stand in an experiment file."""
 
-    controller: Controller
+    controller: ControllerConfig
 
 
 @dataclass(frozen=True)
-class Knob:
+class TunableParameter:
     """One number that may be changed, and between what. `above`: `least` itself is not allowed; `below`: nor is `most`."""
 
     key: str
@@ -38,17 +38,17 @@ class Knob:
     below: bool
 
 
-def knobs(controller: Controller) -> tuple[Knob, ...]:
+def knobs(controller: ControllerConfig) -> tuple[TunableParameter, ...]:
     """All that has an effect with this law, as it is set now."""
     return tuple(knob for knob in _within(ROOT, controller) if not knob.key.startswith(_idle(controller)))
 
 
-def _idle(controller: Controller) -> tuple[str, ...]:
+def _idle(controller: ControllerConfig) -> tuple[str, ...]:
     """A law other than the ESO-MPC has gains of its own in the place of these: what it has learnt rests on them, they stay."""
     return () if controller.law == "eso-mpc" else (f"{ROOT}.mpc.", f"{ROOT}.guidance.position_gain_per_s2")
 
 
-def _within(prefix: str, section: Section) -> Iterator[Knob]:
+def _within(prefix: str, section: Section) -> Iterator[TunableParameter]:
     for name, field in type(section).model_fields.items():
         key, value = f"{prefix}.{name}", getattr(section, name)
         if isinstance(value, Section):
@@ -62,14 +62,14 @@ def _within(prefix: str, section: Section) -> Iterator[Knob]:
             yield _knob(key, value, field.metadata)
 
 
-def _knob(key: str, value: float, marks: list[Any]) -> Knob:
+def _knob(key: str, value: float, marks: list[Any]) -> TunableParameter:
     """From what pydantic checks: its marks have an attribute of the bound's name."""
     bound = {name: float(getattr(mark, name)) for name in ("ge", "gt", "le", "lt") for mark in marks if hasattr(mark, name)}
     least, most = bound.get("gt", bound.get("ge", -np.inf)), bound.get("lt", bound.get("le", np.inf))
-    return Knob(key, value, least, most, "gt" in bound, "lt" in bound)
+    return TunableParameter(key, value, least, most, "gt" in bound, "lt" in bound)
 
 
-def tuning(controller: Controller) -> Tuning:
+def tuning(controller: ControllerConfig) -> Tuning:
     """Its gains as a message. The same values have the same id, everywhere and always."""
     found = knobs(controller)
     text = json.dumps([(knob.key, knob.value) for knob in found])
@@ -77,7 +77,7 @@ def tuning(controller: Controller) -> Tuning:
     return Tuning(name, tuple(knob.key for knob in found), np.array([knob.value for knob in found]))
 
 
-def tuned(controller: Controller, values: Mapping[str, float]) -> Controller:
+def tuned(controller: ControllerConfig, values: Mapping[str, float]) -> ControllerConfig:
     """The controller with other gains. Raises ConfigError naming key, value and what is allowed."""
     allowed = {knob.key for knob in knobs(controller)}
     table: dict[str, Any] = {ROOT: controller.model_dump(mode="json")}
@@ -111,7 +111,7 @@ def values_of(settings: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def of_message(controller: Controller, message: Tuning) -> Controller:
+def of_message(controller: ControllerConfig, message: Tuning) -> ControllerConfig:
     """The controller that a message asks for. Raises ConfigError also for one that contradicts itself."""
     if len(message.keys) != len(message.values) or len(set(message.keys)) != len(message.keys):
         raise ConfigError(

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Rank
-from wire.config.controller import Mpc as MpcConfig
-from wire.config.controller import Safety
+from wire.config.controller import MpcConfig, Safety
 from wire.frames import Array
 from wire.messages.messages import Plan
 

@@ -5,7 +5,7 @@ import pytest
 
 from robot_agent.control.heading import HOLD_RADPS, Guidance
 from robot_agent.guidance.reference import Follow, Hold, Path, Sampler
-from wire.config.controller import Guidance as GuidanceConfig
+from wire.config.controller import GuidanceConfig
 from wire.config.vehicle import load_vehicle
 from wire.frames import Array
 from wire.messages.messages import Trajectory

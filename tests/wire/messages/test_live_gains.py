@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wire.config.experiment import load_experiment
-from wire.messages.live_gains import Knob, knobs, of_message, tuned, tuning, values_of
+from wire.messages.live_gains import TunableParameter, knobs, of_message, tuned, tuning, values_of
 from wire.messages.messages import Tuning
 from wire.toml_loader import ConfigError
 
@@ -37,7 +37,7 @@ def loads(key: str, value: float) -> bool:
 
 
 @each_knob
-def test_bounds_are_those_of_the_experiment_file(knob: Knob) -> None:
+def test_bounds_are_those_of_the_experiment_file(knob: TunableParameter) -> None:
     assert loads(knob.key, math.nextafter(knob.least, math.inf)) and loads(knob.key, math.nextafter(knob.most, -math.inf))
     assert loads(knob.key, knob.least) is not knob.above
     assert loads(knob.key, knob.most) is not knob.below
@@ -46,7 +46,7 @@ def test_bounds_are_those_of_the_experiment_file(knob: Knob) -> None:
 
 
 @each_knob
-def test_a_change_is_what_the_file_would_have_given(knob: Knob) -> None:
+def test_a_change_is_what_the_file_would_have_given(knob: TunableParameter) -> None:
     value = 0.5 * (knob.value + min(knob.most, knob.value + 1.0))
     changed = tuned(POOL.controller, {knob.key: value})
     assert changed == load_experiment("pool", [written(knob.key, value)]).controller
