@@ -22,8 +22,9 @@ from sim_bridge.sil.ports import free_port
 from wire.messages import codec, topics
 from wire.messages.topics import Topic
 from wire.security.key_ring import Keys
+from wire.transport.endpoint import Endpoint
 from wire.transport.gate import Gate
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 CASES: dict[str, tuple[Topic, int]] = {"RobotState": (topics.STATE, ROUND_TRIPS), "Frame": (topics.FRAME, FRAME_ROUND_TRIPS)}
 

@@ -21,7 +21,8 @@ from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import Plan, Pose, StationHeartbeat, Track
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 SAMPLES, SAMPLE_S = 4, 3.0
 START_S = 3.0

@@ -37,7 +37,8 @@ from wire.messages.topics import Topic
 from wire.process.cli_options import DEFAULT_FLEET
 from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 ROBOTS = 49  # as many as there are markers
 NODES = 50

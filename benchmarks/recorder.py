@@ -49,7 +49,8 @@ from wire.messages.messages import Pose, Track
 from wire.messages.topics import Role, Topic
 from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 RATE_HZ = 20
 CONTROLLED = 99  # the robot whose control is measured: what it says of itself

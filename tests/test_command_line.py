@@ -24,7 +24,7 @@ from wire.messages.messages import Order, Outcome, Progress, Reply
 from wire.process.cli_options import experiments
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 ROOT = Path(__file__).parents[1]
 PROGRAMS = {
@@ -234,7 +234,7 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
     done_by_one = Outcome(1, Order.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
     replies = {Order.START: Reply(0, True, outcome=done_by_one), Order.HOLD: Reply(0, False, "no")}
     station.serve(0, lambda header, command: replies[command.order])
-    monkeypatch.setattr("wire.transport.transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
+    monkeypatch.setattr("wire.transport.zenoh_transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):
         done = CliRunner().invoke(groundstation, ["order", order, "--json"])
         robots = {"1": "confirmed", "2": "not heard"} if accepted else {}

@@ -73,7 +73,7 @@ def run(
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
-    from wire.transport.transport import ZenohTransport
+    from wire.transport.zenoh_transport import ZenohTransport
 
     token = _token(web_token_file) if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)

@@ -25,8 +25,9 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.topics import WHOLE_FLEET
+from wire.process.lockstep import Lockstep, LockstepClock
 from wire.process.output_files import replace_text
-from wire.process.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus
+from wire.process.runtime import Clock, Stop, WallClock, log, log_to_bus
 from wire.security.access_control import INSECURE
 from wire.toml_loader import ConfigError, files_named
 from wire.transport.bus import Bus

@@ -30,7 +30,8 @@ from wire.config.experiment import load_experiment
 from wire.messages import codec, topics
 from wire.messages.messages import Mode, RobotState
 from wire.process.runtime import Stop
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = [pytest.mark.real_time, pytest.mark.timeout(400)]
 

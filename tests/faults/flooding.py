@@ -10,7 +10,8 @@ import numpy as np
 
 from tests.wire.strategies import CLASSES, example
 from wire.messages import codec, topics
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 RATE_HZ, BATCH_S = 10_000, 0.01
 OVERSIZED = bytes(codec.MAX_MESSAGE_BYTES + 1)

@@ -22,7 +22,8 @@ from wire.config.experiment import dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.messages import Command, Mode, Order, Reply
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
 CRUISES = 10  # attempts at a flight in one piece

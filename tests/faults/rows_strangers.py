@@ -17,9 +17,11 @@ from tests.faults.row import Random, Sample
 from tests.wire.strangers import Strangers
 from wire.messages.messages import Command, Order
 from wire.transport.bus import Bus
+from wire.transport.endpoint import Endpoint
 from wire.transport.gate import nearest
 from wire.transport.network import endpoint
-from wire.transport.transport import Endpoint, Unreached, ZenohTransport
+from wire.transport.transport import Unreached
+from wire.transport.zenoh_transport import ZenohTransport
 
 ATTACKS: tuple[dict[str, float], ...] = (
     {"knocks_hz": 12.0},

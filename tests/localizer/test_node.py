@@ -32,10 +32,13 @@ from wire.messages import topics
 from wire.messages.codec import Header, decode
 from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacles, Pose, Preview, RobotState, Tick, Track
 from wire.messages.topics import Topic
-from wire.process.runtime import Clock, Failed, LockstepClock, Stop, WallClock, log
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Clock, Failed, Stop, WallClock, log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Inbox
-from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -36,7 +36,7 @@ from wire.messages.codec import decode
 from wire.messages.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
 from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = [pytest.mark.real_time, pytest.mark.timeout(600)]  # what waits for a browser waits for a loaded machine
 

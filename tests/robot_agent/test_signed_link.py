@@ -17,7 +17,7 @@ from wire.messages import topics
 from wire.messages.messages import RobotState
 from wire.process.runtime import Stop
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

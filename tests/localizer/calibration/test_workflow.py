@@ -30,7 +30,7 @@ from wire.messages.messages import Frame
 from wire.process.runtime import Stop, WallClock
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
 TRUTH = load_experiment("pool").camera.model_copy(

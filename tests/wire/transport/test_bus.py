@@ -12,9 +12,11 @@ import zenoh
 from sim_bridge.sil.ports import free_port
 from wire.messages import messages, topics
 from wire.messages.codec import Header, encode
-from wire.transport import transport
+from wire.transport import zenoh_transport
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -210,7 +212,7 @@ def test_what_nobody_collects_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -
 
 def test_threads_that_send_their_first_pictures_at_once_share_a_session(monkeypatch: pytest.MonkeyPatch) -> None:
     """The localizer's previews and its film begin with the same picture. A second session would never be closed."""
-    opened, real, together = [], transport._open, threading.Barrier(2)
+    opened, real, together = [], zenoh_transport._open, threading.Barrier(2)
 
     def open_and_note(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) -> zenoh.Session:
         opened.append(real(endpoint, stopped, patience_s))
@@ -218,7 +220,7 @@ def test_threads_that_send_their_first_pictures_at_once_share_a_session(monkeypa
 
     address = f"tcp/127.0.0.1:{free_port()}"
     with Bus(ZenohTransport(Endpoint(address, router=True))), Bus(ZenohTransport(Endpoint(address))) as sender:
-        monkeypatch.setattr(transport, "_open", open_and_note)
+        monkeypatch.setattr(zenoh_transport, "_open", open_and_note)
 
         def send(topic: topics.Topic, message: messages.Message) -> None:
             together.wait()

@@ -12,7 +12,7 @@ from wire.messages.messages import StationHeartbeat
 from wire.process.runtime import WallClock, age_s
 from wire.transport.bus import Bus
 from wire.transport.delay_estimator import ANOTHER_CLOCK_NS, WINDOW_NS, Lateness
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 MS = 1_000_000
 PERIOD_NS = 50 * MS

@@ -33,7 +33,7 @@ from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
 from wire.transport.gate import door_of, nearest
 from wire.transport.network import endpoint
-from wire.transport.transport import ZenohTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -23,9 +23,10 @@ from wire.messages.topics import Role, Topic
 from wire.security.key_ring import Keys, common_name
 from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.endpoint import FLOOD
+from wire.transport.endpoint import FLOOD, Endpoint
 from wire.transport.network import endpoint
-from wire.transport.transport import Endpoint, Unreached, ZenohTransport
+from wire.transport.transport import Unreached
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
