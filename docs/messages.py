@@ -60,7 +60,7 @@ def _topic_row(topic: Topic) -> str:
         topic.audience,
         rate,
         age,
-        f"{topic.qos.name}, the last {topic.kept} kept" if topic.kept else topic.qos.name,
+        f"{topic.qos.name}, the last {topic.cache_depth} kept" if topic.cache_depth else topic.qos.name,
         recorded,
     )
     return f"| {' | '.join(cells)} |"

@@ -30,7 +30,7 @@ S = TypeVar("S", bound=Section)
 
 
 @contextmanager
-def files_named(path: Path) -> Iterator[None]:
+def os_errors_as_config_errors(path: Path) -> Iterator[None]:
     """What the file system refuses meanwhile becomes a ConfigError that says where and why."""
     try:
         yield

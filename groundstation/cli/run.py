@@ -26,7 +26,7 @@ from wire.process.cli_options import (
     caution,
 )
 from wire.process.runtime import Stop, start_log
-from wire.toml_loader import ConfigError, files_named
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 
@@ -110,7 +110,7 @@ def run(
 
 
 def _token(file: Path) -> str:
-    with files_named(file):
+    with os_errors_as_config_errors(file):
         try:
             token = file.read_text(encoding="utf-8").strip()
         except UnicodeDecodeError:

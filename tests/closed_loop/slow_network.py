@@ -52,8 +52,8 @@ class Slow(MemoryTransport):
         super().__init__(hub)
         self._chance, self._closing = chance, closing
 
-    def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]:
-        put, chance = super().publisher(key, qos, kept), self._chance
+    def publisher(self, key: str, qos: Qos, cache_depth: int = 0) -> Callable[[bytes, bytes], None]:
+        put, chance = super().publisher(key, qos, cache_depth), self._chance
         if chance is None:
             return put
 

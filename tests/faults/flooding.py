@@ -23,7 +23,7 @@ def main() -> None:
     random = np.random.default_rng(int(seed))
     transport = ZenohTransport(Endpoint(station))
     keys = ((topics.PLAN.key(int(robot)), topics.PLAN), (topics.EVENT.key(), topics.EVENT), ("junk", topics.STATE))
-    publish = [transport.publisher(f"shoal/{key}", topic.qos, topic.kept) for key, topic in keys]
+    publish = [transport.publisher(f"shoal/{key}", topic.qos, topic.cache_depth) for key, topic in keys]
     payloads = [codec.encode(example(cls)) for cls in CLASSES]
     due_s = time.monotonic()
     while True:

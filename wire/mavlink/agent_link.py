@@ -15,7 +15,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as dialect
 
 from wire.mavlink.framing import LOSS_WINDOW_NS, MARKER, Receiver, Sender
-from wire.mavlink.signing import Gate, Key, Verdict
+from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -123,9 +123,9 @@ class AgentLink:
         older telemetry is somebody's recording.
         """
         self._robot_id, self._board, self._me = robot_id, (robot_id, BOARD_COMPONENT), (robot_id, AGENT_COMPONENT)
-        gate = Gate(key, floor=now())
-        self._sender = Sender(self._me, key, lambda: max(now(), gate.newest + 1))
-        self._receiver = Receiver(lambda peer: peer == self._board, gate)
+        verifier = SignatureVerifier(key, floor=now())
+        self._sender = Sender(self._me, key, lambda: max(now(), verifier.newest + 1))
+        self._receiver = Receiver(lambda peer: peer == self._board, verifier)
         self._refused = 0
         self._has_depth = False  # this burst, so far
         self._burst_ms = -1  # the board's time of the last burst
@@ -194,9 +194,9 @@ class AgentLink:
             foreign_frames=receiver.foreign_frames,
             stale_frames=receiver.stale_frames,
             refused_frames=self._refused,
-            unsigned_frames=receiver.refused[Verdict.UNSIGNED],
-            forged_frames=receiver.refused[Verdict.FORGED],
-            replayed_frames=receiver.refused[Verdict.REPLAYED],
+            unsigned_frames=receiver.refused[SignatureVerdict.UNSIGNED],
+            forged_frames=receiver.refused[SignatureVerdict.FORGED],
+            replayed_frames=receiver.refused[SignatureVerdict.REPLAYED],
         )
 
     def _read(self, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:

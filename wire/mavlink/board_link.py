@@ -23,7 +23,7 @@ from wire.mavlink.agent_link import (
     pulses_of,
 )
 from wire.mavlink.framing import Peer, Receiver, Sender
-from wire.mavlink.signing import LATEST, Gate, Key
+from wire.mavlink.signing import LATEST, Key, SignatureVerifier
 
 ALL_COMPONENTS = 0  # some ground stations ask everybody of a system
 NOT_MEASURED = -1  # current, remaining charge
@@ -110,14 +110,17 @@ Event = (
 class BoardLink:
     """The thruster board: events in, packed answers and sensor messages out."""
 
-    def __init__(self, robot_id: int, gate: Gate | None = None, key: Key | None = None, sent: int = 0) -> None:
-        """Takes the frames that pass the `gate`; with a `key` signs its own, later than `sent` and than all that it took."""
+    def __init__(
+        self, robot_id: int, verifier: SignatureVerifier | None = None, key: Key | None = None, sent: int = 0
+    ) -> None:
+        """Accept frames that pass the `verifier`. With a `key`, sign its own frames, with timestamps later than `sent` and
+        than those of all frames accepted."""
         self._robot_id = robot_id
-        gate = gate or Gate(key)
-        self._sender = Sender((robot_id, BOARD_COMPONENT), key, lambda: max(gate.newest, sent) + 1)
-        self._receiver = Receiver(lambda peer: peer != (robot_id, BOARD_COMPONENT), gate)
+        verifier = verifier or SignatureVerifier(key)
+        self._sender = Sender((robot_id, BOARD_COMPONENT), key, lambda: max(verifier.newest, sent) + 1)
+        self._receiver = Receiver(lambda peer: peer != (robot_id, BOARD_COMPONENT), verifier)
         self.refused_frames = 0
-        self.taken_frames = 0  # intact ones that passed the gate, whatever they asked for
+        self.taken_frames = 0  # intact ones that passed the verifier, whatever they asked for
 
     @property
     def bad_frames(self) -> int:

@@ -30,7 +30,7 @@ class Key:
             raise ValueError(f"a signing key has {KEY_BYTES} bytes and a link id of 0 to 255")
 
 
-class Verdict(Enum):
+class SignatureVerdict(Enum):
     """What the signature of an intact frame says."""
 
     GOOD = 0
@@ -63,7 +63,7 @@ class Signer:
         return signed + _hash(self._key, signed)
 
 
-class Gate:
+class SignatureVerifier:
     """Which signed frames one end takes. Without a key: unsigned ones only."""
 
     def __init__(self, key: Key | None, floor: int = 0) -> None:
@@ -72,19 +72,19 @@ class Gate:
         self._streams: dict[tuple[int, int, int], int] = {}
         self.newest = floor  # the latest timestamp taken so far
 
-    def judge(self, frame: bytes, system: int, component: int) -> Verdict:
+    def verify(self, frame: bytes, system: int, component: int) -> SignatureVerdict:
         """Look at an intact frame's flag and signature. Only a good one leaves a trace."""
         if not frame[2] & SIGNED:
-            return Verdict.GOOD if self._key is None else Verdict.UNSIGNED
+            return SignatureVerdict.GOOD if self._key is None else SignatureVerdict.UNSIGNED
         signed, given = frame[:-HASH_BYTES], frame[-HASH_BYTES:]
         if self._key is None or not hmac.compare_digest(_hash(self._key, bytes(signed)), bytes(given)):
-            return Verdict.FORGED
+            return SignatureVerdict.FORGED
         stream = (frame[-SIGNATURE_BYTES], system, component)
         timestamp = int.from_bytes(signed[-6:], "little")
         if timestamp <= self._streams.get(stream, self._floor):
-            return Verdict.REPLAYED
+            return SignatureVerdict.REPLAYED
         if stream not in self._streams and len(self._streams) >= STREAMS:
-            return Verdict.REPLAYED
+            return SignatureVerdict.REPLAYED
         self._streams[stream] = timestamp
         self.newest = max(self.newest, timestamp)
-        return Verdict.GOOD
+        return SignatureVerdict.GOOD

@@ -56,7 +56,7 @@ def load_key(path: Path, link_id: int = 0) -> Key:
         raise ConfigError(f"{path}: not a link key (allowed: {2 * KEY_BYTES} hexadecimal digits; {HOW})") from None
 
 
-class Stamps:
+class TimestampStore:
     """The time for signatures, in ticks: Unix time, but never before what an earlier life of this program has used."""
 
     def __init__(self, path: Path, unix_ns: Callable[[], int] = time.time_ns) -> None:
@@ -89,14 +89,14 @@ class Signing:
     """What a program signs with."""
 
     key: Key
-    stamps: Stamps
+    stamps: TimestampStore
 
     @classmethod
     def of(cls, path: Path, program: str, link_id: int = 0) -> "Signing":
         """The key of a file, and the file of the times that this program has used: beside it, or where systemd has a service
         keep its state, which is all that it may write. Raises ConfigError."""
         folder = Path(os.environ.get("STATE_DIRECTORY") or path.parent)
-        return cls(load_key(path, link_id), Stamps(folder / f"{path.name}.{program}-stamps"))
+        return cls(load_key(path, link_id), TimestampStore(folder / f"{path.name}.{program}-stamps"))
 
 
 def agent_end(robot: int, signing: Signing | None) -> AgentLink:

@@ -38,9 +38,9 @@ class TunableParameter:
     below: bool
 
 
-def knobs(controller: ControllerConfig) -> tuple[TunableParameter, ...]:
+def tunable_parameters(controller: ControllerConfig) -> tuple[TunableParameter, ...]:
     """All that has an effect with this law, as it is set now."""
-    return tuple(knob for knob in _within(ROOT, controller) if not knob.key.startswith(_idle(controller)))
+    return tuple(parameter for parameter in _within(ROOT, controller) if not parameter.key.startswith(_idle(controller)))
 
 
 def _idle(controller: ControllerConfig) -> tuple[str, ...]:
@@ -57,12 +57,12 @@ def _within(prefix: str, section: Section) -> Iterator[TunableParameter]:
             continue
         elif isinstance(value, tuple):
             for k, (entry, hint) in enumerate(zip(value, get_args(field.annotation), strict=True)):
-                yield _knob(f"{key}.{k}", entry, FieldInfo.from_annotation(hint).metadata)
+                yield _parameter(f"{key}.{k}", entry, FieldInfo.from_annotation(hint).metadata)
         else:
-            yield _knob(key, value, field.metadata)
+            yield _parameter(key, value, field.metadata)
 
 
-def _knob(key: str, value: float, marks: list[Any]) -> TunableParameter:
+def _parameter(key: str, value: float, marks: list[Any]) -> TunableParameter:
     """From what pydantic checks: its marks have an attribute of the bound's name."""
     bound = {name: float(getattr(mark, name)) for name in ("ge", "gt", "le", "lt") for mark in marks if hasattr(mark, name)}
     least, most = bound.get("gt", bound.get("ge", -np.inf)), bound.get("lt", bound.get("le", np.inf))
@@ -71,15 +71,15 @@ def _knob(key: str, value: float, marks: list[Any]) -> TunableParameter:
 
 def tuning(controller: ControllerConfig) -> Tuning:
     """Its gains as a message. The same values have the same id, everywhere and always."""
-    found = knobs(controller)
-    text = json.dumps([(knob.key, knob.value) for knob in found])
+    found = tunable_parameters(controller)
+    text = json.dumps([(parameter.key, parameter.value) for parameter in found])
     name = hashlib.sha256(text.encode()).hexdigest()[:8]
-    return Tuning(name, tuple(knob.key for knob in found), np.array([knob.value for knob in found]))
+    return Tuning(name, tuple(parameter.key for parameter in found), np.array([parameter.value for parameter in found]))
 
 
 def tuned(controller: ControllerConfig, values: Mapping[str, float]) -> ControllerConfig:
     """The controller with other gains. Raises ConfigError naming key, value and what is allowed."""
-    allowed = {knob.key for knob in knobs(controller)}
+    allowed = {parameter.key for parameter in tunable_parameters(controller)}
     table: dict[str, Any] = {ROOT: controller.model_dump(mode="json")}
     for key, value in values.items():
         if key not in allowed:

@@ -18,11 +18,11 @@ from typing import Any
 from wire.messages.topics import (
     COMMAND_KEY,
     COMMANDERS,
+    OPERATORS,
     PRESENCE_KEY,
     RECOVERED,
     TOPICS,
     WHOLE_FLEET,
-    WISHERS,
     Role,
     Topic,
     process_name,
@@ -68,7 +68,7 @@ def grants(member: Member) -> Grants:
         serve: tuple[str, ...] = (COMMAND_KEY.format(robot=member.robot),)
     else:
         serve = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role is Role.STATION else ()
-    ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in WISHERS else ()
+    ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in OPERATORS else ()
     return Grants(
         write=tuple(topic for topic in TOPICS if member.role in topic.writers),
         read=tuple(topic for topic in TOPICS if member.role in topic.readers),

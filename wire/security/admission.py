@@ -128,7 +128,7 @@ class Lane:
 
 
 @dataclass
-class Try:
+class HandshakeAttempt:
     """A connection that was passed on to the router."""
 
     origin: str
@@ -151,7 +151,7 @@ class Admission:
         self._known: OrderedDict[str, None] = OrderedDict()
         self._lanes = (Lane(), Lane())
         self._waits: dict[int, str] = {}  # origin of each connection that is not passed on yet
-        self._tries: dict[int, Try] = {}
+        self._tries: dict[int, HandshakeAttempt] = {}
         self._unproven: OrderedDict[int, float] = OrderedDict()  # since when, s
 
     def come(self, connection: int, address: str, now_s: float) -> tuple[int, ...]:
@@ -225,13 +225,13 @@ class Admission:
             return True
         return False
 
-    def _settle(self, connection: int, found: Try) -> None:
+    def _settle(self, connection: int, found: HandshakeAttempt) -> None:
         """A handshake is no longer under way."""
         del self._unproven[connection]
         self._lanes[found.lane].trying -= 1
         self._origins[found.origin].trying -= 1
 
-    def _give(self, found: Try, count: float, now_s: float) -> None:
+    def _give(self, found: HandshakeAttempt, count: float, now_s: float) -> None:
         self._lanes[found.lane].tokens.add(count, now_s)
         if found.origin in self._origins:
             self._origins[found.origin].tokens.add(count, now_s)
@@ -264,7 +264,7 @@ class Admission:
         name = self._leave(connection)
         if name in self._crowd:
             self._crowd.move_to_end(name)  # the others' turn comes first, now and the next time
-        self._tries[connection] = found = Try(name, lane, now_s)
+        self._tries[connection] = found = HandshakeAttempt(name, lane, now_s)
         self._unproven[connection] = now_s
         self._lanes[lane].trying += 1
         self._origins[name].trying += 1

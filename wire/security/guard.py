@@ -41,7 +41,7 @@ MOST_LINKS = 2048  # 49 robots take some 150
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 
 
-class Gone(Exception):
+class PeerClosed(Exception):
     """A socket's other end is no more."""
 
     def __init__(self, which: socket.socket) -> None:
@@ -75,7 +75,7 @@ class Pump:
         except BlockingIOError:
             return b""
         except OSError:
-            raise Gone(self.source) from None
+            raise PeerClosed(self.source) from None
         if not size:
             self.ended = True
             self.write()
@@ -101,10 +101,10 @@ class Pump:
         except BlockingIOError:
             return 0
         except OSError:
-            raise Gone(self.sink) from None
+            raise PeerClosed(self.sink) from None
 
 
-class Link:
+class ProxiedConnection:
     """A connection that was passed on: the peer's socket and the router's, and what has gone between them."""
 
     def __init__(self, number: int, peer: socket.socket, router: socket.socket, hello: bytes) -> None:
@@ -126,7 +126,7 @@ class Guard:
         self._interest: dict[socket.socket, int] = {}  # events for which a socket is registered
         self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
         self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
-        self._links: dict[int, Link] = {}
+        self._links: dict[int, ProxiedConnection] = {}
         self._number = 0
         self._buffer = bytearray(CHUNK)
         self._look_s = float("inf")  # when the admission is to be asked again
@@ -251,11 +251,11 @@ class Guard:
         router.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, INNER_BUFFER)
         for one in (peer, router):
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        link = self._links[number] = Link(number, peer, router, b"".join(self._hellos.pop(number)))
+        link = self._links[number] = ProxiedConnection(number, peer, router, b"".join(self._hellos.pop(number)))
         router.connect_ex(("127.0.0.1", self._ports[lane]))
         self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
 
-    def _from_router(self, link: Link, events: int) -> None:
+    def _from_router(self, link: ProxiedConnection, events: int) -> None:
         if link.number not in self._links:
             return
         try:
@@ -270,13 +270,13 @@ class Guard:
                     return
                 if not link.proven:
                     self._judge(link)
-        except Gone as gone:
+        except PeerClosed as gone:
             link.by_router = link.by_router or (gone.which is link.down.source and not link.up.ended)
             self._drop(link.number)
             return
         self._go_on(link)
 
-    def _from_peer(self, link: Link, events: int) -> None:
+    def _from_peer(self, link: ProxiedConnection, events: int) -> None:
         if link.number not in self._links:
             return
         try:
@@ -286,18 +286,18 @@ class Guard:
                 link.up.read(self._buffer)
                 if link.claimed_at is None and link.up.passed >= CERTIFICATE_BYTES:
                     link.claimed_at = link.down.passed
-        except Gone:
+        except PeerClosed:
             self._drop(link.number)
             return
         self._go_on(link)
 
-    def _judge(self, link: Link) -> None:
+    def _judge(self, link: ProxiedConnection) -> None:
         if link.claimed_at is not None and link.down.passed - link.claimed_at >= ANSWER_BYTES:
             link.proven = True
             self._admission.proven(link.number, time.monotonic())
             self._look_s = 0.0
 
-    def _go_on(self, link: Link) -> None:
+    def _go_on(self, link: ProxiedConnection) -> None:
         """Look at both sockets for what they are good for now; end a link that is over."""
         up, down = link.up, link.down
         if up.over and down.over:

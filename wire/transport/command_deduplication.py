@@ -19,14 +19,14 @@ ALWAYS_TAKEN = frozenset({Order.STOP, Order.DISARM})  # they only take power awa
 SENDERS = 4096  # remembered; each station's life and each terminal's order is one
 
 
-class Once:
+class CommandDeduplicator:
     """What one process remembers of the orders it has dealt with."""
 
     def __init__(self, session: int) -> None:
         self._session = session
         self._answered: OrderedDict[int, tuple[int, Reply]] = OrderedDict()  # by sender's session: last sequence and answer
 
-    def settled(self, header: Header, command: Command) -> Reply | None:
+    def known_reply(self, header: Header, command: Command) -> Reply | None:
         """The answer to an order that is not to be looked at (again); None if it is new and for this life."""
         if command.order in ALWAYS_TAKEN:
             return None
@@ -39,7 +39,7 @@ class Once:
             return self._refuse(command, f"is old: order {header.sequence} after {sequence}")
         return None
 
-    def settle(self, header: Header, reply: Reply) -> Reply:
+    def record(self, header: Header, reply: Reply) -> Reply:
         """Note an order as dealt with. Returns the answer, which tells for whom the next order must be."""
         reply = replace(reply, session=self._session)
         if header.sequence >= self._answered.get(header.session, (0, None))[0]:  # a late STOP makes no other order new again

@@ -9,7 +9,7 @@ WINDOW_NS = 10_000_000_000  # the fastest is looked for in one to two of these: 
 ANOTHER_CLOCK_NS = 5_000_000_000  # nothing is held up that long (a link that is cut for 1 s is given up): a clock was set
 
 
-class Lateness:
+class DelayEstimator:
     """Of one sender's messages, as they come in."""
 
     def __init__(self) -> None:
@@ -17,7 +17,7 @@ class Lateness:
         self._least_ns = self._least_before_ns = 0  # in this window and in the one before: arrived minus sent
         self._since_ns = 0
 
-    def of(self, session: int, sent_ns: int, arrived_ns: int) -> int:
+    def excess_ns(self, session: int, sent_ns: int, arrived_ns: int) -> int:
         """By how much a message is late that was sent at `sent_ns` by the sender's clock, and came at `arrived_ns` by ours."""
         took_ns = arrived_ns - sent_ns
         least_ns = min(self._least_ns, self._least_before_ns)

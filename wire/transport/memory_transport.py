@@ -36,9 +36,9 @@ class MemoryTransport:
     def __init__(self, hub: MemoryHub) -> None:
         self._hub = hub
 
-    def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]:
+    def publisher(self, key: str, qos: Qos, cache_depth: int = 0) -> Callable[[bytes, bytes], None]:
         with self._hub.lock:
-            cached = self._hub.cache.setdefault(key, deque(maxlen=kept))
+            cached = self._hub.cache.setdefault(key, deque(maxlen=cache_depth))
 
         def put(payload: bytes, header: bytes) -> None:
             with self._hub.lock:

@@ -183,15 +183,15 @@ class ZenohTransport:
     def _congestion(self) -> zenoh.CongestionControl:
         return zenoh.CongestionControl.BLOCK if self._endpoint.lossless else zenoh.CongestionControl.DROP
 
-    def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]:
+    def publisher(self, key: str, qos: Qos, cache_depth: int = 0) -> Callable[[bytes, bytes], None]:
         options = {"congestion_control": self._congestion, **_QOS[qos]}
         session = self._session(qos)
         publisher: Any
-        if kept:
+        if cache_depth:
             publisher = zenoh.ext.declare_advanced_publisher(
                 session,
                 key,
-                cache=zenoh.ext.CacheConfig(max_samples=kept),
+                cache=zenoh.ext.CacheConfig(max_samples=cache_depth),
                 sample_miss_detection=zenoh.ext.MissDetectionConfig(heartbeat=0.5, sporadic_heartbeat=None),
                 publisher_detection=True,
                 **options,

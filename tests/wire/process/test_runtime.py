@@ -89,7 +89,7 @@ def test_lockstep_waits_for_every_input_and_goes_on_without_none(
     threading.Timer(0.05, lambda: simulator.publish(topics.HEARTBEAT, StationHeartbeat(), 100)).start()
     assert lockstep.await_all([(inbox, 100)])
     assert inbox.newest() is not None
-    monkeypatch.setattr(lockstep, "LOCKSTEP_SAYS_S", 0.02)
+    monkeypatch.setattr("wire.process.lockstep.LOCKSTEP_SAYS_S", 0.02)
     threading.Timer(0.1, stop.request).start()
     assert not lockstep.await_all([(inbox, 100), (tidings, 102)])
     assert "waiting for localizer/status" in caplog.text and "station/heartbeat" not in caplog.text

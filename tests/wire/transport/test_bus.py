@@ -158,7 +158,7 @@ def test_events_reach_a_late_subscriber_and_states_do_not(make_bus: MakeBus) -> 
 def test_of_paths_a_late_subscriber_hears_the_last_few(make_bus: MakeBus) -> None:
     sender, late = make_bus(), make_bus()
     heard: list[tuple[str, int]] = []
-    last = range(10 - topics.TRAJECTORY.kept, 10)
+    last = range(10 - topics.TRAJECTORY.cache_depth, 10)
     for stamp_ns in range(10):
         for robot in (1, 2):
             sender.publish(topics.TRAJECTORY, messages.Trajectory(str(stamp_ns), 0.05), stamp_ns, robot)
@@ -192,7 +192,7 @@ def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: Ma
 
 def test_what_nobody_collects_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """The oldest go; orders, poses and heartbeats of the same session come as ever."""
-    monkeypatch.setattr(transport, "UNCOLLECTED", 4)
+    monkeypatch.setattr(zenoh_transport, "UNCOLLECTED", 4)
     address = f"tcp/127.0.0.1:{free_port()}"
     with Bus(ZenohTransport(Endpoint(address, router=True))) as receiver, Bus(ZenohTransport(Endpoint(address))) as sender:
         collect = receiver.collect(topics.STATE)
