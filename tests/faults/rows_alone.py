@@ -13,7 +13,7 @@ import tomli_w
 
 from tests.faults import targets
 from tests.faults.row import Random, Sample
-from tests.localizer.tracking.test_crossings import check_encounter
+from tests.localizer.encounters import check_encounter
 from wire.config.experiment import Experiment, load_experiment
 from wire.toml_loader import ConfigError, check
 

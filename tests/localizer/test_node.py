@@ -26,7 +26,8 @@ from localizer.view.preview import Previews, Rate
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
 from tests.localizer.scene import Scene
-from tests.localizer.stand_ins import MS, eventually
+from tests.localizer.stand_ins import MS
+from tests.waiting import eventually
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, decode

@@ -29,7 +29,7 @@ from groundstation.web.auth import WebOptions
 from groundstation.web.live_backend import Desk, Post, Status
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
-from tests.page.conftest import Asked, Flight, open_page, wait_for_port
+from tests.page.flights import Asked, Flight, open_page, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode

@@ -9,7 +9,7 @@ import pytest
 
 from robot_agent.process import Shell
 from sim_bridge.sil.ports import free_port
-from tests.sim_bridge.node.test_bench import board
+from tests.sim_bridge.boards import board
 from wire.config.experiment import load_experiment
 from wire.mavlink.board_port import open_link
 from wire.mavlink.signing_key import Signing, new_key

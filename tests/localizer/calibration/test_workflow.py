@@ -21,7 +21,7 @@ from localizer.view.mjpeg_server import Page
 from sim_bridge.camera.optics import project, rays
 from tests.localizer.board_scene import Bench, charuco, marks
 from tests.localizer.scene import bayer
-from tests.localizer.stand_ins import eventually
+from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, load_experiment
 from wire.config.perception import Camera
 from wire.frames import Array

@@ -20,7 +20,7 @@ from robot_agent.control.controller import Controller, ControlOutput, Follow, Go
 from robot_agent.control.law import Law, make_law
 from robot_agent.guidance.formation import NOWHERE
 from robot_agent.vehicle.dynamics import Model
-from tests.robot_agent.control.test_controller import GOAL, STEP_NS, at, check, goals, measurements, neighbours
+from tests.robot_agent.control.drawn_inputs import GOAL, STEP_NS, at, check, goals, measurements, neighbours
 from tests.robot_agent.water import integrate
 from wire.config import baseline_controllers
 from wire.config.experiment import load_experiment

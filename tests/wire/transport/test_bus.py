@@ -10,6 +10,7 @@ import pytest
 import zenoh
 
 from sim_bridge.sil.ports import free_port
+from tests.waiting import eventually
 from wire.messages import messages, topics
 from wire.messages.codec import Header, encode
 from wire.transport import zenoh_transport
@@ -39,13 +40,6 @@ def make_bus(request: pytest.FixtureRequest) -> Iterator[MakeBus]:
     yield make
     for bus in reversed(buses):
         bus.close()
-
-
-def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    deadline = time.monotonic() + timeout_s
-    while not ready() and time.monotonic() < deadline:
-        time.sleep(0.005)
-    return ready()
 
 
 def test_a_message_arrives_with_its_header(make_bus: MakeBus) -> None:

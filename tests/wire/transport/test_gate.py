@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
+from tests.waiting import eventually
 from tests.wire.strangers import Strangers
-from tests.wire.transport.test_bus import eventually
 from wire.messages import messages, topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Order, Reply

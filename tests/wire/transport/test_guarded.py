@@ -16,7 +16,7 @@ import zenoh
 
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
-from tests.wire.transport.test_bus import eventually
+from tests.waiting import eventually
 from wire.messages import messages, topics
 from wire.messages.messages import Command, Order, Reply
 from wire.messages.topics import Role, Topic

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from sim_bridge.sil.ports import free_port
-from tests.wire.transport.test_bus import eventually
+from tests.waiting import eventually
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState, StationHeartbeat
