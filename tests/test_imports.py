@@ -24,15 +24,16 @@ ALLOWED = {"sim_bridge/in_process/fleet.py": {"robot_agent"}, "sim_bridge/in_pro
 PARTS: dict[str, dict[str, set[str]]] = {
     "wire": {
         "frames": set(),
+        "loopback": set(),
         "toml_loader": set(),
         "config": {"frames", "toml_loader"},
         "camera_coverage": {"config", "frames"},
-        "mavlink": {"toml_loader"},
         "messages": {"config", "frames", "toml_loader"},
         "obstacle_memory": {"config", "frames", "messages"},
         "security": {"messages", "toml_loader"},
-        "transport": {"messages", "security", "toml_loader"},
+        "transport": {"loopback", "messages", "security", "toml_loader"},
         "process": {"config", "messages", "toml_loader", "transport"},
+        "mavlink": {"loopback", "process", "toml_loader"},
     },
     "localizer": {
         "camera_model": set(),

@@ -3,7 +3,6 @@
 Private files are created with mode 0600 in folders of 0700, before the first byte is in them, and never printed.
 """
 
-import os
 import re
 import shutil
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ import tomli_w
 from groundstation.deploy import certificate_authority
 from groundstation.deploy.certificate_authority import Pair
 from wire.messages.topics import Role, process_name
+from wire.process.output_files import replacing
 from wire.security.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
@@ -125,14 +125,9 @@ def _write_members(ring: Path, members: MemberList) -> None:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """All of it or nothing, and never readable by others on the way: written beside, then put in place."""
-    beside = path.with_name(f".{path.name}.new")
-    beside.unlink(missing_ok=True)
-    with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-        os.fchmod(file.fileno(), mode)
+    """Write all of it or nothing, with these permissions from the beginning."""
+    with replacing(path, durable=True, mode=mode) as file:
         file.write(data)
-        os.fsync(file.fileno())
-    beside.replace(path)
 
 
 def _seconds(when: datetime) -> datetime:

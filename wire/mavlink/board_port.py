@@ -2,7 +2,6 @@
 meaning."""
 
 import errno
-import ipaddress
 import os
 import select
 import socket
@@ -13,6 +12,7 @@ from typing import Protocol
 
 import serial
 
+from wire.loopback import is_loopback
 from wire.toml_loader import ConfigError
 
 READ_BYTES = 65536
@@ -174,8 +174,8 @@ def serial_trouble(device: Path) -> str:
 
 
 def is_local(host: str) -> bool:
-    """Whether a host is this machine, by its loopback address. Raises OSError if it has none."""
-    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+    """True if a host name resolves to a loopback address. Raises OSError if it has no address."""
+    return is_loopback(socket.gethostbyname(host))
 
 
 def open_link(text: str, secured: bool = False, option: str = "--link") -> Link:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.signing import KEY_BYTES, Key, ticks
+from wire.process.output_files import replace_text, replacing
 from wire.toml_loader import ConfigError
 
 # A program writes down how far it may count before it counts there. Half of this is left when it writes again, from its
@@ -30,11 +31,8 @@ def new_key(path: Path) -> None:
 
 def write_key(path: Path, key: Key) -> None:
     """Put a key in the place of one that may be there, readable by its owner only. Raises OSError."""
-    new = path.with_name(path.name + ".new")
-    new.unlink(missing_ok=True)
-    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-        file.write(key.secret.hex() + "\n")
-    new.replace(path)
+    with replacing(path, mode=0o600) as file:
+        file.write(f"{key.secret.hex()}\n".encode("ascii"))
 
 
 def load_key(path: Path, link_id: int = 0) -> Key:
@@ -79,9 +77,7 @@ class TimestampStore:
 
     def _reserve(self, used: int) -> None:
         self._limit = used + AHEAD_TICKS
-        new = self._path.with_name(self._path.name + ".new")
-        new.write_text(str(self._limit), encoding="ascii")
-        new.replace(self._path)
+        replace_text(self._path, str(self._limit))
 
 
 @dataclass(frozen=True)

@@ -6,24 +6,16 @@ then it is said wherever somebody looks: in every process's log, and on the oper
 
 import logging
 from datetime import UTC, datetime
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
+from wire.loopback import is_loopback
 from wire.security.access_control import INSECURE, access_control
 from wire.security.key_ring import admitted, expiring, open_keys
 from wire.toml_loader import ConfigError
 from wire.transport.endpoint import Endpoint, parse_address
 
 log = logging.getLogger("shoal")
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can be meant."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def refuse_open(address: str, insecure: bool) -> None:
