@@ -16,14 +16,14 @@ LawName = Literal["eso-mpc", "backstepping", "pid", "lqr", "sliding-mode", "fuzz
 
 
 class FeedbackLawConfig(Section):
-    """What they have in common."""
+    """Settings that all feedback laws have."""
 
     guidance_per_s2: NotNegative = 0.1  # in the place of guidance.position_gain_per_s2, which is set for the ESO-MPC
 
 
 class BacksteppingConfig(FeedbackLawConfig):
-    """How fast errors are to decay, then errors of the velocity that makes them decay, and what the one weighs in the
-    Lyapunov function when the other weighs one."""
+    """Decay rates of the errors and of the velocity errors, and the weight of the first in the Lyapunov function, in which the
+    second has weight one."""
 
     guidance_per_s2: NotNegative = 0.0975
     error_per_s: Gains = (0.102, 0.797, 2.41)

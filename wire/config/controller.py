@@ -1,4 +1,4 @@
-"""How robots are controlled and what keeps them safe: observer, heading, optimisation, distances and ages."""
+"""Settings of the robots' control and safety: observer, heading, optimisation, distances, ages."""
 
 from typing import Annotated, Literal, Self
 
@@ -125,7 +125,8 @@ class MpcConfig(Section):
 
 
 class ControllerConfig(Section):
-    """What runs on the robot, 1/period_s times a second. `law` is what computes the wrench, given estimate and reference."""
+    """The control loop of a robot, which runs 1/period_s times a second. `law` computes the wrench from estimate and
+    reference."""
 
     period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05  # so that one step may fail to come
     law: LawName = "eso-mpc"

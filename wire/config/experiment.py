@@ -195,7 +195,7 @@ class Experiment(Section):
         raise ConfigError(f"robot {robot_id}: not in experiment {self.name!r} (allowed: {allowed})")
 
     def leader_of(self, robot_id: int) -> int | None:
-        """Whom a robot follows instead of its own node; None if nobody."""
+        """The robot that this one follows instead of its own node; None if it follows none."""
         leader = self.robot_ids[0] if self.formation.leader is None else self.formation.leader
         return leader if self.formation.kind == "leader-follower" and leader != robot_id else None
 
@@ -205,8 +205,8 @@ class Experiment(Section):
 
     @property
     def watches_obstacles(self) -> bool:
-        """Whether the localizer is to watch for obstacles: with a camera that hangs still it does, unless obstacle_min_m is 0.
-        Where it is not to, nobody who hears of no obstacles is blind."""
+        """True if the localizer has to watch for obstacles: the camera does not move, and obstacle_min_m is not 0. If it is
+        False, missing obstacle messages are no fault."""
         return self.localizer.uses_camera and self.localizer.obstacle_min_m > 0.0 and not self.landmarks
 
     def nodes_m(self) -> Array:
@@ -226,7 +226,7 @@ def dump_experiment(experiment: Experiment) -> str:
 
 
 def experiment_path(name_or_path: str) -> Path:
-    """Where an experiment lies: a shipped name (`pool`) or a path ending in .toml. Raises ConfigError."""
+    """The file of an experiment: of a shipped name (`pool`), or a path ending in .toml. Raises ConfigError."""
     if name_or_path.endswith(".toml"):
         return Path(name_or_path)
     path = EXPERIMENTS / f"{name_or_path}.toml"
@@ -297,7 +297,7 @@ def _holder(table: dict[str, Any], dotted: str) -> tuple[dict[str, Any] | None, 
 
 
 def _is_record(path: Path) -> bool:
-    """Whether a file is the record of a run: the copy beside its log."""
+    """True for the record of a run: the copy of the experiment beside its log."""
     return path.name == "experiment.toml" and (path.parent / "run.mcap").is_file()
 
 

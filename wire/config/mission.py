@@ -1,4 +1,4 @@
-"""How the station leads a mission: what it does about obstacles, robots that lag, robots that are lost."""
+"""The station's conduct of a mission: obstacles, robots that lag, robots that are lost."""
 
 from typing import Annotated, Literal, Self
 

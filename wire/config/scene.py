@@ -1,4 +1,4 @@
-"""What is flown, where, and by whom: basin, islands, path, formation, robots."""
+"""The scene: pool, islands, path, formation, robots."""
 
 from itertools import pairwise
 from typing import Annotated, Literal, Self

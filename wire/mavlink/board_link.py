@@ -143,7 +143,7 @@ class BoardLink:
         return self._sender.signer.last if self._sender.signer is not None else 0
 
     def receive(self, data: bytes, now_ns: int) -> list[tuple[Peer, Event]]:
-        """What is asked for with these bytes, and by whom. Never raises, whatever they are."""
+        """The requests in these bytes, with their senders. Never raises, whatever the bytes."""
         events: list[tuple[Peer, Event]] = []
         for message in self._receiver.receive(data, now_ns):
             self.taken_frames += 1
@@ -223,12 +223,12 @@ class BoardLink:
         return self._sender.pack(dialect.MAVLink_param_value_message(name.encode("ascii"), value, real, count, index))
 
     def parameter_error(self, asker: Peer, name: str, index: int, code: int) -> bytes:
-        """Why somebody did not get what they wanted of a parameter (MAV_PARAM_ERROR)."""
+        """The reason why a request for a parameter failed (MAV_PARAM_ERROR)."""
         text = name.encode("ascii", "replace")
         return self._sender.pack(dialect.MAVLink_param_error_message(*asker, text, index, code))
 
     def version(self) -> bytes:
-        """What this board is and can do."""
+        """The identity and the capabilities of this board."""
         nothing = [0] * 8
         message = dialect.MAVLink_autopilot_version_message(
             CAPABILITIES, 0, 0, 0, 0, nothing, nothing, nothing, 0, 0, self._robot_id

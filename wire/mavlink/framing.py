@@ -40,7 +40,7 @@ class Sequence8:
         self._expected = 0
 
     def accept(self, sequence: int, now_ns: int) -> bool:
-        """Whether a frame is newer than all before it. After a silence anything is."""
+        """True if a frame is newer than all before it. After a silence any frame is."""
         step = (sequence - self._last) % 256
         if self._last < 0:
             step = 1
@@ -54,7 +54,7 @@ class Sequence8:
         return True
 
     def silent(self, now_ns: int) -> bool:
-        """Whether nothing came for so long that any number is new: there is nothing left to remember."""
+        """True after a silence so long that any number counts as new."""
         return now_ns - self._last_ns >= SILENCE_NS
 
     @property
@@ -128,7 +128,7 @@ class Receiver:
         return HEADER_BYTES + header[1] + CHECKSUM_BYTES + signature
 
     def _waited_too_long(self, at: int, now_ns: int) -> bool:
-        """Whether the frame that begins at `at` is overdue. False start bytes that came together are so together."""
+        """True if the frame that begins at `at` is overdue. False start bytes that came together are overdue together."""
         if at >= self._waiting_bytes:
             self._waiting_since_ns, self._waiting_bytes = now_ns, len(self._buffer)
         if now_ns - self._waiting_since_ns <= FRAME_TIMEOUT_NS:

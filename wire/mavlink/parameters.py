@@ -19,7 +19,7 @@ LINK_ID = 1  # beside the robot's computer, which has 0
 
 
 class ParameterClient:
-    """What a board has told of its parameters, and the questions that are left."""
+    """The parameters received from a board, and the requests that are still open."""
 
     def __init__(self, robot_id: int | None = None, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
         """Without a `robot_id`, of the first board that is heard."""
@@ -80,11 +80,11 @@ class ParameterClient:
 
     @property
     def complete(self) -> bool:
-        """Whether every parameter has come."""
+        """True if every parameter has come."""
         return self._count is not None and len(self._by_index) == self._count
 
     def silence(self, trouble: str = "") -> str:
-        """Why no board is heard, as far as what has come tells, or else the link's `trouble`; empty if one is heard."""
+        """The reason why no board is heard, from what has come or else the link's `trouble`; empty if one is heard."""
         if self.heard:
             return ""
         if self._others:
@@ -97,7 +97,7 @@ class ParameterClient:
 
     @property
     def signed(self) -> bool:
-        """Whether the board signs with a key that is not this end's."""
+        """True if the board signs with a key other than this end's."""
         return self._receiver.refused[SignatureVerdict.FORGED] > 0
 
     def receive(self, data: bytes, now_ns: int) -> None:

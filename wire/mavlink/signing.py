@@ -20,7 +20,7 @@ STREAMS = 16  # one for each sender and link; who has the key and opens more is 
 
 @dataclass(frozen=True)
 class Key:
-    """What both ends of a link share. Never in a log: the secret is not in the repr."""
+    """The secret that both ends of a link share. Never in a log: it is not in the repr."""
 
     secret: bytes = field(repr=False)
     link_id: int = 0  # tells the links of one sender apart
@@ -31,7 +31,7 @@ class Key:
 
 
 class SignatureVerdict(Enum):
-    """What the signature of an intact frame says."""
+    """The result of verifying the signature of an intact frame."""
 
     GOOD = 0
     UNSIGNED = 1
@@ -64,7 +64,7 @@ class Signer:
 
 
 class SignatureVerifier:
-    """Which signed frames one end takes. Without a key: unsigned ones only."""
+    """Verifies the frames that one end receives. Without a key it accepts unsigned frames only."""
 
     def __init__(self, key: Key | None, floor: int = 0) -> None:
         """A stream that is new must begin later than `floor`."""
@@ -73,7 +73,7 @@ class SignatureVerifier:
         self.newest = floor  # the latest timestamp taken so far
 
     def verify(self, frame: bytes, system: int, component: int) -> SignatureVerdict:
-        """Look at an intact frame's flag and signature. Only a good one leaves a trace."""
+        """Verify an intact frame by its flag and signature. Only a good frame changes the state."""
         if not frame[2] & SIGNED:
             return SignatureVerdict.GOOD if self._key is None else SignatureVerdict.UNSIGNED
         signed, given = frame[:-HASH_BYTES], frame[-HASH_BYTES:]

@@ -82,7 +82,7 @@ class TimestampStore:
 
 @dataclass(frozen=True)
 class Signing:
-    """What a program signs with."""
+    """The key of a program, and the timestamps it has used."""
 
     key: Key
     stamps: TimestampStore

@@ -46,7 +46,7 @@ class DecodeError(Exception):
 
 @dataclass(frozen=True)
 class Header:
-    """What travels beside every message.
+    """The header that travels beside every message.
 
     `stamp_ns` is the instant the content is about, on the sender's clock (for logs, and for ages in lockstep);
     `age_ns` is how long before publishing that was, by the sender's monotonic clock.
@@ -295,7 +295,7 @@ def _frame_from_protobuf(image: Any, pixels: memoryview | None = None) -> Frame:
 
 
 def _image(cls: Any, schema: Any, form: str) -> tuple[Any, Callable[[Any, int], bytes], Callable[[Any], Any]]:
-    """How messages of one compressed image travel: their one field is named after its format."""
+    """The carrier of messages that hold one compressed image. Their one field is named after its format."""
 
     def encode_image(picture: Any, stamp_ns: int) -> bytes:
         image = schema(frame_id="camera", format=form, data=getattr(picture, form))
@@ -336,7 +336,7 @@ _FOXGLOVE: dict[type, tuple[Any, Callable[[Any, int], bytes], Callable[[Any], An
 
 
 def protobuf_class(cls: type) -> Any:
-    """The protobuf class of messages of dataclass `cls`, for whoever reads logs."""
+    """The protobuf class of messages of dataclass `cls`."""
     return _FOXGLOVE[cls][0] if cls in _FOXGLOVE else getattr(fleet_pb2, cls.__name__)
 
 

@@ -1,4 +1,5 @@
-"""What may be changed while robots fly: the keys of `controller` that controller.py marks LIVE, number by number, with bounds.
+"""The gains that can be changed in flight: the keys of `controller` that controller.py marks LIVE, number by number, with
+bounds.
 
 Station, page and robots read the table off the same fields that check the experiment file, so there is one place that says
 what a gain is and how large it may be. Lists go by entries: `controller.mpc.q.0`. Pure.
@@ -21,14 +22,15 @@ ROOT = "controller"
 
 
 class _File(Section):
-    """So that complaints name keys as they stand in an experiment file."""
+    """A model of the file, so that error messages name keys as they stand in an experiment file."""
 
     controller: ControllerConfig
 
 
 @dataclass(frozen=True)
 class TunableParameter:
-    """One number that may be changed, and between what. `above`: `least` itself is not allowed; `below`: nor is `most`."""
+    """One number that can be changed in flight, with its bounds. `above`: `least` itself is not allowed; `below`: nor is
+    `most`."""
 
     key: str
     value: float
@@ -39,7 +41,7 @@ class TunableParameter:
 
 
 def tunable_parameters(controller: ControllerConfig) -> tuple[TunableParameter, ...]:
-    """All that has an effect with this law, as it is set now."""
+    """All parameters that have an effect with this law, with their present values."""
     return tuple(parameter for parameter in _within(ROOT, controller) if not parameter.key.startswith(_idle(controller)))
 
 
@@ -70,7 +72,7 @@ def _parameter(key: str, value: float, marks: list[Any]) -> TunableParameter:
 
 
 def tuning(controller: ControllerConfig) -> Tuning:
-    """Its gains as a message. The same values have the same id, everywhere and always."""
+    """The gains of a controller as a message. Equal values always have the same id."""
     found = tunable_parameters(controller)
     text = json.dumps([(parameter.key, parameter.value) for parameter in found])
     name = hashlib.sha256(text.encode()).hexdigest()[:8]
@@ -89,12 +91,12 @@ def tuned(controller: ControllerConfig, values: Mapping[str, float]) -> Controll
 
 
 def _names(keys: set[str]) -> list[str]:
-    """Lists by their own name."""
+    """The names for people: a list has one name."""
     return sorted({key.rpartition(".")[0] if key.rpartition(".")[2].isdecimal() else key for key in keys})
 
 
 def values_of(settings: Sequence[str]) -> dict[str, float]:
-    """What `key=value` settings change, a list's entries one by one. Raises ConfigError for what is no number."""
+    """The values that `key=value` settings change, a list entry by entry. Raises ConfigError for a value that is no number."""
     found: dict[str, float] = {}
     for setting in settings:
         table: dict[str, Any] = {}

@@ -12,7 +12,8 @@ from wire.messages import messages
 
 
 class Qos(Enum):
-    """How a topic is sent. Nothing ever blocks: one stopped viewer on a shared hub froze everyone's commands for 5 s."""
+    """The quality of service of a topic. Sending never blocks: one stopped viewer on a shared hub froze all commands for 5
+    s."""
 
     CONTROL = "first in line, no batching, dropped rather than queued: only the newest counts"
     STATE = "as CONTROL, behind it"
@@ -25,7 +26,7 @@ RECOVERED = frozenset({Qos.EVENT, Qos.JOURNAL})  # from a cache that is asked fo
 
 
 class Role(Enum):
-    """What a process is to the others; its certificate says so."""
+    """The role of a process, as its certificate states it."""
 
     STATION = "groundstation"
     OPERATOR = "operator"  # a terminal: gives the station orders, and nobody else
@@ -59,7 +60,8 @@ class Topic:
     limit: str = ""
 
     def max_age_in(self, safety: Safety) -> float:
-        """When a value stops being usable in an experiment with these limits, s: one number for station and robots."""
+        """The age at which a value stops being usable in an experiment with these limits, s. Station and robots use the
+        same."""
         return float(getattr(safety, self.limit)) if self.limit else self.max_age_s
 
     def key(self, robot: int | None = None) -> str:
@@ -68,12 +70,12 @@ class Topic:
 
     @property
     def publisher(self) -> str:
-        """Who writes it, for people."""
+        """The writing roles, for people."""
         return " or ".join(role.value for role in self.writers)
 
     @property
     def audience(self) -> str:
-        """Who may read it, for people."""
+        """The reading roles, for people."""
         return "everyone" if self.readers == EVERYONE else ", ".join(role.value for role in self.readers)
 
 
@@ -130,5 +132,5 @@ PROCESSES = {
 
 
 def process_name(role: Role, robot: int = 0) -> str:
-    """What a process is called: in the log, by its liveliness token, and in the key ring."""
+    """The name of a process: in the log, in its liveliness token, and in the key ring."""
     return PROCESSES[role].format(robot=robot)

@@ -30,7 +30,7 @@ class LockstepClock:
 
 
 class Reminder:
-    """When a process that waits is to say so again."""
+    """Timer of the messages of a process that waits."""
 
     def __init__(self) -> None:
         self._said_s = time.monotonic()
@@ -53,7 +53,8 @@ class Lockstep:
         self._last_ns = -1
 
     def next(self, meanwhile: Callable[[], None] = lambda: None) -> Tick | None:
-        """Wait for the next tick and set the clock to it, doing `meanwhile` now and then. None when the process is to stop."""
+        """Wait for the next tick and set the clock to it, calling `meanwhile` now and then. None if the process has to
+        stop."""
         while not self._stop.requested:
             if wait(self._bus, self._stop, self._fresh, SLICE_S):
                 received = self._ticks.newest()
@@ -69,8 +70,8 @@ class Lockstep:
         return header is not None and header.stamp_ns > self._last_ns
 
     def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> bool:
-        """Wait until each inbox holds a message with at least the stamp given. A negative stamp asks for nothing: there was no
-        step before the first. False when the process is to stop."""
+        """Wait until each inbox holds a message with at least the given stamp. A negative stamp requires nothing: no step came
+        before the first. Returns False if the process has to stop."""
         wanted = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
 
         def missing() -> list[str]:
@@ -86,9 +87,9 @@ class Lockstep:
     def await_sight(
         self, tick: Tick, localizer: Inbox[LocalizerStatus], poses: Mapping[int, Inbox[Pose]], obstacles: Inbox[Obstacles]
     ) -> int | None:
-        """Wait for what the localizer tells of the picture that counts at a tick: its status says whose poses that are, and
-        which obstacles it told of before. Returns up to which stamp obstacles count at this tick; None when the process is to
-        stop."""
+        """Wait for the localizer's messages about the picture that counts at a tick: its status names the poses that belong to
+        it, and the obstacles published before them. Returns the stamp up to which obstacles count at this tick; None if the
+        process has to stop."""
         if not self.await_all([(localizer, tick.frame_ns)]):
             return None
         status = localizer.newest()

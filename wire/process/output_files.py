@@ -84,7 +84,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def _same(path: Path, other: Path) -> bool:
-    """Whether both are one file, by whatever names and links."""
+    """True if both are one file, by whatever names and links."""
     try:
         return path.samefile(other)
     except OSError:  # one of them is not there

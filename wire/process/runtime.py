@@ -1,4 +1,4 @@
-"""SHELL: what every process needs around its core: time, a clean stop, a log, and lockstep.
+"""SHELL: clock, stop, log and threads of a process.
 
 Two ways to run, and one loop for both:
 
@@ -80,7 +80,7 @@ class Stop:
         self.request()
 
     def __call__(self) -> bool:
-        """Whether a stop has been asked for."""
+        """True once a stop has been asked for."""
         return self.requested
 
     def request(self) -> None:

@@ -42,7 +42,7 @@ READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 
 
 class PeerClosed(Exception):
-    """A socket's other end is no more."""
+    """Raised when the other end of a socket has closed it."""
 
     def __init__(self, which: socket.socket) -> None:
         super().__init__()
@@ -50,7 +50,8 @@ class PeerClosed(Exception):
 
 
 class Pump:
-    """Bytes one way between two sockets. What the receiver does not take at once waits, and nothing more is read meanwhile."""
+    """One direction of a connection. Bytes that the receiver does not take at once wait, and meanwhile nothing more is
+    read."""
 
     def __init__(self, source: socket.socket, sink: socket.socket) -> None:
         self.source, self.sink = source, sink
@@ -60,7 +61,7 @@ class Pump:
 
     @property
     def over(self) -> bool:
-        """Whether all has been said and sent."""
+        """True if the source has ended and everything was sent."""
         return self.ended and not self.waiting
 
     @property
@@ -69,7 +70,7 @@ class Pump:
         return 0 if self.ended or self.waiting else READ
 
     def read(self, buffer: bytearray) -> bytes | memoryview:
-        """What the source has to say now, sent on as far as the sink takes it. Raises Gone."""
+        """Read the source and send to the sink as much as it takes. Returns the bytes read. Raises PeerClosed."""
         try:
             size = self.source.recv_into(buffer)
         except BlockingIOError:
@@ -88,7 +89,7 @@ class Pump:
         return read
 
     def write(self) -> None:
-        """Send what waits. Raises Gone."""
+        """Send the bytes that wait. Raises PeerClosed."""
         if self.waiting:
             self.waiting = self.waiting[self._send(self.waiting) :]
         if self.over:
@@ -116,7 +117,7 @@ class ProxiedConnection:
 
 
 class Guard:
-    """The loop."""
+    """The guard's event loop."""
 
     def __init__(self, listener: socket.socket, ports: tuple[int, int], tell: Callable[[str], None], most_links: int) -> None:
         """`ports`: the router's loopback ports, of the lane of new origins and of known ones. `tell` takes a sentence."""

@@ -46,7 +46,7 @@ class Keys:
 
     @property
     def certificate(self) -> Path:
-        """Who this process is."""
+        """The certificate of this process."""
         return self.folder / CERTIFICATE
 
     @property
@@ -124,10 +124,10 @@ def read_members(ring: Path) -> MemberList:
 
 
 def expiring(ring: Path, now: datetime) -> tuple[Issued, ...]:
-    """Whose certificate ends within EXPIRES_SOON: links are closed when it does, also in flight."""
+    """Members whose certificate ends within EXPIRES_SOON. Their links are closed at that time, also in flight."""
     return tuple(m for m in read_members(ring).valid(now) if m.expires - now < EXPIRES_SOON)
 
 
 def admitted(ring: Path, now: datetime) -> tuple[Member, ...]:
-    """Whom the router lets in."""
+    """Members that the router lets in."""
     return tuple(Member(ROLE_NAMES[m.role], m.common_name, m.robot) for m in read_members(ring).valid(now))

@@ -43,7 +43,7 @@ class Received(Generic[M]):
 
 @dataclass(slots=True, eq=False)
 class _Kept(Generic[M]):
-    """What an inbox keeps of a message; decoded when somebody asks for it."""
+    """A message in an inbox, decoded when it is first read."""
 
     header: Header
     payload: bytes

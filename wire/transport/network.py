@@ -40,8 +40,8 @@ def endpoint(
     lossless: bool = False,
     fleet: str = "shoal",
 ) -> Endpoint:
-    """Where the router is, or to be, and how to speak to it. With a key ring always TLS, whatever the address says.
-    Raises ConfigError for what would be open to others without having been asked for."""
+    """The endpoint for an address, with keys where a key ring is given. With a key ring always TLS, whatever the address says.
+    Raises ConfigError for a network that would be open to others without having been asked for."""
     _, host, port = parse_address(address)
     if ring is not None:
         if insecure:
