@@ -1,6 +1,6 @@
-"""How far the localizer is off, in rendered frames whose truth is known: waves, glare, caustics, refraction, motion blur,
-sensor noise, imperfect depth sensors. Errors of position are distances in the plane. Robots on prescribed courses are level;
-in the flights they lean as the plant's do.
+"""Errors of the localizer in rendered frames with known truth: waves, glare, caustics, refraction, motion blur, sensor
+noise, imperfect depth sensors. Errors of position are distances in the plane. Robots on prescribed courses are level; in the
+flights they lean as the plant does.
 
 A sample is the RMS over a run, runs differ by seed (water, paint, courses): `max` is the worst of the seeds. Beside ours, in
 the same frames: OpenCV's markers with its default settings through our optics, the pose that `solvePnP` makes of them in a

@@ -1,4 +1,4 @@
-"""What the guard in front of a router with keys costs: there and back between two processes, through it and past it.
+"""Cost of the guard in front of a router with keys: round trip between two processes, through it and past it.
 
 Both ways are mutual TLS through the same router. A round trip passes the guard four times (there: sender to router, router to
 echo; and back), so a quarter of the difference is what it adds to one passage of one message.

@@ -1,4 +1,4 @@
-"""What the localizer costs: all of it per frame, for fleets of one to twenty; the obstacle watch; and the correlation filter
+"""Cost of the localizer: all of it per frame, for fleets of one to twenty; the obstacle watch; and the correlation filter
 alone beside the one of OpenCV's contrib modules, in the same pictures.
 
 Frames are 1280 x 960, rendered between the measurements, so that each is as cold in the cache as one from the network.

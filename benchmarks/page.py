@@ -96,7 +96,7 @@ def fleet(robots: int) -> Experiment:
 
 
 def _round(robots: int) -> list[list[tuple[str, Topic, bytes]]]:
-    """What a fleet says in ROUND control periods, encoded: fifty boards do that in a pool, not one process."""
+    """The messages of a fleet in ROUND control periods, encoded: in a pool fifty boards do that, not one process."""
     trajectories = planner.plan(fleet(robots))
     rounds = []
     for step in range(ROUND):

@@ -132,7 +132,7 @@ def _record(address: str, kind: str, folder: str, told: Connection) -> None:
 
 
 def _senders_messages(path: Path) -> int:
-    """How many there are in a log, less the first on each key, which was sent before the measurement."""
+    """The number of messages in a log, less the first on each key, which was sent before the measurement."""
     channels: dict[int, str] = {}
     count = 0
     for record in valid_records(path):

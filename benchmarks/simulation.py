@@ -1,4 +1,4 @@
-"""How fast the simulator is: the plant alone, a frame, numeric flights, and all processes in lockstep.
+"""Speed of the simulator: the plant alone, a frame, numeric flights, and all processes in lockstep.
 
 Plant, frames and numeric flights are timed by this process's own processor time, so that other work on the machine does not
 count; lockstep and real time need the whole machine, and count the wall clock.

@@ -122,7 +122,7 @@ def _imports(tree: ast.Module, package: str) -> Iterator[str]:
 
 
 def _impure(tree: ast.Module) -> Iterator[str]:
-    """What a file does that only a shell file may do."""
+    """The parts of a file that only a shell file may have."""
     yield from (name for name in _imports(tree, "") if name.partition(".")[0] in SHELL_MODULES)
     for node in ast.walk(tree):
         if not isinstance(node, ast.Call):

@@ -101,7 +101,7 @@ def test_its_result_is_within_the_figures_to_reach(lockstep_run: tuple[Path, int
 
 
 def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
-    """What `groundstation rerun --json` says of a run."""
+    """The output of `groundstation rerun --json` for a run."""
     command = [sys.executable, "-m", "groundstation", "rerun", str(folder), "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout, done.stderr

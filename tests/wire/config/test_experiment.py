@@ -107,7 +107,7 @@ def _with(key: Key, value: object) -> dict[str, Any]:
 
 
 def _complaint(tmp_path: Path, table: dict[str, Any]) -> str:
-    """What the person who wrote this table as a file gets to read."""
+    """The error message for this table, written to a file."""
     path = tmp_path / "mutant.toml"
     path.write_text(tomli_w.dumps(table), encoding="utf-8")
     with pytest.raises(ConfigError) as caught:

@@ -410,7 +410,7 @@ def synced(ahead_ns: int, now_ns: int, trip_ns: int = 2 * MS, link: AgentLink | 
 
 
 def measured_ns(agent: AgentLink, board_ms: int, read_ns: int) -> int:
-    """When a burst was measured, as far as the computer knows."""
+    """The instant of a burst, as far as the computer knows."""
     agent._receiver._sequences.clear()
     agent.receive(burst(BoardLink(7), board_ms), read_ns)
     assert agent.telemetry.board_ms == board_ms

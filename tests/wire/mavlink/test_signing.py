@@ -91,7 +91,7 @@ def test_no_bit_of_a_signed_frame_can_be_changed() -> None:
 
 
 def test_a_signed_frame_with_the_flag_taken_off_is_unsigned() -> None:
-    """What an attacker without the key can do with a recorded frame: cut the signature off and repair the checksum."""
+    """An attacker without the key cuts the signature off a recorded frame and repairs the checksum."""
     frame = agent().arm(True)
     content = bytes([frame[1], 0]) + frame[3:-15]
     checksum = dialect.x25crc(content)
@@ -187,7 +187,7 @@ def test_timestamps_rise_whatever_the_clock_does(clock: list[int]) -> None:
 
 
 def test_a_clock_that_stands_still_uses_one_tick_for_each_frame() -> None:
-    """What is used up has to last: the computer reserves 60 s at a time."""
+    """Ticks have to last: the computer reserves 60 s at a time."""
     for now in (0, 1, NOW):
         signer = Signer(KEY, iter([now] * 3).__next__)
         stamps = [int.from_bytes(signer.sign(b"frame")[6:12], "little") for _ in range(3)]

@@ -1,4 +1,4 @@
-"""What may be changed in flight, against the experiment file's own checks."""
+"""The bounds of the gains that change in flight, against the experiment file's own checks."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""What was held up is told from what was not, whatever the sender's clock shows."""
+"""Delayed messages are told from others, whatever the sender's clock shows."""
 
 import time
 

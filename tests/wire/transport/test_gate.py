@@ -72,7 +72,7 @@ def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) 
 
 
 def stopped(ring: Path, address: str) -> bool:
-    """Whether an operator from elsewhere gets a stop through."""
+    """True if a remote operator gets a stop through."""
     with Bus(ZenohTransport(endpoint(address, "operator", ring), patience_s=SOON_S)) as bus:
         return bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
 

@@ -181,7 +181,7 @@ def test_a_robot_cannot_answer_for_another(guarded: Guarded) -> None:
 
 
 def no_way_in(where: Endpoint) -> str:
-    """Why a session cannot be had there."""
+    """The reason why no session can be opened there."""
     with pytest.raises(Unreached) as refused:
         ZenohTransport(where, patience_s=0.1)
     return str(refused.value)
