@@ -1,6 +1,6 @@
-"""How far the localizer is off, in rendered frames whose truth is known: waves, glare, caustics, refraction, motion blur,
-sensor noise, imperfect depth sensors. Errors of position are distances in the plane. Robots on prescribed courses are level;
-in the flights they lean as the plant's do.
+"""Errors of the localizer in rendered frames with known truth: waves, glare, caustics, refraction, motion blur, sensor
+noise, imperfect depth sensors. Errors of position are distances in the plane. Robots on prescribed courses are level; in the
+flights they lean as the plant does.
 
 A sample is the RMS over a run, runs differ by seed (water, paint, courses): `max` is the worst of the seeds. Beside ours, in
 the same frames: OpenCV's markers with its default settings through our optics, the pose that `solvePnP` makes of them in a
@@ -26,7 +26,7 @@ from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import AgentFleet, BareWater
 from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import Robot
+from wire.config.scene import RobotConfig
 from wire.frames import Array, pool_to_body, wrap
 from wire.messages.messages import Pose, Track, Trajectory
 
@@ -320,7 +320,7 @@ def _identity() -> Iterator[Row]:
         n = 10
         courses = Courses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
         pool = load_experiment("pool", [f"seed={seed}", "sim.picture.alike=true"])
-        experiment = pool.model_copy(update={"robots": tuple(Robot(id=i + 1, node_m=(0.0, 0.0, 0.0)) for i in range(n))})
+        experiment = pool.model_copy(update={"robots": tuple(RobotConfig(id=i + 1, node_m=(0.0, 0.0, 0.0)) for i in range(n))})
         renderer, locator, random = Renderer(experiment, seed), Locator(experiment), np.random.default_rng([seed, 8])
         aruco = _aruco_alone(experiment, courses)["ArUco alone"]
         hidden, silent = np.zeros(n, dtype=bool), np.zeros((round(CROWD_S / PERIOD_S), n), dtype=bool)

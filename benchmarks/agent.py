@@ -1,4 +1,4 @@
-"""What a robot's program takes of its board: from start to ready, memory, and CPU while it flies at 20 Hz.
+"""Cost of a robot's program on its board: time from start to ready, memory, and CPU while it flies at 20 Hz.
 
 All processes of the pool experiment run for real, in real time, with keys, as over a network; the simulator stands for camera
 and localizer. One of the two agents is watched from outside. The requirement: 2 s, 120 MB, 10 % of a core.

@@ -21,7 +21,9 @@ from sim_bridge.sil.ports import free_port
 from wire.messages import codec, topics
 from wire.messages.topics import Topic
 from wire.transport.bus import Bus, Inbox
-from wire.transport.transport import Deliver, Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.transport import Deliver
+from wire.transport.zenoh_transport import ZenohTransport
 
 ROUND_TRIPS = 2000
 FRAME_ROUND_TRIPS = 300

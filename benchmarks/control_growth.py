@@ -1,4 +1,4 @@
-"""How the cost of a control step grows with the horizon (in the same blocks) and with the number of neighbours heard."""
+"""Cost of a control step over the horizon (in the same blocks) and over the number of neighbours heard."""
 
 from collections.abc import Iterator
 

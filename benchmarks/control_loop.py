@@ -41,7 +41,7 @@ Tamper = Callable[[Controller, Experiment], None]
 
 @dataclass(frozen=True)
 class Case:
-    """What is flown. `beside` robots are too near to each other, so that half-spaces bind."""
+    """A flight of the benchmark. `beside` robots are too near to each other, so that half-spaces bind."""
 
     setting: str
     neighbours: int

@@ -1,4 +1,4 @@
-"""What the peers of `control_step` share: fly the case they are told with their solver in ours' place, print the rows."""
+"""The frame of the peers of `control_step`: fly the given case with their solver in place of ours, print the rows."""
 
 import json
 import sys

@@ -33,7 +33,7 @@ STREAM = 41  # keeps this use of the seed apart from the others
 
 @dataclass(frozen=True, eq=False)
 class Encounter:
-    """What happened."""
+    """The outcome of one encounter."""
 
     seed: int
     nearest_m: float  # centres of any two robots; infinite if there is one only
@@ -91,7 +91,7 @@ def _stirred(experiment: Experiment, random: np.random.Generator) -> Experiment:
 
 
 def _clearance(experiment: Experiment, track: Array) -> float:
-    """How near a robot's centre came to the edge of an island or a ball."""
+    """The distance from a robot's centre to the edge of an island or a ball."""
     time_s = experiment.controller.period_s * np.arange(len(track))
     edges = [np.hypot(*(track[:, :, :2] - island.position_m).T).min() - island.radius_m for island in experiment.islands]
     for ball in experiment.sim.drifters:

@@ -1,4 +1,4 @@
-"""What a fleet of twenty says in a control period, as bytes: robots, station, localizer, and the camera's film."""
+"""Traffic of a fleet of twenty in a control period, as bytes: robots, station, localizer, and the camera's video."""
 
 from collections.abc import Iterator
 

@@ -1,4 +1,4 @@
-"""What the guard in front of a router with keys costs: there and back between two processes, through it and past it.
+"""Cost of the guard in front of a router with keys: round trip between two processes, through it and past it.
 
 Both ways are mutual TLS through the same router. A round trip passes the guard four times (there: sender to router, router to
 echo; and back), so a quarter of the difference is what it adds to one passage of one message.
@@ -22,8 +22,9 @@ from sim_bridge.sil.ports import free_port
 from wire.messages import codec, topics
 from wire.messages.topics import Topic
 from wire.security.key_ring import Keys
+from wire.transport.endpoint import Endpoint
 from wire.transport.gate import Gate
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 CASES: dict[str, tuple[Topic, int]] = {"RobotState": (topics.STATE, ROUND_TRIPS), "Frame": (topics.FRAME, FRAME_ROUND_TRIPS)}
 

@@ -1,4 +1,4 @@
-"""What every benchmark needs: a row, a fair stopwatch, and a place for peers that must not touch our dependencies.
+"""The parts that all benchmarks share: a row, a fair stopwatch, and environments for peers outside our dependencies.
 
 Standard library only: peers import this file from environments that have nothing else of ours.
 """

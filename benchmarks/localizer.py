@@ -1,4 +1,4 @@
-"""What the localizer costs: all of it per frame, for fleets of one to twenty; the obstacle watch; and the correlation filter
+"""Cost of the localizer: all of it per frame, for fleets of one to twenty; the obstacle watch; and the correlation filter
 alone beside the one of OpenCV's contrib modules, in the same pictures.
 
 Frames are 1280 x 960, rendered between the measurements, so that each is as cold in the cache as one from the network.
@@ -29,7 +29,7 @@ from localizer.tracking.single_object import Follower
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import Experiment, load_experiment
-from wire.config.scene import Robot
+from wire.config.scene import RobotConfig
 from wire.frames import Array, wrap
 from wire.messages.messages import Track
 
@@ -73,7 +73,7 @@ def _nu(count: int, t_s: float) -> Array:
 def _experiment(count: int, markers: bool) -> Experiment:
     pool = load_experiment("pool", [f"localizer.markers={str(markers).lower()}"])
     starts = _eta(count, 0.0).tolist()
-    robots = tuple(Robot(id=i + 1, node_m=(0.0, 0.0, 0.0), start=tuple(start)) for i, start in enumerate(starts))
+    robots = tuple(RobotConfig(id=i + 1, node_m=(0.0, 0.0, 0.0), start=tuple(start)) for i, start in enumerate(starts))
     return pool.model_copy(update={"robots": robots})
 
 

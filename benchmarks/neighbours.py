@@ -1,4 +1,4 @@
-"""What neighbours cost a robot's program: processor time of one control step, all its threads, while it hears their plans.
+"""Cost of neighbours: processor time of one control step, all threads, while a robot's program receives their plans.
 
 One agent of fleet-20 runs for real; poses, the station's heartbeat and the plans come from here at 20 Hz, each plan over a
 session of its own and at its own time, as from that many robots. No board answers and the robot is disarmed: what is measured
@@ -21,7 +21,8 @@ from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import Plan, Pose, StationHeartbeat, Track
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 SAMPLES, SAMPLE_S = 4, 3.0
 START_S = 3.0

@@ -19,7 +19,7 @@ BOUND_S = 20.0  # what comes later costs the optimum nothing
 
 
 def task(flight: Flight) -> dict[str, object]:
-    """What the peer needs to know of a flight to do it better."""
+    """The description of a flight for the peer that computes the optimum."""
     experiment = flight.experiment
     vehicle, plant = experiment.vehicle, experiment.sim.plant
     steps = round(BOUND_S / PERIOD_S)

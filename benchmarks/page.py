@@ -37,7 +37,8 @@ from wire.messages.topics import Topic
 from wire.process.cli_options import DEFAULT_FLEET
 from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 ROBOTS = 49  # as many as there are markers
 NODES = 50
@@ -95,7 +96,7 @@ def fleet(robots: int) -> Experiment:
 
 
 def _round(robots: int) -> list[list[tuple[str, Topic, bytes]]]:
-    """What a fleet says in ROUND control periods, encoded: fifty boards do that in a pool, not one process."""
+    """The messages of a fleet in ROUND control periods, encoded: in a pool fifty boards do that, not one process."""
     trajectories = planner.plan(fleet(robots))
     rounds = []
     for step in range(ROUND):

@@ -49,7 +49,8 @@ from wire.messages.messages import Pose, Track
 from wire.messages.topics import Role, Topic
 from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 RATE_HZ = 20
 CONTROLLED = 99  # the robot whose control is measured: what it says of itself
@@ -131,7 +132,7 @@ def _record(address: str, kind: str, folder: str, told: Connection) -> None:
 
 
 def _senders_messages(path: Path) -> int:
-    """How many there are in a log, less the first on each key, which was sent before the measurement."""
+    """The number of messages in a log, less the first on each key, which was sent before the measurement."""
     channels: dict[int, str] = {}
     count = 0
     for record in valid_records(path):

@@ -1,4 +1,4 @@
-"""How fast the simulator is: the plant alone, a frame, numeric flights, and all processes in lockstep.
+"""Speed of the simulator: the plant alone, a frame, numeric flights, and all processes in lockstep.
 
 Plant, frames and numeric flights are timed by this process's own processor time, so that other work on the machine does not
 count; lockstep and real time need the whole machine, and count the wall clock.
@@ -20,7 +20,7 @@ from sim_bridge.camera.renderer import Renderer
 from sim_bridge.in_process.fleet import fly
 from sim_bridge.plant.fleet import Plant
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
-from wire.config.scene import Robot
+from wire.config.scene import RobotConfig
 from wire.frames import Array
 
 BENCHMARK = "simulation"
@@ -34,7 +34,7 @@ def crowd(robots: int, *settings: str) -> Experiment:
     are no more markers. The plant does not care.)"""
     side = int(np.ceil(np.sqrt(robots)))
     experiment = load_experiment("pool", (f"pool.size_m=[{side + 2},{side + 2},3]", *settings))
-    return experiment.model_copy(update={"robots": tuple(Robot(id=1, node_m=(0.0, 0.0, 0.0)) for _ in range(robots))})
+    return experiment.model_copy(update={"robots": tuple(RobotConfig(id=1, node_m=(0.0, 0.0, 0.0)) for _ in range(robots))})
 
 
 def places(robots: int) -> Array:

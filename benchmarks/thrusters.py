@@ -1,4 +1,4 @@
-"""How soon a robot notices that a thruster is broken, and how often it thinks so when none is.
+"""Time until a robot detects a broken thruster, and the rate of false alarms.
 
 A sample is a numeric flight of `pool` in still water, in which a thruster breaks 8 to 20 s after the start; only the time
 counts in which 0.1 N or more are lacking. Beside ours stands the distance from the path alone, with the limit that still water

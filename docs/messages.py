@@ -25,7 +25,7 @@ attachment, little-endian: session u64, sequence u32, stamp i64 in ns, age i64 i
 
 
 def _comments(cls: type) -> dict[str, str]:
-    """What is written beside the fields or members of a class, on their lines."""
+    """The comments beside the fields or members of a class."""
     source = inspect.getsource(cls)
     body = ast.parse(source).body[0]
     assert isinstance(body, ast.ClassDef)
@@ -60,7 +60,7 @@ def _topic_row(topic: Topic) -> str:
         topic.audience,
         rate,
         age,
-        f"{topic.qos.name}, the last {topic.kept} kept" if topic.kept else topic.qos.name,
+        f"{topic.qos.name}, the last {topic.cache_depth} kept" if topic.cache_depth else topic.qos.name,
         recorded,
     )
     return f"| {' | '.join(cells)} |"

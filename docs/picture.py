@@ -19,7 +19,7 @@ SHOW_AT = 0.45  # of the run: the transient is over, and the circle not yet clos
 
 
 def main(run: Path) -> None:
-    """What the camera saw, with the localizer's marks, beside the paths that were flown."""
+    """Draw the camera's picture with the localizer's marks, beside the paths that were flown."""
     with (run / "run.mcap").open("rb") as file:
         previews = [m.data for _, c, m in make_reader(file).iter_messages() if c.topic.endswith(topics.PREVIEW.name)]
     jpeg = codec.decode(Preview, previews[round(SHOW_AT * len(previews))], str(run), topics.PREVIEW.name).jpeg

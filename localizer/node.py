@@ -22,10 +22,12 @@ from localizer.view.video_encoder import VideoMaker
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, RobotState, Track
-from wire.process.runtime import Clock, LockstepClock, Stop, WallClock, age_s, log, log_to_bus
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 FAILURES_IN_A_ROW = 10  # pictures, 0.5 s at 20 Hz: after that the localizer ends, to be started anew by who watches it
 

@@ -83,7 +83,7 @@ def run(
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
-    from wire.transport.transport import ZenohTransport, receive_on_one_thread
+    from wire.transport.zenoh_transport import ZenohTransport, receive_on_one_thread
 
     given = {
         "experiment": experiment,

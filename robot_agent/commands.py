@@ -12,7 +12,7 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.process.cli_options import DEFAULT_FLEET, FleetName
 from wire.process.output_files import check_output, replace_text
 from wire.process.runtime import start_log
-from wire.toml_loader import ConfigError, files_named
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 from wire.transport.endpoint import parse_address
 from wire.transport.network import refuse_open
 
@@ -50,7 +50,7 @@ def init(
         load_experiment(experiment).robot(robot)
     given = {"experiment": experiment, "robot": robot, "link": link, "station": station, "fleet": fleet}
     board = choose({**given, "link_key": link_key, "keys": keys, "insecure": insecure}, None)
-    with files_named(out):
+    with os_errors_as_config_errors(out):
         if out.exists() and not force:
             raise ConfigError(f"{out}: is there already (--force writes over it)")
         check_output(out, [Path(given) for given in (experiment, link_key) if given is not None])

@@ -38,7 +38,8 @@ from wire.messages.messages import (
     StepInputs,
     Tick,
 )
-from wire.process.runtime import SLICE_S, Clock, Lockstep, LockstepClock, Reminder, Stop, WallClock, log, log_to_bus, wait
+from wire.process.lockstep import Lockstep, LockstepClock, Reminder
+from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, log, log_to_bus, wait
 from wire.transport.bus import Bus, Received
 from wire.transport.command_deduplication import ALWAYS_TAKEN
 

@@ -24,7 +24,7 @@ from wire.messages.messages import Order, Outcome, Progress, Reply
 from wire.process.cli_options import experiments
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 ROOT = Path(__file__).parents[1]
 PROGRAMS = {
@@ -79,7 +79,7 @@ def test_the_page_of_commands_names_it(path: tuple[str, ...], command: Any) -> N
 
 
 def completed(words: str, program: str = "groundstation") -> set[str]:
-    """What bash would offer for a line that ends here."""
+    """The completions that bash would offer for a line that ends here."""
     variable = f"_{program.replace('-', '_').upper()}_COMPLETE"
     environment = {**os.environ, variable: "complete_bash", "COMP_WORDS": words, "COMP_CWORD": str(len(words.split(" ")) - 1)}
     script = f"from {PROGRAMS[program]}.__main__ import cli; cli(prog_name={program!r})"
@@ -228,13 +228,13 @@ def test_what_recover_and_export_did_is_json_for_a_script(tmp_path: Path) -> Non
 
 
 def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What became of it, by a station that refuses, and by one that does not."""
+    """The outcome as JSON, of a station that refuses and of one that does not."""
     hub = MemoryHub()
     station = Bus(MemoryTransport(hub))
     done_by_one = Outcome(1, Order.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
     replies = {Order.START: Reply(0, True, outcome=done_by_one), Order.HOLD: Reply(0, False, "no")}
     station.serve(0, lambda header, command: replies[command.order])
-    monkeypatch.setattr("wire.transport.transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
+    monkeypatch.setattr("wire.transport.zenoh_transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):
         done = CliRunner().invoke(groundstation, ["order", order, "--json"])
         robots = {"1": "confirmed", "2": "not heard"} if accepted else {}

@@ -1,1 +1,1 @@
-"""What the four processes agree on: messages, topics, frames, vehicle and experiment files, the bus, the thruster link."""
+"""The package that the four processes share: messages, topics, configuration, frames, the bus, the thruster link."""

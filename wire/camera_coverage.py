@@ -1,4 +1,4 @@
-"""Which places of the pool a camera's picture shows, and how far beside it a hull is. Pure.
+"""Coverage of a camera: the part of the pool that its picture shows. Pure.
 
 The same optics as the localizer's (pinhole with OpenCV's distortion, in air above flat water, Snell's law), forwards only and
 without OpenCV, which neither station nor robots install.
@@ -16,8 +16,8 @@ _FARTHEST_M = 1e3  # beside the picture: what is behind the lens, or so far that
 
 
 def outside_m(camera: Camera, places_m: Array, reach_m: float) -> Array:
-    """How far (n,) level discs of radius `reach_m` around places (n, 3) reach out of the picture, in m of the pool at their
-    depth; 0 or less: they are in it."""
+    """Distance (n,) by which level discs of radius `reach_m` around places (n, 3) reach out of the picture, in m of the pool
+    at their depth. 0 or less: the disc is inside."""
     places = np.column_stack([places_m[:, :2], np.maximum(places_m[:, 2], 0.0)])
     points = np.concatenate([places[:, None], places[:, None] + reach_m * _RING], axis=1)  # (n, 9, 3)
     pixels = _without_fold(camera, points.reshape(-1, 3)).reshape(-1, 9, 2)
@@ -57,8 +57,10 @@ def project(camera: Camera, points: Array) -> Array:
 
 
 def _at_surface(camera: Camera, points: Array) -> Array:
-    """Where the light from points (n, 3) crosses z = 0. With r the crossing's distance from the camera's foot, a ray leaves
-    the surface at tan = r / sqrt(n^2 (r^2 + h^2) - r^2) (Snell); Newton finds r + depth tan = reach."""
+    """Points at which the light from points (n, 3) crosses z = 0.
+
+    With r the crossing's distance from the camera's foot, a ray leaves the surface at tan = r / sqrt(n^2 (r^2 + h^2) - r^2)
+    (Snell). Newton's method solves r + depth tan = reach."""
     lens, n = np.array(camera.position_m), camera.water_index
     offset, depth, height = points[:, :2] - lens[:2], points[:, 2], -lens[2]
     reach = np.hypot(offset[:, 0], offset[:, 1])

@@ -1,4 +1,4 @@
-"""Obstacles that were seen and are not seen any more: where they may be by now. Pure; robots and station go by it alike.
+"""Places where obstacles may be that were seen and are not seen any more. Pure; robots and station use the same.
 
 Whoever cannot see keeps what was there last. It may have drifted on at the velocity that was measured, or have stopped, and it
 may have done something else: it takes up the ground of the way that it would have drifted, and around that the space that
@@ -18,25 +18,24 @@ BLIND = "nobody tells of obstacles"
 
 
 def ages_s(seen: Obstacles, since_s: float) -> list[float]:
-    """How long ago each obstacle was seen, of a message that is `since_s` old. Messages of earlier versions do not say that
-    anything is unseen."""
+    """The ages of the obstacles, in s, in a message that is `since_s` old. In messages of earlier versions none is unseen."""
     unseen = seen.unseen_s if len(seen.unseen_s) == len(seen.ids) else np.zeros(len(seen.ids))
     ages: list[float] = np.nan_to_num(np.clip(since_s + unseen, 0.0, LONGEST_S), nan=LONGEST_S).tolist()
     return ages
 
 
 def is_old(age_s: float) -> bool:
-    """Whether what was seen so long ago may be elsewhere."""
+    """True if an obstacle seen so long ago may be elsewhere."""
     return age_s > OBSTACLES.max_age_s
 
 
 def growth_m(safety: Safety, age_s: float) -> float:
-    """How far beyond its outline an obstacle may be that was last seen `age_s` ago, in m."""
+    """The distance beyond its outline, in m, at which an obstacle may be that was last seen `age_s` ago."""
     return min(safety.bubble_mps * max(age_s - OBSTACLES.max_age_s, 0.0), safety.bubble_max_m)
 
 
 def drift_m(safety: Safety, velocity_mps: Array, age_s: float) -> Array:
-    """How far it may have drifted meanwhile, (2,), in m: no further than the space around it ever grows."""
+    """The drift (2,), in m, of an obstacle since it was seen, limited to safety.bubble_max_m."""
     drift = velocity_mps * age_s
     return np.asarray(drift * min(1.0, safety.bubble_max_m / max(float(np.hypot(*drift)), 1e-9)))
 
@@ -53,7 +52,7 @@ def swept(outline: Array, drift_m: Array) -> Array:
 
 
 def blindness(seen: Obstacles | None, since_s: float) -> str:
-    """Why whoever has this message, `since_s` old, cannot tell what lies in the pool; empty if it can."""
+    """The reason why a reader of this message, `since_s` old, cannot tell which obstacles there are; empty if it can."""
     if seen is None:
         return BLIND
     return f"{BLIND} any more" if is_old(since_s) else seen.blind

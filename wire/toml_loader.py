@@ -30,8 +30,8 @@ S = TypeVar("S", bound=Section)
 
 
 @contextmanager
-def files_named(path: Path) -> Iterator[None]:
-    """What the file system refuses meanwhile becomes a ConfigError that says where and why."""
+def os_errors_as_config_errors(path: Path) -> Iterator[None]:
+    """Turns errors of the file system inside the block into a ConfigError that names the file and the reason."""
     try:
         yield
     except OSError as error:

@@ -199,7 +199,7 @@ def _tell_station(
     from wire.transport.bus import Bus
     from wire.transport.gate import nearest
     from wire.transport.network import endpoint
-    from wire.transport.transport import ZenohTransport
+    from wire.transport.zenoh_transport import ZenohTransport
 
     where = nearest(endpoint(station(given, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
     patience_s = PATIENCE_S.get(command.order, OTHERWISE_S) if wait_s is None else wait_s

@@ -55,7 +55,7 @@ def replay(
         from wire.messages.topics import Role, process_name
         from wire.transport.bus import Bus
         from wire.transport.network import endpoint
-        from wire.transport.transport import ZenohTransport
+        from wire.transport.zenoh_transport import ZenohTransport
 
         name, me = f"{REPLAY_PREFIX}{fleet}", process_name(Role.STATION)
         where = endpoint(listen, me, keys, insecure=insecure, router=not external_router, fleet=name)

@@ -26,7 +26,7 @@ from wire.process.cli_options import (
     caution,
 )
 from wire.process.runtime import Stop, start_log
-from wire.toml_loader import ConfigError, files_named
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
 
@@ -73,7 +73,7 @@ def run(
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
-    from wire.transport.transport import ZenohTransport
+    from wire.transport.zenoh_transport import ZenohTransport
 
     token = _token(web_token_file) if web_token_file is not None else ""
     page = None if no_web else web_options(web, web_certificate, web_key, token)
@@ -110,7 +110,7 @@ def run(
 
 
 def _token(file: Path) -> str:
-    with files_named(file):
+    with os_errors_as_config_errors(file):
         try:
             token = file.read_text(encoding="utf-8").strip()
         except UnicodeDecodeError:

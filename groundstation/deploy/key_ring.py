@@ -3,7 +3,6 @@
 Private files are created with mode 0600 in folders of 0700, before the first byte is in them, and never printed.
 """
 
-import os
 import re
 import shutil
 from collections.abc import Sequence
@@ -16,8 +15,9 @@ import tomli_w
 from groundstation.deploy import certificate_authority
 from groundstation.deploy.certificate_authority import Pair
 from wire.messages.topics import Role, process_name
+from wire.process.output_files import replacing
 from wire.security.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
-from wire.toml_loader import ConfigError, files_named
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 AUTHORITY_KEY = "authority.key"
 ALWAYS_HOSTS = ("localhost", "127.0.0.1", "::1")
@@ -30,7 +30,7 @@ def init(ring: Path, hosts: Sequence[str], fleet: str, now: datetime) -> list[Is
             raise ConfigError(
                 f"--host {host!r}: no name or address of a host (letters, digits, . and -; not a port, no brackets)"
             )
-    with files_named(ring):
+    with os_errors_as_config_errors(ring):
         if (ring / CA).exists() or (ring / AUTHORITY_KEY).exists():
             raise ConfigError(f"{ring}: has keys already; a new authority would lock every robot out (choose another folder)")
         ring.mkdir(parents=True, exist_ok=True)
@@ -66,7 +66,7 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
         pair = certificate_authority.issue(root, common_name, members.hosts if role == "station" else (), now, days)
     except ValueError as error:
         raise ConfigError(f"{ring / CA} and {ring / AUTHORITY_KEY}: make no certificate: {error}") from None
-    with files_named(ring):
+    with os_errors_as_config_errors(ring):
         _lay_down(ring / process, root.certificate, pair)
     issued = Issued(
         process=process,
@@ -77,7 +77,7 @@ def add(ring: Path, role: str, robot: int, now: datetime, days: float = certific
         expires=_seconds(now + timedelta(days=days)),
     )
     earlier = _without(members, process, now)
-    with files_named(ring):
+    with os_errors_as_config_errors(ring):
         _write_members(ring, earlier.model_copy(update={"member": (*earlier.member, issued)}))
     return issued
 
@@ -88,7 +88,7 @@ def revoke(ring: Path, process: str, now: datetime) -> None:
     valid = [m.process for m in members.member if m.revoked is None]
     if process not in valid:
         raise ConfigError(f"{process}: has no certificate (there are: {', '.join(valid) or 'none'})")
-    with files_named(ring):
+    with os_errors_as_config_errors(ring):
         _write_members(ring, _without(members, process, now))
         if (ring / process).is_dir():
             shutil.rmtree(ring / process)
@@ -104,7 +104,7 @@ def _without(members: MemberList, process: str, now: datetime) -> MemberList:
 
 
 def _authority(ring: Path) -> Pair:
-    with files_named(ring):
+    with os_errors_as_config_errors(ring):
         for path in (ring / CA, ring / AUTHORITY_KEY):
             if not path.is_file():
                 raise ConfigError(f"{path}: missing (`groundstation keys init` makes it; put it back if it is in a safe)")
@@ -125,14 +125,9 @@ def _write_members(ring: Path, members: MemberList) -> None:
 
 
 def _write(path: Path, data: bytes, mode: int) -> None:
-    """All of it or nothing, and never readable by others on the way: written beside, then put in place."""
-    beside = path.with_name(f".{path.name}.new")
-    beside.unlink(missing_ok=True)
-    with os.fdopen(os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-        os.fchmod(file.fileno(), mode)
+    """Write all of it or nothing, with these permissions from the beginning."""
+    with replacing(path, durable=True, mode=mode) as file:
         file.write(data)
-        os.fsync(file.fileno())
-    beside.replace(path)
 
 
 def _seconds(when: datetime) -> datetime:

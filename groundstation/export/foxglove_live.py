@@ -17,7 +17,8 @@ from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode, protobuf_class
 from wire.messages.topics import Topic
-from wire.process.runtime import Clock, LockstepClock
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Clock
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 

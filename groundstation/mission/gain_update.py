@@ -14,7 +14,7 @@ from enum import Enum
 
 from groundstation.mission.command_dispatcher import Answer
 from groundstation.telemetry import Fleet
-from wire.config.controller import Controller
+from wire.config.controller import ControllerConfig
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle
 from wire.messages.live_gains import tuned, tuning
@@ -56,7 +56,7 @@ class _Change:
     """A change under way."""
 
     message: Tuning
-    config: Controller
+    config: ControllerConfig
     robots: tuple[int, ...]
     trajectory_s: float = 0.0
     back: bool = False  # to the set before, after one robot did not follow; or of a robot that was away
@@ -69,7 +69,7 @@ class Tuner:
     def __init__(self, experiment: Experiment) -> None:
         self._experiment, self._config = experiment, experiment.controller
         self._flown = tuning(self._config)
-        self._before: list[Controller] = []
+        self._before: list[ControllerConfig] = []
         self._known = [self._flown.id]
         self._stage, self._reason = Stage.IDLE, ""
         self._change: _Change | None = None
@@ -126,7 +126,7 @@ class Tuner:
         ends = start_s >= self._experiment.duration_s
         return start_s, "there is no next lap: the run ends with this one" if ends else ""
 
-    def _begin(self, config: Controller, fleet: Fleet, now_ns: int, trajectory_s: float = 0.0) -> str:
+    def _begin(self, config: ControllerConfig, fleet: Fleet, now_ns: int, trajectory_s: float = 0.0) -> str:
         silent = [str(robot) for robot, seen in fleet.items() if not seen.heard]
         if silent:
             return f"robot {', '.join(silent)} is not heard"

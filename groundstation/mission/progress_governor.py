@@ -5,7 +5,7 @@ pace itself follows through a critically damped second-order lag: no jump in any
 change.
 """
 
-from wire.config.mission import Conduct
+from wire.config.mission import MissionConfig
 
 ANSWER_S = 0.7  # time constant: slower than a robot's own tracking (0.3 s), or the two chase one another
 STEADY_S = 0.1  # longest step of the pace: after a stall of the station it goes on from where it was, with no leap
@@ -16,7 +16,7 @@ NOTICED = 0.95  # of the timetable's pace: below it the mission says that it wai
 class Pace:
     """How fast the virtual structure goes, and how far it is behind its timetable."""
 
-    def __init__(self, conduct: Conduct) -> None:
+    def __init__(self, conduct: MissionConfig) -> None:
         self.lag_s = 0.0
         self.rate = 1.0
         self._change_per_s = 0.0

@@ -18,7 +18,7 @@ from groundstation.planning.paths import Path, PathState, make_path
 from groundstation.planning.time_scaling import slowed
 from groundstation.planning.way import ways
 from wire.config.experiment import Experiment
-from wire.config.scene import PathSpec, Robot, Route
+from wire.config.scene import PathSpec, RobotConfig, Route
 from wire.frames import Array
 from wire.messages.codec import MAX_MESSAGE_BYTES
 from wire.messages.messages import Trajectory
@@ -101,7 +101,7 @@ def starts_json(starts: Mapping[int, Array]) -> str:
 
 
 def _flown(
-    experiment: Experiment, given: PathSpec, group: Sequence[Robot], samples: int
+    experiment: Experiment, given: PathSpec, group: Sequence[RobotConfig], samples: int
 ) -> tuple[dict[int, NodeMotion], NodeMotion]:
     """The motion of the robots on a path, and of its centre, at `samples` control periods from 0 on; slower than the path says
     where they could not follow."""
@@ -126,7 +126,7 @@ def _flown(
     return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
 
 
-def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[Robot], nodes: Sequence[Course]) -> Path:
+def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[RobotConfig], nodes: Sequence[Course]) -> Path:
     """The centre's path; of a route the first way on which no node touches anything."""
     time_s = np.arange(len(nodes[0].place_m), dtype=np.float64) * experiment.controller.period_s
     try:
@@ -154,7 +154,7 @@ def at_centre(samples: int) -> Course:
 
 
 def node_motions(
-    experiment: Experiment, centre: PathState, group: Sequence[Robot], nodes: Sequence[Course]
+    experiment: Experiment, centre: PathState, group: Sequence[RobotConfig], nodes: Sequence[Course]
 ) -> dict[int, NodeMotion]:
     """The robots' motions around the centre's, all sampled every control period."""
     mode, period_s = experiment.formation.mode, experiment.controller.period_s

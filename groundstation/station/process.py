@@ -25,10 +25,11 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.topics import WHOLE_FLEET
+from wire.process.lockstep import Lockstep, LockstepClock
 from wire.process.output_files import replace_text
-from wire.process.runtime import Clock, Lockstep, LockstepClock, Stop, WallClock, log, log_to_bus
+from wire.process.runtime import Clock, Stop, WallClock, log, log_to_bus
 from wire.security.access_control import INSECURE
-from wire.toml_loader import ConfigError, files_named
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 from wire.transport.bus import Bus
 
 FAREWELL_S = 1.0  # a page gets four states in this time, a terminal asks five times
@@ -66,7 +67,7 @@ def run(
     metadata = run_metadata(experiment, mode)
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
     check_room(run_dir, experiment.recording.min_free_gb)
-    with files_named(run_dir):
+    with os_errors_as_config_errors(run_dir):
         run_dir.mkdir(parents=True, exist_ok=True)  # the router listens, the plan stands: a start that fails leaves no folder
         _lay_down(run_dir / "experiment.toml", experiment, experiment_toml)
         recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)

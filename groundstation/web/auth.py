@@ -8,9 +8,9 @@ token are then not optional.
 import hmac
 import re
 from dataclasses import dataclass
-from ipaddress import ip_address
 from pathlib import Path
 
+from wire.loopback import is_loopback
 from wire.toml_loader import ConfigError
 
 SHORTEST_TOKEN = 16
@@ -40,7 +40,7 @@ class WebOptions:
     @property
     def local(self) -> bool:
         """Whether only this machine can reach it."""
-        return self.host in _LOCAL_NAMES or _is_loopback(self.host)
+        return is_loopback(self.host)
 
     @property
     def url(self) -> str:
@@ -64,13 +64,6 @@ def web_options(address: str, certificate: Path | None = None, key: Path | None 
             f"--web-certificate, --web-key and --web-token-file with a token of {SHORTEST_TOKEN} characters or more"
         )
     return options
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return False
 
 
 def host_allowed(options: WebOptions, host: str) -> bool:

@@ -10,7 +10,7 @@ from groundstation.web.camera_underlay import mesh
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
-from wire.messages.live_gains import knobs
+from wire.messages.live_gains import tunable_parameters
 from wire.messages.messages import Trajectory
 
 MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pixel
@@ -74,9 +74,9 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
         "path": experiment.path.model_dump(mode="json"),
         "formation": experiment.formation.model_dump(mode="json"),
-        "knobs": [
+        "tunable_parameters": [
             {"key": k.key, "value": k.value, "least": k.least, "most": k.most, "above": k.above, "below": k.below}
-            for k in knobs(controller)
+            for k in tunable_parameters(controller)
         ],
         "paths": paths(trajectories, flown_samples(experiment)),
         "underlay": _underlay(experiment),

@@ -93,7 +93,7 @@ def check(
     from wire.process.runtime import Stop, start_log
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
-    from wire.transport.transport import ZenohTransport
+    from wire.transport.zenoh_transport import ZenohTransport
 
     loaded = load_experiment(experiment, settings or ())
     check_output(out, [experiment_path(experiment), *([image] if image is not None else [])])

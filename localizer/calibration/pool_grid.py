@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from localizer.camera_model import PoolView
 from localizer.detection.image_regions import Pixels
 from wire.config.perception import Camera
-from wire.config.scene import Pool
+from wire.config.scene import PoolConfig
 from wire.frames import Array
 
 Colour = tuple[int, int, int]
@@ -41,7 +41,7 @@ class Figures:
     mm_per_cm_depth: tuple[float, float]  # error of a place per cm of depth error, likewise
 
 
-def figures(camera: Camera, pool: Pool, depth_m: float) -> Figures:
+def figures(camera: Camera, pool: PoolConfig, depth_m: float) -> Figures:
     """The figures for one depth."""
     view = PoolView(camera)
     width, height = camera.size_px
@@ -63,7 +63,7 @@ def figures(camera: Camera, pool: Pool, depth_m: float) -> Figures:
     )
 
 
-def draw_grid(picture: Pixels, camera: Camera, pool: Pool, depth_m: float) -> None:
+def draw_grid(picture: Pixels, camera: Camera, pool: PoolConfig, depth_m: float) -> None:
     """Draw into a BGR picture (height, width, 3): a grid at `depth_m`, the pool's outline at surface and floor, its upright
     edges, and the origin's mark with the axes' names."""
     view = PoolView(camera)
@@ -98,7 +98,7 @@ def polyline(picture: Pixels, pixels: Array, colour: Colour, thickness: int = 1,
     cv2.polylines(picture, [fixed], closed, colour, thickness, cv2.LINE_AA, _FRACTION_BITS)
 
 
-def _grid_lines(pool: Pool, depth_m: float) -> Iterator[Array]:
+def _grid_lines(pool: PoolConfig, depth_m: float) -> Iterator[Array]:
     half_x, half_y = pool.size_m[0] / 2, pool.size_m[1] / 2
     yield from (_line((x, -half_y, depth_m), (x, half_y, depth_m)) for x in _steps(half_x))
     yield from (_line((-half_x, y, depth_m), (half_x, y, depth_m)) for y in _steps(half_y))

@@ -10,7 +10,7 @@ from localizer.calibration.intrinsics import LensFit, lens_warnings
 from localizer.calibration.pool_grid import Figures, draw_grid, polyline, write
 from localizer.calibration.survey_points import FEWEST_POINTS, PoolPoint
 from localizer.detection.image_regions import Pixels
-from wire.config.scene import Pool
+from wire.config.scene import PoolConfig
 from wire.frames import Array
 
 MAGNIFIED = 20.0  # how much longer arrows are than the errors they show
@@ -52,7 +52,7 @@ def lens_lines(fit: LensFit, missing: Sequence[str], spare: int) -> list[str]:
     return [*lines, *_warnings(lens_warnings(fit))]
 
 
-def pose_lines(fit: PoseFit, points: Sequence[PoolPoint], pool: Pool) -> list[str]:
+def pose_lines(fit: PoseFit, points: Sequence[PoolPoint], pool: PoolConfig) -> list[str]:
     """The pose: every point's error, position and rotation with one standard deviation, what that means for places in the
     pool, warnings."""
     lines = [
@@ -105,7 +105,7 @@ def lens_picture(backdrop: Pixels, fit: LensFit) -> Pixels:
     return picture
 
 
-def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[PoolPoint], pool: Pool) -> Pixels:
+def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[PoolPoint], pool: PoolConfig) -> Pixels:
     """The pool's grid half-way down and the points, seen and predicted, over a picture (height, width, 3) BGR."""
     picture = backdrop.copy()
     draw_grid(picture, fit.camera, pool, pool.size_m[2] / 2)

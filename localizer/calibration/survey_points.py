@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from localizer.calibration.targets import marker_centres
 from localizer.detection.image_regions import Pixels
-from wire.config.scene import Pool, Vec2, Vec3
+from wire.config.scene import PoolConfig, Vec2, Vec3
 from wire.frames import Array
 from wire.toml_loader import ConfigError, Section
 
@@ -38,7 +38,7 @@ class PoolPoint(Section):
 class PoolPoints(Section):
     """The file of `--pool-points`. `image`: the picture they were seen in, beside the file."""
 
-    pool: Pool  # as in the experiment
+    pool: PoolConfig  # as in the experiment
     image: str | None = None
     points: tuple[PoolPoint, ...]
 

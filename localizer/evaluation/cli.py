@@ -55,7 +55,7 @@ def latency(
     from wire.process.runtime import Stop, WallClock, start_log
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
-    from wire.transport.transport import ZenohTransport
+    from wire.transport.zenoh_transport import ZenohTransport
 
     start_log("localizer")
     if json is not None:

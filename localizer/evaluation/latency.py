@@ -23,7 +23,7 @@ from wire.messages.messages import CameraHealth, LocalizerStatus
 from wire.messages.topics import Topic
 from wire.process.runtime import Clock, Stop
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 WARM_UP = 5  # pictures: caches, exposure control, a backlog from before
 _LARGEST_JITTER = 0.25  # of a period, p99: more, and the motion between pictures is no longer what the filter thinks

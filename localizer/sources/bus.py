@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from localizer.sources.base import Shot, silent_after_s
 from wire.messages import topics
 from wire.messages.messages import Frame, RobotState
-from wire.process.runtime import Clock, Lockstep, LockstepClock, Stop, wait
+from wire.process.lockstep import Lockstep, LockstepClock
+from wire.process.runtime import Clock, Stop, wait
 from wire.transport.bus import Bus, Inbox, Received
 
 

@@ -10,7 +10,8 @@ from localizer.sources.files import FolderSource, VideoSource
 from localizer.sources.v4l2 import V4l2Source, check_device
 from wire.config.perception import Camera
 from wire.messages.messages import RobotState
-from wire.process.runtime import Clock, LockstepClock, Stop
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Clock, Stop
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Inbox
 

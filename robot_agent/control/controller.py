@@ -32,8 +32,7 @@ from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, Passing, piece
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import Estimate, Estimator, Measurement, Sighting
-from wire.config.controller import Controller as ControllerConfig
-from wire.config.controller import Safety
+from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 from wire.messages.messages import Solve

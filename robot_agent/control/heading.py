@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from robot_agent.guidance.reference import Path
-from wire.config.controller import Guidance as GuidanceConfig
+from wire.config.controller import GuidanceConfig
 from wire.config.vehicle import Vehicle
 from wire.frames import Array, wrap
 

@@ -13,8 +13,7 @@ from robot_agent.control.baselines.tracking_errors import Axes
 from robot_agent.control.mpc import Mpc, MpcPlan
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.controller import Controller as Config
-from wire.config.controller import Guidance as GuidanceConfig
+from wire.config.controller import ControllerConfig, GuidanceConfig
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 
@@ -44,7 +43,7 @@ class Law(Protocol):
         `reference` (horizon + 1, 4) from that instant on, its yaw near the state's; `weight` W (4,)."""
 
 
-def guidance_config(config: Config) -> GuidanceConfig:
+def guidance_config(config: ControllerConfig) -> GuidanceConfig:
     """Guidance as the law wants it: how fast a heading may correct depends on the loop that follows it."""
     if config.law == "eso-mpc":
         return config.guidance
@@ -52,14 +51,14 @@ def guidance_config(config: Config) -> GuidanceConfig:
     return config.guidance.model_copy(update={"position_gain_per_s2": gain})
 
 
-def make_law(vehicle: Vehicle, model: Model, config: Config, period_s: float, rows: int) -> Law:
+def make_law(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float, rows: int) -> Law:
     """The law of that name. `rows` half-spaces there can be."""
     if config.law == "eso-mpc":
         return Mpc(vehicle, model, config.mpc, period_s, rows)
     return Feedback(_feedback(vehicle, model, config, period_s), vehicle, model, period_s, config.mpc.horizon)
 
 
-def _feedback(vehicle: Vehicle, model: Model, config: Config, period_s: float) -> FeedbackLaw:
+def _feedback(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float) -> FeedbackLaw:
     limits, axes = vehicle.limits, Axes(model, vehicle.limits.wrench)
     match config.law:
         case "backstepping":

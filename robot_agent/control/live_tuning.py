@@ -7,7 +7,7 @@ within one. Pure: time is an argument.
 from dataclasses import dataclass
 
 from robot_agent.control.controller import Controller, Tuned
-from wire.config.controller import Controller as Config
+from wire.config.controller import ControllerConfig
 from wire.messages.live_gains import of_message, tuning
 from wire.messages.messages import Command, Order
 from wire.toml_loader import ConfigError
@@ -28,7 +28,7 @@ class Adoption:
 class Gains:
     """What the controller flies with, and what it may fly with next."""
 
-    def __init__(self, controller: Controller, config: Config) -> None:
+    def __init__(self, controller: Controller, config: ControllerConfig) -> None:
         self.id = tuning(config).id
         self._controller, self._config = controller, config
         self._ready: tuple[str, Tuned] | None = None

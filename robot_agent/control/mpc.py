@@ -17,7 +17,7 @@ from robot_agent.control.linearisation import Prediction
 from robot_agent.control.qp import NO_BOUND, Solution, Solver, make_solver
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.controller import Mpc as MpcConfig
+from wire.config.controller import MpcConfig
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 from wire.messages.messages import Solve

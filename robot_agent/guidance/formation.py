@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from robot_agent.guidance.obstacles import Thing, border
 from robot_agent.guidance.reference import interpolate
-from wire.config.controller import Mpc as MpcConfig
-from wire.config.controller import Safety
+from wire.config.controller import MpcConfig, Safety
 from wire.frames import TURN, Array
 from wire.messages.messages import Plan
 

@@ -7,7 +7,7 @@ come from another version, another vehicle file, or a fault in the planner, and 
 import numpy as np
 from numpy.typing import NDArray
 
-from wire.config.scene import Pool
+from wire.config.scene import PoolConfig
 from wire.config.vehicle import Vehicle
 from wire.messages.messages import Trajectory
 
@@ -25,7 +25,7 @@ STILL = 0.1 * LEAP  # of a velocity: that is rest
 AXES = (("x", "m"), ("y", "m"), ("z", "m"), ("yaw", "rad"))
 
 
-def unflyable(trajectory: Trajectory | None, pool: Pool, vehicle: Vehicle) -> str:
+def unflyable(trajectory: Trajectory | None, pool: PoolConfig, vehicle: Vehicle) -> str:
     """Why a trajectory cannot be flown by this vehicle in this pool; empty if it can."""
     if trajectory is None:
         return "carries no trajectory"

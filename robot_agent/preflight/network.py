@@ -16,7 +16,8 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
 from wire.transport.network import endpoint
-from wire.transport.transport import Unreached, ZenohTransport
+from wire.transport.transport import Unreached
+from wire.transport.zenoh_transport import ZenohTransport
 
 STATION_WITHIN_S = 3.0
 PRESENT_WITHIN_S = 0.5  # after the station is heard: who is there already the router tells in its own time

@@ -21,8 +21,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.controller import COAST_S
-from wire.config.controller import Estimator as EstimatorConfig
+from wire.config.controller import COAST_S, EstimatorConfig
 from wire.frames import Array, wrap
 
 Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m

@@ -15,7 +15,7 @@ from sim_bridge.camera.scenery import Hit, still_scene, trace
 from sim_bridge.camera.textures import Bytes, Float
 from wire.config.experiment import Experiment
 from wire.config.perception import Camera
-from wire.config.scene import Pool
+from wire.config.scene import PoolConfig
 from wire.config.simulation import CameraMotion
 from wire.frames import Array
 
@@ -96,7 +96,7 @@ class Hover:
         return np.asarray((np.arange(count) + 0.5) * self._texel_m - self._reach[axis], dtype=np.float32)
 
 
-def _plan(hit: Hit, pool: Pool) -> tuple[Float, Float]:
+def _plan(hit: Hit, pool: PoolConfig) -> tuple[Float, Float]:
     """Where hits lie on the plan: walls are laid open outwards, the deck follows at their upper edge."""
     half_x, half_y, depth = pool.size_m[0] / 2.0, pool.size_m[1] / 2.0, np.float32(pool.size_m[2])
     down = depth - hit.z
@@ -107,7 +107,7 @@ def _plan(hit: Hit, pool: Pool) -> tuple[Float, Float]:
     return x, y
 
 
-def _unfolded(plan_x: Float, plan_y: Float, pool: Pool) -> Hit:
+def _unfolded(plan_x: Float, plan_y: Float, pool: PoolConfig) -> Hit:
     """What lies where on the plan: the inverse of `_plan`. In the corners between two walls, which nobody sees, the wall that
     is further out."""
     half_x, half_y, depth = np.float32(pool.size_m[0] / 2.0), np.float32(pool.size_m[1] / 2.0), np.float32(pool.size_m[2])

@@ -15,7 +15,7 @@ from sim_bridge.camera.rays import Lines, View, Window, seen_raw
 from sim_bridge.camera.scenery import through_water
 from sim_bridge.camera.textures import RED, SHELL_PX, Bytes, Float, shell
 from wire.config.experiment import Experiment
-from wire.config.scene import Robot
+from wire.config.scene import RobotConfig
 from wire.frames import Array
 
 LAMP = np.array([-0.30, -0.22, 0.93])  # where most light comes from: pool x, y and up; the shadow falls the other way
@@ -49,7 +49,7 @@ class Sprite:
         self._half_m = 0.0 if plate is None else float(np.sqrt(2.0) * plate.half_m)
 
     @classmethod
-    def robot(cls, robot: Robot, experiment: Experiment, random: np.random.Generator) -> "Sprite":
+    def robot(cls, robot: RobotConfig, experiment: Experiment, random: np.random.Generator) -> "Sprite":
         """A robot of the experiment in a paint of its own."""
         vehicle, px_per_m = experiment.vehicle, experiment.camera.px_per_m
         texels_per_px = SHELL_PX / 4.0 / vehicle.radius_m / px_per_m

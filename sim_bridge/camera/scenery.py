@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sim_bridge.camera.rays import Lines
 from sim_bridge.camera.textures import TILE_M, Bytes, Float, grain, texels_per_tile, tiles
 from wire.config.experiment import Experiment
-from wire.config.scene import Pool
+from wire.config.scene import PoolConfig
 
 # Per metre of water, blue, green, red: clear tap water swallows red first (Pope and Fry 1997: 0.01, 0.06, 0.34 at 450, 550,
 # 650 nm); a little more everywhere for what floats in it. Then what the water itself sends back.
@@ -52,7 +52,7 @@ class Hit:
     on_deck: NDArray[np.bool_]
 
 
-def trace(lines: Lines, pool: Pool) -> Hit:
+def trace(lines: Lines, pool: PoolConfig) -> Hit:
     """Follow each line to floor, wall or, outside the basin, to the deck at z = 0."""
     half_x, half_y, depth = pool.size_m[0] / 2.0, pool.size_m[1] / 2.0, pool.size_m[2]
     deck = (np.abs(lines.surface_x) > half_x) | (np.abs(lines.surface_y) > half_y)

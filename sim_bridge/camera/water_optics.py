@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wire.config.perception import Camera
-from wire.config.scene import Pool
-from wire.config.simulation import Picture
+from wire.config.scene import PoolConfig
+from wire.config.simulation import PictureConfig
 from wire.frames import Array
 
 Float = NDArray[np.float32]
@@ -58,7 +58,7 @@ class Waves:
 class Ripples:
     """Slopes of the surface. `ripples_m` is the significant height: four standard deviations of the elevation."""
 
-    def __init__(self, picture: Picture, camera: Camera, random: np.random.Generator) -> None:
+    def __init__(self, picture: PictureConfig, camera: Camera, random: np.random.Generator) -> None:
         self._waves = Waves(RIPPLE_WAVES, RIPPLE_LENGTH_M, random)
         length = 1.0 / np.linalg.norm(self._waves.number, axis=1)
         share = length / np.linalg.norm(length)  # elevation falls with wave number: slopes are equal
@@ -77,7 +77,7 @@ class Ripples:
 class Caustics:
     """Light on the floor: a regular bundle of rays sent down through a wavy surface and collected on a grid."""
 
-    def __init__(self, pool: Pool, random: np.random.Generator) -> None:
+    def __init__(self, pool: PoolConfig, random: np.random.Generator) -> None:
         self._waves = Waves(CAUSTIC_WAVES, CAUSTIC_LENGTH_M, random)
         steep = np.linalg.norm(self._waves.number, axis=1)
         self._amplitude = CAUSTIC_SLOPE / steep * np.sqrt(2.0 / CAUSTIC_WAVES)

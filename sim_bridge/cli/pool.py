@@ -59,7 +59,7 @@ def pool(
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
-    from wire.transport.transport import ZenohTransport
+    from wire.transport.zenoh_transport import ZenohTransport
 
     start_log("sim-bridge", verbose)
     cv2.setNumThreads(1)  # of this process: with the fleet's others on the machine, more threads only fight

@@ -10,7 +10,7 @@ from sim_bridge.cli.pool import Poses
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.cli_options import ExperimentName, FaultLines, KeyRing, Settings, caution, experiments
 from wire.process.runtime import Stop
-from wire.toml_loader import files_named
+from wire.toml_loader import os_errors_as_config_errors
 
 Seed = Annotated[int | None, typer.Option(help="Seed of everything random; default: the experiment's.")]
 Duration = Annotated[float | None, typer.Option(help="Seconds to fly; default: the experiment's.")]
@@ -191,7 +191,7 @@ def _new_folder(out: Path, name: str) -> Path:
     stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
         folder = out / f"{stem}{suffix}"
-        with files_named(out):
+        with os_errors_as_config_errors(out):
             try:
                 folder.mkdir(parents=True)
                 return folder

@@ -26,19 +26,8 @@ from wire.config.fault_injection import Break
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, RobotState, Tick, Trajectory
-from wire.process.runtime import (
-    LOCKSTEP_SAYS_S,
-    SLICE_S,
-    Clock,
-    LockstepClock,
-    Reminder,
-    Stop,
-    WallClock,
-    guarded_thread,
-    log,
-    log_to_bus,
-    wait,
-)
+from wire.process.lockstep import LOCKSTEP_SAYS_S, LockstepClock, Reminder
+from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, guarded_thread, log, log_to_bus, wait
 from wire.transport.bus import Bus
 
 

@@ -34,7 +34,8 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.endpoint import parse_address
 from wire.transport.network import endpoint
-from wire.transport.transport import Unreached, ZenohTransport
+from wire.transport.transport import Unreached
+from wire.transport.zenoh_transport import ZenohTransport
 
 START_WITHIN_S = 180.0  # on a starved machine a program takes a minute to be loaded
 LOOK_EVERY_S = 0.2

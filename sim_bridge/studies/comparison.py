@@ -14,7 +14,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from sim_bridge.in_process.run import STATION, plan
 from sim_bridge.studies.variants import VARIANTS, Task, fly, scattered
-from wire.config.controller_benchmark import SETTLED_S, Comparison, Flight, Variant
+from wire.config.controller_benchmark import SETTLED_S, Comparison, FlightRecord, Variant
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.process.output_files import replace_text
 from wire.toml_loader import ConfigError
@@ -71,7 +71,7 @@ def workers(jobs: int) -> ProcessPoolExecutor:
     return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
 
 
-def _watched(flights: Iterable[Flight], count: int, console: Console) -> Iterator[Flight]:
+def _watched(flights: Iterable[FlightRecord], count: int, console: Console) -> Iterator[FlightRecord]:
     """The same, with a progress bar."""
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from wire.config.controller_benchmark import Figures
+from wire.config.controller_benchmark import FlightMetrics
 from wire.frames import Array
 
 DRAWN = 0.25  # of the budget
@@ -32,13 +32,13 @@ class Trial:
     cost: float
 
 
-def cost(flights: Sequence[Figures]) -> float:
+def cost(flights: Sequence[FlightMetrics]) -> float:
     """Mean over flights of ln(error in the whole run, m and rad) + ln(distance after 20 s, m) + WEAR x change of inputs. By
     logarithms scenes whose errors differ by a factor of a hundred count alike."""
     return sum(_cost(figures) for figures in flights) / len(flights)
 
 
-def _cost(figures: Figures) -> float:
+def _cost(figures: FlightMetrics) -> float:
     whole, settled = math.hypot(figures.rms_m, figures.rms_yaw_rad), figures.rms_after_20s_m + FLOOR_M
     return math.log(whole) + math.log(settled) + WEAR * figures.input_step_rms + FAILED * (1.0 - figures.under_way)
 

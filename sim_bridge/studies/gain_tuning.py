@@ -13,7 +13,7 @@ from rich.console import Console
 from sim_bridge.studies.comparison import tasks_of, workers
 from sim_bridge.studies.evolution_strategy import Trial, cost, search
 from sim_bridge.studies.variants import Task, fly
-from wire.config.baseline_controllers import FeedbackLaw
+from wire.config.baseline_controllers import FeedbackLawConfig
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.frames import Array
 from wire.toml_loader import ConfigError
@@ -63,7 +63,7 @@ def run(
 
 
 def _tune(law: str, tasks: Sequence[Task], budget: int, pool: ProcessPoolExecutor, console: Console) -> Tuned:
-    first: FeedbackLaw = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
+    first: FeedbackLawConfig = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
 
     def flown(gains: Array) -> float:
         section = with_gains(first, gains)
@@ -79,12 +79,12 @@ def _tune(law: str, tasks: Sequence[Task], budget: int, pool: ProcessPoolExecuto
     return Tuned(law, trials[0].cost, best.cost, with_gains(first, best.gains).model_dump())
 
 
-def values(section: FeedbackLaw) -> list[float]:
+def values(section: FeedbackLawConfig) -> list[float]:
     """All gains in the order of the section."""
     return [gain for value in section.model_dump().values() for gain in (value if isinstance(value, tuple) else (value,))]
 
 
-def with_gains(section: FeedbackLaw, gains: Array) -> FeedbackLaw:
+def with_gains(section: FeedbackLawConfig, gains: Array) -> FeedbackLawConfig:
     """The section with other gains."""
     rest = iter(gains.tolist())
     table = {
@@ -94,6 +94,6 @@ def with_gains(section: FeedbackLaw, gains: Array) -> FeedbackLaw:
     return type(section).model_validate(table)
 
 
-def _under(experiment: Experiment, law: str, section: FeedbackLaw) -> Experiment:
+def _under(experiment: Experiment, law: str, section: FeedbackLawConfig) -> Experiment:
     controller = experiment.controller.model_copy(update={"law": law, law.replace("-", "_"): section})
     return experiment.model_copy(update={"controller": controller})

@@ -11,7 +11,7 @@ import numpy as np
 from sim_bridge.in_process.fleet import AgentFleet, BareWater
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.baseline_controllers import LawName
-from wire.config.controller_benchmark import SETTLED_S, Figures, Flight, Traces
+from wire.config.controller_benchmark import SETTLED_S, FlightMetrics, FlightRecord, Traces
 from wire.config.experiment import Experiment
 from wire.frames import Array, pose_error
 from wire.messages.messages import Mode, RobotState, Trajectory
@@ -62,7 +62,7 @@ def scattered(starts: Array, scatter: float, seed: int, apart_m: float = 0.0) ->
     raise ConfigError(f"--scatter {scatter:g}: no starts of seed {seed} keep the robots {apart_m:g} m apart")
 
 
-def fly(task: Task) -> Flight:
+def fly(task: Task) -> FlightRecord:
     """Fly one variant on one seed. Raises ConfigError if the robots cannot start there."""
     water = BareWater(task.experiment, task.seed, task.starts)
     fleet = AgentFleet(task.experiment, task.trajectories, water, task.seed)
@@ -72,10 +72,10 @@ def fly(task: Task) -> Flight:
     states, truth = [robot.states[fleet.begin :] for robot in fleet.robots], np.array(fleet.truth[fleet.begin :])
     error = fleet.errors()
     traces = _traces(task, states, error) if task.look else None
-    return Flight(task.seed, _figures(task.experiment, states, truth, error), traces)
+    return FlightRecord(task.seed, _figures(task.experiment, states, truth, error), traces)
 
 
-def _figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> Figures:
+def _figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> FlightMetrics:
     """`truth` and `error` (steps, n, 4); `states` per robot and step."""
     limits, settled = experiment.vehicle.limits, round(SETTLED_S / experiment.controller.period_s)
     distance = np.linalg.norm(error[:, :, :3], axis=2)
@@ -85,7 +85,7 @@ def _figures(experiment: Experiment, states: list[list[RobotState]], truth: Arra
     large = (np.abs(wanted) > 1.0 + 1e-9).any(axis=2)[:, 1:]
     fast = (np.abs(quick) > 1.0 + 1e-9).any(axis=2)
     steps = _rows(states, "wrench_step") / experiment.wrench_step
-    return Figures(
+    return FlightMetrics(
         rms_m=_rms(distance),
         rms_after_20s_m=_rms(distance[settled:]),
         max_after_20s_m=float(distance[settled:].max()),

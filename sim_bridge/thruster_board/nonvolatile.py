@@ -7,7 +7,7 @@ from pathlib import Path
 from sim_bridge.thruster_board.board import Board, Kept
 from wire.config.experiment import Experiment
 from wire.mavlink.signing_key import load_key, write_key
-from wire.toml_loader import ConfigError, files_named
+from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 MakeBoard = Callable[[Experiment, int, int], Board]  # of an experiment, for a robot, with a seed
 
@@ -40,7 +40,7 @@ def _read(memory: Path) -> Kept:
 
 def _write(memory: Path, key: Path, kept: Kept) -> None:
     new, told = memory.with_suffix(".new"), {"parameters": dict(kept.parameters), "heard": kept.heard, "sent": kept.sent}
-    with files_named(memory):
+    with os_errors_as_config_errors(memory):
         new.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
         new.replace(memory)
         if kept.key is not None and not (key.exists() and load_key(key).secret == kept.key.secret):

@@ -12,7 +12,7 @@ from enum import IntEnum
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from wire.mavlink.agent_link import ACCEPTED, CHANNELS, IGNORED, REJECTED
 from wire.mavlink.framing import Peer
-from wire.mavlink.signing import Gate, Key
+from wire.mavlink.signing import Key, SignatureVerifier
 
 THRUSTERS = 4
 S_NS = 1_000_000_000
@@ -44,7 +44,7 @@ class Rules:
     def __init__(self, parameters: Parameters, computer: Peer, key: Key | None = None, floor: int = 0) -> None:
         """Overrides count from `computer` only. With a `key`, frames must be signed, later than `floor`."""
         self.parameters = parameters
-        self.gate = Gate(key, floor)
+        self.gate = SignatureVerifier(key, floor)
         self.armed = False
         self.charge = Charge.GOOD
         self.said: list[Said] = []  # whoever tells it takes it out
@@ -127,7 +127,7 @@ class Rules:
         """Have frames signed with this key, later than `newest` and than all taken so far; why not, if not."""
         if self.armed:
             return "armed"
-        self.gate, self._command_ns = Gate(key, max(newest, self.gate.newest)), NEVER_NS
+        self.gate, self._command_ns = SignatureVerifier(key, max(newest, self.gate.newest)), NEVER_NS
         return ""
 
     def battery(self, voltage: float, elapsed_s: float) -> None:

@@ -120,7 +120,7 @@ class CrewedPool(DryPool):
 
 
 def _goal(agent: Agent) -> Array:
-    """What a robot is to do now: (12,), NaN where it has no goal."""
+    """The goal of a robot (12,), NaN where it has none."""
     goal = agent._controller._goal
     if goal is None:
         return np.full(12, np.nan)

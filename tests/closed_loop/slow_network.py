@@ -27,9 +27,11 @@ from wire.mavlink.board_port import UdpLink
 from wire.messages import topics
 from wire.messages.codec import Header, decode
 from wire.messages.topics import Qos, Topic
-from wire.process.runtime import LockstepClock, Stop, log
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Stop, log
 from wire.transport.bus import Bus
-from wire.transport.transport import Answer, Deliver, MemoryHub, MemoryTransport, Presence
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.transport import Answer, Deliver, Presence
 
 SHORT_S, LONG_S = 0.002, 0.03  # how long something is held up: mostly, and where chance is against it
 LATEST_S = (0.0, 0.0, SHORT_S, LONG_S)  # how late a listener may hear: one of these, drawn for each
@@ -50,8 +52,8 @@ class Slow(MemoryTransport):
         super().__init__(hub)
         self._chance, self._closing = chance, closing
 
-    def publisher(self, key: str, qos: Qos, kept: int = 0) -> Callable[[bytes, bytes], None]:
-        put, chance = super().publisher(key, qos, kept), self._chance
+    def publisher(self, key: str, qos: Qos, cache_depth: int = 0) -> Callable[[bytes, bytes], None]:
+        put, chance = super().publisher(key, qos, cache_depth), self._chance
         if chance is None:
             return put
 

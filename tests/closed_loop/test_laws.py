@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import Flight
-from tests.closed_loop.test_numeric import flown
+from tests.closed_loop.numeric import flown
 from wire.config.baseline_controllers import LawName
 from wire.config.experiment import load_experiment
 from wire.frames import Array

@@ -3,17 +3,16 @@
 import json
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from benchmarks import flights
-from benchmarks.flights import Flight, prepared
+from benchmarks.flights import prepared
 from sim_bridge.in_process.fleet import fly
 from sim_bridge.studies.metrics import measures
+from tests.closed_loop.numeric import flown
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -23,11 +22,6 @@ from wire.toml_loader import ConfigError
 # Whole-run optimum of x^2 + y^2 + z^2 + yaw^2 (m^2 + rad^2, integrated over time in s) per robot, for one who knows plant and
 # disturbance beforehand: direct multiple shooting over 20 s of 0.05 s steps, RK4, the limits (39, 40), solved with IPOPT.
 OPTIMUM = {"numeric": (1.661, 5.591, 4.106), "numeric-disturbed": (15.95, 3.820, 18.69)}
-
-
-@cache
-def flown(name: str, *settings: str) -> Flight:
-    return flights.flown(load_experiment(name, settings))
 
 
 # --- accuracy

@@ -30,7 +30,8 @@ from wire.config.experiment import load_experiment
 from wire.messages import codec, topics
 from wire.messages.messages import Mode, RobotState
 from wire.process.runtime import Stop
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = [pytest.mark.real_time, pytest.mark.timeout(400)]
 
@@ -100,7 +101,7 @@ def test_its_result_is_within_the_figures_to_reach(lockstep_run: tuple[Path, int
 
 
 def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
-    """What `groundstation rerun --json` says of a run."""
+    """The output of `groundstation rerun --json` for a run."""
     command = [sys.executable, "-m", "groundstation", "rerun", str(folder), "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout, done.stderr

@@ -12,7 +12,7 @@ from tests.closed_loop.dry_pool import DryPool
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages.codec import Header
-from wire.messages.live_gains import knobs, tuning
+from wire.messages.live_gains import tunable_parameters, tuning
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState
 
 SHORT_LAPS = ("path.lap_s=25", "duration_s=100")
@@ -125,8 +125,8 @@ def until(lab: Lab, done: Callable[[], bool], within_s: float) -> None:
 
 
 def test_gains_set_by_order_fly_as_those_of_the_file() -> None:
-    """Every knob there is, set before the first pose: bit for bit the flight whose experiment file holds these values."""
-    assert set(B) == {knob.key for knob in knobs(pool().controller)}
+    """Every parameter there is, set before the first pose: bit for bit the flight whose experiment file holds these values."""
+    assert set(B) == {parameter.key for parameter in tunable_parameters(pool().controller)}
     ordered, filed = Lab(pool()), Lab(pool(*FILED))
     for robot, trajectory in ordered.pool.trajectories.items():
         assert trajectory.id == filed.pool.trajectories[robot].id

@@ -22,7 +22,7 @@ class Bites:
 
     @property
     def left(self) -> bool:
-        """Whether there is more."""
+        """True while there are bytes left."""
         return self._at < len(self._data)
 
     def take(self, size: int) -> bytes:

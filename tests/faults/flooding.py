@@ -10,7 +10,8 @@ import numpy as np
 
 from tests.wire.strategies import CLASSES, example
 from wire.messages import codec, topics
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 RATE_HZ, BATCH_S = 10_000, 0.01
 OVERSIZED = bytes(codec.MAX_MESSAGE_BYTES + 1)
@@ -22,7 +23,7 @@ def main() -> None:
     random = np.random.default_rng(int(seed))
     transport = ZenohTransport(Endpoint(station))
     keys = ((topics.PLAN.key(int(robot)), topics.PLAN), (topics.EVENT.key(), topics.EVENT), ("junk", topics.STATE))
-    publish = [transport.publisher(f"shoal/{key}", topic.qos, topic.kept) for key, topic in keys]
+    publish = [transport.publisher(f"shoal/{key}", topic.qos, topic.cache_depth) for key, topic in keys]
     payloads = [codec.encode(example(cls)) for cls in CLASSES]
     due_s = time.monotonic()
     while True:

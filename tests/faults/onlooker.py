@@ -1,6 +1,5 @@
-"""What is heard of a lab while its parts break: robots' states, the station's warnings, what witnesses at the boards tell; and
-how long after an instant something came about.
-"""
+"""Observer of a lab whose parts break: robots' states, warnings of the station, reports of the witnesses at the boards; and
+the time from an instant to an event."""
 
 import threading
 import time
@@ -33,7 +32,7 @@ class Heard:
 
 @dataclass
 class BoardView:
-    """What the witness at one board has told."""
+    """The reports of the witness at one board."""
 
     changes: list[tuple[int, bool, bool]] = field(default_factory=list)  # instant, neutral, armed
     taken: list[tuple[int, tuple[int, ...]]] = field(default_factory=list)
@@ -41,7 +40,7 @@ class BoardView:
 
     @property
     def thrusting(self) -> bool:
-        """Whether the thrusters run now."""
+        """True while the thrusters run."""
         return bool(self.changes) and not self.changes[-1][1]
 
     def told_s(self, such: Callable[[tuple[int, ...]], bool], from_ns: int, to_ns: int) -> float:
@@ -78,7 +77,7 @@ class Onlooker:
     # --- what is heard
 
     def witnessed(self, told: dict[str, Any]) -> None:
-        """What a witness (witness.py) says."""
+        """Take up a report of a witness (witness.py)."""
         with self._changed:
             if "taken" in told:
                 view = self.boards[told["robot"]]
@@ -93,7 +92,7 @@ class Onlooker:
             self._changed.notify_all()
 
     def heard(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        """What comes over the bus."""
+        """Take up a message of the bus."""
         ns = time.monotonic_ns()
         try:
             message: Any = decode(topic.type, payload, "bus", topic.name)

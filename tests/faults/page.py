@@ -1,4 +1,4 @@
-"""SHELL: what came of injections, as JSON and as docs/faults.md. A row that is flown again replaces its older figures."""
+"""SHELL: results of fault injections, as JSON and as docs/faults.md. A row that is flown again replaces its older figures."""
 
 import json
 import os
@@ -49,7 +49,7 @@ class Figure:
 
     @property
     def kept(self) -> bool:
-        """Whether the limit was. Nothing measured is nothing kept."""
+        """True if the limit was kept. Without a measurement it was not."""
         return self.times > 0 and self.judged <= self.limit
 
     @property
@@ -99,7 +99,7 @@ class Result:
 
     @property
     def kept(self) -> bool:
-        """Whether everything was."""
+        """True if every limit was kept."""
         return all(f.kept for f in self.figures.values()) and not self.stuck and not self.wrong and not self.not_finite
 
 

@@ -45,7 +45,7 @@ def end_thread(name: str) -> None:
 
 
 class Flaws:
-    """What is wrong with this process now."""
+    """The faults of this process at present."""
 
     def __init__(self) -> None:
         self.delay_s = 0.0
@@ -64,7 +64,7 @@ class Flaws:
                 end_thread(name)
 
     def loses(self, command: Command) -> bool:
-        """Whether an order does not get through now."""
+        """True if a command is lost now."""
         if self.lost is None or (command.robot, command.order) != (DEAF_ROBOT, self.lost[0]):
             return False
         self.first_try_s = self.first_try_s or time.monotonic()

@@ -22,7 +22,8 @@ from wire.config.experiment import dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.messages import Command, Mode, Order, Reply
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 MANY, MANY_PATIENCE_S = 5, 180.0  # the same with more robots than these: every process takes a second of a core to start
 CRUISES = 10  # attempts at a flight in one piece
@@ -183,12 +184,12 @@ class Rig(Onlooker):
             self._taken_off_s = time.monotonic()
 
     def _comes_up(self) -> bool:
-        """Whether a mission that has just begun to run flies before long."""
+        """True if a mission that has just begun flies before long."""
         return self.comes(lambda: self.flying or self.mission != "RUNNING", COMES_UP_S) and self.flying
 
     @property
     def flying(self) -> bool:
-        """Whether every robot tracks and every board thrusts."""
+        """True if every robot tracks and every board thrusts."""
         fresh = time.monotonic_ns() - 300_000_000
         return self.mission == "RUNNING" and all(
             self.states[r] and self.states[r][-1].ns > fresh and self.mode(r) is Mode.TRACKING and self.boards[r].thrusting
@@ -217,7 +218,7 @@ class Rig(Onlooker):
     # --- breaking
 
     def set_clock(self, name: str, offset_s: float) -> None:
-        """How far a process's wall clock is off from now on."""
+        """Set the offset of a process's wall clock from now on."""
         self.children.clock_file(name).write_text(f"{offset_s}\n", encoding="utf-8")
 
     def signal(self, name: str, number: int) -> int:
@@ -228,7 +229,7 @@ class Rig(Onlooker):
         return ns
 
     def break_(self, *what: str) -> int:
-        """What is broken in the simulated world from now on; nothing mends all. Returns the instant."""
+        """Break a part of the simulated world from now on; an empty text mends all. Returns the instant."""
         ns = time.monotonic_ns()
         self._witness.sendall(json.dumps(what).encode() + b"\n")
         return ns

@@ -1,6 +1,5 @@
-"""What a row of the table of faults is. table.py has the rows; rows_*.py what they do: one function a row, one call an
-injection. It gets a rig whose robots fly, breaks something at a random instant, measures, mends.
-"""
+"""The definition of a row of the table of faults. table.py has the rows; rows_*.py the functions, one for each row. One call
+is one injection: it gets a rig whose robots fly, breaks something at a random instant, measures, and mends it."""
 
 import time
 from collections.abc import Callable, Mapping
@@ -35,7 +34,7 @@ SECONDS = Measure  # reads well: {"neutral": SECONDS(0.35)}
 
 
 def TIMES(limit: float = 0) -> Measure:
-    """How often something may happen."""
+    """A limit on a count."""
     return Measure(limit, "times")
 
 
@@ -53,6 +52,6 @@ class Row:
 
 
 def resumed(rig: Rig, robots: tuple[int, ...], for_s: float) -> float:
-    """How many of the robots that are neutral thrust again though nobody asked."""
+    """The number of robots at neutral that thrust again though nobody asked."""
     time.sleep(for_s)
     return float(sum(rig.boards[r].thrusting for r in robots))

@@ -13,7 +13,7 @@ import tomli_w
 
 from tests.faults import targets
 from tests.faults.row import Random, Sample
-from tests.localizer.tracking.test_crossings import check_encounter
+from tests.localizer.encounters import check_encounter
 from wire.config.experiment import Experiment, load_experiment
 from wire.toml_loader import ConfigError, check
 
@@ -50,7 +50,7 @@ def old_traffic(rig: None, random: Random) -> Sample:
 
 
 def _failed(tests: str) -> float:
-    """How many of these tests fail; they use real sessions, certificates and processes."""
+    """The number of these tests that fail. They use real sessions, certificates and processes."""
     ran = subprocess.run([sys.executable, "-m", "pytest", "-q", tests], capture_output=True, text=True, check=False)
     if ran.returncode not in (0, 1):
         raise RuntimeError(f"{tests}: {ran.stdout[-500:]}{ran.stderr[-500:]}")

@@ -88,7 +88,7 @@ def emergency_stop_lossy(rig: Rig, random: Random) -> Sample:
 
 
 def start_late(rig: Rig, random: Random) -> Sample:
-    """How far a robot's timetable is from the others', in the first second of its flight."""
+    """The difference between a robot's timetable and the others', in the first second of its flight."""
     late, others = DEAF_ROBOT, [r for r in rig.robots if r != DEAF_ROBOT]
     rig.land()
     ns = rig.signal("groundstation", START_LATE)

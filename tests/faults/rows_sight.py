@@ -12,7 +12,7 @@ TRACKS = "states that track again unasked"
 
 
 def _without_poses(rig: Rig, random: Random, ns: int) -> dict[str, float]:
-    """What all robots do when poses end at `ns`."""
+    """The states of all robots after poses end at `ns`."""
     hold_s = max(rig.mode_s(r, HELD, ns) for r in rig.robots)
     last_ns = max((at for at in list(rig.poses_ns) if at < ns + hold_s * 1e9), default=ns)
     return {"hold after the last pose": hold_s + (ns - last_ns) * 1e-9, "neutral": rig.neutral_s(ns), "alert": rig.alert_s(ns)}
@@ -52,7 +52,7 @@ def _upset(rig: Rig, fault: str, blind: bool) -> Sample:
 
 
 def _blind_ns(rig: Rig, robot: int, ns: int) -> int:
-    """When a robot first said since `ns` that it does not know of obstacles; 0 if it has not."""
+    """The instant after `ns` at which a robot first reported that obstacles are unknown; 0 if none has."""
     return next((h.ns for h in rig.since(robot, ns) if h.state.blind), 0)
 
 

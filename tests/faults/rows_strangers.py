@@ -17,9 +17,11 @@ from tests.faults.row import Random, Sample
 from tests.wire.strangers import Strangers
 from wire.messages.messages import Command, Order
 from wire.transport.bus import Bus
+from wire.transport.endpoint import Endpoint
 from wire.transport.gate import nearest
 from wire.transport.network import endpoint
-from wire.transport.transport import Endpoint, Unreached, ZenohTransport
+from wire.transport.transport import Unreached
+from wire.transport.zenoh_transport import ZenohTransport
 
 ATTACKS: tuple[dict[str, float], ...] = (
     {"knocks_hz": 12.0},
@@ -54,7 +56,7 @@ def _arrived(where: Endpoint) -> ZenohTransport:
 
 
 def _stop_s(where: Endpoint) -> float:
-    """How long an operator takes from nothing to the station's answer to a stop."""
+    """The time from an operator's start to the station's reply to a stop, s."""
     begin_s = time.monotonic()
     with Bus(_arrived(where)) as bus:
         while not (reply := bus.order(Command(Order.STOP, 0), time.time_ns(), 2.0)).accepted:
@@ -64,7 +66,7 @@ def _stop_s(where: Endpoint) -> float:
 
 
 def _joins_s(there: Bus, where: Endpoint) -> float:
-    """How long an agent's link takes, from nothing until the others see the agent."""
+    """The time from the start of an agent's link until the others see the agent, s."""
     begin_s = time.monotonic()
     with Bus(_arrived(where)) as agent:
         agent.announce("agent-1")

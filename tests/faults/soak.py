@@ -73,7 +73,7 @@ def random_faults(
 
 @dataclass(frozen=True)
 class Trend:
-    """How a quantity went."""
+    """The change of a quantity over time."""
 
     who: str
     what: str
@@ -84,7 +84,7 @@ class Trend:
 
     @property
     def steady(self) -> bool:
-        """Whether it stayed what it was."""
+        """True if the quantity did not grow."""
         by_design = GROWS_PER_H.get((self.who, self.what), 0.0) * self.hours
         return self.last - self.first <= MAY_GROW[self.what] + by_design
 
@@ -225,7 +225,7 @@ def _can_be_flown(name: str, way: str) -> bool:
 
 
 def _flight(command: list[str], watch: Watch, every_s: float) -> list[str]:
-    """What went wrong. That a run with broken thrusters misses its limits is nothing wrong."""
+    """The failures of a flight. A run with broken thrusters may miss its limits."""
     with tempfile.TemporaryDirectory(prefix="shoal-soak-") as out, (Path(out) / "said.txt").open("w") as said:
         whole = [sys.executable, "-m", "sim_bridge", *command, "--out", out]
         run = subprocess.Popen(whole, stdout=said, stderr=subprocess.STDOUT)
@@ -249,7 +249,7 @@ def _children(pid: int) -> dict[str, int]:
 
 
 def _unreadable(log: Path) -> list[str]:
-    """What is wrong with a log: every number in what can be read is finite, the codec sees to that."""
+    """The defects of a log. Every number that can be read is finite: the codec sees to that."""
     read = read_log(log)
     bad = [f"{log}: {read.undecodable} messages cannot be read"] if read.undecodable else []
     return bad + ([f"{log}: {read.dropped} messages were dropped"] if read.dropped else [])

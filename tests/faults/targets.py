@@ -1,4 +1,4 @@
-"""What is fuzzed: every decoder, and every `step`. A target takes any bytes, and raises only for a bug.
+"""The targets of fuzzing: every decoder, and every `step`. A target takes any bytes, and raises only for a bug.
 
 Decoders get the bytes as they are. Steps get what can be made of them: messages of any numbers, also of those that no decoder
 lets through, at any instants, in any order.
@@ -87,7 +87,7 @@ def toml(data: bytes) -> None:
 
 
 def requests(data: bytes) -> None:
-    """What a page may send."""
+    """Requests that a page may send."""
     with contextlib.suppress(BadRequest):
         read_request(data)
     with contextlib.suppress(BadRequest):

@@ -24,7 +24,7 @@ IDLE_S = 0.02
 
 @dataclass
 class LineTrouble:
-    """What happens to bytes on a robot's wire, both ways."""
+    """The faults of a robot's wire, in both directions."""
 
     cut: bool = False
     flip: float = 0.0  # chance of each byte to have one bit turned over
@@ -34,7 +34,7 @@ class LineTrouble:
 
     @property
     def any(self) -> bool:
-        """Whether anything happens at all."""
+        """True if there is any fault."""
         return self.cut or bool(self.flip or self.junk or self.doubled)
 
 

@@ -33,7 +33,8 @@ from wire.frames import Array
 from wire.mavlink.framing import Peer
 from wire.process.runtime import Stop, run_app, start_log
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 OWN = ("board", "depth", "thread")  # what is broken here, and not by sim.faults
 

@@ -11,7 +11,7 @@ from wire.messages import topics
 from wire.messages.codec import Header, encode
 from wire.messages.messages import Mode, Plan, Pose, RobotState, Track
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 MS = 1_000_000
 

@@ -1,7 +1,5 @@
 """What the tests of sources share: a clock moved by hand, and pictures that are told apart by their brightness."""
 
-import time
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -27,16 +25,6 @@ class HandClock:
 
     def sleep(self, seconds: float) -> None:
         self.ns += round(seconds * 1e9)
-
-
-def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    """Whether `ready()` within that time; not asked again once it was."""
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        if ready():
-            return True
-        time.sleep(0.002)
-    return False
 
 
 def level(shot: Shot | None) -> int:

@@ -26,16 +26,20 @@ from localizer.view.preview import Previews, Rate
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
 from tests.localizer.scene import Scene
-from tests.localizer.stand_ins import MS, eventually
+from tests.localizer.stand_ins import MS
+from tests.waiting import eventually
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, decode
 from wire.messages.messages import CameraHealth, Frame, LocalizerStatus, Obstacles, Pose, Preview, RobotState, Tick, Track
 from wire.messages.topics import Topic
-from wire.process.runtime import Clock, Failed, LockstepClock, Stop, WallClock, log
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Clock, Failed, Stop, WallClock, log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Inbox
-from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -1,89 +1,14 @@
 """A browser, and the pool experiment flown for it with all its processes, in lockstep: slow machines are slow, not wrong."""
 
-import shutil
-import signal
-import socket
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
 
-import psutil
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from sim_bridge.sil.ports import free_port
+from tests.page.flights import CHROMIUM, FLAGS, PATIENCE_MS, Asked, Flight, open_page
 
-CHROMIUM = next((found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None)
-FLAGS = [
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-]
-PATIENCE_MS = 120_000  # for anything that a loaded machine may take long over
 expect.set_options(timeout=PATIENCE_MS)
-
-
-def wait_for_port(port: int, process: subprocess.Popen[bytes]) -> None:
-    """Until a program serves its page."""
-    deadline = time.monotonic() + PATIENCE_MS * 1e-3
-    while time.monotonic() < deadline and process.poll() is None:
-        try:
-            socket.create_connection(("127.0.0.1", port), 1.0).close()
-            return
-        except OSError:
-            time.sleep(0.05)
-    raise AssertionError(f"no page at port {port}")
-
-
-@dataclass
-class Flight:
-    """`sim-bridge sil pool` under an operator's hands."""
-
-    folder: Path
-    port: int
-    process: subprocess.Popen[bytes] | None = None
-    starts: int = 0
-    stopped: list[psutil.Process] = field(default_factory=list)
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.port}/"
-
-    def start(self) -> None:
-        """Start all processes; returns when the page can be had."""
-        self.starts += 1
-        command = [sys.executable, "-m", "sim_bridge", "sil", "pool", "--lockstep", "--manual", "--duration", "900"]
-        log = (self.folder / f"sil-{self.starts}.log").open("wb")
-        self.process = subprocess.Popen(
-            [*command, "--out", str(self.folder), "--web", f"127.0.0.1:{self.port}"], stdout=log, stderr=subprocess.STDOUT
-        )
-        try:
-            wait_for_port(self.port, self.process)
-        except AssertionError as error:
-            raise AssertionError(f"{error}: {(self.folder / f'sil-{self.starts}.log').read_text()}") from None
-
-    def agent(self, robot: int) -> psutil.Process:
-        """The process of one robot's agent."""
-        assert self.process is not None
-        for child in psutil.Process(self.process.pid).children():
-            arguments = child.cmdline()
-            if "robot_agent" in arguments and arguments[arguments.index("--robot") + 1] == str(robot):
-                return child
-        raise AssertionError(f"no agent {robot}")
-
-    def stop(self) -> None:
-        """End all processes."""
-        if self.process is not None:
-            self.process.send_signal(signal.SIGTERM)
-            self.process.wait(PATIENCE_MS * 1e-3)
 
 
 @pytest.fixture(scope="package")
@@ -102,27 +27,6 @@ def flight(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     found.start()
     yield found
     found.stop()
-
-
-@dataclass
-class Asked:
-    """Every address that a page asked for, and what it complained about."""
-
-    urls: list[str] = field(default_factory=list)
-    errors: list[str] = field(default_factory=list)
-
-
-def open_page(browser: Browser, flight: Flight, asked: Asked, width: int = 1440, height: int = 900) -> Page:
-    """A new browser window on the operator's page, past its first state."""
-    page = browser.new_context(viewport={"width": width, "height": height}).new_page()
-    page.set_default_timeout(PATIENCE_MS)
-    page.on("request", lambda request: asked.urls.append(request.url))
-    page.on("websocket", lambda socket: asked.urls.append(socket.url))
-    page.on("pageerror", lambda error: asked.errors.append(str(error)))
-    page.on("dialog", lambda dialog: dialog.accept())
-    page.goto(flight.url)
-    page.wait_for_selector("[data-robot='1']:not(.stale)")
-    return page
 
 
 @pytest.fixture

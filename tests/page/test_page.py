@@ -29,14 +29,14 @@ from groundstation.web.auth import WebOptions
 from groundstation.web.live_backend import Desk, Post, Status
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
-from tests.page.conftest import Asked, Flight, open_page, wait_for_port
+from tests.page.flights import Asked, Flight, open_page, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
 from wire.messages.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
 from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = [pytest.mark.real_time, pytest.mark.timeout(600)]  # what waits for a browser waits for a loaded machine
 
@@ -75,7 +75,7 @@ def clear_stop(page: Page) -> None:
 
 
 def serious(page: Page) -> list[tuple[str, list[str]]]:
-    """What axe finds that keeps people out."""
+    """The findings of axe that keep people out."""
     page.evaluate(AXE.read_text(encoding="utf-8"))  # not a script tag: the page's own policy forbids what is not its own
     found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
     return [(v["id"], [n["target"] for n in v["nodes"]][:5]) for v in found if v["impact"] in ("serious", "critical")]
@@ -132,7 +132,7 @@ def test_a_second_page_only_watches_but_may_stop(page: Page, browser: Browser, f
 
 
 def test_gains_are_changed_in_flight_and_changed_back(page: Page) -> None:
-    """What the robots make of it is read off the log by the last test."""
+    """The last test reads the effect on the robots off the log."""
     again = button(page, "Load again")
     if again.is_visible():  # a mission is over
         again.click()
@@ -576,7 +576,8 @@ def test_it_comes_back_by_itself_when_the_station_is_started_again(page: Page, f
 
 
 def first_armed_s(run: Path) -> float:
-    """When somebody armed, counted from the log's first message as a replay does: machines differ in how long they idle."""
+    """The time of the first arming, counted from the log's first message as in a replay: machines differ in how long they
+    idle."""
     with open_log(run) as log:
         for line in log.lines(lambda topic, robot: topic is topics.STATE):
             if decode(RobotState, line.payload, "log", "state").mode is not Mode.DISARMED:

@@ -21,7 +21,8 @@ from wire.mavlink.board_link import Arm, BoardLink, Override
 from wire.messages import topics
 from wire.messages.messages import Command, Mode, Order, Pose, RobotState, StationHeartbeat, Track
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

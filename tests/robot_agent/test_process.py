@@ -23,7 +23,7 @@ from wire.messages.live_gains import tuning
 from wire.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, StationHeartbeat, Track, Tuning
 from wire.process.runtime import Stop, wait
 from wire.transport.bus import Bus, Inbox
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 PATIENCE_S = 20.0
 POOL = load_experiment("pool", ["safety.watch_thrusters=false"])  # nothing that they do moves this robot

@@ -32,7 +32,7 @@ from wire.messages.messages import (
 from wire.messages.topics import Topic
 from wire.process.runtime import Stop
 from wire.transport.bus import Bus, Received
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000

@@ -9,7 +9,7 @@ import pytest
 
 from robot_agent.process import Shell
 from sim_bridge.sil.ports import free_port
-from tests.sim_bridge.node.test_bench import board
+from tests.sim_bridge.boards import board
 from wire.config.experiment import load_experiment
 from wire.mavlink.board_port import open_link
 from wire.mavlink.signing_key import Signing, new_key
@@ -17,7 +17,7 @@ from wire.messages import topics
 from wire.messages.messages import RobotState
 from wire.process.runtime import Stop
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -1,4 +1,4 @@
-"""What a camera's picture shows, against the simulator's own optics: OpenCV's lens, and Snell's law solved another way."""
+"""The coverage of a camera, against the simulator's own optics: OpenCV's lens, and Snell's law solved another way."""
 
 import numpy as np
 import pytest

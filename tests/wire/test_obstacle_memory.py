@@ -1,4 +1,4 @@
-"""Where obstacles may be that are not seen any more."""
+"""Places where obstacles may be that are not seen any more."""
 
 import numpy as np
 import pytest

@@ -15,15 +15,15 @@ Scales = tuple[Positive, Positive, Positive]
 LawName = Literal["eso-mpc", "backstepping", "pid", "lqr", "sliding-mode", "fuzzy", "adaptive-nn"]
 
 
-class FeedbackLaw(Section):
-    """What they have in common."""
+class FeedbackLawConfig(Section):
+    """Settings that all feedback laws have."""
 
     guidance_per_s2: NotNegative = 0.1  # in the place of guidance.position_gain_per_s2, which is set for the ESO-MPC
 
 
-class Backstepping(FeedbackLaw):
-    """How fast errors are to decay, then errors of the velocity that makes them decay, and what the one weighs in the
-    Lyapunov function when the other weighs one."""
+class BacksteppingConfig(FeedbackLawConfig):
+    """Decay rates of the errors and of the velocity errors, and the weight of the first in the Lyapunov function, in which the
+    second has weight one."""
 
     guidance_per_s2: NotNegative = 0.0975
     error_per_s: Gains = (0.102, 0.797, 2.41)
@@ -31,7 +31,7 @@ class Backstepping(FeedbackLaw):
     coupling_per_s2: Gains = (0.292, 0.169, 0.476)
 
 
-class Pid(FeedbackLaw):
+class PidConfig(FeedbackLawConfig):
     """One independent loop per axis."""
 
     guidance_per_s2: NotNegative = 0.22
@@ -40,7 +40,7 @@ class Pid(FeedbackLaw):
     d: Gains = (7.57, 7.22, 0.162)  # N s/m, N s/m, N m s/rad
 
 
-class Lqr(FeedbackLaw):
+class LqrConfig(FeedbackLawConfig):
     """Weights of squared errors and of squared velocity errors; that of the wrench is 1 / limit^2 (Bryson's rule)."""
 
     guidance_per_s2: NotNegative = 0.102
@@ -48,7 +48,7 @@ class Lqr(FeedbackLaw):
     velocity: Gains = (1.0, 0.892, 1.08)
 
 
-class SlidingMode(FeedbackLaw):
+class SlidingModeConfig(FeedbackLawConfig):
     """s = velocity error + slope error. The switching term is `reach` m/s^2 strong, and linear for |s| < `layer` m/s."""
 
     guidance_per_s2: NotNegative = 0.0831
@@ -57,7 +57,7 @@ class SlidingMode(FeedbackLaw):
     layer: Scales = (0.106, 0.0748, 0.0709)
 
 
-class Fuzzy(FeedbackLaw):
+class FuzzyConfig(FeedbackLawConfig):
     """Errors and velocity errors that count as "big", and what the rules' verdict (-1 to 1) does, as a share of the limit: at
     once, and per second."""
 
@@ -68,7 +68,7 @@ class Fuzzy(FeedbackLaw):
     integral: Gains = (0.477, 0.342, 0.315)
 
 
-class AdaptiveNn(FeedbackLaw):
+class AdaptiveNnConfig(FeedbackLawConfig):
     """s = velocity error + slope error; wrench = gain s + network. The network learns `learning` N per m/s of s and second."""
 
     guidance_per_s2: NotNegative = 0.142

@@ -1,11 +1,19 @@
-"""How robots are controlled and what keeps them safe: observer, heading, optimisation, distances and ages."""
+"""Settings of the robots' control and safety: observer, heading, optimisation, distances, ages."""
 
 from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
-from wire.config.baseline_controllers import AdaptiveNn, Backstepping, Fuzzy, LawName, Lqr, Pid, SlidingMode
+from wire.config.baseline_controllers import (
+    AdaptiveNnConfig,
+    BacksteppingConfig,
+    FuzzyConfig,
+    LawName,
+    LqrConfig,
+    PidConfig,
+    SlidingModeConfig,
+)
 from wire.config.vehicle import NotNegative, Positive
 from wire.toml_loader import Section
 
@@ -62,7 +70,7 @@ class Safety(Section):
         return self
 
 
-class Estimator(Section):
+class EstimatorConfig(Section):
     """Extended state observer (31), bandwidth form b1 = 3w, b2 = 3w^2, b3 = w^3 (Gao 2003). The sensing delay is compensated,
     so noise sets the bandwidth, not delay: at 2 rad/s a pose noise of 1.5 mm makes 2 mm/s in velocity."""
 
@@ -74,7 +82,7 @@ class Estimator(Section):
     current_rate_radps: Gain = 0.15  # how fast a side force that lasts is put down to a current; 0: never
 
 
-class Guidance(Section):
+class GuidanceConfig(Section):
     """Reference heading from the force the path asks for: without it a robot that cannot
     push sideways never corrects a lateral error at walking pace."""
 
@@ -91,7 +99,7 @@ class Guidance(Section):
     )
 
 
-class Mpc(Section):
+class MpcConfig(Section):
     """Model predictive control (35-40). The article's own setting: horizon 25, blocks of fifteen ones, r = 0.01,
     `linearise = "point"`, no lag."""
 
@@ -116,17 +124,18 @@ class Mpc(Section):
         return self
 
 
-class Controller(Section):
-    """What runs on the robot, 1/period_s times a second. `law` is what computes the wrench, given estimate and reference."""
+class ControllerConfig(Section):
+    """The control loop of a robot, which runs 1/period_s times a second. `law` computes the wrench from estimate and
+    reference."""
 
     period_s: Annotated[float, Field(ge=0.01, le=COMMAND_AGE_S / 2)] = 0.05  # so that one step may fail to come
     law: LawName = "eso-mpc"
-    estimator: Estimator = Estimator()
-    guidance: Guidance = Guidance()
-    mpc: Mpc = Mpc()
-    backstepping: Backstepping = Backstepping()
-    pid: Pid = Pid()
-    lqr: Lqr = Lqr()
-    sliding_mode: SlidingMode = SlidingMode()
-    fuzzy: Fuzzy = Fuzzy()
-    adaptive_nn: AdaptiveNn = AdaptiveNn()
+    estimator: EstimatorConfig = EstimatorConfig()
+    guidance: GuidanceConfig = GuidanceConfig()
+    mpc: MpcConfig = MpcConfig()
+    backstepping: BacksteppingConfig = BacksteppingConfig()
+    pid: PidConfig = PidConfig()
+    lqr: LqrConfig = LqrConfig()
+    sliding_mode: SlidingModeConfig = SlidingModeConfig()
+    fuzzy: FuzzyConfig = FuzzyConfig()
+    adaptive_nn: AdaptiveNnConfig = AdaptiveNnConfig()

@@ -1,4 +1,4 @@
-"""What `sim-bridge compare` hands to the station: flights of several variants of an experiment on the same seeds, as JSON.
+"""The result of `sim-bridge compare`: flights of several variants of an experiment on the same seeds, as JSON.
 
 Distances in m against the plant's truth; "after 20 s" leaves out the first 20 s; "wanted" is what a law came to before its
 magnitude and rate were limited. Changes of inputs are told as shares of the largest that is allowed.
@@ -12,13 +12,13 @@ SETTLED_S = 20.0
 
 
 def settled(flown_s: float) -> bool:
-    """Whether a flight of that length has anything after SETTLED_S; what comes after it is not asked of a shorter one."""
+    """True if a flight of that length has a part after SETTLED_S. Shorter flights are not judged by that part."""
     return flown_s > SETTLED_S
 
 
 @dataclass(frozen=True)
-class Figures:
-    """One flight in numbers."""
+class FlightMetrics:
+    """The metrics of one flight."""
 
     rms_m: float  # distance from the reference, over all robots and the whole run
     rms_after_20s_m: float
@@ -48,26 +48,26 @@ class Traces:
 
 
 @dataclass(frozen=True)
-class Flight:
+class FlightRecord:
     """One variant on one seed."""
 
     seed: int
-    figures: Figures
+    figures: FlightMetrics
     traces: Traces | None = None  # of the first seed
 
 
 @dataclass(frozen=True)
 class Variant:
-    """What was changed, and the flights."""
+    """One variant of the experiment: its changed settings and its flights."""
 
     name: str
     settings: list[str]
-    flights: list[Flight]
+    flights: list[FlightRecord]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Everything comparison.json holds."""
+    """The content of comparison.json."""
 
     scene: str
     title: str
@@ -92,8 +92,8 @@ class Comparison:
         return cls(variants=variants, **table)
 
 
-def _flight(table: dict[str, object]) -> Flight:
+def _flight(table: dict[str, object]) -> FlightRecord:
     figures, traces = table["figures"], table["traces"]
     if not isinstance(figures, dict) or not isinstance(traces, dict | None):
         raise TypeError("figures and traces must be objects")
-    return Flight(int(str(table["seed"])), Figures(**figures), Traces(**traces) if traces is not None else None)
+    return FlightRecord(int(str(table["seed"])), FlightMetrics(**figures), Traces(**traces) if traces is not None else None)

@@ -16,13 +16,13 @@ import numpy as np
 import tomli_w
 from pydantic import Field, model_validator
 
-from wire.config.controller import Controller, Safety
+from wire.config.controller import ControllerConfig, Safety
 from wire.config.fault_injection import fault_table
 from wire.config.formation_shapes import SHAPES, shape_nodes
-from wire.config.mission import Conduct
+from wire.config.mission import MissionConfig
 from wire.config.perception import LANDMARKS_NEEDED, Camera, CameraFile, Landmark, Localizer
 from wire.config.recording import Recording
-from wire.config.scene import Formation, Island, PathSpec, Pool, Robot
+from wire.config.scene import FormationConfig, Island, PathSpec, PoolConfig, RobotConfig
 from wire.config.simulation import Sim
 from wire.config.vehicle import Fraction, Positive, Vehicle, load_vehicle
 from wire.frames import Array
@@ -65,14 +65,14 @@ class Experiment(Section):
     seed: Annotated[int, Field(ge=0, lt=2**31)] = 1
     duration_s: Annotated[float, Field(gt=0, le=36000)]
     vehicle: Vehicle
-    pool: Pool
+    pool: PoolConfig
     path: PathSpec
-    formation: Formation = Formation()
-    robots: Annotated[tuple[Robot, ...], Field(min_length=1, max_length=49)]
+    formation: FormationConfig = FormationConfig()
+    robots: Annotated[tuple[RobotConfig, ...], Field(min_length=1, max_length=49)]
     islands: tuple[Island, ...] = ()
     safety: Safety = Safety()
-    mission: Conduct = Conduct()
-    controller: Controller = Controller()
+    mission: MissionConfig = MissionConfig()
+    controller: ControllerConfig = ControllerConfig()
     camera: Camera
     landmarks: tuple[Landmark, ...] = ()  # with any, the camera is taken to move
     localizer: Localizer = Localizer()
@@ -186,7 +186,7 @@ class Experiment(Section):
         """Ids of all robots, in the file's order."""
         return tuple(robot.id for robot in self.robots)
 
-    def robot(self, robot_id: int) -> Robot:
+    def robot(self, robot_id: int) -> RobotConfig:
         """The robot of that id. Raises ConfigError naming the ids there are."""
         for robot in self.robots:
             if robot.id == robot_id:
@@ -195,18 +195,18 @@ class Experiment(Section):
         raise ConfigError(f"robot {robot_id}: not in experiment {self.name!r} (allowed: {allowed})")
 
     def leader_of(self, robot_id: int) -> int | None:
-        """Whom a robot follows instead of its own node; None if nobody."""
+        """The robot that this one follows instead of its own node; None if it follows none."""
         leader = self.robot_ids[0] if self.formation.leader is None else self.formation.leader
         return leader if self.formation.kind == "leader-follower" and leader != robot_id else None
 
-    def path_of(self, robot: Robot) -> PathSpec:
+    def path_of(self, robot: RobotConfig) -> PathSpec:
         """The path whose node that robot is on."""
         return self.path if robot.path is None else robot.path
 
     @property
     def watches_obstacles(self) -> bool:
-        """Whether the localizer is to watch for obstacles: with a camera that hangs still it does, unless obstacle_min_m is 0.
-        Where it is not to, nobody who hears of no obstacles is blind."""
+        """True if the localizer has to watch for obstacles: the camera does not move, and obstacle_min_m is not 0. If it is
+        False, missing obstacle messages are no fault."""
         return self.localizer.uses_camera and self.localizer.obstacle_min_m > 0.0 and not self.landmarks
 
     def nodes_m(self) -> Array:
@@ -226,7 +226,7 @@ def dump_experiment(experiment: Experiment) -> str:
 
 
 def experiment_path(name_or_path: str) -> Path:
-    """Where an experiment lies: a shipped name (`pool`) or a path ending in .toml. Raises ConfigError."""
+    """The file of an experiment: of a shipped name (`pool`), or a path ending in .toml. Raises ConfigError."""
     if name_or_path.endswith(".toml"):
         return Path(name_or_path)
     path = EXPERIMENTS / f"{name_or_path}.toml"
@@ -297,7 +297,7 @@ def _holder(table: dict[str, Any], dotted: str) -> tuple[dict[str, Any] | None, 
 
 
 def _is_record(path: Path) -> bool:
-    """Whether a file is the record of a run: the copy beside its log."""
+    """True for the record of a run: the copy of the experiment beside its log."""
     return path.name == "experiment.toml" and (path.parent / "run.mcap").is_file()
 
 
@@ -307,7 +307,7 @@ def _insert_rates(table: dict[str, Any]) -> None:
     limits = vehicle.get("limits") if isinstance(vehicle, dict) else None
     if not (isinstance(limits, dict) and isinstance(controller, dict)) or "wrench_rate_per_s" in limits:
         return
-    steps, period_s = limits.get("wrench_step"), controller.get("period_s", Controller().period_s)
+    steps, period_s = limits.get("wrench_step"), controller.get("period_s", ControllerConfig().period_s)
     if isinstance(steps, list) and all(isinstance(value, int | float) and value > 0.0 for value in (*steps, period_s)):
         limits["wrench_rate_per_s"] = [step * (1.0 / period_s) for step in steps]
         del limits["wrench_step"]
@@ -318,7 +318,7 @@ def _insert_nodes(table: dict[str, Any]) -> None:
     formation, robots = table.get("formation"), table.get("robots")
     if not (isinstance(formation, dict) and isinstance(robots, list)) or formation.get("shape") not in SHAPES:
         return
-    spacing_m = formation.get("spacing_m", Formation.model_fields["spacing_m"].default)
+    spacing_m = formation.get("spacing_m", FormationConfig.model_fields["spacing_m"].default)
     if isinstance(spacing_m, int | float) and 0.0 < spacing_m < math.inf:
         for robot, node in zip(robots, shape_nodes(formation["shape"], len(robots), spacing_m).tolist(), strict=True):
             if isinstance(robot, dict):

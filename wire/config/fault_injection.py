@@ -1,4 +1,4 @@
-"""What may be broken on purpose in a simulated run: the timeline under [[sim.faults]], and `--fault` on the command line.
+"""Faults injected into a simulated run: the timeline under [[sim.faults]], and `--fault` on the command line.
 
 [[sim.faults]]
 at_s = 20.0                  # along the trajectories: 0 is when the robots start
@@ -70,7 +70,7 @@ _LINE = re.compile(r"t=(?P<at>\S+)(?:\s+for=(?P<during>\S+))?\s+(?P<what>\S.*)")
 
 @dataclass(frozen=True)
 class Break:
-    """What a fault's text says."""
+    """A parsed fault."""
 
     kind: str
     effect: str
@@ -132,14 +132,14 @@ class Fault(Section):
 
     @cached_property
     def broken(self) -> Break:
-        """What `what` says."""
+        """The parsed text of `what`."""
         try:
             return read_what(self.what)
         except ValueError as error:
             raise ValueError(f"what = {self.what!r}: {error}") from None
 
     def holds(self, time_s: float) -> bool:
-        """Whether it is broken at this time along the trajectories."""
+        """True if the fault is present at this time along the trajectories."""
         return time_s >= self.at_s and (self.for_s is None or time_s < self.at_s + self.for_s)
 
 

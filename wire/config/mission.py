@@ -1,4 +1,4 @@
-"""How the station leads a mission: what it does about obstacles, robots that lag, robots that are lost."""
+"""The station's conduct of a mission: obstacles, robots that lag, robots that are lost."""
 
 from typing import Annotated, Literal, Self
 
@@ -8,7 +8,7 @@ from wire.config.vehicle import NotNegative, Positive
 from wire.toml_loader import Section
 
 
-class Conduct(Section):
+class MissionConfig(Section):
     """The experiment's `[mission]`."""
 
     # when a robot falls out: everybody disarms; holds; goes on without it; or the others take the places of the file's first

@@ -1,4 +1,4 @@
-"""What sees the robots, and how they are followed: camera, landmarks, localizer."""
+"""Settings of camera, landmarks and localizer."""
 
 from typing import Annotated, Literal, Self
 
@@ -34,7 +34,7 @@ class Camera(Section):
 
     @property
     def px_per_m(self) -> float:
-        """How large the water's surface is in the picture, straight below the camera."""
+        """The scale of the picture at the water's surface, straight below the camera."""
         return max(self.focal_px) / -self.position_m[2]
 
 
@@ -55,7 +55,7 @@ class Landmark(Section):
 
 
 class Localizer(Section):
-    """How the localizer tracks."""
+    """The tracking of the robots in the camera's pictures."""
 
     # poses come from [camera]'s pictures. False: from elsewhere, as a simulation's truth; then no path has to stay in the
     # picture, and nobody watches for obstacles

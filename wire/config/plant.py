@@ -26,7 +26,7 @@ class Tilt(Section):
     legs_below_m: Annotated[float, Field(ge=-1, le=1)] = 0.05  # thrusters below the centre: thrust ahead lifts the bow
 
 
-class Waves(Section):
+class WavesConfig(Section):
     """A regular long-crested wave (Airy's linear theory): water goes round in circles that shrink with depth."""
 
     height_m: NotNegative = 0.0  # trough to crest
@@ -34,7 +34,7 @@ class Waves(Section):
     direction_rad: float = 0.0  # where it runs, from pool x to pool y
 
 
-class Battery(Section):
+class PlantBatteryConfig(Section):
     """Each robot's battery. It starts at sim.sensors.battery_v; thrust goes with its voltage under load."""
 
     capacity_wh: NotNegative = 55.0  # 3 cells of 5 Ah; 0: never drains, and thrusters follow their curve exactly
@@ -43,7 +43,7 @@ class Battery(Section):
     electronics_w: NotNegative = 10.0  # computer and board
 
 
-class Plant(Section):
+class PlantConfig(Section):
     """The simulated water and robots: what the controller does not know."""
 
     sway: bool = True  # False, with tilt disabled: the article's plant
@@ -54,10 +54,10 @@ class Plant(Section):
     current_shear_per_s: Vec2 = (0.0, 0.0)  # change of its x and y per metre of depth
     gust_mps: NotNegative = 0.0  # standard deviation of what fluctuates, x and y each
     gust_s: Positive = 10.0  # its correlation time: spectrum of a first-order Gauss-Markov process
-    waves: Waves = Waves()
+    waves: WavesConfig = WavesConfig()
     thruster_spread: Annotated[float, Field(ge=0, lt=1)] = 0.10
     thruster_lag_s: NotNegative | None = None  # default: the vehicle file's
-    battery: Battery = Battery()
+    battery: PlantBatteryConfig = PlantBatteryConfig()
     buoyancy_n: float = -0.2  # residual, positive sinks
     disturbance_wrench: Amplitudes = (0.0, 0.0, 0.0)  # amplitude of a sine [N, N, N m] (ambiguity A13)
     disturbance_hz: NotNegative | Annotated[tuple[NotNegative, ...], Field(min_length=1)] = 0.0  # or one per robot

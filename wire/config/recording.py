@@ -1,4 +1,4 @@
-"""What goes into the log beside what is said: the camera's video. And how full the disk may become."""
+"""The log's video of the camera, and the disk space that recording leaves free."""
 
 from typing import Annotated, Literal
 

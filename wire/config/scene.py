@@ -1,4 +1,4 @@
-"""What is flown, where, and by whom: basin, islands, path, formation, robots."""
+"""The scene: pool, islands, path, formation, robots."""
 
 from itertools import pairwise
 from typing import Annotated, Literal, Self
@@ -14,7 +14,7 @@ Vec3 = tuple[float, float, float]
 Vec4 = tuple[float, float, float, float]
 
 
-class Pool(Section):
+class PoolConfig(Section):
     """The basin. Its walls stand at +-length/2 and +-width/2 around the origin.
 
     Without `walls` the water has no sides, no floor and no surface that a plan must keep clear of; poses and trajectories
@@ -88,7 +88,7 @@ class Change(Section):
     turn_rad: float = 0.0
 
 
-class Formation(Section):
+class FormationConfig(Section):
     """Nodes around a virtual centre (14-16): `translate` keeps offsets constant in the pool frame, `rotate` turns them with
     the path's tangent (ambiguity A10).
 
@@ -115,7 +115,7 @@ class Formation(Section):
         return self
 
 
-class Robot(Section):
+class RobotConfig(Section):
     """One robot: its node in the formation, or a path of its own, and where it starts.
 
     `start_offset` is [x m, y m, z m, yaw rad] from the first reference; `start` is a pose in the pool frame instead. Robots

@@ -1,4 +1,4 @@
-"""What only the simulator reads: picture, sensors, boards, what moves."""
+"""Settings that only the simulator reads: picture, sensors, boards, moving things."""
 
 from typing import Annotated
 
@@ -6,15 +6,15 @@ import numpy as np
 from pydantic import Field
 
 from wire.config.fault_injection import Fault
-from wire.config.plant import Plant
+from wire.config.plant import PlantConfig
 from wire.config.scene import Vec3
 from wire.config.vehicle import Fraction, NotNegative, Positive
 from wire.frames import Array
 from wire.toml_loader import Section
 
 
-class Picture(Section):
-    """What the simulated camera sees besides robots."""
+class PictureConfig(Section):
+    """The look of the simulated picture, apart from the robots."""
 
     noise: NotNegative = 2.0  # standard deviation at mid grey, in grey levels of 255
     ripples_m: NotNegative = 0.0015  # height of the surface waves
@@ -26,7 +26,7 @@ class Picture(Section):
 
 
 class Sensors(Section):
-    """What the simulated thruster board measures: one standard deviation of noise, and biases drawn per robot."""
+    """The sensors of the simulated thruster board: one standard deviation of noise, and biases drawn for each robot."""
 
     rate_hz: Annotated[float, Field(ge=5, le=400)] = 50.0
     gyro_noise_radps: NotNegative = 0.003
@@ -41,14 +41,14 @@ class Sensors(Section):
 
 
 class BoardRules(Section):
-    """How the thruster board protects the robot (docs/board.md). A firmware has the same values built in."""
+    """The safety rules of the thruster board (docs/board.md). A firmware has the same values built in."""
 
     neutral_after_s: Annotated[float, Field(gt=0, le=0.3)] = 0.25  # age of the last override; then neutral, disarmed
     slew_us_per_s: Positive = 8000.0  # full reverse to full ahead in 0.1 s, a thruster's own time constant
 
 
 class Numeric(Section):
-    """What stands for the camera and the localizer in a numeric flight: the true pose with this noise, sim.latency_s old."""
+    """The poses of a numeric flight, in place of camera and localizer: the true pose with this noise, sim.latency_s old."""
 
     pose_noise_m: NotNegative = 0.0  # one standard deviation, x and y each
     yaw_noise_rad: NotNegative = 0.0
@@ -57,8 +57,8 @@ class Numeric(Section):
 
 
 class CameraMotion(Section):
-    """How the simulated camera moves about [camera]'s pose, as under a hovering drone. Nobody else knows: who wants poses from
-    a camera that moves lays out [[landmarks]]."""
+    """The motion of the simulated camera about [camera]'s pose, as under a hovering drone. Only the simulator knows it: an
+    experiment with a moving camera needs [[landmarks]]."""
 
     sway_m: NotNegative = 0.0  # largest deviation along each axis
     tilt_rad: NotNegative = 0.0  # largest turn about each axis
@@ -66,7 +66,7 @@ class CameraMotion(Section):
 
     @property
     def moves(self) -> bool:
-        """Whether there is any motion at all."""
+        """True if the camera moves at all."""
         return self.sway_m > 0.0 or self.tilt_rad > 0.0
 
 
@@ -85,14 +85,14 @@ class Drifter(Section):
 
 
 class Sim(Section):
-    """Everything that only the simulator reads."""
+    """All settings of the simulator."""
 
     # in lockstep, numeric flights and with --poses: from the middle of an exposure to the control step
     latency_s: Annotated[float, Field(ge=0, le=0.5)] = 0.03
     numeric: Numeric = Numeric()
-    plant: Plant = Plant()
+    plant: PlantConfig = PlantConfig()
     faults: tuple[Fault, ...] = ()
-    picture: Picture = Picture()
+    picture: PictureConfig = PictureConfig()
     camera_motion: CameraMotion = CameraMotion()
     drifters: tuple[Drifter, ...] = ()
     sensors: Sensors = Sensors()

@@ -39,7 +39,7 @@ class Drag(Section):
 
 
 class Limits(Section):
-    """What the controller may ask for. Wrenches are [surge N, heave N, yaw N m], their rates the same per second."""
+    """The limits of the controller. Wrenches are [surge N, heave N, yaw N m], their rates the same per second."""
 
     wrench: tuple[Positive, Positive, Positive]
     wrench_rate_per_s: tuple[Positive, Positive, Positive]
@@ -202,7 +202,7 @@ class Vehicle(Section):
         return np.array(self.drag.quadratic)
 
     def demands(self, velocity: Array, acceleration: Array) -> Iterator[tuple[str, str, int, float, Array]]:
-        """What a motion takes and what there is: name, unit, power of the pace it grows with, limit, values (n,).
+        """The demands of a motion: name, unit, power of the speed with which it grows, limit, values (n,).
 
         `velocity` and `acceleration` are those of the pose in the pool frame, (n, 4).
         """

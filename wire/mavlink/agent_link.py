@@ -15,7 +15,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common as dialect
 
 from wire.mavlink.framing import LOSS_WINDOW_NS, MARKER, Receiver, Sender
-from wire.mavlink.signing import Gate, Key, Verdict
+from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 BOARD_COMPONENT = 1  # MAV_COMP_ID_AUTOPILOT1
 AGENT_COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER
@@ -55,14 +55,14 @@ def hpa_to_depth(pressure_hpa: float) -> float:
 
 
 def is_override(datagram: bytes) -> bool:
-    """Whether a datagram of an agent, one frame each, sets pulses; nothing else about it is checked."""
+    """True if a datagram of an agent, which holds one frame, sets pulses. Nothing else about it is checked."""
     kind = int.from_bytes(datagram[7:10], "little")
     return datagram[:1] == bytes([MARKER]) and kind == dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE
 
 
 @dataclass(frozen=True)
 class Telemetry:
-    """What the board last said, complete as of the burst of `board_ms`. Values are finite and within a sensor's range."""
+    """The board's last telemetry, complete as of the burst of `board_ms`. Values are finite and within a sensor's range."""
 
     board_ms: int = -1  # the board's time of the last burst; -1: none yet
     arrival_ns: int = 0  # when that burst was measured, on the receiver's clock; when it was read, until TIMESYNC was answered
@@ -123,9 +123,9 @@ class AgentLink:
         older telemetry is somebody's recording.
         """
         self._robot_id, self._board, self._me = robot_id, (robot_id, BOARD_COMPONENT), (robot_id, AGENT_COMPONENT)
-        gate = Gate(key, floor=now())
-        self._sender = Sender(self._me, key, lambda: max(now(), gate.newest + 1))
-        self._receiver = Receiver(lambda peer: peer == self._board, gate)
+        verifier = SignatureVerifier(key, floor=now())
+        self._sender = Sender(self._me, key, lambda: max(now(), verifier.newest + 1))
+        self._receiver = Receiver(lambda peer: peer == self._board, verifier)
         self._refused = 0
         self._has_depth = False  # this burst, so far
         self._burst_ms = -1  # the board's time of the last burst
@@ -194,13 +194,13 @@ class AgentLink:
             foreign_frames=receiver.foreign_frames,
             stale_frames=receiver.stale_frames,
             refused_frames=self._refused,
-            unsigned_frames=receiver.refused[Verdict.UNSIGNED],
-            forged_frames=receiver.refused[Verdict.FORGED],
-            replayed_frames=receiver.refused[Verdict.REPLAYED],
+            unsigned_frames=receiver.refused[SignatureVerdict.UNSIGNED],
+            forged_frames=receiver.refused[SignatureVerdict.FORGED],
+            replayed_frames=receiver.refused[SignatureVerdict.REPLAYED],
         )
 
     def _read(self, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
-        """What a message changes in the telemetry, on top of `changes` from the same bytes."""
+        """The changes that a message makes to the telemetry, on top of `changes` from the same bytes."""
         kind = message.get_type()
         if kind == "ATTITUDE":  # the last of a burst: its time is the burst's
             complete, self._has_depth = self._has_depth, False
@@ -259,8 +259,8 @@ class AgentLink:
         self._clocks.append((round_trip_ns, offset_ns))
 
     def _measured_ns(self, board_ms: int, now_ns: int) -> int:
-        """When a burst was measured, on our clock: never later than now, and now while the board's clock is not known. A board
-        that was started again has another clock."""
+        """The instant of a burst on the robot's clock: not later than now, and now while the board's clock is unknown. A board
+        that was restarted has another clock."""
         if board_ms < self._burst_ms:
             self._clocks.clear()
         self._burst_ms = board_ms

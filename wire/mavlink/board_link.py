@@ -23,7 +23,7 @@ from wire.mavlink.agent_link import (
     pulses_of,
 )
 from wire.mavlink.framing import Peer, Receiver, Sender
-from wire.mavlink.signing import LATEST, Gate, Key
+from wire.mavlink.signing import LATEST, Key, SignatureVerifier
 
 ALL_COMPONENTS = 0  # some ground stations ask everybody of a system
 NOT_MEASURED = -1  # current, remaining charge
@@ -110,14 +110,17 @@ Event = (
 class BoardLink:
     """The thruster board: events in, packed answers and sensor messages out."""
 
-    def __init__(self, robot_id: int, gate: Gate | None = None, key: Key | None = None, sent: int = 0) -> None:
-        """Takes the frames that pass the `gate`; with a `key` signs its own, later than `sent` and than all that it took."""
+    def __init__(
+        self, robot_id: int, verifier: SignatureVerifier | None = None, key: Key | None = None, sent: int = 0
+    ) -> None:
+        """Accept frames that pass the `verifier`. With a `key`, sign its own frames, with timestamps later than `sent` and
+        than those of all frames accepted."""
         self._robot_id = robot_id
-        gate = gate or Gate(key)
-        self._sender = Sender((robot_id, BOARD_COMPONENT), key, lambda: max(gate.newest, sent) + 1)
-        self._receiver = Receiver(lambda peer: peer != (robot_id, BOARD_COMPONENT), gate)
+        verifier = verifier or SignatureVerifier(key)
+        self._sender = Sender((robot_id, BOARD_COMPONENT), key, lambda: max(verifier.newest, sent) + 1)
+        self._receiver = Receiver(lambda peer: peer != (robot_id, BOARD_COMPONENT), verifier)
         self.refused_frames = 0
-        self.taken_frames = 0  # intact ones that passed the gate, whatever they asked for
+        self.taken_frames = 0  # intact ones that passed the verifier, whatever they asked for
 
     @property
     def bad_frames(self) -> int:
@@ -140,7 +143,7 @@ class BoardLink:
         return self._sender.signer.last if self._sender.signer is not None else 0
 
     def receive(self, data: bytes, now_ns: int) -> list[tuple[Peer, Event]]:
-        """What is asked for with these bytes, and by whom. Never raises, whatever they are."""
+        """The requests in these bytes, with their senders. Never raises, whatever the bytes."""
         events: list[tuple[Peer, Event]] = []
         for message in self._receiver.receive(data, now_ns):
             self.taken_frames += 1
@@ -220,12 +223,12 @@ class BoardLink:
         return self._sender.pack(dialect.MAVLink_param_value_message(name.encode("ascii"), value, real, count, index))
 
     def parameter_error(self, asker: Peer, name: str, index: int, code: int) -> bytes:
-        """Why somebody did not get what they wanted of a parameter (MAV_PARAM_ERROR)."""
+        """The reason why a request for a parameter failed (MAV_PARAM_ERROR)."""
         text = name.encode("ascii", "replace")
         return self._sender.pack(dialect.MAVLink_param_error_message(*asker, text, index, code))
 
     def version(self) -> bytes:
-        """What this board is and can do."""
+        """The identity and the capabilities of this board."""
         nothing = [0] * 8
         message = dialect.MAVLink_autopilot_version_message(
             CAPABILITIES, 0, 0, 0, 0, nothing, nothing, nothing, 0, 0, self._robot_id

@@ -2,7 +2,6 @@
 meaning."""
 
 import errno
-import ipaddress
 import os
 import select
 import socket
@@ -13,6 +12,7 @@ from typing import Protocol
 
 import serial
 
+from wire.loopback import is_loopback
 from wire.toml_loader import ConfigError
 
 READ_BYTES = 65536
@@ -24,7 +24,7 @@ IN_USE = "in use by another program (a robot's agent that runs has it: systemctl
 
 @dataclass(frozen=True)
 class Address:
-    """Where a thruster board is: `kind` is udp or serial, `number` the port or the baud rate."""
+    """The address of a thruster board: `kind` is udp or serial, `number` the port or the baud rate."""
 
     kind: str
     where: str
@@ -55,7 +55,7 @@ class Link(Protocol):
 
     @property
     def trouble(self) -> str:
-        """Why nothing gets through, as far as this end can tell; else empty."""
+        """The reason why nothing gets through, as far as this end can tell; else empty."""
         return ""
 
 
@@ -76,7 +76,7 @@ class UdpLink:
             self.trouble = error.strerror or str(error)
 
     def read(self) -> bytes:
-        """What has come, as far as one read goes; what is left comes with the next."""
+        """The bytes that have come, up to the size of one read. The rest comes with the next."""
         datagrams: list[bytes] = []
         left = READ_BYTES
         for _ in range(READ_DATAGRAMS):
@@ -163,7 +163,7 @@ class SerialLink:
 
 
 def serial_trouble(device: Path) -> str:
-    """Why a serial port cannot be opened, as far as it can be seen without opening it; empty if it can."""
+    """The reason why a serial port cannot be opened, as far as can be seen without opening it; empty if it can."""
     if not device.exists():
         return f"{device}: not there; is the board plugged in, and powered?"
     if not device.is_char_device():
@@ -174,8 +174,8 @@ def serial_trouble(device: Path) -> str:
 
 
 def is_local(host: str) -> bool:
-    """Whether a host is this machine, by its loopback address. Raises OSError if it has none."""
-    return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+    """True if a host name resolves to a loopback address. Raises OSError if it has no address."""
+    return is_loopback(socket.gethostbyname(host))
 
 
 def open_link(text: str, secured: bool = False, option: str = "--link") -> Link:

@@ -12,7 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as dialect
 
-from wire.mavlink.signing import SIGNATURE_BYTES, SIGNED, Gate, Key, Signer, Verdict
+from wire.mavlink.signing import SIGNATURE_BYTES, SIGNED, Key, SignatureVerdict, SignatureVerifier, Signer
 
 MARKER = 0xFD
 HEADER_BYTES, CHECKSUM_BYTES = 10, 2
@@ -40,7 +40,7 @@ class Sequence8:
         self._expected = 0
 
     def accept(self, sequence: int, now_ns: int) -> bool:
-        """Whether a frame is newer than all before it. After a silence anything is."""
+        """True if a frame is newer than all before it. After a silence any frame is."""
         step = (sequence - self._last) % 256
         if self._last < 0:
             step = 1
@@ -54,7 +54,7 @@ class Sequence8:
         return True
 
     def silent(self, now_ns: int) -> bool:
-        """Whether nothing came for so long that any number is new: there is nothing left to remember."""
+        """True after a silence so long that any number counts as new."""
         return now_ns - self._last_ns >= SILENCE_NS
 
     @property
@@ -67,9 +67,9 @@ class Receiver:
     """Finds the frames of some peers in a stream of bytes. After anything broken it looks again from the next byte, so that a
     false start byte or a damaged length hides no intact frame behind it."""
 
-    def __init__(self, wanted: Callable[[Peer], bool], gate: Gate) -> None:
-        """Takes frames of `wanted` peers that pass the `gate`."""
-        self._wanted, self._gate = wanted, gate
+    def __init__(self, wanted: Callable[[Peer], bool], verifier: SignatureVerifier) -> None:
+        """Takes frames of `wanted` peers that pass the `verifier`."""
+        self._wanted, self._verifier = wanted, verifier
         self._mavlink = dialect.MAVLink(None)
         self._buffer = bytearray()
         self._waiting_since_ns = 0
@@ -78,7 +78,7 @@ class Receiver:
         self.bad_frames = 0  # start bytes that led to no frame: checksum, impossible header, never completed
         self.foreign_frames = 0  # intact, but from somebody else, or of a kind that the dialect does not have
         self.stale_frames = 0  # old or repeated, by their sequence number
-        self.refused = dict.fromkeys(Verdict, 0)  # by their signature
+        self.refused = dict.fromkeys(SignatureVerdict, 0)  # by their signature
 
     def loss(self, peer: Peer) -> float:
         """Fraction of a peer's frames that did not arrive, over the last 5 s."""
@@ -128,7 +128,7 @@ class Receiver:
         return HEADER_BYTES + header[1] + CHECKSUM_BYTES + signature
 
     def _waited_too_long(self, at: int, now_ns: int) -> bool:
-        """Whether the frame that begins at `at` is overdue. False start bytes that came together are so together."""
+        """True if the frame that begins at `at` is overdue. False start bytes that came together are overdue together."""
         if at >= self._waiting_bytes:
             self._waiting_since_ns, self._waiting_bytes = now_ns, len(self._buffer)
         if now_ns - self._waiting_since_ns <= FRAME_TIMEOUT_NS:
@@ -149,8 +149,8 @@ class Receiver:
         if not self._wanted(peer):
             self.foreign_frames += 1
             return False
-        verdict = self._gate.judge(bytes(frame), *peer)
-        if verdict is not Verdict.GOOD:
+        verdict = self._verifier.verify(bytes(frame), *peer)
+        if verdict is not SignatureVerdict.GOOD:
             self.refused[verdict] += 1
             return False
         sequence = self._sequences.get(peer)

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 
 from wire.mavlink.agent_link import BOARD_COMPONENT, PROTOCOL_VERSION
 from wire.mavlink.framing import Peer, Receiver, Sender
-from wire.mavlink.signing import Gate, Key, Verdict
+from wire.mavlink.signing import Key, SignatureVerdict, SignatureVerifier
 
 STATION: Peer = (255, 190)  # what ground stations go by
 DOES_NOT_EXIST: int = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
@@ -19,14 +19,14 @@ LINK_ID = 1  # beside the robot's computer, which has 0
 
 
 class ParameterClient:
-    """What a board has told of its parameters, and the questions that are left."""
+    """The parameters received from a board, and the requests that are still open."""
 
     def __init__(self, robot_id: int | None = None, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
         """Without a `robot_id`, of the first board that is heard."""
-        gate = Gate(key, floor=now())
+        verifier = SignatureVerifier(key, floor=now())
         self.robot_id = robot_id
-        self._sender = Sender(STATION, key, lambda: max(now(), gate.newest + 1))
-        self._receiver = Receiver(self._is_board, gate)
+        self._sender = Sender(STATION, key, lambda: max(now(), verifier.newest + 1))
+        self._receiver = Receiver(self._is_board, verifier)
         self.heard = False
         self._others: set[int] = set()  # robots whose boards speak on the link as well
         self._key = key
@@ -80,25 +80,25 @@ class ParameterClient:
 
     @property
     def complete(self) -> bool:
-        """Whether every parameter has come."""
+        """True if every parameter has come."""
         return self._count is not None and len(self._by_index) == self._count
 
     def silence(self, trouble: str = "") -> str:
-        """Why no board is heard, as far as what has come tells, or else the link's `trouble`; empty if one is heard."""
+        """The reason why no board is heard, from what has come or else the link's `trouble`; empty if one is heard."""
         if self.heard:
             return ""
         if self._others:
             return f"heard: the board of robot {min(self._others)}, not that of robot {self.robot_id}"
-        if self._receiver.refused[Verdict.FORGED]:
+        if self._receiver.refused[SignatureVerdict.FORGED]:
             return "a board is heard that signs " + ("with another key" if self._key else "(--link-key FILE)")
-        if self._receiver.refused[Verdict.UNSIGNED]:
+        if self._receiver.refused[SignatureVerdict.UNSIGNED]:
             return "a board is heard that has no key (over a cable, `robot-agent params give-key FILE` gives it one)"
         return trouble or "no board is heard (is it powered?)"
 
     @property
     def signed(self) -> bool:
-        """Whether the board signs with a key that is not this end's."""
-        return self._receiver.refused[Verdict.FORGED] > 0
+        """True if the board signs with a key other than this end's."""
+        return self._receiver.refused[SignatureVerdict.FORGED] > 0
 
     def receive(self, data: bytes, now_ns: int) -> None:
         """Take in bytes that arrived at `now_ns`. Never raises, whatever they are."""

@@ -20,7 +20,7 @@ STREAMS = 16  # one for each sender and link; who has the key and opens more is 
 
 @dataclass(frozen=True)
 class Key:
-    """What both ends of a link share. Never in a log: the secret is not in the repr."""
+    """The secret that both ends of a link share. Never in a log: it is not in the repr."""
 
     secret: bytes = field(repr=False)
     link_id: int = 0  # tells the links of one sender apart
@@ -30,8 +30,8 @@ class Key:
             raise ValueError(f"a signing key has {KEY_BYTES} bytes and a link id of 0 to 255")
 
 
-class Verdict(Enum):
-    """What the signature of an intact frame says."""
+class SignatureVerdict(Enum):
+    """The result of verifying the signature of an intact frame."""
 
     GOOD = 0
     UNSIGNED = 1
@@ -63,8 +63,8 @@ class Signer:
         return signed + _hash(self._key, signed)
 
 
-class Gate:
-    """Which signed frames one end takes. Without a key: unsigned ones only."""
+class SignatureVerifier:
+    """Verifies the frames that one end receives. Without a key it accepts unsigned frames only."""
 
     def __init__(self, key: Key | None, floor: int = 0) -> None:
         """A stream that is new must begin later than `floor`."""
@@ -72,19 +72,19 @@ class Gate:
         self._streams: dict[tuple[int, int, int], int] = {}
         self.newest = floor  # the latest timestamp taken so far
 
-    def judge(self, frame: bytes, system: int, component: int) -> Verdict:
-        """Look at an intact frame's flag and signature. Only a good one leaves a trace."""
+    def verify(self, frame: bytes, system: int, component: int) -> SignatureVerdict:
+        """Verify an intact frame by its flag and signature. Only a good frame changes the state."""
         if not frame[2] & SIGNED:
-            return Verdict.GOOD if self._key is None else Verdict.UNSIGNED
+            return SignatureVerdict.GOOD if self._key is None else SignatureVerdict.UNSIGNED
         signed, given = frame[:-HASH_BYTES], frame[-HASH_BYTES:]
         if self._key is None or not hmac.compare_digest(_hash(self._key, bytes(signed)), bytes(given)):
-            return Verdict.FORGED
+            return SignatureVerdict.FORGED
         stream = (frame[-SIGNATURE_BYTES], system, component)
         timestamp = int.from_bytes(signed[-6:], "little")
         if timestamp <= self._streams.get(stream, self._floor):
-            return Verdict.REPLAYED
+            return SignatureVerdict.REPLAYED
         if stream not in self._streams and len(self._streams) >= STREAMS:
-            return Verdict.REPLAYED
+            return SignatureVerdict.REPLAYED
         self._streams[stream] = timestamp
         self.newest = max(self.newest, timestamp)
-        return Verdict.GOOD
+        return SignatureVerdict.GOOD

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.signing import KEY_BYTES, Key, ticks
+from wire.process.output_files import replace_text, replacing
 from wire.toml_loader import ConfigError
 
 # A program writes down how far it may count before it counts there. Half of this is left when it writes again, from its
@@ -30,11 +31,8 @@ def new_key(path: Path) -> None:
 
 def write_key(path: Path, key: Key) -> None:
     """Put a key in the place of one that may be there, readable by its owner only. Raises OSError."""
-    new = path.with_name(path.name + ".new")
-    new.unlink(missing_ok=True)
-    with os.fdopen(os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="ascii") as file:
-        file.write(key.secret.hex() + "\n")
-    new.replace(path)
+    with replacing(path, mode=0o600) as file:
+        file.write(f"{key.secret.hex()}\n".encode("ascii"))
 
 
 def load_key(path: Path, link_id: int = 0) -> Key:
@@ -56,7 +54,7 @@ def load_key(path: Path, link_id: int = 0) -> Key:
         raise ConfigError(f"{path}: not a link key (allowed: {2 * KEY_BYTES} hexadecimal digits; {HOW})") from None
 
 
-class Stamps:
+class TimestampStore:
     """The time for signatures, in ticks: Unix time, but never before what an earlier life of this program has used."""
 
     def __init__(self, path: Path, unix_ns: Callable[[], int] = time.time_ns) -> None:
@@ -79,24 +77,22 @@ class Stamps:
 
     def _reserve(self, used: int) -> None:
         self._limit = used + AHEAD_TICKS
-        new = self._path.with_name(self._path.name + ".new")
-        new.write_text(str(self._limit), encoding="ascii")
-        new.replace(self._path)
+        replace_text(self._path, str(self._limit))
 
 
 @dataclass(frozen=True)
 class Signing:
-    """What a program signs with."""
+    """The key of a program, and the timestamps it has used."""
 
     key: Key
-    stamps: Stamps
+    stamps: TimestampStore
 
     @classmethod
     def of(cls, path: Path, program: str, link_id: int = 0) -> "Signing":
         """The key of a file, and the file of the times that this program has used: beside it, or where systemd has a service
         keep its state, which is all that it may write. Raises ConfigError."""
         folder = Path(os.environ.get("STATE_DIRECTORY") or path.parent)
-        return cls(load_key(path, link_id), Stamps(folder / f"{path.name}.{program}-stamps"))
+        return cls(load_key(path, link_id), TimestampStore(folder / f"{path.name}.{program}-stamps"))
 
 
 def agent_end(robot: int, signing: Signing | None) -> AgentLink:

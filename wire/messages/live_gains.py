@@ -1,4 +1,5 @@
-"""What may be changed while robots fly: the keys of `controller` that controller.py marks LIVE, number by number, with bounds.
+"""The gains that can be changed in flight: the keys of `controller` that controller.py marks LIVE, number by number, with
+bounds.
 
 Station, page and robots read the table off the same fields that check the experiment file, so there is one place that says
 what a gain is and how large it may be. Lists go by entries: `controller.mpc.q.0`. Pure.
@@ -13,7 +14,7 @@ from typing import Any, get_args
 import numpy as np
 from pydantic.fields import FieldInfo
 
-from wire.config.controller import Controller, Live
+from wire.config.controller import ControllerConfig, Live
 from wire.messages.messages import Tuning
 from wire.toml_loader import ConfigError, Section, apply_setting, check
 
@@ -21,14 +22,15 @@ ROOT = "controller"
 
 
 class _File(Section):
-    """So that complaints name keys as they stand in an experiment file."""
+    """A model of the file, so that error messages name keys as they stand in an experiment file."""
 
-    controller: Controller
+    controller: ControllerConfig
 
 
 @dataclass(frozen=True)
-class Knob:
-    """One number that may be changed, and between what. `above`: `least` itself is not allowed; `below`: nor is `most`."""
+class TunableParameter:
+    """One number that can be changed in flight, with its bounds. `above`: `least` itself is not allowed; `below`: nor is
+    `most`."""
 
     key: str
     value: float
@@ -38,17 +40,17 @@ class Knob:
     below: bool
 
 
-def knobs(controller: Controller) -> tuple[Knob, ...]:
-    """All that has an effect with this law, as it is set now."""
-    return tuple(knob for knob in _within(ROOT, controller) if not knob.key.startswith(_idle(controller)))
+def tunable_parameters(controller: ControllerConfig) -> tuple[TunableParameter, ...]:
+    """All parameters that have an effect with this law, with their present values."""
+    return tuple(parameter for parameter in _within(ROOT, controller) if not parameter.key.startswith(_idle(controller)))
 
 
-def _idle(controller: Controller) -> tuple[str, ...]:
+def _idle(controller: ControllerConfig) -> tuple[str, ...]:
     """A law other than the ESO-MPC has gains of its own in the place of these: what it has learnt rests on them, they stay."""
     return () if controller.law == "eso-mpc" else (f"{ROOT}.mpc.", f"{ROOT}.guidance.position_gain_per_s2")
 
 
-def _within(prefix: str, section: Section) -> Iterator[Knob]:
+def _within(prefix: str, section: Section) -> Iterator[TunableParameter]:
     for name, field in type(section).model_fields.items():
         key, value = f"{prefix}.{name}", getattr(section, name)
         if isinstance(value, Section):
@@ -57,29 +59,29 @@ def _within(prefix: str, section: Section) -> Iterator[Knob]:
             continue
         elif isinstance(value, tuple):
             for k, (entry, hint) in enumerate(zip(value, get_args(field.annotation), strict=True)):
-                yield _knob(f"{key}.{k}", entry, FieldInfo.from_annotation(hint).metadata)
+                yield _parameter(f"{key}.{k}", entry, FieldInfo.from_annotation(hint).metadata)
         else:
-            yield _knob(key, value, field.metadata)
+            yield _parameter(key, value, field.metadata)
 
 
-def _knob(key: str, value: float, marks: list[Any]) -> Knob:
+def _parameter(key: str, value: float, marks: list[Any]) -> TunableParameter:
     """From what pydantic checks: its marks have an attribute of the bound's name."""
     bound = {name: float(getattr(mark, name)) for name in ("ge", "gt", "le", "lt") for mark in marks if hasattr(mark, name)}
     least, most = bound.get("gt", bound.get("ge", -np.inf)), bound.get("lt", bound.get("le", np.inf))
-    return Knob(key, value, least, most, "gt" in bound, "lt" in bound)
+    return TunableParameter(key, value, least, most, "gt" in bound, "lt" in bound)
 
 
-def tuning(controller: Controller) -> Tuning:
-    """Its gains as a message. The same values have the same id, everywhere and always."""
-    found = knobs(controller)
-    text = json.dumps([(knob.key, knob.value) for knob in found])
+def tuning(controller: ControllerConfig) -> Tuning:
+    """The gains of a controller as a message. Equal values always have the same id."""
+    found = tunable_parameters(controller)
+    text = json.dumps([(parameter.key, parameter.value) for parameter in found])
     name = hashlib.sha256(text.encode()).hexdigest()[:8]
-    return Tuning(name, tuple(knob.key for knob in found), np.array([knob.value for knob in found]))
+    return Tuning(name, tuple(parameter.key for parameter in found), np.array([parameter.value for parameter in found]))
 
 
-def tuned(controller: Controller, values: Mapping[str, float]) -> Controller:
+def tuned(controller: ControllerConfig, values: Mapping[str, float]) -> ControllerConfig:
     """The controller with other gains. Raises ConfigError naming key, value and what is allowed."""
-    allowed = {knob.key for knob in knobs(controller)}
+    allowed = {parameter.key for parameter in tunable_parameters(controller)}
     table: dict[str, Any] = {ROOT: controller.model_dump(mode="json")}
     for key, value in values.items():
         if key not in allowed:
@@ -89,12 +91,12 @@ def tuned(controller: Controller, values: Mapping[str, float]) -> Controller:
 
 
 def _names(keys: set[str]) -> list[str]:
-    """Lists by their own name."""
+    """The names for people: a list has one name."""
     return sorted({key.rpartition(".")[0] if key.rpartition(".")[2].isdecimal() else key for key in keys})
 
 
 def values_of(settings: Sequence[str]) -> dict[str, float]:
-    """What `key=value` settings change, a list's entries one by one. Raises ConfigError for what is no number."""
+    """The values that `key=value` settings change, a list entry by entry. Raises ConfigError for a value that is no number."""
     found: dict[str, float] = {}
     for setting in settings:
         table: dict[str, Any] = {}
@@ -111,7 +113,7 @@ def values_of(settings: Sequence[str]) -> dict[str, float]:
     return found
 
 
-def of_message(controller: Controller, message: Tuning) -> Controller:
+def of_message(controller: ControllerConfig, message: Tuning) -> ControllerConfig:
     """The controller that a message asks for. Raises ConfigError also for one that contradicts itself."""
     if len(message.keys) != len(message.values) or len(set(message.keys)) != len(message.keys):
         raise ConfigError(

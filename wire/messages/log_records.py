@@ -33,7 +33,7 @@ _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
 
 
 class Damaged(Exception):
-    """Where a file stops being a log that can be read, and why."""
+    """Raised where a file stops being a readable log, with the place and the reason."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def records(file: IO[bytes]) -> Iterator[tuple[int, bytes]]:
 
 
 class Allowance:
-    """How much the chunks of one file may still unpack to."""
+    """The number of bytes to which the chunks of one file may still unpack."""
 
     def __init__(self, file_bytes: int) -> None:
         self.file_bytes = file_bytes

@@ -23,46 +23,46 @@ def array(*shape: int) -> Any:
 
 
 def later_array(*shape: int) -> Any:
-    """An array field that messages of earlier versions do not have: theirs are as many zeros as the other arrays have rows."""
+    """An array field added later. Messages of earlier versions lack it and get one zero for each row of the other arrays."""
     empty = tuple(0 if n == -1 else n for n in shape)
     return field(default_factory=lambda: np.zeros(empty), metadata={"shape": shape, "later": True})
 
 
 def row_numbers() -> Any:
-    """A field of integers, one for each row of the message's arrays: whose it is."""
+    """A field of integers, one for each row of the message's arrays: the id that the row belongs to."""
     return field(default=(), metadata={"each_row": True})
 
 
-POSITIVE = {"positive": True}  # metadata of a float that others divide by
+POSITIVE = {"positive": True}  # metadata of a float that receivers divide by: the codec refuses zero and less
 
 
 class Track(IntEnum):
-    """How a pose came about, worst to best."""
+    """The source of a pose, from worst to best."""
 
     LOST = 0
-    COAST = 1  # predicted only
-    KCF = 2
-    MARKER = 3
+    COAST = 1  # Predicted from earlier poses.
+    KCF = 2  # Found by the correlation filter.
+    MARKER = 3  # Read from the marker.
 
 
 class Mode(IntEnum):
-    """What a robot is doing (robot_agent/safety/modes.py has the table of transitions)."""
+    """The mode of a robot. The table of transitions is in robot_agent/safety/modes.py."""
 
     DISARMED = 0
-    ARMED = 1  # thrusters at neutral, ready to start
+    ARMED = 1  # The thrusters are at neutral, and the robot is ready to start.
     TRACKING = 2
-    HOLDING = 3  # keeps its station
-    STOPPED = 4  # emergency stop, latched until cleared
+    HOLDING = 3  # The robot keeps its position.
+    STOPPED = 4  # Emergency stop, latched until it is cleared.
     FAULT = 5
 
 
 class Solve(IntEnum):
-    """What became of this step's optimisation."""
+    """The result of a control step's optimisation."""
 
-    NONE = 0  # none was asked for
+    NONE = 0  # No optimisation was needed.
     SOLVED = 1
-    SHIFTED = 2  # the previous plan, moved on by one step
-    FAILED = 3  # neutral
+    SHIFTED = 2  # The previous plan, shifted by one step, was used.
+    FAILED = 3  # No plan was left, so the thrusters went to neutral.
 
 
 class Order(IntEnum):
@@ -77,18 +77,18 @@ class Order(IntEnum):
     STOP = 6
     DISARM = 7
     CLEAR_STOP = 8
-    TUNE = 9  # check these gains and keep them ready; nothing changes yet
-    ADOPT = 10  # fly with the gains that are ready
-    RETURN = 11  # to the station only: everybody back to where it started
-    REJOIN = 12  # to the station only: robots that fell out take their places again
-    GO = 13  # to the station only: on to other places than planned
-    SWITCH = 14  # go over to the trajectory loaded under way, where that begins
-    TEST = 15  # pulse each thruster, and watch what the board says it put out
-    END = 20  # to the station only: disarm everybody, then end the run
+    TUNE = 9  # Check these gains and keep them ready; nothing changes yet.
+    ADOPT = 10  # Fly with the gains that are ready.
+    RETURN = 11  # To the station only: all robots return to their starts.
+    REJOIN = 12  # To the station only: lost robots take their places again.
+    GO = 13  # To the station only: the formation goes to other places than planned.
+    SWITCH = 14  # Change to the trajectory that was loaded in flight, at its first sample.
+    TEST = 15  # Pulse each thruster and compare the board's echo.
+    END = 20  # To the station only: disarm all robots, then end the run.
 
 
 class Progress(IntEnum):
-    """How far a person's request has come."""
+    """The progress of an operator's request."""
 
     UNDER_WAY = 0
     DONE = 1
@@ -96,7 +96,7 @@ class Progress(IntEnum):
 
 
 class CameraHealth(IntEnum):
-    """What the localizer thinks of its pictures."""
+    """The health of the camera's pictures, as judged by the localizer."""
 
     ABSENT = 0
     OK = 1
@@ -107,266 +107,265 @@ class CameraHealth(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class Tick:
-    """Lockstep: the simulator's clock. A process acts when the inputs named here have reached it."""
+    """The simulator's clock in lockstep. A process acts when the inputs named here have reached it."""
 
-    now_ns: int  # simulated time of this control step
-    previous_ns: int  # of the one before: stamp of the plans and states to use
-    frame_ns: int  # stamp of the newest camera frame that counts at this step
-    robots: tuple[int, ...] = ()  # who takes part
-    board_ms: tuple[int, ...] = ()  # per robot: board time of the last sensor burst that counts
+    now_ns: int  # Simulated time of this control step.
+    previous_ns: int  # Time of the step before: the stamp of the plans and states to use.
+    frame_ns: int  # Stamp of the newest camera frame that counts at this step.
+    robots: tuple[int, ...] = ()  # Robots that take part.
+    board_ms: tuple[int, ...] = ()  # For each robot, the board's time of the last sensor burst that counts.
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The simulated plant's true state; nobody who controls may read it."""
+    """The true state of the simulated plant. Robots, localizer and planner may not read it."""
 
     robots: tuple[int, ...] = row_numbers()
     eta: Array = array(-1, 4)
     nu: Array = array(-1, 4)
-    wrench: Array = array(-1, 3)  # delivered by the thrusters
-    disturbance: Array = array(-1, 4)  # acceleration that the nominal model does not explain, body frame
+    wrench: Array = array(-1, 3)  # Wrench that the thrusters deliver.
+    disturbance: Array = array(-1, 4)  # Acceleration that the nominal model does not explain, in the body frame.
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Where the localizer saw a robot's centre at the header's stamp (middle of the exposure)."""
+    """A robot's position and heading from the camera, at the header's stamp (middle of the exposure)."""
 
     x_m: float
     y_m: float
     yaw_rad: float
-    covariance: Array = array(3, 3)  # of x, y, yaw: m^2, m rad, rad^2
+    covariance: Array = array(3, 3)  # Covariance of x, y, yaw: m^2, m rad, rad^2.
     track: Track = Track.LOST
-    identity_verified: bool = False  # a marker has been read since the robot was last near another
-    peak: float = 0.0  # of the correlation, 0 to 1
-    depth_m: float = 0.0  # depth of the centre that the refraction was computed with
+    identity_verified: bool = False  # A marker was read since the robot was last near another robot.
+    peak: float = 0.0  # Peak of the correlation, 0 to 1.
+    depth_m: float = 0.0  # Depth of the robot's centre that the refraction was computed with.
 
 
 @dataclass(frozen=True, eq=False)
 class LocalizerStatus:
-    """The localizer's own health, once per frame."""
+    """The state of the localizer, once a frame."""
 
     camera: CameraHealth = CameraHealth.ABSENT
-    frames: int = 0
-    dropped: int = 0
-    frame_ms: float = 0.0  # processing time of the last frame
-    frame_age_ms: float = 0.0  # exposure to publish
-    message: str = ""
-    robots: tuple[int, ...] = ()  # whose poses in this picture are told
-    obstacles_ns: int = -1  # stamp of the newest Obstacles told before them; -1: none yet
-    failed: int = 0  # pictures skipped since the start, because localizing in them raised an error
+    frames: int = 0  # Pictures processed since the start.
+    dropped: int = 0  # Pictures not processed, because a newer one had come.
+    frame_ms: float = 0.0  # Processing time of the last picture.
+    frame_age_ms: float = 0.0  # Time from the exposure to the publication.
+    message: str = ""  # The trouble in words, for people; empty if there is none.
+    robots: tuple[int, ...] = ()  # Robots whose poses in this picture are published.
+    obstacles_ns: int = -1  # Stamp of the newest Obstacles published before those poses; -1: none yet.
+    failed: int = 0  # Pictures skipped since the start, because their processing raised an error.
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacles:
-    """What the camera sees in the pool that is no robot; all of them in one message, so that one that has gone is gone.
+    """All obstacles that the camera sees in the pool, in one message: an obstacle that is not in it has gone.
 
-    Each has a convex outline of twelve corners (some may coincide), in order from x to y, as it lies if the obstacle is at
-    `depth_m`: a camera alone cannot tell how deep. The k-th of all arrays and of `ids` belong together.
+    Each has a convex outline of twelve corners (some may coincide), in order from x to y. The outline assumes that the
+    obstacle is at `depth_m`, because one camera cannot measure depth. The k-th rows of all arrays and `ids` belong together.
     """
 
-    ids: tuple[int, ...] = row_numbers()  # an obstacle keeps its number while it is followed; no number is used twice
-    outline: Array = array(-1, 12, 2)  # x, y
-    velocity: Array = array(-1, 2)  # over the floor, pool frame
-    depth_m: float = 0.0  # assumed: that of the robots' path, where an obstacle would be in their way
-    watched: float = 0.0  # share of the pool that can be judged, 0 to 1: an empty list says nothing about the rest
-    blind: str = ""  # why too little of it can be judged for the list to mean anything; empty: it means what it says
-    unseen_s: Array = later_array(-1)  # for how long each has not been seen: the rest is of that long before the stamp
+    ids: tuple[int, ...] = row_numbers()  # An obstacle keeps its number while it is tracked. No number is used twice.
+    outline: Array = array(-1, 12, 2)  # Corners x, y in the pool frame, m.
+    velocity: Array = array(-1, 2)  # Velocity over the floor in the pool frame, m/s.
+    depth_m: float = 0.0  # Assumed depth: that of the robots' path, where an obstacle would be in their way.
+    watched: float = 0.0  # Share of the pool that can be judged, 0 to 1. The list says nothing about the rest.
+    blind: str = ""  # Reason why too little of the pool can be judged for the list to count; empty if the list counts.
+    unseen_s: Array = later_array(-1)  # Time since each obstacle was last seen. The other fields are as of then.
 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Where a robot expects to be: node s at the header's stamp + s * period_s; node 0 is the estimate."""
+    """A robot's predicted motion: node s is at the header's stamp + s * period_s, node 0 is the estimate."""
 
     period_s: float = field(metadata=POSITIVE)
-    eta: Array = array(-1, 4)
-    eta_reference: Array = array(-1, 4)
-    tracking_error_m: float = 0.0
-    urgent: bool = False
-    heard: tuple[int, ...] = ()  # robots whose plans it hears: only they may count on it to give way
+    eta: Array = array(-1, 4)  # Predicted poses.
+    eta_reference: Array = array(-1, 4)  # Reference poses at the same nodes.
+    tracking_error_m: float = 0.0  # Distance from the reference at node 0.
+    urgent: bool = False  # The robot has priority: others give way to it.
+    heard: tuple[int, ...] = ()  # Robots whose plans it receives. Only they may rely on it to give way.
 
 
 @dataclass(frozen=True, eq=False)
 class RobotState:
-    """One control step, as the robot saw it; the header's stamp is the step's instant."""
+    """The result of one control step, as the robot knows it. The header's stamp is the step's instant."""
 
     mode: Mode = Mode.DISARMED
-    fault: str = ""  # why it holds, stopped or failed; empty when all is well
+    fault: str = ""  # Reason why the robot holds, stopped or failed; empty if there is none.
     experiment_hash: str = ""
-    tuning_id: str = ""  # of the gains it flies with
-    trajectory_s: float = 0.0  # time along the trajectory; 0 until started
+    tuning_id: str = ""  # Id of the gains in use.
+    trajectory_s: float = 0.0  # Time along the trajectory; 0 until it is started.
     trajectory_id: str = ""
-    eta: Array = array(4)  # estimated
-    nu: Array = array(4)
-    disturbance: Array = array(4)  # estimated acceleration, body frame [m/s^2, rad/s^2]
-    eta_reference: Array = array(4)  # of the trajectory: yaw is the path's tangent
-    eta_command: Array = array(4)  # what the controller was given: yaw with crab angle and correction
-    wrench: Array = array(3)  # asked for, within the limits
-    wrench_step: Array = array(3)  # its change in this step
-    wrench_wanted: Array = array(3)  # what the control law came to before magnitude and rate were limited
-    wrench_delivered: Array = array(3)  # after allocation and limits, by the nominal thrust curve
-    pulse_us: tuple[int, ...] = ()  # 4 thrusters, 4 ankles
-    echo_us: tuple[int, ...] = ()  # what the board says it put out
+    eta: Array = array(4)  # Estimated pose.
+    nu: Array = array(4)  # Estimated velocity.
+    disturbance: Array = array(4)  # Estimated acceleration, in the body frame [m/s^2, rad/s^2].
+    eta_reference: Array = array(4)  # Pose on the trajectory: yaw is the tangent of the path.
+    eta_command: Array = array(4)  # Pose given to the controller: yaw includes crab angle and correction.
+    wrench: Array = array(3)  # Commanded wrench, within the limits.
+    wrench_step: Array = array(3)  # Change of the commanded wrench in this step.
+    wrench_wanted: Array = array(3)  # Result of the control law before magnitude and rate were limited.
+    wrench_delivered: Array = array(3)  # Wrench after allocation and limits, by the nominal thrust curve.
+    pulse_us: tuple[int, ...] = ()  # Pulse widths sent to 4 thrusters and 4 ankles.
+    echo_us: tuple[int, ...] = ()  # Pulse widths that the board reports as its output.
     track: Track = Track.LOST
     pose_age_ms: float = 0.0
     exposure_to_pwm_ms: float = 0.0
-    depth_m: float = 0.0  # measured
+    depth_m: float = 0.0  # Measured depth.
     battery_v: float = 0.0
     board_armed: bool = False
     board_age_ms: float = 0.0
-    board_loss: float = 0.0  # fraction of the board's messages lost, last 5 s
-    board_round_trip_ms: float = 0.0  # to the board and back, last measured
-    board_clock_offset_s: float = 0.0  # the board's clock minus the robot's
+    board_loss: float = 0.0  # Fraction of the board's messages lost in the last 5 s.
+    board_round_trip_ms: float = 0.0  # Last measured time to the board and back.
+    board_clock_offset_s: float = 0.0  # The board's clock minus the robot's clock.
     solve: Solve = Solve.NONE
     iterations: int = 0
-    step_us: float = 0.0  # the whole control step
+    step_us: float = 0.0  # Duration of the whole control step.
     missed_deadlines: int = 0
-    slack_m: float = 0.0  # by how much the plan enters the space of another robot
-    thruster_test: str = ""  # "", "running", "passed", or what was wrong
-    heard: tuple[int, ...] = ()  # neighbours whose plans are fresh
-    planned: bool = False  # and to whom it told its own in this step; not while it does not know where it is
-    blind: str = ""  # why it does not know of obstacles though somebody should watch for them; empty when it does
+    slack_m: float = 0.0  # Depth by which the plan enters the space of another robot.
+    thruster_test: str = ""  # "", "running", "passed", or the fault that was found.
+    heard: tuple[int, ...] = ()  # Neighbours whose plans are fresh.
+    planned: bool = False  # True if the robot published a plan in this step. It does not while its position is unknown.
+    blind: str = ""  # Reason why obstacles are unknown although somebody should watch for them; empty if they are known.
 
 
 @dataclass(frozen=True, eq=False)
 class StationHeartbeat:
-    """The station is alive, and whether the red button is down. In lockstep it also says: my orders for this step are out, and
-    these are the plans to wait for."""
+    """The station's sign of life, with the state of the emergency stop. In lockstep it also says that the station's commands
+    for this step are sent, and which plans to wait for."""
 
     experiment_hash: str = ""
     emergency_stop: bool = False
-    mission: str = ""  # the mission's state, for people
-    lag_s: float = 0.0  # by how much the virtual structure is behind its timetable at the header's stamp
-    slowing: float = 0.0  # and how fast that grows: 0 at full pace, 1 where it stands
-    planned: tuple[int, ...] = ()  # robots that told a plan in their last step, as far as heard
+    mission: str = ""  # State of the mission, for people.
+    lag_s: float = 0.0  # Delay of the virtual structure behind its timetable at the header's stamp.
+    slowing: float = 0.0  # Rate at which lag_s grows, s/s: 0 at full speed, 1 at standstill.
+    planned: tuple[int, ...] = ()  # Robots that published a plan in their last step, as far as the station received it.
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """One robot's reference, sampled every period_s from `begin_s` on. Yaw is the path's tangent, unwrapped."""
+    """One robot's reference trajectory, sampled every period_s from `begin_s` on. Yaw is the path's tangent, unwrapped."""
 
     id: str
     period_s: float = field(metadata=POSITIVE)
     eta: Array = array(-1, 4)
-    velocity: Array = array(-1, 4)  # d eta / dt, pool frame
-    acceleration: Array = array(-1, 4)  # d2 eta / dt2, pool frame
-    begin_s: float = 0.0  # of the first sample, on the clock that runs along the trajectories
+    velocity: Array = array(-1, 4)  # d eta / dt, in the pool frame.
+    acceleration: Array = array(-1, 4)  # d2 eta / dt2, in the pool frame.
+    begin_s: float = 0.0  # Time of the first sample, on the clock that runs along the trajectories.
 
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """Weights and gains of the controller, all that can be changed in flight (wire/messages/live_gains.py). The k-th of both
-    belong together."""
+    """The weights and gains of the controller that can be changed in flight (wire/messages/live_gains.py). The k-th key and
+    the k-th value belong together."""
 
-    id: str  # of exactly these values
-    keys: tuple[str, ...] = ()  # of the experiment file, a list's entries one by one: `controller.mpc.q.0`
+    id: str  # Id of exactly these values.
+    keys: tuple[str, ...] = ()  # Keys of the experiment file, one for each entry of a list: `controller.mpc.q.0`.
     values: Array = array(-1)
 
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """An order to one robot. Applied at most once, by the process that it is for, and only while the header's session is the
-    station's and the order is younger than its time to live."""
+    """A command to one robot, or a request to the station (robot 0). It is applied at most once, by the process that it
+    names, while the header's session is the station's and the command is younger than its time to live."""
 
     order: Order
     robot: int
     time_to_live_s: float = 1.0
     experiment_hash: str = ""
     trajectory_id: str = ""
-    start_in_s: float = 0.0  # ADOPT: when, counted from the header's stamp
-    trajectory_s: float = (
-        0.0  # START, RESUME: the timetable at start_ns (less the station's lag, where to be); ADOPT: not before
-    )
+    start_in_s: float = 0.0  # ADOPT: time of the change, counted from the header's stamp.
+    trajectory_s: float = 0.0  # START, RESUME: time along the timetable at start_ns, lag included. ADOPT: earliest time.
     trajectory: Trajectory | None = None
-    tuning_id: str = ""  # ADOPT: which
+    tuning_id: str = ""  # ADOPT: id of the gains.
     tuning: Tuning | None = None
-    recipient: int = 0  # session of the process that it is for, as its replies tell it: an earlier life's orders are void
-    via: Array = array(-1, 2)  # GO: places for the formation's centre, x, y
-    start_ns: int = 0  # START, RESUME: when, on the station's clock; 0 (older logs): start_in_s after the header's stamp
-    about: int = 0  # to the station, with NONE: the number of the request whose outcome is asked for
+    recipient: int = 0  # Session of the process that it is for, as in its replies. A restarted process refuses it.
+    via: Array = array(-1, 2)  # GO: places x, y for the centre of the formation.
+    start_ns: int = 0  # START, RESUME: instant on the station's clock. 0 (older logs): start_in_s after the header's stamp.
+    about: int = 0  # To the station, with NONE: number of the request whose outcome is asked for.
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What has become of a person's request so far, by the station's account (groundstation/mission/request_progress.py)."""
+    """The outcome of an operator's request so far, as the station sees it (groundstation/mission/request_progress.py)."""
 
-    request: int  # its number in the station's life, from 1
+    request: int  # Number of the request since the station's start, from 1.
     order: Order = Order.NONE
     progress: Progress = Progress.UNDER_WAY
-    reason: str = ""  # why it failed, or what it led to
-    mission: str = ""  # the mission's state
-    confirmed: tuple[int, ...] = ()  # robots that are where the request wants them
-    waiting: tuple[int, ...] = ()  # robots that are not
-    why: tuple[str, ...] = ()  # the k-th belongs to the k-th of `waiting`
+    reason: str = ""  # Reason of the failure, or the result.
+    mission: str = ""  # State of the mission.
+    confirmed: tuple[int, ...] = ()  # Robots that have reached the state that was requested.
+    waiting: tuple[int, ...] = ()  # Robots that have not.
+    why: tuple[str, ...] = ()  # Reasons. The k-th belongs to the k-th robot of `waiting`.
 
 
 @dataclass(frozen=True, eq=False)
 class Reply:
-    """A robot's answer to a command; the station's to a person's request."""
+    """A robot's reply to a command, or the station's reply to an operator's request."""
 
     robot: int
     accepted: bool
-    reason: str = ""  # why not
+    reason: str = ""  # Reason of the refusal.
     mode: Mode = Mode.DISARMED
-    session: int = 0  # of the process that answers
-    silent: bool = False  # nobody answered in time: made by whoever asked
-    outcome: Outcome | None = None  # of a person's request, from the station
+    session: int = 0  # Session of the process that replies.
+    silent: bool = False  # No reply came in time. The asking process made this one itself.
+    outcome: Outcome | None = None  # Outcome of an operator's request, from the station.
 
 
 @dataclass(frozen=True, eq=False)
 class BoardReading:
-    """What a thruster board said last, as far as its robot acts on it (wire/mavlink/agent_link.py, Telemetry)."""
+    """The last telemetry of a thruster board, as far as its robot acts on it (Telemetry of wire/mavlink/agent_link.py)."""
 
-    board_ms: int = -1  # the board's time of the last burst; -1: none yet
-    arrival_ns: int = 0  # when it was measured, on the robot's clock; when it was read, while the board's clock is not known
+    board_ms: int = -1  # The board's time of the last burst; -1: none yet.
+    arrival_ns: int = 0  # Instant of the measurement on the robot's clock. Of the reading, while the board's clock is unknown.
     heading_rad: float = 0.0
     yaw_rate_radps: float = 0.0
-    acceleration_mps2: Array = array(3)  # specific force, body frame
+    acceleration_mps2: Array = array(3)  # Specific force, in the body frame.
     depth_m: float = 0.0
     battery_v: float = 0.0
     armed: bool = False
     echo_us: tuple[int, ...] = ()
-    loss: float = 0.0  # fraction of the board's messages lost, last 5 s
-    charge: int = 0  # how low the board takes the battery to be: MAV_BATTERY_CHARGE_STATE, 0 not known
-    battery_reports: int = 0  # how many voltages the board has told; 0: none yet, or an old log
+    loss: float = 0.0  # Fraction of the board's messages lost in the last 5 s.
+    charge: int = 0  # Charge state by the board: MAV_BATTERY_CHARGE_STATE, 0 if not known.
+    battery_reports: int = 0  # Number of voltages received from the board; 0: none yet, or an old log.
 
 
 @dataclass(frozen=True, eq=False)
 class StepInputs:
-    """Everything that a robot's control step had to go by; the header's stamp is the step's instant. With the plans and the
-    obstacles that it names, and the orders, the step can be done again (`groundstation rerun`). Instants are on the robot's
-    clock."""
+    """All inputs of a robot's control step. The header's stamp is the step's instant.
 
-    step: int  # 0, 1, 2 ... since the robot's program began, or met a new station
+    With the plans and the obstacles that it names, and the commands, the step can be repeated (`groundstation rerun`).
+    Instants are on the robot's clock."""
+
+    step: int  # Number of the step, 0, 1, 2 ..., since the robot's program began or met a new station.
     pose: Pose | None = None
-    pose_instant_ns: int = 0  # when it was true
-    pose_told_age_ns: int = 0  # how old the localizer says it was when it was sent
+    pose_instant_ns: int = 0  # Instant of the pose.
+    pose_told_age_ns: int = 0  # Age of the pose when the localizer sent it, as the localizer stated it.
     heartbeat: StationHeartbeat | None = None
     station_session: int = 0
-    station_stamp_ns: int = 0  # of the heartbeat, on the station's clock,
-    station_instant_ns: int = 0  # and on the robot's
+    station_stamp_ns: int = 0  # Stamp of the heartbeat, on the station's clock.
+    station_instant_ns: int = 0  # Instant of the heartbeat, on the robot's clock.
     board: BoardReading | None = None
-    plan_robots: tuple[int, ...] = ()  # whose plans; the k-th of the next three belong to the k-th robot
-    plan_sessions: tuple[int, ...] = ()  # of the plan's header,
-    plan_sequences: tuple[int, ...] = ()  # as is this
-    plan_instants_ns: tuple[int, ...] = ()  # of the plan's first node
-    obstacles_session: int = 0  # of the message's header; 0: none has been heard
-    obstacles_sequence: int = 0
-    obstacles_instant_ns: int = 0  # when it was so
-    late_steps: int = 0  # by how much late steps outnumber timely ones, before this one: +1 for a late one, -1 for another
+    plan_robots: tuple[int, ...] = ()  # Senders of the plans. The next three fields have one entry for each.
+    plan_sessions: tuple[int, ...] = ()  # Session in the header of each plan.
+    plan_sequences: tuple[int, ...] = ()  # Sequence number in the header of each plan.
+    plan_instants_ns: tuple[int, ...] = ()  # Instant of the first node of each plan.
+    obstacles_session: int = 0  # Session in the header of the Obstacles message; 0: none was received.
+    obstacles_sequence: int = 0  # Sequence number in that header.
+    obstacles_instant_ns: int = 0  # Instant of those obstacles.
+    late_steps: int = 0  # Late steps minus timely steps before this one, at least 0.
 
 
 @dataclass(frozen=True, eq=False)
 class OrderTaken:
-    """An order that has reached a robot, and its answer; for the log, nobody obeys it. The header's stamp is when."""
+    """A command that has reached a robot, with the reply. It is for the log only. The header's stamp is its arrival."""
 
-    before_step: int  # the robot's next control step
-    number: int  # of the order: 0, 1, 2 ... with the same beginning as the steps
-    order_session: int  # of the order's header,
-    order_sequence: int  # as is this
-    order_stamp_ns: int  # and this
-    station_session: int = 0  # the heartbeat it was judged by, as in StepInputs
-    station_stamp_ns: int = 0
-    station_instant_ns: int = 0
+    before_step: int  # Number of the robot's next control step.
+    number: int  # Number of the command: 0, 1, 2 ..., counted from the same beginning as the steps.
+    order_session: int  # Session in the command's header.
+    order_sequence: int  # Sequence number in the command's header.
+    order_stamp_ns: int  # Stamp in the command's header.
+    station_session: int = 0  # Session of the heartbeat that it was judged by, as in StepInputs.
+    station_stamp_ns: int = 0  # Stamp of that heartbeat.
+    station_instant_ns: int = 0  # Instant of that heartbeat, on the robot's clock.
     command: Command | None = None
     reply: Reply | None = None
 
@@ -387,23 +386,23 @@ class Preview:
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """One picture of a film: H.264 in Annex B form, nothing that looks ahead. On the wire a foxglove.CompressedVideo."""
+    """One picture of a video: H.264 in Annex B form without B-frames. On the wire a foxglove.CompressedVideo."""
 
     h264: bytes
 
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """One picture of the camera as JPEG, nothing drawn on it. On the wire a foxglove.CompressedImage."""
+    """One camera picture as JPEG, without drawings. On the wire a foxglove.CompressedImage."""
 
     jpeg: bytes
 
 
 @dataclass(frozen=True, eq=False)
 class Event:
-    """Something worth a line in the log. On the wire a foxglove.Log."""
+    """A line of the log. On the wire a foxglove.Log."""
 
-    level: int  # foxglove: 1 debug, 2 info, 3 warning, 4 error, 5 fatal
+    level: int  # Foxglove's levels: 1 debug, 2 info, 3 warning, 4 error, 5 fatal.
     source: str
     message: str
 

@@ -12,7 +12,8 @@ from wire.messages import messages
 
 
 class Qos(Enum):
-    """How a topic is sent. Nothing ever blocks: one stopped viewer on a shared hub froze everyone's commands for 5 s."""
+    """The quality of service of a topic. Sending never blocks: one stopped viewer on a shared hub froze all commands for 5
+    s."""
 
     CONTROL = "first in line, no batching, dropped rather than queued: only the newest counts"
     STATE = "as CONTROL, behind it"
@@ -25,7 +26,7 @@ RECOVERED = frozenset({Qos.EVENT, Qos.JOURNAL})  # from a cache that is asked fo
 
 
 class Role(Enum):
-    """What a process is to the others; its certificate says so."""
+    """The role of a process, as its certificate states it."""
 
     STATION = "groundstation"
     OPERATOR = "operator"  # a terminal: gives the station orders, and nobody else
@@ -36,9 +37,9 @@ class Role(Enum):
 
 
 EVERYONE = tuple(Role)
-SEEING = (Role.SIMULATOR, Role.LOCALIZER)  # the simulator stands for a camera, and with --poses for the localizer
-TELLING = (Role.STATION, Role.ROBOT, Role.LOCALIZER, Role.SIMULATOR)  # whose log lines become events
-OUTSIDE = (Role.STATION, Role.SIMULATOR, Role.OPERATOR, Role.VIEWER)  # of the truth and of the journals: nobody who controls
+POSE_SOURCES = (Role.SIMULATOR, Role.LOCALIZER)  # the simulator stands for a camera, and with --poses for the localizer
+LOG_SOURCES = (Role.STATION, Role.ROBOT, Role.LOCALIZER, Role.SIMULATOR)  # whose log lines become events
+OBSERVERS = (Role.STATION, Role.SIMULATOR, Role.OPERATOR, Role.VIEWER)  # of the truth and of the journals: nobody who controls
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,13 @@ class Topic:
     recorded: bool
     writers: tuple[Role, ...]  # a robot only under its own number
     readers: tuple[Role, ...] = EVERYONE
-    kept: int = 0  # so many by their publisher, for who comes late or was cut off: for 20 s at most in a run that goes on
+    # messages that the publisher keeps, for subscribers that come late or were cut off: up to 20 s of a run that goes on
+    cache_depth: int = 0
     limit: str = ""
 
     def max_age_in(self, safety: Safety) -> float:
-        """When a value stops being usable in an experiment with these limits, s: one number for station and robots."""
+        """The age at which a value stops being usable in an experiment with these limits, s. Station and robots use the
+        same."""
         return float(getattr(safety, self.limit)) if self.limit else self.max_age_s
 
     def key(self, robot: int | None = None) -> str:
@@ -67,12 +70,12 @@ class Topic:
 
     @property
     def publisher(self) -> str:
-        """Who writes it, for people."""
+        """The writing roles, for people."""
         return " or ".join(role.value for role in self.writers)
 
     @property
     def audience(self) -> str:
-        """Who may read it, for people."""
+        """The reading roles, for people."""
         return "everyone" if self.readers == EVERYONE else ", ".join(role.value for role in self.readers)
 
 
@@ -84,24 +87,28 @@ def _limited(limit: str, name: str, kind: type, rate_hz: float, recorded: bool, 
 
 TICK = Topic("sim/tick", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))
 EXPOSED = Topic("sim/exposed", messages.Tick, 20, 0.15, Qos.CONTROL, False, (Role.SIMULATOR,))  # to the localizer, early
-TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OUTSIDE)
-FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, SEEING)
+TRUTH = Topic("sim/truth", messages.Truth, 20, 0.15, Qos.STATE, True, (Role.SIMULATOR,), OBSERVERS)
+FRAME = Topic("camera/frame", messages.Frame, 20, 0.15, Qos.IMAGE, False, POSE_SOURCES)
 PREVIEW = Topic("camera/preview", messages.Preview, 5, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
 VIDEO = Topic("camera/video", messages.Video, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
 PICTURE = Topic("camera/picture", messages.Picture, 20, 0.6, Qos.IMAGE, True, (Role.LOCALIZER,))
-POSE = _limited("pose_hold_s", "robot/{robot}/pose", messages.Pose, 20, True, SEEING)
-LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, SEEING)
-OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, SEEING)
+POSE = _limited("pose_hold_s", "robot/{robot}/pose", messages.Pose, 20, True, POSE_SOURCES)
+LOCALIZER = Topic("localizer/status", messages.LocalizerStatus, 20, 0.3, Qos.STATE, True, POSE_SOURCES)
+OBSTACLES = Topic("obstacles", messages.Obstacles, 10, 0.5, Qos.STATE, True, POSE_SOURCES)
 PLAN = _limited("plan_max_age_s", "robot/{robot}/plan", messages.Plan, 20, True, (Role.ROBOT,))
 STATE = Topic("robot/{robot}/state", messages.RobotState, 20, 0.3, Qos.STATE, True, (Role.ROBOT,))
 HEARTBEAT = _limited("station_hold_s", "station/heartbeat", messages.StationHeartbeat, 20, True, (Role.STATION,))
-TRAJECTORY = Topic("robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=4)
-TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), kept=100)
-INPUTS = Topic("robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE, kept=400)
-ORDERS = Topic(
-    "robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OUTSIDE, kept=32
+TRAJECTORY = Topic(
+    "robot/{robot}/trajectory", messages.Trajectory, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), cache_depth=4
 )
-EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, TELLING, kept=1000)
+TUNING = Topic("station/tuning", messages.Tuning, 0, float("inf"), Qos.EVENT, True, (Role.STATION,), cache_depth=100)
+INPUTS = Topic(
+    "robot/{robot}/inputs", messages.StepInputs, 20, 0.5, Qos.JOURNAL, True, (Role.ROBOT,), OBSERVERS, cache_depth=400
+)
+ORDERS = Topic(
+    "robot/{robot}/orders", messages.OrderTaken, 0, float("inf"), Qos.JOURNAL, True, (Role.ROBOT,), OBSERVERS, cache_depth=32
+)
+EVENT = Topic("event", messages.Event, 0, float("inf"), Qos.EVENT, True, LOG_SOURCES, cache_depth=1000)
 
 TOPICS = (
     TICK, EXPOSED, TRUTH, FRAME, PREVIEW, VIDEO, PICTURE, POSE, LOCALIZER, OBSTACLES, PLAN, STATE, HEARTBEAT, TRAJECTORY,
@@ -111,7 +118,7 @@ TOPICS = (
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
 WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
 COMMANDERS = (Role.STATION,)  # who gives orders to robots
-WISHERS = (Role.STATION, Role.OPERATOR)  # who gives orders to the station
+OPERATORS = (Role.STATION, Role.OPERATOR)  # who gives orders to the station
 
 PRESENCE_KEY = "presence/{process}"  # a liveliness token: there, not necessarily well
 PROCESSES = {
@@ -125,5 +132,5 @@ PROCESSES = {
 
 
 def process_name(role: Role, robot: int = 0) -> str:
-    """What a process is called: in the log, by its liveliness token, and in the key ring."""
+    """The name of a process: in the log, in its liveliness token, and in the key ring."""
     return PROCESSES[role].format(robot=robot)

@@ -40,7 +40,7 @@ def live_fleet(fleet: str | None) -> str | None:
 
 
 def experiments(begun: str) -> list[str]:
-    """What an experiment's name may go on to: a shipped one, or a file or folder here."""
+    """Completions of an experiment's name: the shipped ones, and files and folders here."""
     folder, _, name = begun.rpartition("/")
     here = Path(folder or ("/" if begun.startswith("/") else "."))
     shipped = [path.stem for path in EXPERIMENTS.glob(f"{begun}*.toml")] if "/" not in begun else []

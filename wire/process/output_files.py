@@ -41,9 +41,11 @@ def check_output(path: Path, reads: Iterable[Path] = (), mine: tuple[str, ...] =
 
 
 @contextmanager
-def replacing(path: Path, durable: bool = False) -> Iterator[IO[bytes]]:
-    """A new binary file that takes the place of `path` when the block ends without an error; `durable`: and is on the disk
-    before that. Raises OSError that names `path`."""
+def replacing(path: Path, durable: bool = False, mode: int | None = None) -> Iterator[IO[bytes]]:
+    """A new binary file that takes the place of `path` when the block ends without an error.
+
+    With `durable` its bytes are on the disk before that. `mode` sets its permissions, from the beginning on; without it the
+    file gets those of the one that it replaces. Raises OSError that names `path`."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
     if _is_device(path):
@@ -51,15 +53,17 @@ def replacing(path: Path, durable: bool = False) -> Iterator[IO[bytes]]:
             yield file
         return
     new = path.with_name(f".{secrets.token_hex(8)}.new")
+    created_mode = 0o666 if mode is None else mode
     try:
-        kept = path.stat(follow_symlinks=False).st_mode & 0o777 if path.is_file() and not path.is_symlink() else None
-        descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+        if mode is None and path.is_file() and not path.is_symlink():
+            mode = path.stat(follow_symlinks=False).st_mode & 0o777
+        descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, created_mode)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from None
     try:
         with os.fdopen(descriptor, "wb") as file:
-            if kept is not None:
-                os.fchmod(file.fileno(), kept)
+            if mode is not None:
+                os.fchmod(file.fileno(), mode)
             yield file
             file.flush()
             if durable:
@@ -80,7 +84,7 @@ def replace_text(path: Path, text: str) -> None:
 
 
 def _same(path: Path, other: Path) -> bool:
-    """Whether both are one file, by whatever names and links."""
+    """True if both are one file, by whatever names and links."""
     try:
         return path.samefile(other)
     except OSError:  # one of them is not there

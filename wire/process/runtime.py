@@ -1,4 +1,4 @@
-"""SHELL: what every process needs around its core: time, a clean stop, a log, and lockstep.
+"""SHELL: clock, stop, log and threads of a process.
 
 Two ways to run, and one loop for both:
 
@@ -12,21 +12,19 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from types import FrameType
 from typing import Any, Protocol
 
 from wire.messages import topics
-from wire.messages.messages import Event, LocalizerStatus, Obstacles, Pose, Tick
-from wire.messages.topics import Topic
+from wire.messages.messages import Event
 from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus, Inbox, Received
+from wire.transport.bus import Bus, Received
 from wire.transport.transport import Unreached
 
 log = logging.getLogger("shoal")
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
-LOCKSTEP_SAYS_S = 60.0  # how often a process says what it waits for: to go on without would be another run
 
 _LEVELS = {logging.DEBUG: 1, logging.INFO: 2, logging.WARNING: 3, logging.ERROR: 4, logging.CRITICAL: 5}
 
@@ -51,19 +49,6 @@ class WallClock:
         """Arrival here, less the age that the sender states and what it was held up on its way. What the sender's clock shows
         plays no part."""
         return received.arrived_ns + self._offset_ns - received.header.age_ns - received.late_ns
-
-
-class LockstepClock:
-    """The simulator's time. All processes share it, so a stamp is an instant."""
-
-    def __init__(self) -> None:
-        self.tick_ns = 0
-
-    def now_ns(self) -> int:
-        return self.tick_ns
-
-    def instant_ns(self, received: Received[Any]) -> int:
-        return received.header.stamp_ns
 
 
 def age_s(clock: Clock, received: Received[Any]) -> float:
@@ -95,7 +80,7 @@ class Stop:
         self.request()
 
     def __call__(self) -> bool:
-        """Whether a stop has been asked for."""
+        """True once a stop has been asked for."""
         return self.requested
 
     def request(self) -> None:
@@ -146,75 +131,6 @@ def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> b
         if left <= SLICE_S:
             return False
     return False
-
-
-class Reminder:
-    """When a process that waits is to say so again."""
-
-    def __init__(self) -> None:
-        self._said_s = time.monotonic()
-
-    def due(self) -> bool:
-        """Once every LOCKSTEP_SAYS_S, from the beginning on."""
-        now_s = time.monotonic()
-        if now_s - self._said_s <= LOCKSTEP_SAYS_S:
-            return False
-        self._said_s = now_s
-        return True
-
-
-class Lockstep:
-    """One process's side of the simulator's clock. Make it before the process is announced: the first tick comes but once."""
-
-    def __init__(self, bus: Bus, stop: Stop, clock: LockstepClock, ticks: Topic = topics.TICK) -> None:
-        self._bus, self._stop, self._clock = bus, stop, clock
-        self._ticks = bus.inbox(ticks, Tick)
-        self._last_ns = -1
-
-    def next(self, meanwhile: Callable[[], None] = lambda: None) -> Tick | None:
-        """Wait for the next tick and set the clock to it, doing `meanwhile` now and then. None when the process is to stop."""
-        while not self._stop.requested:
-            if wait(self._bus, self._stop, self._fresh, SLICE_S):
-                received = self._ticks.newest()
-                if received is None:
-                    continue
-                self._last_ns = self._clock.tick_ns = received.message.now_ns
-                return received.message
-            meanwhile()
-        return None
-
-    def _fresh(self) -> bool:
-        header = self._ticks.newest_header()
-        return header is not None and header.stamp_ns > self._last_ns
-
-    def await_all(self, inputs: Iterable[tuple[Inbox[Any], int]]) -> bool:
-        """Wait until each inbox holds a message with at least the stamp given. A negative stamp asks for nothing: there was no
-        step before the first. False when the process is to stop."""
-        wanted = [(inbox, stamp_ns) for inbox, stamp_ns in inputs if stamp_ns >= 0]
-
-        def missing() -> list[str]:
-            headers = [(inbox.name, inbox.newest_header(), stamp_ns) for inbox, stamp_ns in wanted]
-            return [name for name, header, stamp_ns in headers if header is None or header.stamp_ns < stamp_ns]
-
-        while not wait(self._bus, self._stop, lambda: not missing(), LOCKSTEP_SAYS_S):
-            if self._stop.requested:
-                return False
-            log.warning("lockstep: at %.3f s waiting for %s", self._clock.tick_ns * 1e-9, ", ".join(missing()))
-        return True
-
-    def await_sight(
-        self, tick: Tick, localizer: Inbox[LocalizerStatus], poses: Mapping[int, Inbox[Pose]], obstacles: Inbox[Obstacles]
-    ) -> int | None:
-        """Wait for what the localizer tells of the picture that counts at a tick: its status says whose poses that are, and
-        which obstacles it told of before. Returns up to which stamp obstacles count at this tick; None when the process is to
-        stop."""
-        if not self.await_all([(localizer, tick.frame_ns)]):
-            return None
-        status = localizer.newest()
-        assert status is not None, localizer.last_error
-        told, up_to_ns = status.message.robots, status.message.obstacles_ns
-        seen = [(inbox, tick.frame_ns) for robot, inbox in poses.items() if robot in told]
-        return up_to_ns if self.await_all([*seen, (obstacles, up_to_ns)]) else None
 
 
 class _BusHandler(logging.Handler):

@@ -22,7 +22,7 @@ PATIENCE_S = 10.0  # for git on a slow disk; without an answer the commit is unk
 
 @dataclass(frozen=True)
 class Code:
-    """What runs here."""
+    """The version and the commit of the running code."""
 
     version: str  # of the project
     commit: str  # 40 hex digits, "+changed." and a digest where files differ from it; or "unknown"
@@ -70,7 +70,7 @@ def _recorded(root: Path) -> str:
 
 
 def _git(root: Path, *arguments: str) -> bytes:
-    """What git says. Raises SubprocessError or OSError."""
+    """The output of git. Raises SubprocessError or OSError."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     return subprocess.run(
         ["git", *arguments],

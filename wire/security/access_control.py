@@ -1,4 +1,4 @@
-"""Who may say and hear what, as the router's access control: made from the topic table, so that nothing is said twice. Pure.
+"""The router's access control, derived from the topic table. Pure.
 
 The router denies everything that no rule allows. It knows a member by the common name of its certificate and looks at each
 message twice: on its way in from the sender and on its way out to the receiver. Who comes through the station's door has no
@@ -18,11 +18,11 @@ from typing import Any
 from wire.messages.topics import (
     COMMAND_KEY,
     COMMANDERS,
+    OPERATORS,
     PRESENCE_KEY,
     RECOVERED,
     TOPICS,
     WHOLE_FLEET,
-    WISHERS,
     Role,
     Topic,
     process_name,
@@ -62,13 +62,13 @@ class Grants:
 
 
 def grants(member: Member) -> Grants:
-    """What a member may do."""
+    """The rights of a member."""
     me = process_name(member.role, member.robot)
     if member.role is Role.ROBOT:
         serve: tuple[str, ...] = (COMMAND_KEY.format(robot=member.robot),)
     else:
         serve = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role is Role.STATION else ()
-    ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in WISHERS else ()
+    ask = (COMMAND_KEY.format(robot=WHOLE_FLEET),) if member.role in OPERATORS else ()
     return Grants(
         write=tuple(topic for topic in TOPICS if member.role in topic.writers),
         read=tuple(topic for topic in TOPICS if member.role in topic.readers),
@@ -92,7 +92,7 @@ def access_control(fleet: str, members: Iterable[Member]) -> dict[str, Any]:
 
 
 def listed(access: Mapping[str, Any]) -> tuple[str, ...]:
-    """The common names that such a section lets through."""
+    """The common names that this section lets through."""
     return tuple(name for subject in access["subjects"] for name in subject.get("cert_common_names", ()))
 
 

@@ -42,7 +42,7 @@ class NotTls(Exception):
 
 
 def hello_is_whole(data: bytes) -> bool:
-    """Whether `data` holds a whole ClientHello; False while it may become one. Raises NotTls."""
+    """True if `data` holds a whole ClientHello; False while it may become one. Raises NotTls."""
     message, at, records = b"", 0, 0
     while at < len(data):
         records += 1
@@ -68,12 +68,12 @@ def hello_is_whole(data: bytes) -> bool:
 
 
 def asks_for_another_hello(answer: bytes) -> bool:
-    """Whether a router's first answer is a HelloRetryRequest. No member causes one, and what follows would be no proof."""
+    """True if a router's first answer is a HelloRetryRequest. No member causes one, and what follows would be no proof."""
     return answer[:1] == bytes([HANDSHAKE]) and answer[RECORD : RECORD + 1] == bytes([SERVER_HELLO]) and answer[11:43] == RETRY
 
 
 def origin_of(address: str) -> str:
-    """What is counted as one peer: an IPv4 address, or the /64 network that one IPv6 host may have for itself."""
+    """The origin of a connection, counted as one peer: an IPv4 address, or the /64 network that one IPv6 host may own."""
     found = ip_address(address.partition("%")[0])
     mapped = getattr(found, "ipv4_mapped", None)
     if mapped is not None:
@@ -94,7 +94,7 @@ class Tokens:
         self.level = self.burst
 
     def left(self, now_s: float) -> float:
-        """Tokens there are now."""
+        """The number of tokens now."""
         if now_s > self.at_s:
             self.level = min(self.burst, self.level + self.per_s * min(now_s - self.at_s, self.burst / self.per_s * 2))
             self.at_s = now_s
@@ -105,7 +105,7 @@ class Tokens:
         self.level = max(min(self.left(now_s) + count, self.burst), -self.burst)
 
     def next_s(self, now_s: float) -> float:
-        """When there is a whole token."""
+        """The time of the next whole token, in s."""
         return now_s + max(1.0 - self.left(now_s), 0.0) / self.per_s
 
 
@@ -128,7 +128,7 @@ class Lane:
 
 
 @dataclass
-class Try:
+class HandshakeAttempt:
     """A connection that was passed on to the router."""
 
     origin: str
@@ -141,7 +141,7 @@ NEW, KNOWN = 0, 1  # lanes
 
 
 class Admission:
-    """Decides about connections, which are numbers here."""
+    """The decisions about connections, which are numbers here."""
 
     def __init__(self, most_links: int) -> None:
         """`most_links`: connections at the router at a time, of members and others together."""
@@ -151,7 +151,7 @@ class Admission:
         self._known: OrderedDict[str, None] = OrderedDict()
         self._lanes = (Lane(), Lane())
         self._waits: dict[int, str] = {}  # origin of each connection that is not passed on yet
-        self._tries: dict[int, Try] = {}
+        self._tries: dict[int, HandshakeAttempt] = {}
         self._unproven: OrderedDict[int, float] = OrderedDict()  # since when, s
 
     def come(self, connection: int, address: str, now_s: float) -> tuple[int, ...]:
@@ -225,13 +225,13 @@ class Admission:
             return True
         return False
 
-    def _settle(self, connection: int, found: Try) -> None:
+    def _settle(self, connection: int, found: HandshakeAttempt) -> None:
         """A handshake is no longer under way."""
         del self._unproven[connection]
         self._lanes[found.lane].trying -= 1
         self._origins[found.origin].trying -= 1
 
-    def _give(self, found: Try, count: float, now_s: float) -> None:
+    def _give(self, found: HandshakeAttempt, count: float, now_s: float) -> None:
         self._lanes[found.lane].tokens.add(count, now_s)
         if found.origin in self._origins:
             self._origins[found.origin].tokens.add(count, now_s)
@@ -264,7 +264,7 @@ class Admission:
         name = self._leave(connection)
         if name in self._crowd:
             self._crowd.move_to_end(name)  # the others' turn comes first, now and the next time
-        self._tries[connection] = found = Try(name, lane, now_s)
+        self._tries[connection] = found = HandshakeAttempt(name, lane, now_s)
         self._unproven[connection] = now_s
         self._lanes[lane].trying += 1
         self._origins[name].trying += 1
@@ -272,7 +272,7 @@ class Admission:
         return connection
 
     def next_s(self, now_s: float) -> float:
-        """When to look at `overdue` and `turns` again, if nothing else happens; infinity if nothing waits."""
+        """The time of the next look at `overdue` and `turns`, if nothing else happens; infinity if nothing waits."""
         due = [since_s + HELLO_S for one in self._crowd.values() for since_s in list(one.silent.values())[:1]]
         due += [since_s + PROOF_S for since_s in list(self._unproven.values())[:1]]
         for name, one in self._crowd.items():
@@ -289,7 +289,7 @@ MOST_NAMED = 8  # origins that are named within that time; the others are counte
 
 
 class Refusals:
-    """What is told of refused connections: each origin at most once in SAY_AGAIN_S, with how many it had since."""
+    """Messages about refused connections: each origin at most once in SAY_AGAIN_S, with the number since."""
 
     def __init__(self) -> None:
         self._counts: dict[str, int] = {}
@@ -315,5 +315,5 @@ class Refusals:
         return found
 
     def next_s(self) -> float:
-        """When there may be something to tell; infinity if nothing is kept back."""
+        """The time of the next message; infinity if none is kept back."""
         return next(iter(self._said_s.values()), float("-inf")) + SAY_AGAIN_S if self._counts else float("inf")

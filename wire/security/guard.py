@@ -41,8 +41,8 @@ MOST_LINKS = 2048  # 49 robots take some 150
 READ, WRITE = selectors.EVENT_READ, selectors.EVENT_WRITE
 
 
-class Gone(Exception):
-    """A socket's other end is no more."""
+class PeerClosed(Exception):
+    """Raised when the other end of a socket has closed it."""
 
     def __init__(self, which: socket.socket) -> None:
         super().__init__()
@@ -50,7 +50,8 @@ class Gone(Exception):
 
 
 class Pump:
-    """Bytes one way between two sockets. What the receiver does not take at once waits, and nothing more is read meanwhile."""
+    """One direction of a connection. Bytes that the receiver does not take at once wait, and meanwhile nothing more is
+    read."""
 
     def __init__(self, source: socket.socket, sink: socket.socket) -> None:
         self.source, self.sink = source, sink
@@ -60,7 +61,7 @@ class Pump:
 
     @property
     def over(self) -> bool:
-        """Whether all has been said and sent."""
+        """True if the source has ended and everything was sent."""
         return self.ended and not self.waiting
 
     @property
@@ -69,13 +70,13 @@ class Pump:
         return 0 if self.ended or self.waiting else READ
 
     def read(self, buffer: bytearray) -> bytes | memoryview:
-        """What the source has to say now, sent on as far as the sink takes it. Raises Gone."""
+        """Read the source and send to the sink as much as it takes. Returns the bytes read. Raises PeerClosed."""
         try:
             size = self.source.recv_into(buffer)
         except BlockingIOError:
             return b""
         except OSError:
-            raise Gone(self.source) from None
+            raise PeerClosed(self.source) from None
         if not size:
             self.ended = True
             self.write()
@@ -88,7 +89,7 @@ class Pump:
         return read
 
     def write(self) -> None:
-        """Send what waits. Raises Gone."""
+        """Send the bytes that wait. Raises PeerClosed."""
         if self.waiting:
             self.waiting = self.waiting[self._send(self.waiting) :]
         if self.over:
@@ -101,10 +102,10 @@ class Pump:
         except BlockingIOError:
             return 0
         except OSError:
-            raise Gone(self.sink) from None
+            raise PeerClosed(self.sink) from None
 
 
-class Link:
+class ProxiedConnection:
     """A connection that was passed on: the peer's socket and the router's, and what has gone between them."""
 
     def __init__(self, number: int, peer: socket.socket, router: socket.socket, hello: bytes) -> None:
@@ -116,7 +117,7 @@ class Link:
 
 
 class Guard:
-    """The loop."""
+    """The guard's event loop."""
 
     def __init__(self, listener: socket.socket, ports: tuple[int, int], tell: Callable[[str], None], most_links: int) -> None:
         """`ports`: the router's loopback ports, of the lane of new origins and of known ones. `tell` takes a sentence."""
@@ -126,7 +127,7 @@ class Guard:
         self._interest: dict[socket.socket, int] = {}  # events for which a socket is registered
         self._peers: dict[int, tuple[socket.socket, str]] = {}  # all connections, with their address
         self._hellos: dict[int, list[bytes]] = {}  # of those that wait, as far as it has come, in the pieces it came in
-        self._links: dict[int, Link] = {}
+        self._links: dict[int, ProxiedConnection] = {}
         self._number = 0
         self._buffer = bytearray(CHUNK)
         self._look_s = float("inf")  # when the admission is to be asked again
@@ -251,11 +252,11 @@ class Guard:
         router.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, INNER_BUFFER)
         for one in (peer, router):
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        link = self._links[number] = Link(number, peer, router, b"".join(self._hellos.pop(number)))
+        link = self._links[number] = ProxiedConnection(number, peer, router, b"".join(self._hellos.pop(number)))
         router.connect_ex(("127.0.0.1", self._ports[lane]))
         self._want(router, READ | WRITE, lambda events: self._from_router(link, events))
 
-    def _from_router(self, link: Link, events: int) -> None:
+    def _from_router(self, link: ProxiedConnection, events: int) -> None:
         if link.number not in self._links:
             return
         try:
@@ -270,13 +271,13 @@ class Guard:
                     return
                 if not link.proven:
                     self._judge(link)
-        except Gone as gone:
+        except PeerClosed as gone:
             link.by_router = link.by_router or (gone.which is link.down.source and not link.up.ended)
             self._drop(link.number)
             return
         self._go_on(link)
 
-    def _from_peer(self, link: Link, events: int) -> None:
+    def _from_peer(self, link: ProxiedConnection, events: int) -> None:
         if link.number not in self._links:
             return
         try:
@@ -286,18 +287,18 @@ class Guard:
                 link.up.read(self._buffer)
                 if link.claimed_at is None and link.up.passed >= CERTIFICATE_BYTES:
                     link.claimed_at = link.down.passed
-        except Gone:
+        except PeerClosed:
             self._drop(link.number)
             return
         self._go_on(link)
 
-    def _judge(self, link: Link) -> None:
+    def _judge(self, link: ProxiedConnection) -> None:
         if link.claimed_at is not None and link.down.passed - link.claimed_at >= ANSWER_BYTES:
             link.proven = True
             self._admission.proven(link.number, time.monotonic())
             self._look_s = 0.0
 
-    def _go_on(self, link: Link) -> None:
+    def _go_on(self, link: ProxiedConnection) -> None:
         """Look at both sockets for what they are good for now; end a link that is over."""
         up, down = link.up, link.down
         if up.over and down.over:

@@ -19,7 +19,7 @@ from pydantic import AwareDatetime, Field
 
 from wire.messages.topics import Role
 from wire.security.access_control import Member
-from wire.toml_loader import ConfigError, Section, check, files_named, read_toml
+from wire.toml_loader import ConfigError, Section, check, os_errors_as_config_errors, read_toml
 
 CA, CERTIFICATE, PRIVATE_KEY, MEMBERS = "ca.pem", "cert.pem", "key.pem", "members.toml"
 EXPIRES_SOON = timedelta(days=30)
@@ -46,7 +46,7 @@ class Keys:
 
     @property
     def certificate(self) -> Path:
-        """Who this process is."""
+        """The certificate of this process."""
         return self.folder / CERTIFICATE
 
     @property
@@ -81,7 +81,7 @@ class MemberList(Section):
 def open_keys(ring: Path, process: str) -> Keys:
     """The keys of one process. Raises ConfigError saying what is missing, damaged or another's, or who else can read them."""
     keys = Keys(ring / process)
-    with files_named(keys.folder):
+    with os_errors_as_config_errors(keys.folder):
         for path in (keys.ca, keys.certificate, keys.private_key):
             if not path.is_file():
                 raise ConfigError(f"--keys {ring}: {path} is missing (made by `groundstation keys add`, copied by `deploy`)")
@@ -117,17 +117,17 @@ def common_name(keys: Keys) -> str:
 
 def read_members(ring: Path) -> MemberList:
     """Everybody who has a certificate. Raises ConfigError where there is no such list, or it is no good."""
-    with files_named(ring):
+    with os_errors_as_config_errors(ring):
         if not (ring / MEMBERS).exists():
             raise ConfigError(f"--keys {ring}: no key ring, {MEMBERS} is missing in it (`groundstation keys init` makes one)")
     return check(MemberList, read_toml(ring / MEMBERS), str(ring / MEMBERS))
 
 
 def expiring(ring: Path, now: datetime) -> tuple[Issued, ...]:
-    """Whose certificate ends within EXPIRES_SOON: links are closed when it does, also in flight."""
+    """Members whose certificate ends within EXPIRES_SOON. Their links are closed at that time, also in flight."""
     return tuple(m for m in read_members(ring).valid(now) if m.expires - now < EXPIRES_SOON)
 
 
 def admitted(ring: Path, now: datetime) -> tuple[Member, ...]:
-    """Whom the router lets in."""
+    """Members that the router lets in."""
     return tuple(Member(ROLE_NAMES[m.role], m.common_name, m.robot) for m in read_members(ring).valid(now))

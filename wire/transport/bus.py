@@ -19,8 +19,8 @@ from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode, encode
 from wire.messages.messages import Command, Message, Reply
 from wire.messages.topics import Topic
-from wire.transport.command_deduplication import Once
-from wire.transport.delay_estimator import Lateness
+from wire.transport.command_deduplication import CommandDeduplicator
+from wire.transport.delay_estimator import DelayEstimator
 from wire.transport.transport import Await, Transport
 
 M = TypeVar("M")
@@ -43,7 +43,7 @@ class Received(Generic[M]):
 
 @dataclass(slots=True, eq=False)
 class _Kept(Generic[M]):
-    """What an inbox keeps of a message; decoded when somebody asks for it."""
+    """A message in an inbox, decoded when it is first read."""
 
     header: Header
     payload: bytes
@@ -67,7 +67,7 @@ class Inbox(Generic[M]):
         self.name = topic.key(robot)
         self._bus, self._topic, self._kind, self._wakes = bus, topic, kind, wakes
         self._kept: tuple[_Kept[M], ...] = ()  # replaced, never changed: readers need no lock
-        self._lateness = Lateness()
+        self._delay = DelayEstimator()
 
     def store(self, header: Header, payload: bytes) -> None:
         """A message has come."""
@@ -77,7 +77,7 @@ class Inbox(Generic[M]):
                 self.dropped += 1
                 return
             arrived_ns = time.monotonic_ns()
-            late_ns = self._lateness.of(header.session, header.stamp_ns + header.age_ns, arrived_ns)
+            late_ns = self._delay.excess_ns(header.session, header.stamp_ns + header.age_ns, arrived_ns)
             self._kept = (*self._kept[1 - KEPT :], _Kept(header, payload, arrived_ns, late_ns))
             if self._wakes:
                 self._bus.arrival.notify_all()
@@ -142,7 +142,7 @@ class Bus:
         key = self._key(topic.key(robot))
         with self._turns.setdefault(key, threading.Lock()):  # numbered and sent in one order, also from several threads
             if key not in self._publishers:
-                self._publishers[key] = self._transport.publisher(key, topic.qos, topic.kept)
+                self._publishers[key] = self._transport.publisher(key, topic.qos, topic.cache_depth)
             header = self._next_header(key, stamp_ns, age_ns)
             self._publishers[key](payload, header.encode())
         return key, header, payload
@@ -211,7 +211,7 @@ class Bus:
     def serve(self, robot: int, handle: Handle) -> None:
         """Answer the orders to a robot. `handle` runs in a network thread, and sees each order once
         (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason."""
-        name, once, turn = topics.COMMAND_KEY.format(robot=robot), Once(self.session), threading.Lock()
+        name, deduplicator, turn = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session), threading.Lock()
 
         def answer(payload: bytes, header: bytes) -> bytes:
             try:
@@ -221,9 +221,9 @@ class Bus:
                 self.rejected += 1
                 return encode(Reply(robot, False, str(error)))
             with turn:
-                reply = once.settled(decoded, command)
+                reply = deduplicator.known_reply(decoded, command)
                 if reply is None:
-                    reply = once.settle(decoded, handle(decoded, command))
+                    reply = deduplicator.record(decoded, handle(decoded, command))
             with self.arrival:
                 self.arrival.notify_all()
             return encode(reply)

@@ -1,4 +1,4 @@
-"""Each order once, and only for the life of the process it was meant for. Pure.
+"""Each command is applied once, and only by the process that it was meant for. Pure.
 
 A process draws a number when it starts (its session). An order names the number of the process that it is for, so what was
 recorded in an earlier life is refused, however fresh it looks and whoever's heartbeats are played back with it. Within a life
@@ -19,15 +19,15 @@ ALWAYS_TAKEN = frozenset({Order.STOP, Order.DISARM})  # they only take power awa
 SENDERS = 4096  # remembered; each station's life and each terminal's order is one
 
 
-class Once:
-    """What one process remembers of the orders it has dealt with."""
+class CommandDeduplicator:
+    """The commands that one process has handled, with its replies."""
 
     def __init__(self, session: int) -> None:
         self._session = session
         self._answered: OrderedDict[int, tuple[int, Reply]] = OrderedDict()  # by sender's session: last sequence and answer
 
-    def settled(self, header: Header, command: Command) -> Reply | None:
-        """The answer to an order that is not to be looked at (again); None if it is new and for this life."""
+    def known_reply(self, header: Header, command: Command) -> Reply | None:
+        """The reply to a command that must not be handled (again); None if it is new and for this process."""
         if command.order in ALWAYS_TAKEN:
             return None
         if command.recipient != self._session:
@@ -39,8 +39,8 @@ class Once:
             return self._refuse(command, f"is old: order {header.sequence} after {sequence}")
         return None
 
-    def settle(self, header: Header, reply: Reply) -> Reply:
-        """Note an order as dealt with. Returns the answer, which tells for whom the next order must be."""
+    def record(self, header: Header, reply: Reply) -> Reply:
+        """Record a command as handled. Returns the reply, which names the process that the next command must be for."""
         reply = replace(reply, session=self._session)
         if header.sequence >= self._answered.get(header.session, (0, None))[0]:  # a late STOP makes no other order new again
             self._answered[header.session] = (header.sequence, reply)

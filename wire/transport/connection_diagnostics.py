@@ -1,5 +1,4 @@
-"""SHELL: why a station cannot be reached, in words: a plain TCP and TLS handshake, step by step, with the process's own keys.
-And why it cannot listen.
+"""SHELL: diagnosis of a connection that fails: a plain TCP and TLS handshake, step by step, with the process's own keys.
 
 Zenoh says only that it could not connect. What a person needs to know is whether nobody listens there, the way is cut, the
 station is another one, or it does not believe this process's certificate.
@@ -16,7 +15,7 @@ ALERT_S = 0.5  # TLS 1.3: a refused certificate is told after the handshake, in 
 
 
 def trouble_reaching(address: str, keys: Keys | None) -> str:
-    """What fails first on the way to `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if nothing does."""
+    """The first failure on the way to `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if there is none."""
     _, host, port = parse_address(address)
     try:
         with socket.create_connection((host, port), timeout=CONNECT_S) as plain:
@@ -30,7 +29,7 @@ def trouble_reaching(address: str, keys: Keys | None) -> str:
 
 
 def trouble_listening(address: str) -> str:
-    """Why no router can be had at `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if one could."""
+    """The reason why no router can listen at `tcp/HOST:PORT` or `tls/HOST:PORT`; empty if one could."""
     try:
         with public_listener(address) as probe:
             probe.listen(1)

@@ -1,4 +1,4 @@
-"""Which messages were held up on their way, though no clock is shared. Pure.
+"""Delay of messages beyond the fastest, estimated without a shared clock. Pure.
 
 What a network or a stopped process has held back comes in a burst, and each message looks as if it had just been sent. But
 between the sender's clock and ours there is, up to drift, one constant and the time on the way: a message that took longer
@@ -9,16 +9,17 @@ WINDOW_NS = 10_000_000_000  # the fastest is looked for in one to two of these: 
 ANOTHER_CLOCK_NS = 5_000_000_000  # nothing is held up that long (a link that is cut for 1 s is given up): a clock was set
 
 
-class Lateness:
-    """Of one sender's messages, as they come in."""
+class DelayEstimator:
+    """The delay estimate of the messages of one sender."""
 
     def __init__(self) -> None:
         self._session: int | None = None
         self._least_ns = self._least_before_ns = 0  # in this window and in the one before: arrived minus sent
         self._since_ns = 0
 
-    def of(self, session: int, sent_ns: int, arrived_ns: int) -> int:
-        """By how much a message is late that was sent at `sent_ns` by the sender's clock, and came at `arrived_ns` by ours."""
+    def excess_ns(self, session: int, sent_ns: int, arrived_ns: int) -> int:
+        """The delay of a message beyond the fastest of late. `sent_ns` is on the sender's clock, `arrived_ns` on the
+        receiver's."""
         took_ns = arrived_ns - sent_ns
         least_ns = min(self._least_ns, self._least_before_ns)
         forgotten = arrived_ns - self._since_ns > 2 * WINDOW_NS  # nothing came for so long: clocks may have drifted apart

@@ -1,4 +1,4 @@
-"""Where the fleet's router is, how to speak to it, and every setting of Zenoh that follows. Pure.
+"""The address of the fleet's router, and every setting of Zenoh that follows from it. Pure.
 
 All settings are explicit, so a network without multicast and a Zenoh with other defaults behave the same.
 """
@@ -36,7 +36,7 @@ def parse_address(address: str) -> tuple[str, str, int]:
 
 @dataclass(frozen=True)
 class Endpoint:
-    """Where the fleet's Zenoh router is, and whether this process is it."""
+    """The address of the fleet's Zenoh router, and the role of this process towards it."""
 
     address: str = "tcp/127.0.0.1:7447"
     router: bool = False

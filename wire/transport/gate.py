@@ -66,7 +66,7 @@ class Gate:
 
     @property
     def inside(self) -> Endpoint:
-        """Where another session of the station's own process finds the router, without the guard."""
+        """The endpoint for another session of the station's own process, which bypasses the guard."""
         return replace(self._public, address=f"tls/127.0.0.1:{self._ports[1]}", router=False, access=None)
 
     @property
@@ -155,7 +155,7 @@ def _free_port() -> int:
 
 
 def door_folder() -> Path:
-    """Where the doors of this user's stations are."""
+    """The folder of the doors of this user's stations."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     return Path(runtime) / "shoal" if runtime else Path(tempfile.gettempdir()) / f"shoal-{os.getuid()}"
 
@@ -192,7 +192,7 @@ def nearest(endpoint: Endpoint) -> Endpoint:
 
 
 def _is_here(host: str) -> bool:
-    """Whether an address is one of this machine's: whether one could listen there."""
+    """True if a program could listen at this address, because it belongs to this machine."""
     try:
         family, kind, _, _, place = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind) as probe:

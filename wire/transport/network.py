@@ -6,24 +6,16 @@ then it is said wherever somebody looks: in every process's log, and on the oper
 
 import logging
 from datetime import UTC, datetime
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
+from wire.loopback import is_loopback
 from wire.security.access_control import INSECURE, access_control
 from wire.security.key_ring import admitted, expiring, open_keys
 from wire.toml_loader import ConfigError
 from wire.transport.endpoint import Endpoint, parse_address
 
 log = logging.getLogger("shoal")
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can be meant."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def refuse_open(address: str, insecure: bool) -> None:
@@ -48,8 +40,8 @@ def endpoint(
     lossless: bool = False,
     fleet: str = "shoal",
 ) -> Endpoint:
-    """Where the router is, or to be, and how to speak to it. With a key ring always TLS, whatever the address says.
-    Raises ConfigError for what would be open to others without having been asked for."""
+    """The endpoint for an address, with keys where a key ring is given. With a key ring always TLS, whatever the address says.
+    Raises ConfigError for a network that would be open to others without having been asked for."""
     _, host, port = parse_address(address)
     if ring is not None:
         if insecure:

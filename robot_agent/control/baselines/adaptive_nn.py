@@ -10,7 +10,7 @@ The network starts from nothing. On an axis at a limit it does not learn what li
 import numpy as np
 
 from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
-from wire.config.baseline_controllers import AdaptiveNn as Config
+from wire.config.baseline_controllers import AdaptiveNnConfig
 from wire.frames import Array
 
 SPEEDS, ACCELERATIONS = np.linspace(-1.0, 1.0, 7), np.linspace(-1.0, 1.0, 3)  # centres, as shares of the largest
@@ -20,7 +20,7 @@ FORGET = 0.02  # e-modification: keeps weights from drifting off while s is smal
 class AdaptiveNn:
     """Its weights (3, 21), in N and N m, are what it learns."""
 
-    def __init__(self, axes: Axes, config: Config, fastest: Three) -> None:
+    def __init__(self, axes: Axes, config: AdaptiveNnConfig, fastest: Three) -> None:
         self._slope, self._gain, self._learning = (np.array(v) for v in (config.slope_per_s, config.gain, config.learning))
         self._fastest, self._quickest = np.array(fastest), np.array(axes.limit) / np.array(axes.mass)
         self._weights = np.zeros((3, len(SPEEDS) * len(ACCELERATIONS)))

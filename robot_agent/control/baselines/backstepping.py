@@ -7,13 +7,13 @@ In surge L has c s^2 / 2 more, and L' has c s (W - v), which guidance makes nega
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
-from wire.config.baseline_controllers import Backstepping as Config
+from wire.config.baseline_controllers import BacksteppingConfig
 
 
 class Backstepping:
     """Without memory: the disturbance is the estimator's."""
 
-    def __init__(self, axes: Axes, config: Config) -> None:
+    def __init__(self, axes: Axes, config: BacksteppingConfig) -> None:
         self._axes = axes
         self._gains = tuple(zip(config.error_per_s, config.velocity_per_s, config.coupling_per_s2, strict=True))
 

@@ -7,7 +7,7 @@ Five triangular sets per input, products for "and", singletons weighted by how t
 from bisect import bisect_right
 
 from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
-from wire.config.baseline_controllers import Fuzzy as Config
+from wire.config.baseline_controllers import FuzzyConfig
 
 PEAKS = (-1.0, -0.4, 0.0, 0.4, 1.0)  # negative big, negative small, zero, positive small, positive big: inputs and verdicts
 # If the error is ROW and the velocity error is COLUMN, both from negative big to positive big, push by the singleton PEAKS[.].
@@ -17,7 +17,7 @@ RULES = ((0, 0, 0, 1, 2), (0, 0, 1, 2, 3), (0, 1, 2, 3, 4), (1, 2, 3, 4, 4), (2,
 class Fuzzy:
     """Its integrals, as shares of the limits, are what it learns."""
 
-    def __init__(self, axes: Axes, config: Config) -> None:
+    def __init__(self, axes: Axes, config: FuzzyConfig) -> None:
         self._limit = axes.limit
         self._scales = tuple(zip(config.error, config.velocity, strict=True))
         self._proportional, self._rate = config.proportional, config.integral

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
 from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
-from wire.config.baseline_controllers import Lqr as Config
+from wire.config.baseline_controllers import LqrConfig
 from wire.frames import Array
 
 NOTHING: Three = (0.0, 0.0, 0.0)
@@ -19,7 +19,7 @@ NOTHING: Three = (0.0, 0.0, 0.0)
 class Lqr:
     """Without memory: gains are computed once, the disturbance is the estimator's."""
 
-    def __init__(self, axes: Axes, config: Config, lag_s: float, period_s: float) -> None:
+    def __init__(self, axes: Axes, config: LqrConfig, lag_s: float, period_s: float) -> None:
         self._axes = axes
         self._lag = lag_s > 0.0
         self._gains = [

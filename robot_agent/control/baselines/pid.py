@@ -5,13 +5,13 @@ Hagglund, PID Controllers, 1995, section 3.5): without, it winds up for the ten 
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
-from wire.config.baseline_controllers import Pid as Config
+from wire.config.baseline_controllers import PidConfig
 
 
 class Pid:
     """Its integrals, in N and N m, are what it learns. They hold no more than the limit."""
 
-    def __init__(self, axes: Axes, config: Config) -> None:
+    def __init__(self, axes: Axes, config: PidConfig) -> None:
         self._gains = tuple(zip(config.p, config.i, config.d, axes.limit, strict=True))
         self._integral = [0.0, 0.0, 0.0]
 

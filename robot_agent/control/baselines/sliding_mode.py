@@ -6,13 +6,13 @@ Whatever disturbs by less than `reach` cannot keep s out of the layer; a thin la
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
-from wire.config.baseline_controllers import SlidingMode as Config
+from wire.config.baseline_controllers import SlidingModeConfig
 
 
 class SlidingMode:
     """Without memory: the disturbance is the estimator's, the switching term takes what that misses."""
 
-    def __init__(self, axes: Axes, config: Config) -> None:
+    def __init__(self, axes: Axes, config: SlidingModeConfig) -> None:
         self._axes = axes
         self._gains = tuple(zip(config.slope_per_s, config.reach, config.layer, strict=True))
 

@@ -29,9 +29,9 @@ from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import encode
 from wire.messages.messages import Obstacles, Plan, RobotState
-from wire.process.runtime import LockstepClock
+from wire.process.lockstep import LockstepClock
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

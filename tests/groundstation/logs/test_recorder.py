@@ -25,7 +25,7 @@ from wire.messages.messages import Event, Plan, Pose, Preview, Video
 from wire.messages.topics import Topic
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
 def test_what_went_in_comes_out_unchanged(tmp_path: Path) -> None:

@@ -1,115 +1,22 @@
 """The mission against a fleet of simple obedient (or not) robots, with time as an argument."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from groundstation.mission.command_dispatcher import Answer
-from groundstation.mission.mission import PATIENCE_S, TEST_PATIENCE_S, Mission
+from groundstation.mission.mission import PATIENCE_S, TEST_PATIENCE_S
 from groundstation.mission.obstacle_monitor import Surroundings
 from groundstation.mission.roster import Crew
 from groundstation.mission.state_machine import Phase
 from groundstation.mission.wishes import objection
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import Leg
-from groundstation.telemetry import RobotView, casualty, preflight
-from wire.config.experiment import Experiment, load_experiment
-from wire.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
-
-STEP_NS = 50_000_000
-
-
-@dataclass
-class Robot:
-    """Obeys at once unless told to refuse; tells its state when asked."""
-
-    experiment: Experiment
-    mode: Mode = Mode.DISARMED
-    loaded: str = ""
-    loaded_next: str = ""  # under way
-    refuses: frozenset[Order] = frozenset()
-    silent: bool = False
-    hears: bool = False  # also when silent: nothing that it says arrives
-    unknown: bool = False
-    test: str = ""
-    eta: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    age_s: float = 0.02
-    fault: str = ""
-    trajectory_s: float = 0.0
-    starts_at_ns: int = 0
-    battery_v: float = 12.0
-    verified: bool = True
-    got: list[Command] = field(default_factory=list)
-
-    def obey(self, command: Command, now_ns: int) -> Reply:
-        self.got.append(command)
-        unheard = self.silent or self.unknown
-        if (unheard and not self.hears) or command.order in self.refuses:
-            return Reply(command.robot, False, "no answer" if unheard else "I refuse", silent=unheard)
-        leads = {Order.ARM: Mode.ARMED, Order.START: Mode.TRACKING, Order.HOLD: Mode.HOLDING, Order.RESUME: Mode.TRACKING,
-                 Order.DISARM: Mode.DISARMED, Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED}  # fmt: skip
-        if command.order is Order.LOAD:
-            assert command.trajectory is not None
-            if self.mode is Mode.TRACKING:
-                self.loaded_next = command.trajectory.id
-            else:
-                self.loaded = command.trajectory.id
-        if command.order is Order.SWITCH and self.loaded_next == command.trajectory_id:
-            self.loaded = command.trajectory_id
-        self.mode = leads.get(command.order, self.mode)
-        if command.order in (Order.START, Order.RESUME):
-            self.trajectory_s = command.trajectory_s + max(now_ns - command.start_ns, 0) * 1e-9
-            self.starts_at_ns = command.start_ns
-        return Reply(command.robot, not unheard, "no answer" if unheard else "", silent=unheard)
-
-    def view(self) -> RobotView:
-        pose = Pose(0, 0, 0, np.eye(3), Track.MARKER, self.verified)
-        state = RobotState(
-            mode=self.mode, fault=self.fault, experiment_hash=self.experiment.hash, trajectory_id=self.loaded,
-            trajectory_s=self.trajectory_s, battery_v=self.battery_v, thruster_test=self.test,
-            eta=np.array(self.eta),
-        )  # fmt: skip
-        if self.unknown:
-            return RobotView()
-        return RobotView(state, 9.0 if self.silent else self.age_s, pose, 0.02)
-
-
-class Run:
-    """A mission and its robots, stepped together."""
-
-    def __init__(self, automatic: bool = True, settings: Sequence[str] = ()) -> None:
-        self.experiment = load_experiment("pool", ["duration_s=2", *settings])
-        two = np.zeros((2, 4))
-        trajectories = {r: Trajectory(f"t{r}", 0.05, two, two, two) for r in self.experiment.robot_ids}
-        starts = dict.fromkeys(self.experiment.robot_ids, np.zeros(4))
-        leg = Leg(trajectories, trajectories[1], self.experiment.duration_s)
-        self.mission = Mission(self.experiment, leg, starts, automatic)
-        self.robots = {r: Robot(self.experiment) for r in self.experiment.robot_ids}
-        self.now_ns = 0
-        self.answers: list[Answer] = []
-        self.phases: list[Phase] = []
-
-    def fleet(self) -> dict[int, RobotView]:
-        return {r: robot.view() for r, robot in self.robots.items()}
-
-    def at(self, phase: Phase) -> bool:
-        return self.mission.phase is phase
-
-    def in_mode(self, robot: int, mode: Mode) -> bool:
-        return self.robots[robot].mode is mode
-
-    def step(self, seconds: float = 0.05) -> None:
-        for _ in range(round(seconds / 0.05)):
-            self.now_ns += STEP_NS
-            commands = self.mission.step(self.fleet(), self.answers, self.now_ns)
-            self.answers = [Answer(c, self.robots[c.robot].obey(c, self.now_ns)) for c in commands]
-            for robot in self.robots.values():
-                if robot.mode is Mode.TRACKING and self.now_ns >= robot.starts_at_ns and not robot.silent:
-                    robot.trajectory_s += 0.05
-            if not self.phases or self.phases[-1] is not self.mission.phase:
-                self.phases.append(self.mission.phase)
+from groundstation.telemetry import casualty, preflight
+from tests.groundstation.mission.mission_run import STEP_NS, Run
+from wire.config.experiment import load_experiment
+from wire.messages.messages import Mode, Order, Trajectory
 
 
 def test_an_automatic_mission_goes_from_waiting_to_done() -> None:

@@ -12,7 +12,7 @@ from groundstation.mission.request_progress import GOALS, KEPT, Requests
 from groundstation.mission.state_machine import TABLE, Phase
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import Leg
-from tests.groundstation.mission.test_mission import Run
+from tests.groundstation.mission.mission_run import Run
 from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
 
 FLOWN, WANTED = Tuning("flown"), Tuning("wanted")

@@ -19,7 +19,7 @@ from wire.messages.messages import Command, Order, OrderTaken, Plan, Pose, Stati
 from wire.messages.topics import TOPICS, Topic
 from wire.process.runtime import Stop
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 SECOND = 1_000_000_000
 Heard = tuple[str, Header, bytes, float]

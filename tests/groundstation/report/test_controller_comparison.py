@@ -11,8 +11,8 @@ from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.report.controller_comparison import Mean, cells, mean, ratio
-from tests.sim_bridge.studies.test_evolution_strategy import GOOD
-from wire.config.controller_benchmark import Comparison, Flight, Traces, Variant
+from tests.sim_bridge.studies.flight_metrics import GOOD
+from wire.config.controller_benchmark import Comparison, FlightRecord, Traces, Variant
 from wire.toml_loader import ConfigError
 
 SINE = [round(9.0 * math.sin(0.1 * k), 3) for k in range(100)]
@@ -25,7 +25,7 @@ def variant(name: str, factor: float, seeds: int = 4) -> Variant:
     for seed in range(1, seeds + 1):
         luck = float(random.uniform(0.5, 2.0))
         figures = dataclasses.replace(GOOD, rms_after_20s_m=0.01 * factor * luck, min_separation_m=0.7)
-        flights.append(Flight(seed, figures, TRACES if seed == 1 else None))
+        flights.append(FlightRecord(seed, figures, TRACES if seed == 1 else None))
     return Variant(name, [f"controller.law={name}"], flights)
 
 

@@ -27,7 +27,7 @@ from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Repl
 from wire.messages.topics import WHOLE_FLEET
 from wire.process.runtime import Stop, WallClock, wait
 from wire.transport.bus import Bus, Inbox
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -33,7 +33,7 @@ from wire.messages.messages import Event, Mode, Order, Outcome, Preview, Progres
 from wire.process.runtime import WallClock, log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -8,7 +8,7 @@ from localizer.camera_model import PoolView
 from sim_bridge.camera.optics import project
 from wire.config.experiment import load_experiment
 from wire.config.perception import Camera
-from wire.config.scene import Pool
+from wire.config.scene import PoolConfig
 from wire.frames import Array
 
 EXPERIMENT = load_experiment("pool")
@@ -20,7 +20,7 @@ DEPTH_M = 0.3
 CAMERAS = pytest.mark.parametrize("camera", [EXPERIMENT.camera, TILTED], ids=["pool", "tilted"])
 
 
-def _drawn(camera: Camera, pool: Pool = EXPERIMENT.pool) -> Array:
+def _drawn(camera: Camera, pool: PoolConfig = EXPERIMENT.pool) -> Array:
     picture = np.zeros((camera.size_px[1], camera.size_px[0], 3), np.uint8)
     draw_grid(picture, camera, pool, DEPTH_M)
     return picture.astype(np.float64)
@@ -55,7 +55,7 @@ def test_outlines_and_origin_lie_where_the_camera_sees_them(camera: Camera) -> N
 def test_a_lens_that_folds_over_draws_nothing_that_is_not_there() -> None:
     """r (1 - 0.35 r^2) turns back at r = 0.98: walls beyond would come back into the picture."""
     camera = EXPERIMENT.camera.model_copy(update={"focal_px": (900.0, 900.0), "distortion": (-0.35, 0.0, 0.0, 0.0, 0.0)})
-    large = Pool(size_m=(16.0, 16.0, 1.0))
+    large = PoolConfig(size_m=(16.0, 16.0, 1.0))
     blue, green, red = np.moveaxis(_drawn(camera, large), 2, 0)
     pixels = np.argwhere((blue > 140.0) & (red > 140.0) & (green < 0.7 * blue))[:, ::-1].astype(np.float64)
     assert len(pixels) > 1000
@@ -85,5 +85,5 @@ def test_figures_of_a_plain_camera(depth_m: float) -> None:
 
 def test_how_much_of_the_pool_is_seen() -> None:
     """The picture is 3.57 m x 2.67 m at the surface."""
-    twice = Pool(size_m=(2 * 3.566, 2 * 2.675, 1.0))
+    twice = PoolConfig(size_m=(2 * 3.566, 2 * 2.675, 1.0))
     assert figures(PLAIN, twice, 0.0).seen_share == pytest.approx(0.25, abs=0.02)

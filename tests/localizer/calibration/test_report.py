@@ -11,11 +11,11 @@ from localizer.calibration.survey_points import PoolPoint
 from localizer.calibration.targets import BoardView
 from tests.localizer.board_scene import Bench, chessboard
 from wire.config.experiment import load_experiment
-from wire.config.scene import Pool
+from wire.config.scene import PoolConfig
 
 CAMERA = load_experiment("pool").camera
 BENCH, BOARD_M = Bench(CAMERA), chessboard(9, 6, 0.03)[2]
-POOL = Pool(size_m=(3.5, 2.5, 1.0))
+POOL = PoolConfig(size_m=(3.5, 2.5, 1.0))
 
 
 def _pose_fit(errors_px: list[tuple[float, float]], suspect: int | None = None) -> tuple[PoseFit, list[PoolPoint]]:

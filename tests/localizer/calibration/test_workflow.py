@@ -21,7 +21,7 @@ from localizer.view.mjpeg_server import Page
 from sim_bridge.camera.optics import project, rays
 from tests.localizer.board_scene import Bench, charuco, marks
 from tests.localizer.scene import bayer
-from tests.localizer.stand_ins import eventually
+from tests.waiting import eventually
 from wire.config.experiment import EXPERIMENTS, load_experiment
 from wire.config.perception import Camera
 from wire.frames import Array
@@ -30,7 +30,7 @@ from wire.messages.messages import Frame
 from wire.process.runtime import Stop, WallClock
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 BOARD = "charuco:7x5:0.04:0.03:DICT_4X4_50"
 TRUTH = load_experiment("pool").camera.model_copy(

@@ -24,10 +24,11 @@ from wire.config.perception import Camera
 from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.messages import Frame
-from wire.process.runtime import LockstepClock, Stop, WallClock
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Stop, WallClock
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 PERIOD_MS, RATE_HZ = 50, 20.0
 CAMERA = load_experiment("pool").camera

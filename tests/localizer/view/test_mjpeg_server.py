@@ -8,7 +8,7 @@ import pytest
 
 from localizer.view import mjpeg_server as page_module
 from localizer.view.mjpeg_server import MAX_VIEWERS, Page
-from tests.localizer.stand_ins import eventually
+from tests.waiting import eventually
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 

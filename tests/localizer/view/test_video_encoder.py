@@ -20,7 +20,7 @@ from wire.messages.messages import Picture, Video
 from wire.messages.topics import Topic
 from wire.process.runtime import Stop
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 SECOND = 1_000_000_000
 START = b"\0\0\1"  # of each unit of H.264

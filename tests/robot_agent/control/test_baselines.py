@@ -20,7 +20,7 @@ from robot_agent.control.controller import Controller, ControlOutput, Follow, Go
 from robot_agent.control.law import Law, make_law
 from robot_agent.guidance.formation import NOWHERE
 from robot_agent.vehicle.dynamics import Model
-from tests.robot_agent.control.test_controller import GOAL, STEP_NS, at, check, goals, measurements, neighbours
+from tests.robot_agent.control.drawn_inputs import GOAL, STEP_NS, at, check, goals, measurements, neighbours
 from tests.robot_agent.water import integrate
 from wire.config import baseline_controllers
 from wire.config.experiment import load_experiment
@@ -119,7 +119,7 @@ def test_errors_move_as_the_situation_says(values: list[float]) -> None:
 
 
 def test_backstepping_s_lyapunov_function_falls_as_it_should() -> None:
-    config = baseline_controllers.Backstepping(
+    config = baseline_controllers.BacksteppingConfig(
         error_per_s=(0.5, 0.4, 1.0), velocity_per_s=(1.0, 0.8, 2.0), coupling_per_s2=(0.3, 0.5, 0.7)
     )
     k1, k2, c = (np.array(v) for v in (config.error_per_s, config.velocity_per_s, config.coupling_per_s2))
@@ -140,7 +140,7 @@ def test_backstepping_s_lyapunov_function_falls_as_it_should() -> None:
 
 def test_pid_integrates_a_constant_disturbance_out() -> None:
     push = (0.05, 0.0, -0.03, 0.4)
-    gains = baseline_controllers.Pid(p=(20.0, 20.0, 0.8), i=(4.0, 4.0, 0.3), d=(30.0, 30.0, 0.4))
+    gains = baseline_controllers.PidConfig(p=(20.0, 20.0, 0.8), i=(4.0, 4.0, 0.3), d=(30.0, 30.0, 0.4))
     with_i = flown(Pid(AXES, gains), off(), 40.0, push, 0.005)[-1]
     assert np.abs(with_i.error).max() < 1e-4
     proportional = gains.model_copy(update={"i": (0.0, 0.0, 0.0)})
@@ -152,7 +152,7 @@ def test_pid_integrates_a_constant_disturbance_out() -> None:
 
 
 def test_pid_does_not_wind_up_beyond_a_limit() -> None:
-    law = Pid(AXES, baseline_controllers.Pid(p=(1.0, 1.0, 1.0), i=(1.0, 1.0, 1.0), d=(0.0, 0.0, 0.0)))
+    law = Pid(AXES, baseline_controllers.PidConfig(p=(1.0, 1.0, 1.0), i=(1.0, 1.0, 1.0), d=(0.0, 0.0, 0.0)))
     far = look(off(ahead=5.0), 0.0)
     for _ in range(100):
         law.learn(far, (1.0, 0.0, 0.0), 0.05)  # wanted more than it got
@@ -188,7 +188,9 @@ def test_lqr_s_plant_is_a_mass_behind_a_lag() -> None:
 
 
 def test_sliding_mode_reaches_its_surface_in_time_and_stays() -> None:
-    config = baseline_controllers.SlidingMode(slope_per_s=(0.5, 0.5, 1.0), reach=(0.2, 0.15, 1.0), layer=(0.02, 0.02, 0.05))
+    config = baseline_controllers.SlidingModeConfig(
+        slope_per_s=(0.5, 0.5, 1.0), reach=(0.2, 0.15, 1.0), layer=(0.02, 0.02, 0.05)
+    )
     push = (0.08, 0.0, -0.05, 0.4)  # each less than its reach
     law = SlidingMode(AXES, config)
     seen = flown(law, off(0.6, -0.5, 0.9), 8.0, push)
@@ -219,7 +221,9 @@ def test_fuzzy_verdicts_follow_the_rules() -> None:
 
 
 def test_the_network_learns_what_the_model_would_have_known() -> None:
-    config = baseline_controllers.AdaptiveNn(slope_per_s=(0.6, 0.6, 1.0), gain=(20.0, 20.0, 0.5), learning=(15.0, 15.0, 0.5))
+    config = baseline_controllers.AdaptiveNnConfig(
+        slope_per_s=(0.6, 0.6, 1.0), gain=(20.0, 20.0, 0.5), learning=(15.0, 15.0, 0.5)
+    )
     law = AdaptiveNn(AXES, config, (0.48, 0.26, 1.9))
     seen = flown(law, off(0.3, 0.2, 0.4), 80.0, (0.05, 0.0, -0.03, 0.3), 0.02)
     last = seen[-1]

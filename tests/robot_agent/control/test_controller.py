@@ -10,39 +10,27 @@ from hypothesis import strategies as st
 
 from robot_agent.control.controller import Controller, ControlOutput, Follow, Goal, Hold, Measurement, Neighbour, Sighting
 from sim_bridge.plant.fleet import Plant
-from tests.robot_agent.guidance.test_reference import circle
+from tests.robot_agent.control.drawn_inputs import (
+    GOAL,
+    POOL,
+    STEP,
+    STEP_NS,
+    VEHICLE,
+    at,
+    check,
+    goals,
+    measurements,
+    neighbours,
+    pool_circle,
+)
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import wrap
 from wire.messages.messages import Plan, Solve, Trajectory
-
-POOL = load_experiment("pool")
-VEHICLE = POOL.vehicle
-STEP_NS = 50_000_000
-LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))
 
 
 def controller(*settings_: str) -> Controller:
     experiment = load_experiment("pool", settings_) if settings_ else POOL
     return Controller(VEHICLE, experiment.controller, experiment.safety)
-
-
-def check(output: ControlOutput) -> None:
-    """What must be true of every output whatever came in."""
-    arrays = [getattr(output, f.name) for f in dataclasses.fields(output) if isinstance(getattr(output, f.name), np.ndarray)]
-    assert all(np.isfinite(array).all() for array in arrays)
-    assert np.all(np.abs(output.wrench) <= LIMIT + 1e-9)
-    assert len(output.pulse_us) == 8
-    assert all(1100 <= p <= 1900 for p in output.pulse_us[:4]) and all(1000 <= p <= 2000 for p in output.pulse_us[4:])
-    if output.solve in (Solve.NONE, Solve.FAILED):
-        assert output.pulse_us == (1500,) * 8
-    else:
-        assert np.all(np.abs(output.wrench_step) <= STEP + 1e-9)
-
-
-def pool_circle(x: float) -> Trajectory:
-    """The pool scene's path for a node at (x, 0)."""
-    path = circle(0.225, 100.0)
-    return dataclasses.replace(path, eta=path.eta + np.array([x, 0.0, 0.0, 0.0]))
 
 
 class Pool:
@@ -162,13 +150,6 @@ def test_head_on_they_keep_their_distance() -> None:
 # --- one controller, no plant
 
 
-def at(k: int, x: float = 0.625, y: float = 0.0, yaw: float = math.pi / 2) -> Measurement:
-    return Measurement(Sighting(k * STEP_NS - 40_000_000, x, y, yaw), 0.3, 0.0)
-
-
-GOAL = Follow(pool_circle(0.4), 0.0)
-
-
 def test_without_a_pose_there_is_no_thrust() -> None:
     output = controller().step(Measurement(), GOAL, (), STEP_NS)
     check(output)
@@ -272,27 +253,6 @@ def test_gains_are_adopted_beside_another_robot_too() -> None:
         flown.append(output)
     assert flown[1].wrench == pytest.approx(flown[0].wrench, abs=0.01)
     assert flown[1].plan_eta == pytest.approx(flown[0].plan_eta, abs=5e-3)
-
-
-numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-3, 3)
-sightings = st.builds(Sighting, st.integers(-(10**9), 3 * 10**9), numbers, numbers, numbers)
-measurements = st.builds(
-    Measurement,
-    st.none() | sightings,
-    st.none() | numbers,
-    st.none() | numbers,
-    st.none() | st.integers(-(10**9), 3 * 10**9),
-)
-
-
-def some_plan(values: list[float], period_s: float) -> Plan:
-    rows = np.array(values[: len(values) // 4 * 4]).reshape(-1, 4)
-    return Plan(period_s, rows, rows * 0.9, values[0], False)
-
-
-plans = st.builds(some_plan, st.lists(numbers, min_size=4, max_size=40), st.floats(-1, 1))
-neighbours = st.lists(st.builds(Neighbour, st.just(2), st.integers(-(10**9), 10**10), plans, st.booleans()), max_size=3)
-goals = st.none() | st.just(GOAL) | st.builds(Follow, st.just(GOAL.trajectory), st.floats(-100, 1000))
 
 
 @settings(max_examples=60, deadline=None)

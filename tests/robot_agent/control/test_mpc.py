@@ -8,8 +8,7 @@ from robot_agent.control.mpc import Mpc, bridged_steps
 from robot_agent.control.qp import Solution
 from robot_agent.guidance.formation import NOWHERE, Formation, HalfSpaces, Neighbour, Rank
 from robot_agent.vehicle.dynamics import Model, State
-from wire.config.controller import Mpc as MpcConfig
-from wire.config.controller import Safety
+from wire.config.controller import MpcConfig, Safety
 from wire.config.vehicle import load_vehicle
 from wire.frames import Array
 from wire.messages.messages import Plan, Solve

@@ -8,14 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Rank
-from wire.config.controller import Mpc as MpcConfig
-from wire.config.controller import Safety
+from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS, expecting
 from wire.frames import Array
 from wire.messages.messages import Plan
 
-PERIOD_S, NS = 0.05, 1_000_000_000
-CONFIG, SAFETY = MpcConfig(), Safety()
-STEPS = CONFIG.horizon + 1
 EQUAL = Rank(False, 0.0)
 
 
@@ -120,11 +116,6 @@ def test_the_higher_ignores_the_lower_which_yields_and_equals_both_act() -> None
 def test_nobody_is_above_a_silent_robot() -> None:
     silent = neighbour(plan((1, 0), tracking_error_m=9.0), fresh=False)
     assert formation().distance_m(silent, Rank(True, 0.0), 0) == pytest.approx(0.6)
-
-
-def expecting(x: float, y: float = 0.0, z: float = 0.0) -> Array:
-    """What a robot that stays expects of itself."""
-    return np.repeat(np.array(((x, y), (z, 0.0)))[:, None], STEPS, axis=1)
 
 
 def half_spaces(others: list[Neighbour], own: Array, rank: Rank = EQUAL, now_ns: int = 0) -> HalfSpaces:

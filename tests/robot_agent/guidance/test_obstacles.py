@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from robot_agent.guidance.formation import Formation, Rank
 from robot_agent.guidance.obstacles import SPACING_M, Apart, border, islands, things_seen
-from tests.robot_agent.guidance.test_formation import CONFIG, NS, PERIOD_S, SAFETY, expecting
+from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, expecting
 from wire.config.scene import Island
 from wire.messages.messages import Obstacles
 

@@ -5,25 +5,15 @@ import pytest
 
 from robot_agent.control.heading import HOLD_RADPS, Guidance
 from robot_agent.guidance.reference import Follow, Hold, Path, Sampler
-from wire.config.controller import Guidance as GuidanceConfig
+from tests.robot_agent.paths import PERIOD_S, ROWS, circle
+from wire.config.controller import GuidanceConfig
 from wire.config.vehicle import load_vehicle
 from wire.frames import Array
 from wire.messages.messages import Trajectory
 
 VEHICLE = load_vehicle("spherical")
-PERIOD_S, ROWS = 0.05, 52
 OFFSETS = 0.05 + PERIOD_S * np.arange(51, dtype=np.float64)
 REST = np.zeros(4)
-
-
-def circle(radius_m: float, lap_s: float, period_s: float = PERIOD_S, laps: float = 2.5) -> Trajectory:
-    rate = 2 * np.pi / lap_s
-    t = np.arange(0.0, laps * lap_s, period_s)
-    c, s, zero = np.cos(rate * t), np.sin(rate * t), np.zeros_like(t)
-    eta = np.stack([radius_m * c, radius_m * s, zero + 0.3, rate * t + np.pi / 2], axis=1)
-    velocity = np.stack([-radius_m * rate * s, radius_m * rate * c, zero, zero + rate], axis=1)
-    acceleration = np.stack([-radius_m * rate**2 * c, -radius_m * rate**2 * s, zero, zero], axis=1)
-    return Trajectory("circle", period_s, eta, velocity, acceleration)
 
 
 def line(speed_mps: float, yaw_rad: float = 0.0) -> Path:

@@ -16,7 +16,8 @@ from robot_agent.host.sd_notify import TIMES_A_WATCH, Watchdog
 from robot_agent.host.unit import NAME, unit
 from sim_bridge.sil.ports import free_port
 from wire.toml_loader import ConfigError
-from wire.transport.transport import Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

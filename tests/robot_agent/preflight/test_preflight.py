@@ -30,8 +30,11 @@ from wire.messages import topics
 from wire.messages.messages import Mode, Solve, StationHeartbeat
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
+from wire.transport.endpoint import Endpoint
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 from wire.transport.network import endpoint
-from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, Presence, ZenohTransport
+from wire.transport.transport import Presence
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from robot_agent.vehicle.dynamics import Model
 from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, Measurement, Sighting, gains, gains_with_rate
 from tests.robot_agent.water import integrate
-from wire.config.controller import Estimator as EstimatorConfig
+from wire.config.controller import EstimatorConfig
 from wire.config.vehicle import load_vehicle
 from wire.frames import Array, wrap
 

@@ -21,7 +21,7 @@ from wire.config.experiment import load_experiment
 from wire.mavlink import framing
 from wire.mavlink.agent_link import ACCEPTED, IGNORED
 from wire.mavlink.framing import Peer, Sequence8
-from wire.mavlink.signing import Gate, Key
+from wire.mavlink.signing import Key, SignatureVerifier
 
 POOL = load_experiment("pool")
 KEY = Key(hashlib.sha256(b"a link of tests").digest())
@@ -204,23 +204,25 @@ def _change_nothing(self: Rules, name: str, value: float) -> Refusal | None:
     return None if name in self.parameters.index else Refusal.UNKNOWN
 
 
-def _any_frame(self: Gate, frame: bytes, system: int, component: int) -> Any:
-    return Gate_judge(Gate(None), bytes([*frame[:2], 0]), system, component)
+def _any_frame(self: SignatureVerifier, frame: bytes, system: int, component: int) -> Any:
+    return accept_verified(SignatureVerifier(None), bytes([*frame[:2], 0]), system, component)
 
 
-def _no_time(self: Gate, frame: bytes, system: int, component: int) -> Any:
+def _no_time(self: SignatureVerifier, frame: bytes, system: int, component: int) -> Any:
     self._streams.clear()
-    return Gate_judge(self, frame, system, component)
+    return accept_verified(self, frame, system, component)
 
 
-def _any_signature(self: Gate, frame: bytes, system: int, component: int) -> Any:
+def _any_signature(self: SignatureVerifier, frame: bytes, system: int, component: int) -> Any:
     unsigned = not frame[2] & 1
-    return Gate_judge(self if unsigned else Gate(None), frame if unsigned else bytes([*frame[:2], 0]), system, component)
+    return accept_verified(
+        self if unsigned else SignatureVerifier(None), frame if unsigned else bytes([*frame[:2], 0]), system, component
+    )
 
 
 Rules_override, Rules_arm, Rules_why = Rules.override, Rules.arm, Rules._why_not_arm
 Rules_step, Rules_move, Rules_change = Rules.step, Rules._move, Rules.change
-Gate_judge = Gate.judge
+accept_verified = SignatureVerifier.verify
 AGE = {"age", "age-heartbeat", "age-refused", "age-repeated", "age-damaged", "age-stranger", "age-target", "age-thrust"}
 
 WRONG: list[tuple[type, str, Any, set[str], bool]] = [
@@ -246,9 +248,9 @@ WRONG: list[tuple[type, str, Any, set[str], bool]] = [
     (Rules, "change", _change_nothing, {"parameter-set"}, False),
     (Parameters, "changed", _change_unchecked, {"parameter-bounds"}, False),
     (Sequence8, "accept", lambda self, sequence, now_ns: True, {"age-repeated", "repeated"}, False),
-    (Gate, "judge", _any_frame, {"unsigned", "forged"}, True),
-    (Gate, "judge", _any_signature, {"forged"}, True),
-    (Gate, "judge", _no_time, {"replayed"}, True),
+    (SignatureVerifier, "verify", _any_frame, {"unsigned", "forged"}, True),
+    (SignatureVerifier, "verify", _any_signature, {"forged"}, True),
+    (SignatureVerifier, "verify", _no_time, {"replayed"}, True),
 ]
 
 

@@ -1,11 +1,8 @@
 """A board on a bench as a process of its own, on a real pseudo-terminal and on UDP: parameters, conformance, unplugging."""
 
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from select import select
 from socket import SOCK_DGRAM
@@ -20,6 +17,7 @@ from sim_bridge.node.bench import Terminal, open_socket
 from sim_bridge.node.udp_ports import Port
 from sim_bridge.sil.ports import free_port
 from sim_bridge.thruster_board.board import Board
+from tests.sim_bridge.boards import board
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_port import SerialLink, UdpLink, open_link
@@ -30,28 +28,20 @@ from wire.toml_loader import ConfigError
 
 pytestmark = pytest.mark.real_time
 
-ROOT = Path(__file__).parents[3]
 HEARTBEAT = dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3)  # of a ground station
-
-
-@contextmanager
-def board(port: str, folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """A board that is plugged in when this begins."""
-    command = [sys.executable, "-m", "sim_bridge", "board", "pool", "--port", port, "--boards", str(folder)]
-    process = subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True)
-    try:
-        assert process.stderr is not None
-        assert "signed, at" in process.stderr.readline()
-        yield process
-    finally:
-        process.terminate()
-        process.communicate(timeout=20)
 
 
 def say(*arguments: str) -> tuple[int, str]:
     """`robot-agent params` in this process: exit code, output."""
     result = CliRunner().invoke(params, arguments)
     return result.exit_code, result.output + (str(result.exception) if isinstance(result.exception, ConfigError) else "")
+
+
+@pytest.fixture
+def port() -> Iterator[Port]:
+    found = Port("127.0.0.1", 0)
+    yield found
+    found.close()
 
 
 def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> None:
@@ -194,13 +184,6 @@ def test_an_unsigned_board_stays_on_this_machine() -> None:
 
 
 # --- whom a board answers over UDP
-
-
-@pytest.fixture
-def port() -> Iterator[Port]:
-    found = Port("127.0.0.1", 0)
-    yield found
-    found.close()
 
 
 def spoken(port: Port, board: Board, link: UdpLink, data: bytes, now_ns: int) -> None:

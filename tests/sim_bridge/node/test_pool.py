@@ -16,7 +16,7 @@ from wire.messages.codec import Header
 from wire.messages.topics import Topic
 from wire.process.runtime import Failed, Stop
 from wire.transport.bus import Bus, Received
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 ROBOT = "robots=[{id=1, node_m=[0.0, 0.0, 0.0], start=[0.4, 0.0, 0.3, 0.0]}]"
 EXPOSURES = 8

@@ -14,7 +14,7 @@ from sim_bridge.sil.fault_injector import Saboteur
 from sim_bridge.sil.processes import Child, Children
 from wire.config.experiment import load_experiment
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
 def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import Mode, RobotState, StationHeartbeat
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
 def line(name: str, states: dict[int, RobotState]) -> str:

@@ -12,7 +12,7 @@ import pytest
 
 from groundstation.planning import planner
 from sim_bridge.studies.variants import VARIANTS, Task, fly, scattered
-from tests.closed_loop.test_numeric import flown
+from tests.closed_loop.numeric import flown
 from wire.config.controller_benchmark import Comparison, Variant
 from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
 from wire.toml_loader import ConfigError

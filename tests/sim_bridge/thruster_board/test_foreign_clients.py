@@ -14,7 +14,7 @@ from socket import SOCK_DGRAM
 import pytest
 
 from sim_bridge.sil.ports import free_port
-from tests.sim_bridge.node.test_bench import board
+from tests.sim_bridge.boards import board
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_port import open_link
 

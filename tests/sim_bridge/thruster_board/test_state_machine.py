@@ -11,7 +11,7 @@ from sim_bridge.thruster_board.parameters import Parameter, Parameters, Refusal
 from sim_bridge.thruster_board.state_machine import Charge, Rules, Said
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import ACCEPTED, IGNORED, REJECTED
-from wire.mavlink.signing import Key, Signer, Verdict
+from wire.mavlink.signing import Key, SignatureVerdict, Signer
 
 PARAMETERS = Parameters.of(load_experiment("pool"))
 COMPUTER, STRANGER = (3, 191), (255, 190)
@@ -386,12 +386,12 @@ def test_a_refused_change_forgets_nothing() -> None:
 def test_the_gate_is_shut_to_all_without_the_key_and_to_the_past() -> None:
     key, frame = Key(bytes(range(32))), bytes([0xFD, 0, 1])
     rules = Rules(PARAMETERS, COMPUTER, key, floor=1000)
-    assert rules.gate.judge(bytes([0xFD, 0, 0]), *COMPUTER) is Verdict.UNSIGNED
-    assert rules.gate.judge(Signer(Key(bytes(32)), lambda: 2000).sign(frame), *COMPUTER) is Verdict.FORGED
-    assert rules.gate.judge(Signer(key, lambda: 1000).sign(frame), *COMPUTER) is Verdict.REPLAYED
-    assert rules.gate.judge(Signer(key, lambda: 1001).sign(frame), *COMPUTER) is Verdict.GOOD
-    assert Rules(PARAMETERS, COMPUTER).gate.judge(bytes([0xFD, 0, 0]), *STRANGER) is Verdict.GOOD
-    assert Rules(PARAMETERS, COMPUTER, key).gate.judge(Signer(key, lambda: 1).sign(frame), *COMPUTER) is Verdict.GOOD
+    assert rules.gate.verify(bytes([0xFD, 0, 0]), *COMPUTER) is SignatureVerdict.UNSIGNED
+    assert rules.gate.verify(Signer(Key(bytes(32)), lambda: 2000).sign(frame), *COMPUTER) is SignatureVerdict.FORGED
+    assert rules.gate.verify(Signer(key, lambda: 1000).sign(frame), *COMPUTER) is SignatureVerdict.REPLAYED
+    assert rules.gate.verify(Signer(key, lambda: 1001).sign(frame), *COMPUTER) is SignatureVerdict.GOOD
+    assert Rules(PARAMETERS, COMPUTER).gate.verify(bytes([0xFD, 0, 0]), *STRANGER) is SignatureVerdict.GOOD
+    assert Rules(PARAMETERS, COMPUTER, key).gate.verify(Signer(key, lambda: 1).sign(frame), *COMPUTER) is SignatureVerdict.GOOD
 
 
 def test_a_key_over_the_link_shuts_the_gate_and_forgets_the_last_override() -> None:
@@ -399,15 +399,15 @@ def test_a_key_over_the_link_shuts_the_gate_and_forgets_the_last_override() -> N
     rules.override(COMPUTER, NEUTRAL, 0)
     assert rules.set_key(key, 1000) == ""
     assert rules.arm(True, 0) == REJECTED
-    assert rules.gate.judge(bytes([0xFD, 0, 0]), *COMPUTER) is Verdict.UNSIGNED
-    assert rules.gate.judge(Signer(key, lambda: 1000).sign(frame), *COMPUTER) is Verdict.REPLAYED
-    assert rules.gate.judge(Signer(key, lambda: 1001).sign(frame), *COMPUTER) is Verdict.GOOD
+    assert rules.gate.verify(bytes([0xFD, 0, 0]), *COMPUTER) is SignatureVerdict.UNSIGNED
+    assert rules.gate.verify(Signer(key, lambda: 1000).sign(frame), *COMPUTER) is SignatureVerdict.REPLAYED
+    assert rules.gate.verify(Signer(key, lambda: 1001).sign(frame), *COMPUTER) is SignatureVerdict.GOOD
 
 
 def test_another_key_forgets_no_time_that_was_used() -> None:
     rules, second = Rules(PARAMETERS, COMPUTER, Key(bytes(range(32))), 500), Key(bytes(range(1, 33)))
     assert rules.set_key(second, 3) == ""
-    assert rules.gate.judge(Signer(second, lambda: 500).sign(bytes([0xFD, 0, 1])), *COMPUTER) is Verdict.REPLAYED
+    assert rules.gate.verify(Signer(second, lambda: 500).sign(bytes([0xFD, 0, 1])), *COMPUTER) is SignatureVerdict.REPLAYED
 
 
 def test_an_armed_board_takes_no_key() -> None:

@@ -107,7 +107,7 @@ def _with(key: Key, value: object) -> dict[str, Any]:
 
 
 def _complaint(tmp_path: Path, table: dict[str, Any]) -> str:
-    """What the person who wrote this table as a file gets to read."""
+    """The error message for this table, written to a file."""
     path = tmp_path / "mutant.toml"
     path.write_text(tomli_w.dumps(table), encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
@@ -443,7 +443,7 @@ def test_a_horizon_that_is_too_short_for_slow_robots_is_told(capsys: pytest.Capt
 
 def test_no_shipped_experiment_and_no_example_has_a_horizon_that_is_too_short() -> None:
     root = EXPERIMENTS.parents[1]
-    pages = [root / "README.md", *(root / "docs").glob("*.md"), *root.glob("*/*commands.py")]
+    pages = [root / "README.md", *(root / "docs").glob("*.md"), *root.glob("*/cli/*.py")]
     found = [int(steps) for page in pages for steps in re.findall(r"--set controller.mpc.horizon=(\d+)", page.read_text())]
     assert len(found) >= 4
     for name, settings in [*((path.stem, ()) for path in EXPERIMENTS.glob("*.toml")), *(("pool", (n,)) for n in found)]:

@@ -12,7 +12,7 @@ from wire.mavlink import agent_link, board_link
 from wire.mavlink.agent_link import IGNORED, AgentLink
 from wire.mavlink.board_link import Arm, Event, Heartbeat, Override, Timesync, Unsupported
 from wire.mavlink.framing import FRAME_TIMEOUT_NS, Receiver, Sender, Sequence8
-from wire.mavlink.signing import Gate
+from wire.mavlink.signing import SignatureVerifier
 
 MS = 1_000_000
 PULSES = (1400, 1600, 1478, 1522, 1500, 1000, 2000, 1234)
@@ -319,7 +319,7 @@ def test_a_frame_that_begins_behind_a_false_header_has_its_own_time() -> None:
 def test_frames_that_pymavlink_passes_unchecked_are_dropped() -> None:
     unknown = bytes([0xFD, 4, 0, 0, 0, 1, 191]) + (16_000_000).to_bytes(3, "little") + b"\1\2\3\4\0\0"
     assert dialect.MAVLink(None).decode(bytearray(unknown)).get_type().startswith("UNKNOWN")
-    receiver = Receiver(lambda peer: peer == (1, 191), Gate(None))
+    receiver = Receiver(lambda peer: peer == (1, 191), SignatureVerifier(None))
     assert receiver.receive(unknown, 0) == []
     assert receiver.foreign_frames == 1
 
@@ -410,7 +410,7 @@ def synced(ahead_ns: int, now_ns: int, trip_ns: int = 2 * MS, link: AgentLink | 
 
 
 def measured_ns(agent: AgentLink, board_ms: int, read_ns: int) -> int:
-    """When a burst was measured, as far as the computer knows."""
+    """The instant of a burst, as far as the computer knows."""
     agent._receiver._sequences.clear()
     agent.receive(burst(BoardLink(7), board_ms), read_ns)
     assert agent.telemetry.board_ms == board_ms

@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import common as dialect
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_link import Arm, BoardLink, Event, Heartbeat, Override
 from wire.mavlink.framing import FRAME_TIMEOUT_NS, PEERS, SILENCE_NS, Sender
-from wire.mavlink.signing import EPOCH_NS, LATEST, STREAMS, Gate, Key, Signer, Verdict, ticks
+from wire.mavlink.signing import EPOCH_NS, LATEST, STREAMS, Key, SignatureVerdict, SignatureVerifier, Signer, ticks
 
 SECRET = hashlib.sha256(b"a secret of tests").digest()
 KEY = Key(SECRET)
@@ -26,7 +26,7 @@ def agent(start: int = NOW, key: Key | None = KEY) -> AgentLink:
 
 
 def board(floor: int = 0, key: Key | None = KEY) -> BoardLink:
-    return BoardLink(1, Gate(key, floor), key)
+    return BoardLink(1, SignatureVerifier(key, floor), key)
 
 
 def events(link: BoardLink, data: bytes, now_ns: int = 0) -> list[Event]:
@@ -91,7 +91,7 @@ def test_no_bit_of_a_signed_frame_can_be_changed() -> None:
 
 
 def test_a_signed_frame_with_the_flag_taken_off_is_unsigned() -> None:
-    """What an attacker without the key can do with a recorded frame: cut the signature off and repair the checksum."""
+    """An attacker without the key cuts the signature off a recorded frame and repairs the checksum."""
     frame = agent().arm(True)
     content = bytes([frame[1], 0]) + frame[3:-15]
     checksum = dialect.x25crc(content)
@@ -112,11 +112,11 @@ def test_a_recording_does_not_count_again_even_after_the_silence() -> None:
 
 
 def test_a_recording_does_not_count_after_a_restart_of_the_board() -> None:
-    computer, gate = agent(), Gate(KEY)
-    before = BoardLink(1, gate, KEY)
+    computer, verifier = agent(), SignatureVerifier(KEY)
+    before = BoardLink(1, verifier, KEY)
     recorded = [computer.pulses(PULSES), computer.arm(True)]
     assert len(events(before, b"".join(recorded))) == 2
-    after = board(floor=gate.newest)
+    after = board(floor=verifier.newest)
     assert events(after, b"".join(recorded)) == []
     assert events(after, computer.arm(False)) == [Arm(False)]
 
@@ -140,31 +140,31 @@ def test_a_computer_whose_clock_is_behind_catches_up_with_the_board() -> None:
     """No battery-backed clock, and the board has heard somebody whose clock is right."""
     device, late = board(floor=NOW), agent(start=1000)
     assert events(device, late.heartbeat()) == []
-    late.receive(BoardLink(1, Gate(KEY, NOW), KEY).heartbeat(False, True), 0)
+    late.receive(BoardLink(1, SignatureVerifier(KEY, NOW), KEY).heartbeat(False, True), 0)
     assert events(device, late.heartbeat()) == [Heartbeat()]
 
 
 def test_each_stream_has_its_own_time() -> None:
-    gate = Gate(KEY)
+    verifier = SignatureVerifier(KEY)
     ahead = Signer(Key(SECRET, 1), lambda: NOW + 1000)
     behind = Signer(Key(SECRET, 2), lambda: NOW)
     frame = bytes([0xFD, 0, 1])
-    assert gate.judge(ahead.sign(frame), 1, 191) is Verdict.GOOD
-    assert gate.judge(behind.sign(frame), 1, 191) is Verdict.GOOD
-    assert gate.judge(Signer(Key(SECRET, 1), lambda: NOW).sign(frame), 1, 190) is Verdict.GOOD
-    assert gate.newest == NOW + 1000
+    assert verifier.verify(ahead.sign(frame), 1, 191) is SignatureVerdict.GOOD
+    assert verifier.verify(behind.sign(frame), 1, 191) is SignatureVerdict.GOOD
+    assert verifier.verify(Signer(Key(SECRET, 1), lambda: NOW).sign(frame), 1, 190) is SignatureVerdict.GOOD
+    assert verifier.newest == NOW + 1000
 
 
 def test_time_begins_with_the_first_tick() -> None:
     frame = bytes([0xFD, 0, 1])
-    assert Gate(KEY).judge(Signer(KEY, lambda: 0).sign(frame), 1, 191) is Verdict.GOOD
+    assert SignatureVerifier(KEY).verify(Signer(KEY, lambda: 0).sign(frame), 1, 191) is SignatureVerdict.GOOD
 
 
 def test_there_is_an_end_to_streams() -> None:
-    gate, frame = Gate(KEY), bytes([0xFD, 0, 1])
-    verdicts = [gate.judge(Signer(Key(SECRET, i), lambda: NOW).sign(frame), 1, 1) for i in range(STREAMS + 3)]
-    assert verdicts == [Verdict.GOOD] * STREAMS + [Verdict.REPLAYED] * 3
-    assert gate.judge(Signer(KEY, lambda: NOW + 1).sign(frame), 1, 1) is Verdict.GOOD
+    verifier, frame = SignatureVerifier(KEY), bytes([0xFD, 0, 1])
+    verdicts = [verifier.verify(Signer(Key(SECRET, i), lambda: NOW).sign(frame), 1, 1) for i in range(STREAMS + 3)]
+    assert verdicts == [SignatureVerdict.GOOD] * STREAMS + [SignatureVerdict.REPLAYED] * 3
+    assert verifier.verify(Signer(KEY, lambda: NOW + 1).sign(frame), 1, 1) is SignatureVerdict.GOOD
 
 
 def test_a_forged_frame_leaves_no_trace() -> None:
@@ -187,7 +187,7 @@ def test_timestamps_rise_whatever_the_clock_does(clock: list[int]) -> None:
 
 
 def test_a_clock_that_stands_still_uses_one_tick_for_each_frame() -> None:
-    """What is used up has to last: the computer reserves 60 s at a time."""
+    """Ticks have to last: the computer reserves 60 s at a time."""
     for now in (0, 1, NOW):
         signer = Signer(KEY, iter([now] * 3).__next__)
         stamps = [int.from_bytes(signer.sign(b"frame")[6:12], "little") for _ in range(3)]

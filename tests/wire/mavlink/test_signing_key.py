@@ -7,7 +7,7 @@ import pytest
 
 from wire.mavlink.board_port import open_link
 from wire.mavlink.signing import EPOCH_NS, TICK_NS
-from wire.mavlink.signing_key import AHEAD_TICKS, Signing, Stamps, load_key, new_key
+from wire.mavlink.signing_key import AHEAD_TICKS, Signing, TimestampStore, load_key, new_key
 from wire.toml_loader import ConfigError
 
 
@@ -43,7 +43,7 @@ def test_times_go_on_after_a_restart_whatever_the_clock_says(tmp_path: Path) -> 
     used = 0
     for hour in (5, 6, 2, 0, -100_000, 7):  # the clock is set, and set back, between the lives
         now_ns = EPOCH_NS + hour * 3_600_000_000_000
-        stamps = Stamps(file, partial(int, now_ns))
+        stamps = TimestampStore(file, partial(int, now_ns))
         assert stamps() > used or stamps() == used == 0
         used = stamps() + 5000  # as many frames within one tick
         stamps.renew(used)
@@ -52,7 +52,7 @@ def test_times_go_on_after_a_restart_whatever_the_clock_says(tmp_path: Path) -> 
 
 def test_the_file_is_renewed_long_before_it_is_used_up(tmp_path: Path) -> None:
     now = [EPOCH_NS]
-    stamps = Stamps(tmp_path / "stamps", lambda: now[0])
+    stamps = TimestampStore(tmp_path / "stamps", lambda: now[0])
     written = []
     for _ in range(200):
         now[0] += 1_000_000_000
@@ -68,12 +68,12 @@ def test_the_file_is_renewed_long_before_it_is_used_up(tmp_path: Path) -> None:
 def test_times_that_cannot_be_read_are_explained(tmp_path: Path, content: str) -> None:
     (tmp_path / "stamps").write_text(content)
     with pytest.raises(ConfigError, match="cannot be kept"):
-        Stamps(tmp_path / "stamps")
+        TimestampStore(tmp_path / "stamps")
 
 
 def test_times_that_cannot_be_written_are_explained(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="cannot be kept"):
-        Stamps(tmp_path / "nowhere" / "stamps")
+        TimestampStore(tmp_path / "nowhere" / "stamps")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What may be changed in flight, against the experiment file's own checks."""
+"""The bounds of the gains that change in flight, against the experiment file's own checks."""
 
 import math
 import re
@@ -8,14 +8,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wire.config.experiment import load_experiment
-from wire.messages.live_gains import Knob, knobs, of_message, tuned, tuning, values_of
+from wire.messages.live_gains import TunableParameter, of_message, tunable_parameters, tuned, tuning, values_of
 from wire.messages.messages import Tuning
 from wire.toml_loader import ConfigError
 
 POOL = load_experiment("pool")
-KNOBS = knobs(POOL.controller)
+PARAMETERS = tunable_parameters(POOL.controller)
 
-each_knob = pytest.mark.parametrize("knob", KNOBS, ids=lambda knob: knob.key)
+each_parameter = pytest.mark.parametrize("parameter", PARAMETERS, ids=lambda parameter: parameter.key)
 
 
 def written(key: str, value: float) -> str:
@@ -23,7 +23,7 @@ def written(key: str, value: float) -> str:
     name, _, index = key.rpartition(".")
     if not index.isdecimal():
         return f"{key}={value!r}"
-    entries = [knob.value for knob in KNOBS if knob.key.rpartition(".")[0] == name]
+    entries = [parameter.value for parameter in PARAMETERS if parameter.key.rpartition(".")[0] == name]
     entries[int(index)] = value
     return f"{name}={entries!r}"
 
@@ -36,22 +36,24 @@ def loads(key: str, value: float) -> bool:
     return True
 
 
-@each_knob
-def test_bounds_are_those_of_the_experiment_file(knob: Knob) -> None:
-    assert loads(knob.key, math.nextafter(knob.least, math.inf)) and loads(knob.key, math.nextafter(knob.most, -math.inf))
-    assert loads(knob.key, knob.least) is not knob.above
-    assert loads(knob.key, knob.most) is not knob.below
-    assert not loads(knob.key, math.nextafter(knob.least, -math.inf))
-    assert not loads(knob.key, math.nextafter(knob.most, math.inf))
+@each_parameter
+def test_bounds_are_those_of_the_experiment_file(parameter: TunableParameter) -> None:
+    assert loads(parameter.key, math.nextafter(parameter.least, math.inf)) and loads(
+        parameter.key, math.nextafter(parameter.most, -math.inf)
+    )
+    assert loads(parameter.key, parameter.least) is not parameter.above
+    assert loads(parameter.key, parameter.most) is not parameter.below
+    assert not loads(parameter.key, math.nextafter(parameter.least, -math.inf))
+    assert not loads(parameter.key, math.nextafter(parameter.most, math.inf))
 
 
-@each_knob
-def test_a_change_is_what_the_file_would_have_given(knob: Knob) -> None:
-    value = 0.5 * (knob.value + min(knob.most, knob.value + 1.0))
-    changed = tuned(POOL.controller, {knob.key: value})
-    assert changed == load_experiment("pool", [written(knob.key, value)]).controller
+@each_parameter
+def test_a_change_is_what_the_file_would_have_given(parameter: TunableParameter) -> None:
+    value = 0.5 * (parameter.value + min(parameter.most, parameter.value + 1.0))
+    changed = tuned(POOL.controller, {parameter.key: value})
+    assert changed == load_experiment("pool", [written(parameter.key, value)]).controller
     assert tuning(changed).id != tuning(POOL.controller).id
-    assert tuning(tuned(changed, {knob.key: knob.value})).id == tuning(POOL.controller).id
+    assert tuning(tuned(changed, {parameter.key: parameter.value})).id == tuning(POOL.controller).id
 
 
 @pytest.mark.parametrize(
@@ -101,7 +103,7 @@ def test_a_change_that_is_no_number_is_refused_with_its_key(setting: str, says: 
         values_of([setting])
 
 
-@given(st.builds(Tuning, st.text(), st.lists(st.sampled_from([k.key for k in KNOBS]) | st.text()).map(tuple)))
+@given(st.builds(Tuning, st.text(), st.lists(st.sampled_from([k.key for k in PARAMETERS]) | st.text()).map(tuple)))
 def test_no_message_gets_further_than_a_refusal(message: Tuning) -> None:
     with pytest.raises(ConfigError):
         of_message(POOL.controller, message)
@@ -109,7 +111,7 @@ def test_no_message_gets_further_than_a_refusal(message: Tuning) -> None:
 
 def test_another_law_keeps_the_gains_that_stand_in_its_place() -> None:
     pid = load_experiment("pool", ["controller.law=pid"]).controller
-    keys = {knob.key for knob in knobs(pid)}
+    keys = {parameter.key for parameter in tunable_parameters(pid)}
     assert "controller.estimator.bandwidth_radps" in keys
     assert not keys & {"controller.mpc.q.0", "controller.guidance.position_gain_per_s2"}
 

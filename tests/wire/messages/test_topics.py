@@ -95,7 +95,7 @@ def test_an_age_that_an_experiment_sets_is_the_same_for_all_who_ask() -> None:
 
 @each_topic
 def test_what_is_recovered_is_kept_and_a_board_has_room_for_it(topic: Topic) -> None:
-    assert (topic.kept > 0) == (topic.qos in topics.RECOVERED)
+    assert (topic.cache_depth > 0) == (topic.qos in topics.RECOVERED)
     path = first_leg(load_experiment("pool")).trajectories[1]
     largest: dict[Topic, Message] = {
         topics.TRAJECTORY: path,
@@ -103,7 +103,7 @@ def test_what_is_recovered_is_kept_and_a_board_has_room_for_it(topic: Topic) -> 
         topics.EVENT: Event(2, "agent-1", 500 * "x"),
     }
     each = len(codec.encode(largest.get(topic, example(topic.type))))
-    assert topic.kept * each < 8_000_000
+    assert topic.cache_depth * each < 8_000_000
 
 
 @each_topic

@@ -8,22 +8,10 @@ import pytest
 
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, Event, LocalizerStatus, Obstacles, Pose, StationHeartbeat, Tick
-from wire.process import runtime
-from wire.process.runtime import (
-    Failed,
-    Lockstep,
-    LockstepClock,
-    Stop,
-    WallClock,
-    age_s,
-    guarded_thread,
-    log,
-    log_to_bus,
-    run_app,
-    wait,
-)
+from wire.process.lockstep import Lockstep, LockstepClock
+from wire.process.runtime import Failed, Stop, WallClock, age_s, guarded_thread, log, log_to_bus, run_app, wait
 from wire.transport.bus import Bus
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
 def two_buses() -> tuple[Bus, Bus]:
@@ -101,7 +89,7 @@ def test_lockstep_waits_for_every_input_and_goes_on_without_none(
     threading.Timer(0.05, lambda: simulator.publish(topics.HEARTBEAT, StationHeartbeat(), 100)).start()
     assert lockstep.await_all([(inbox, 100)])
     assert inbox.newest() is not None
-    monkeypatch.setattr(runtime, "LOCKSTEP_SAYS_S", 0.02)
+    monkeypatch.setattr("wire.process.lockstep.LOCKSTEP_SAYS_S", 0.02)
     threading.Timer(0.1, stop.request).start()
     assert not lockstep.await_all([(inbox, 100), (tidings, 102)])
     assert "waiting for localizer/status" in caplog.text and "station/heartbeat" not in caplog.text

@@ -10,7 +10,7 @@ from wire.security.admission import KNOWN, NEW, Admission, NotTls, Refusals, ask
 
 
 def client_hello(name: str = "station.pool") -> bytes:
-    """What OpenSSL begins with."""
+    """The first bytes of an OpenSSL client."""
     out = ssl.MemoryBIO()
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     with pytest.raises(ssl.SSLWantReadError):

@@ -10,11 +10,14 @@ import pytest
 import zenoh
 
 from sim_bridge.sil.ports import free_port
+from tests.waiting import eventually
 from wire.messages import messages, topics
 from wire.messages.codec import Header, encode
-from wire.transport import transport
+from wire.transport import zenoh_transport
 from wire.transport.bus import Bus
-from wire.transport.transport import Endpoint, MemoryHub, MemoryTransport, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -37,13 +40,6 @@ def make_bus(request: pytest.FixtureRequest) -> Iterator[MakeBus]:
     yield make
     for bus in reversed(buses):
         bus.close()
-
-
-def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    deadline = time.monotonic() + timeout_s
-    while not ready() and time.monotonic() < deadline:
-        time.sleep(0.005)
-    return ready()
 
 
 def test_a_message_arrives_with_its_header(make_bus: MakeBus) -> None:
@@ -156,7 +152,7 @@ def test_events_reach_a_late_subscriber_and_states_do_not(make_bus: MakeBus) -> 
 def test_of_paths_a_late_subscriber_hears_the_last_few(make_bus: MakeBus) -> None:
     sender, late = make_bus(), make_bus()
     heard: list[tuple[str, int]] = []
-    last = range(10 - topics.TRAJECTORY.kept, 10)
+    last = range(10 - topics.TRAJECTORY.cache_depth, 10)
     for stamp_ns in range(10):
         for robot in (1, 2):
             sender.publish(topics.TRAJECTORY, messages.Trajectory(str(stamp_ns), 0.05), stamp_ns, robot)
@@ -190,7 +186,7 @@ def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: Ma
 
 def test_what_nobody_collects_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """The oldest go; orders, poses and heartbeats of the same session come as ever."""
-    monkeypatch.setattr(transport, "UNCOLLECTED", 4)
+    monkeypatch.setattr(zenoh_transport, "UNCOLLECTED", 4)
     address = f"tcp/127.0.0.1:{free_port()}"
     with Bus(ZenohTransport(Endpoint(address, router=True))) as receiver, Bus(ZenohTransport(Endpoint(address))) as sender:
         collect = receiver.collect(topics.STATE)
@@ -210,7 +206,7 @@ def test_what_nobody_collects_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -
 
 def test_threads_that_send_their_first_pictures_at_once_share_a_session(monkeypatch: pytest.MonkeyPatch) -> None:
     """The localizer's previews and its film begin with the same picture. A second session would never be closed."""
-    opened, real, together = [], transport._open, threading.Barrier(2)
+    opened, real, together = [], zenoh_transport._open, threading.Barrier(2)
 
     def open_and_note(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) -> zenoh.Session:
         opened.append(real(endpoint, stopped, patience_s))
@@ -218,7 +214,7 @@ def test_threads_that_send_their_first_pictures_at_once_share_a_session(monkeypa
 
     address = f"tcp/127.0.0.1:{free_port()}"
     with Bus(ZenohTransport(Endpoint(address, router=True))), Bus(ZenohTransport(Endpoint(address))) as sender:
-        monkeypatch.setattr(transport, "_open", open_and_note)
+        monkeypatch.setattr(zenoh_transport, "_open", open_and_note)
 
         def send(topic: topics.Topic, message: messages.Message) -> None:
             together.wait()

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order, Reply
-from wire.transport.command_deduplication import SENDERS, Once
+from wire.transport.command_deduplication import SENDERS, CommandDeduplicator
 
 ME = 77
 ORDERS = st.lists(st.tuples(st.integers(1, 3), st.integers(1, 20), st.sampled_from([ME, ME - 1, 0])), max_size=60)
@@ -17,20 +17,20 @@ def command(recipient: int = ME, order: Order = Order.ARM) -> Command:
 
 
 def test_a_repeated_order_gets_the_same_answer_and_an_older_one_a_refusal() -> None:
-    once, head = Once(ME), Header(7, 5, 0)
-    assert once.settled(head, command()) is None
-    answer = once.settle(head, Reply(1, True, "", Mode.ARMED))
+    deduplicator, head = CommandDeduplicator(ME), Header(7, 5, 0)
+    assert deduplicator.known_reply(head, command()) is None
+    answer = deduplicator.record(head, Reply(1, True, "", Mode.ARMED))
     assert (answer.accepted, answer.mode, answer.session) == (True, Mode.ARMED, ME)
-    assert once.settled(head, command()) is answer
-    older = once.settled(Header(7, 4, 0), command())
+    assert deduplicator.known_reply(head, command()) is answer
+    older = deduplicator.known_reply(Header(7, 4, 0), command())
     assert older is not None
     assert (older.accepted, older.reason) == (False, "ARM is old: order 4 after 5")
-    assert once.settled(Header(7, 6, 0), command()) is None
+    assert deduplicator.known_reply(Header(7, 6, 0), command()) is None
 
 
 def test_an_order_for_another_life_is_refused_and_told_who_lives_now() -> None:
     for recipient in (0, ME + 1):
-        reply = Once(ME).settled(Header(7, 1, 0), command(recipient))
+        reply = CommandDeduplicator(ME).known_reply(Header(7, 1, 0), command(recipient))
         assert reply is not None
         assert (reply.accepted, reply.session) == (False, ME)
         assert "not for this life" in reply.reason
@@ -40,11 +40,11 @@ def test_an_order_for_another_life_is_refused_and_told_who_lives_now() -> None:
 def test_however_orders_are_repeated_mixed_and_reordered_each_is_taken_at_most_once(
     orders: list[tuple[int, int, int]],
 ) -> None:
-    once, taken = Once(ME), []
+    deduplicator, taken = CommandDeduplicator(ME), []
     for session, sequence, recipient in orders:
         head = Header(session, sequence, 0)
-        if once.settled(head, command(recipient)) is None:
-            once.settle(head, Reply(1, True))
+        if deduplicator.known_reply(head, command(recipient)) is None:
+            deduplicator.record(head, Reply(1, True))
             taken.append((session, sequence))
             assert recipient == ME
     for session in (1, 2, 3):
@@ -53,27 +53,27 @@ def test_however_orders_are_repeated_mixed_and_reordered_each_is_taken_at_most_o
 
 
 def test_what_is_remembered_is_bounded_and_the_newest_senders_are_kept() -> None:
-    once = Once(ME)
+    deduplicator = CommandDeduplicator(ME)
     for session in range(1, SENDERS + 3):
-        once.settle(Header(session, 1, 0), Reply(1, True))
-    assert once.settled(Header(SENDERS + 2, 1, 0), command()) is not None
-    assert once.settled(Header(3, 1, 0), command()) is not None
-    assert len(once._answered) == SENDERS
+        deduplicator.record(Header(session, 1, 0), Reply(1, True))
+    assert deduplicator.known_reply(Header(SENDERS + 2, 1, 0), command()) is not None
+    assert deduplicator.known_reply(Header(3, 1, 0), command()) is not None
+    assert len(deduplicator._answered) == SENDERS
 
 
 @pytest.mark.parametrize("order", [Order.STOP, Order.DISARM])
 def test_power_is_taken_away_however_late_and_often_and_for_whichever_life(order: Order) -> None:
-    once = Once(ME)
+    deduplicator = CommandDeduplicator(ME)
     for sequence, recipient in ((5, ME), (5, ME), (3, ME), (6, ME + 1), (1, 0)):
         head = Header(7, sequence, 0)
-        assert once.settled(head, command(recipient, order)) is None
-        assert once.settle(head, Reply(1, True)).session == ME
+        assert deduplicator.known_reply(head, command(recipient, order)) is None
+        assert deduplicator.record(head, Reply(1, True)).session == ME
 
 
 def test_a_late_stop_makes_no_other_order_new_again() -> None:
-    once, head = Once(ME), Header(7, 5, 0)
-    armed = once.settle(head, Reply(1, True, "", Mode.ARMED))
-    once.settle(Header(7, 2, 0), Reply(1, True, "", Mode.STOPPED))
-    assert once.settled(head, command()) is armed
-    refused = once.settled(Header(7, 4, 0), command())
+    deduplicator, head = CommandDeduplicator(ME), Header(7, 5, 0)
+    armed = deduplicator.record(head, Reply(1, True, "", Mode.ARMED))
+    deduplicator.record(Header(7, 2, 0), Reply(1, True, "", Mode.STOPPED))
+    assert deduplicator.known_reply(head, command()) is armed
+    refused = deduplicator.known_reply(Header(7, 4, 0), command())
     assert refused is not None and refused.reason == "ARM is old: order 4 after 5"

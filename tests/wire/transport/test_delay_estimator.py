@@ -1,4 +1,4 @@
-"""What was held up is told from what was not, whatever the sender's clock shows."""
+"""Delayed messages are told from others, whatever the sender's clock shows."""
 
 import time
 
@@ -11,8 +11,8 @@ from wire.messages import topics
 from wire.messages.messages import StationHeartbeat
 from wire.process.runtime import WallClock, age_s
 from wire.transport.bus import Bus
-from wire.transport.delay_estimator import ANOTHER_CLOCK_NS, WINDOW_NS, Lateness
-from wire.transport.transport import MemoryHub, MemoryTransport
+from wire.transport.delay_estimator import ANOTHER_CLOCK_NS, WINDOW_NS, DelayEstimator
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 MS = 1_000_000
 PERIOD_NS = 50 * MS
@@ -20,52 +20,52 @@ PERIOD_NS = 50 * MS
 
 @given(st.integers(-(10**18), 10**18), st.lists(st.integers(0, 400 * MS), min_size=1, max_size=100))
 def test_it_is_the_way_s_length_over_the_shortest(offset_ns: int, way_ns: list[int]) -> None:
-    lateness = Lateness()
+    estimator = DelayEstimator()
     for k, way in enumerate(way_ns):
         sent_ns = 10**15 + k * PERIOD_NS
-        assert lateness.of(7, sent_ns + offset_ns, sent_ns + way) == way - min(way_ns[: k + 1])
+        assert estimator.excess_ns(7, sent_ns + offset_ns, sent_ns + way) == way - min(way_ns[: k + 1])
 
 
 def test_a_burst_after_an_outage_is_as_late_as_it_is() -> None:
-    lateness = Lateness()
-    assert [lateness.of(7, k * PERIOD_NS, k * PERIOD_NS + MS) for k in range(20)] == [0] * 20
+    estimator = DelayEstimator()
+    assert [estimator.excess_ns(7, k * PERIOD_NS, k * PERIOD_NS + MS) for k in range(20)] == [0] * 20
     back_ns = 40 * PERIOD_NS
-    assert [lateness.of(7, k * PERIOD_NS, back_ns + MS) for k in range(20, 41)] == [
+    assert [estimator.excess_ns(7, k * PERIOD_NS, back_ns + MS) for k in range(20, 41)] == [
         back_ns - k * PERIOD_NS for k in range(20, 41)
     ]
 
 
 @pytest.mark.parametrize("drift", [-1e-4, 1e-4])
 def test_clocks_that_drift_apart_make_nothing_late(drift: float) -> None:
-    lateness = Lateness()
-    late = [lateness.of(7, round(k * PERIOD_NS * (1.0 + drift)), k * PERIOD_NS) for k in range(72_000)]  # an hour
+    estimator = DelayEstimator()
+    late = [estimator.excess_ns(7, round(k * PERIOD_NS * (1.0 + drift)), k * PERIOD_NS) for k in range(72_000)]  # an hour
     assert max(late) <= 2 * WINDOW_NS * abs(drift) + MS
 
 
 @pytest.mark.parametrize("drift", [-1e-4, 1e-4])
 def test_clocks_that_drift_apart_while_nothing_comes_make_nothing_late(drift: float) -> None:
     """A robot that was out of the water for hours, say, and is seen again by the same localizer."""
-    lateness = Lateness()
+    estimator = DelayEstimator()
     arrivals = [*range(0, 15_000 * MS, PERIOD_NS), *range(3 * 3600 * 1000 * MS, 3 * 3600 * 1000 * MS + 15_000 * MS, PERIOD_NS)]
-    late = [lateness.of(7, round(at_ns * (1.0 + drift)), at_ns) for at_ns in arrivals]
+    late = [estimator.excess_ns(7, round(at_ns * (1.0 + drift)), at_ns) for at_ns in arrivals]
     assert max(late) <= 2 * WINDOW_NS * abs(drift) + MS
 
 
 def test_a_clock_that_is_set_and_a_process_that_is_restarted_make_nothing_late() -> None:
-    lateness = Lateness()
-    lateness.of(7, 0, MS)
-    assert lateness.of(7, -3600 * 10**9, 51 * MS) == 0
-    assert lateness.of(7, -3600 * 10**9 + PERIOD_NS, 101 * MS) == 0
-    assert lateness.of(8, 0, 151 * MS) == 0
-    assert lateness.of(8, PERIOD_NS, 201 * MS + ANOTHER_CLOCK_NS // 2) == ANOTHER_CLOCK_NS // 2
+    estimator = DelayEstimator()
+    estimator.excess_ns(7, 0, MS)
+    assert estimator.excess_ns(7, -3600 * 10**9, 51 * MS) == 0
+    assert estimator.excess_ns(7, -3600 * 10**9 + PERIOD_NS, 101 * MS) == 0
+    assert estimator.excess_ns(8, 0, 151 * MS) == 0
+    assert estimator.excess_ns(8, PERIOD_NS, 201 * MS + ANOTHER_CLOCK_NS // 2) == ANOTHER_CLOCK_NS // 2
 
 
 def test_a_slower_way_is_the_usual_one_after_a_while() -> None:
-    lateness = Lateness()
+    estimator = DelayEstimator()
     random = np.random.default_rng(1)
     for k in range(1000):
         way_ns = (10 if k < 400 else 60) * MS + int(random.integers(MS))
-        late_ns = lateness.of(7, k * PERIOD_NS, k * PERIOD_NS + way_ns)
+        late_ns = estimator.excess_ns(7, k * PERIOD_NS, k * PERIOD_NS + way_ns)
         assert late_ns <= 2 * MS or 400 <= k < 400 + 2 * WINDOW_NS / PERIOD_NS + 1
 
 

@@ -19,8 +19,8 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli as groundstation
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
+from tests.waiting import eventually
 from tests.wire.strangers import Strangers
-from tests.wire.transport.test_bus import eventually
 from wire.messages import messages, topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Order, Reply
@@ -33,7 +33,7 @@ from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
 from wire.transport.gate import door_of, nearest
 from wire.transport.network import endpoint
-from wire.transport.transport import ZenohTransport
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -72,7 +72,7 @@ def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) 
 
 
 def stopped(ring: Path, address: str) -> bool:
-    """Whether an operator from elsewhere gets a stop through."""
+    """True if a remote operator gets a stop through."""
     with Bus(ZenohTransport(endpoint(address, "operator", ring), patience_s=SOON_S)) as bus:
         return bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
 

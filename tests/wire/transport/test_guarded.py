@@ -16,16 +16,17 @@ import zenoh
 
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
-from tests.wire.transport.test_bus import eventually
+from tests.waiting import eventually
 from wire.messages import messages, topics
 from wire.messages.messages import Command, Order, Reply
 from wire.messages.topics import Role, Topic
 from wire.security.key_ring import Keys, common_name
 from wire.transport.bus import Bus
 from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.endpoint import FLOOD
+from wire.transport.endpoint import FLOOD, Endpoint
 from wire.transport.network import endpoint
-from wire.transport.transport import Endpoint, Unreached, ZenohTransport
+from wire.transport.transport import Unreached
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 
@@ -180,7 +181,7 @@ def test_a_robot_cannot_answer_for_another(guarded: Guarded) -> None:
 
 
 def no_way_in(where: Endpoint) -> str:
-    """Why a session cannot be had there."""
+    """The reason why no session can be opened there."""
     with pytest.raises(Unreached) as refused:
         ZenohTransport(where, patience_s=0.1)
     return str(refused.value)

@@ -24,9 +24,10 @@ from wire.security.key_ring import Keys
 from wire.toml_loader import ConfigError
 from wire.transport import connection_diagnostics
 from wire.transport.connection_diagnostics import trouble_reaching
-from wire.transport.endpoint import FLOOD
+from wire.transport.endpoint import FLOOD, Endpoint
 from wire.transport.network import endpoint
-from wire.transport.transport import Endpoint, Unreached, ZenohTransport
+from wire.transport.transport import Unreached
+from wire.transport.zenoh_transport import ZenohTransport
 
 pytestmark = pytest.mark.real_time
 

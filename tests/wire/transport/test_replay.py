@@ -14,13 +14,15 @@ from pathlib import Path
 import pytest
 
 from sim_bridge.sil.ports import free_port
-from tests.wire.transport.test_bus import eventually
+from tests.waiting import eventually
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState, StationHeartbeat
 from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
-from wire.transport.transport import Await, Endpoint, ZenohTransport
+from wire.transport.endpoint import Endpoint
+from wire.transport.transport import Await
+from wire.transport.zenoh_transport import ZenohTransport
 
 POOL = load_experiment("pool")
 HOUR_S = 3600.0

@@ -1,0 +1,12 @@
+"""Numeric flights, flown in the process of the test."""
+
+from functools import cache
+
+from benchmarks import flights
+from benchmarks.flights import Flight
+from wire.config.experiment import load_experiment
+
+
+@cache
+def flown(name: str, *settings: str) -> Flight:
+    return flights.flown(load_experiment(name, settings))

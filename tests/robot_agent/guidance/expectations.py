@@ -1,0 +1,15 @@
+"""Plans of neighbours, and the limits by which they are judged."""
+
+import numpy as np
+
+from wire.config.controller import MpcConfig, Safety
+from wire.frames import Array
+
+PERIOD_S, NS = 0.05, 1_000_000_000
+CONFIG, SAFETY = MpcConfig(), Safety()
+STEPS = CONFIG.horizon + 1
+
+
+def expecting(x: float, y: float = 0.0, z: float = 0.0) -> Array:
+    """What a robot that stays expects of itself."""
+    return np.repeat(np.array(((x, y), (z, 0.0)))[:, None], STEPS, axis=1)
