@@ -60,7 +60,7 @@ class Rerun:
                 yield from self._begin(message, header)
                 yield from self._step(message, header.stamp_ns)
             elif isinstance(message, RobotState):
-                self.agent.acted(message, header.stamp_ns)
+                self.agent.note_sent(message, header.stamp_ns)
             else:
                 kept = self._kept.setdefault((topic, robot), deque(maxlen=KEPT))
                 kept.append(_Kept(header.session, header.sequence, message))
@@ -102,7 +102,7 @@ class Rerun:
         named_ours = record.reply is None or "is for experiment" not in record.reply.reason
         command = replace(record.command, experiment_hash=self._experiment.hash) if named_ours else record.command
         header = Header(record.order_session, record.order_sequence, record.order_stamp_ns)
-        self.agent.order(header, command, station_view(record, now_ns), now_ns)
+        self.agent.handle_command(header, command, station_view(record, now_ns), now_ns)
 
     def _named(self, topic: Topic, robot: int | None, session: int, sequence: int) -> Any:
         for kept in reversed(self._kept.get((topic, robot), ())):

@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Heard, Inputs, Seen, Watched
+from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from wire.mavlink.agent_link import Telemetry
 from wire.messages.codec import Header
 from wire.messages.messages import (
@@ -73,12 +72,12 @@ def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacle
     known."""
     instants = zip(record.plan_robots, record.plan_instants_ns, strict=True)
     return Inputs(
-        pose=Seen(record.pose, record.pose_instant_ns) if record.pose is not None else None,
+        pose=StampedPose(record.pose, record.pose_instant_ns) if record.pose is not None else None,
         telemetry=_telemetry(record.board) if record.board is not None else Telemetry(),
         station=station_view(record, now_ns),
         emergency_stop=record.heartbeat is not None and record.heartbeat.emergency_stop,
-        plans={robot: Heard(plans[robot], instant_ns) for robot, instant_ns in instants if robot in plans},
-        watched=Watched(obstacles, record.obstacles_instant_ns) if obstacles is not None else None,
+        plans={robot: StampedPlan(plans[robot], instant_ns) for robot, instant_ns in instants if robot in plans},
+        obstacles=StampedObstacles(obstacles, record.obstacles_instant_ns) if obstacles is not None else None,
         late_steps=record.late_steps,
     )
 

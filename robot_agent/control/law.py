@@ -25,7 +25,7 @@ class Law(Protocol):
     def reset(self) -> None:
         """Forget the last plan."""
 
-    def expected(self, state: State) -> Array:
+    def predicted_path(self, state: State) -> Array:
         """What the coming plan is expected to be: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
 
     def plan(

@@ -177,7 +177,7 @@ class Prediction:
         velocity[-1] -= turn
         _integrate(velocity, 0.5 * self._dt, complex(state[0], state[1]), self.position)
 
-    def follow(self, surge_yaw: Array, heave: Array) -> None:
+    def set_nominal(self, surge_yaw: Array, heave: Array) -> None:
         """Make the response to block changes `surge_yaw` (2 blocks) and `heave` (blocks) the nominal trajectory."""
         n, planar, turning = self._n, self._planar, self._changes
         planar[:-1] = surge_yaw

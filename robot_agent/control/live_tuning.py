@@ -6,13 +6,13 @@ within one. Pure: time is an argument.
 
 from dataclasses import dataclass
 
-from robot_agent.control.controller import Controller, Tuned
+from robot_agent.control.controller import Controller, GainSet
 from wire.config.controller import Controller as Config
 from wire.messages.live_gains import of_message, tuning
 from wire.messages.messages import Command, Order
 from wire.toml_loader import ConfigError
 
-Prepared = Tuned | str  # a set that can be flown, or why it cannot be
+Prepared = GainSet | str  # a set that can be flown, or why it cannot be
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,18 +20,18 @@ class Adoption:
     """Which set, and from when on: both must have come, the instant on our clock and the place along the trajectory."""
 
     id: str
-    tuned: Tuned
+    tuned: GainSet
     at_ns: int
     trajectory_s: float
 
 
-class Gains:
+class LiveTuning:
     """What the controller flies with, and what it may fly with next."""
 
     def __init__(self, controller: Controller, config: Config) -> None:
         self.id = tuning(config).id
         self._controller, self._config = controller, config
-        self._ready: tuple[str, Tuned] | None = None
+        self._ready: tuple[str, GainSet] | None = None
         self._adoption: Adoption | None = None
 
     def prepare(self, command: Command) -> Prepared:
@@ -42,7 +42,7 @@ class Gains:
         if command.tuning is None:
             return "carries no gains"
         try:
-            return self._controller.make_ready(of_message(self._config, command.tuning))
+            return self._controller.prepare_gains(of_message(self._config, command.tuning))
         except ConfigError as error:
             return str(error)
 
@@ -56,9 +56,9 @@ class Gains:
                 return f"tuning {command.tuning_id} is not ready (flown: {self.id}, ready: {ready})"
         return ""
 
-    def follow(self, command: Command, prepared: Prepared, given_ns: int) -> None:
+    def apply(self, command: Command, prepared: Prepared, given_ns: int) -> None:
         """Carry out an order without objection, given at that instant on our clock."""
-        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, Tuned):
+        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, GainSet):
             self._ready = command.tuning.id, prepared
         elif command.order is Order.ADOPT and command.tuning_id == self.id:
             self._adoption = None
@@ -75,5 +75,5 @@ class Gains:
         """Before each control step: change over if it is time."""
         wanted = self._adoption
         if wanted is not None and now_ns >= wanted.at_ns and reached_s >= wanted.trajectory_s:
-            self._controller.adopt(wanted.tuned)
+            self._controller.adopt_gains(wanted.tuned)
             self.id, self._ready, self._adoption = wanted.id, None, None

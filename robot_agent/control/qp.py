@@ -57,7 +57,7 @@ class Solver(Protocol):
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """Solve for p (n, n) symmetric, q (n,), a (m, n), bounds (m,); 1e30 and beyond is no bound. `a` None: as it was."""
 
-    def start_from(self, x: Array) -> None:
+    def warm_start(self, x: Array) -> None:
         """Begin the next solve at x (n,) instead of at the last solution."""
 
 
@@ -104,7 +104,7 @@ class OsqpSolver:
             return Solution(np.zeros(len(q)), False, info.iter)
         return Solution(x * self._scale, True, info.iter)
 
-    def start_from(self, x: Array) -> None:
+    def warm_start(self, x: Array) -> None:
         """See `Solver`. The multipliers start at zero."""
         self._solver.warm_start(x / self._scale, np.zeros(len(self._low)))
 
@@ -120,7 +120,7 @@ class OsqpSolver:
 
 
 class DaqpSolver:
-    """DAQP: dual active set, exact, with a short tail. For small problems. It has no memory: `start_from` does nothing.
+    """DAQP: dual active set, exact, with a short tail. For small problems. It has no memory: `warm_start` does nothing.
 
     The first `bounds` rows of A must be those of the identity: they are handled at next to no cost.
     """
@@ -153,7 +153,7 @@ class DaqpSolver:
             return Solution(np.zeros(len(q)), False, info["iterations"])
         return Solution(x * self._scale, True, info["iterations"])
 
-    def start_from(self, x: Array) -> None:
+    def warm_start(self, x: Array) -> None:
         """See `Solver`."""
 
 

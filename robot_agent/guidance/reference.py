@@ -29,7 +29,7 @@ Goal = Follow | Hold
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
+class Reference:
     """The goal at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
 
     eta: Array  # (horizon + 2, 4)
@@ -37,7 +37,7 @@ class Path:
     acceleration: Array  # (horizon + 2, 4)
 
 
-class Sampler:
+class ReferenceSampler:
     """Samples goals at now and at `offsets_s` (nodes) later."""
 
     def __init__(self, offsets_s: Array) -> None:
@@ -45,16 +45,16 @@ class Sampler:
         self._known: Trajectory | None = None
         self._table = np.zeros((0, 12))
 
-    def path(self, goal: Goal) -> Path:
+    def sample(self, goal: Goal) -> Reference:
         """The goal over the horizon."""
         if isinstance(goal, Hold):
             count = len(self._offsets_s)
-            return Path(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
+            return Reference(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
         rows = self._sample(goal.trajectory, goal.time_s + goal.rate * self._offsets_s)
         if goal.rate != 1.0:  # the same way at another pace (chain rule); how the pace will change is not known
             rows[:, 4:8] *= goal.rate
             rows[:, 8:] *= goal.rate**2
-        return Path(rows[:, :4], rows[:, 4:8], rows[:, 8:])
+        return Reference(rows[:, :4], rows[:, 4:8], rows[:, 8:])
 
     def _sample(self, trajectory: Trajectory, time_s: Array) -> Array:
         """Linear interpolation; before the start and after the end the first and last pose, at rest."""
@@ -87,7 +87,7 @@ SEAM_M, SEAM_MPS, SEAM_MPS2 = 1e-6, 1e-6, 1e-6  # and radians: the station conti
 ON_GRID = 1e-6  # of a period
 
 
-def spliced(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
+def splice(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
     """The old trajectory from `from_s` on, and the new one from its beginning on; under the new one's id."""
     seam = _row(old, new.begin_s)
     first = min(max(int(_row(old, from_s)), 0), round(seam))
@@ -102,7 +102,7 @@ def spliced(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
     )
 
 
-def seam_trouble(old: Trajectory, new: Trajectory) -> str:
+def splice_objection(old: Trajectory, new: Trajectory) -> str:
     """Why one cannot go over from `old` to `new` where that begins; empty if one can, with nothing that jumps."""
     row = _row(old, new.begin_s)
     if abs(new.period_s - old.period_s) > 1e-9 or abs(row - round(row)) > ON_GRID:

@@ -8,9 +8,9 @@ nobody's reference, and one that says something else altogether moves it no fast
 
 import numpy as np
 
-from robot_agent.command_check import StationView
-from robot_agent.guidance.reference import Follow, pose_at, seam_trouble, spliced
+from robot_agent.guidance.reference import Follow, pose_at, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
+from robot_agent.inputs import StationView
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Command, Order, Trajectory
@@ -20,7 +20,7 @@ FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with w
 BEGINS = frozenset({Order.START, Order.RESUME})
 
 
-class Course:
+class TrajectoryClock:
     """One robot's, from LOAD to LOAD."""
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
@@ -63,7 +63,7 @@ class Course:
             return "no trajectory is flown"
         if new.begin_s <= self.reached_s:
             return f"too late: it begins at {new.begin_s:.2f} s, {self.reached_s:.2f} s have gone by"
-        return seam_trouble(self.trajectory, new)
+        return splice_objection(self.trajectory, new)
 
     def _unstartable(self, command: Command, station: StationView, begins_ns: int, now_ns: int, eta: Array | None) -> str:
         if self.trajectory is None:
@@ -86,14 +86,14 @@ class Course:
             )
         return ""
 
-    def follow(self, command: Command, under_way: bool, station: StationView, begins_ns: int) -> None:
+    def apply(self, command: Command, under_way: bool, station: StationView, begins_ns: int) -> None:
         """Carry out an order without objection; START and RESUME count from `begins_ns` on our clock."""
         if command.order is Order.LOAD and under_way:
             self._next = command.trajectory
         elif command.order is Order.LOAD and command.trajectory is not None:
             self._take(command.trajectory)
         if command.order is Order.SWITCH and self.trajectory is not None and self._next is not None:
-            self.trajectory, self._next = spliced(self.trajectory, self._next, self.reached_s), None
+            self.trajectory, self._next = splice(self.trajectory, self._next, self.reached_s), None
         if command.order in BEGINS:
             self._earliest_s, self._started_by = command.trajectory_s, station.session
             self._time_zero_ns = begins_ns - round(self._earliest_s * 1e9)

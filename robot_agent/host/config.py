@@ -50,7 +50,7 @@ lock_memory = true
 """
 
 
-class Realtime(Section):
+class RealtimeConfig(Section):
     """What is asked of the operating system."""
 
     priority: Annotated[int, Field(ge=0, le=99)] = 0
@@ -58,7 +58,7 @@ class Realtime(Section):
     lock_memory: bool = False
 
 
-class Board(Section):
+class AgentConfig(Section):
     """The whole file."""
 
     robot: Annotated[int, Field(ge=1, le=999)]
@@ -71,7 +71,7 @@ class Board(Section):
     keys: str | None = None
     insecure: bool = False
     settings: tuple[str, ...] = ()
-    realtime: Realtime = Realtime()
+    realtime: RealtimeConfig = RealtimeConfig()
 
     @model_validator(mode="after")
     def _keys_or_not(self) -> Self:
@@ -80,42 +80,42 @@ class Board(Section):
         return self
 
 
-def load_board(path: Path) -> Board:
+def load_agent_config(path: Path) -> AgentConfig:
     """The checked file, its paths made absolute. Raises ConfigError."""
-    board = check(Board, read_toml(path), str(path))
+    config = check(AgentConfig, read_toml(path), str(path))
     beside = path.resolve().parent
     changes = {}
-    if board.keys is not None:
-        changes["keys"] = str(beside / board.keys)
-    if board.link_key is not None:
-        changes["link_key"] = str(beside / board.link_key)
-    if board.experiment.endswith(".toml"):
-        changes["experiment"] = str(beside / board.experiment)
-    return board.model_copy(update=changes)
+    if config.keys is not None:
+        changes["keys"] = str(beside / config.keys)
+    if config.link_key is not None:
+        changes["link_key"] = str(beside / config.link_key)
+    if config.experiment.endswith(".toml"):
+        changes["experiment"] = str(beside / config.experiment)
+    return config.model_copy(update=changes)
 
 
-def choose(given: Mapping[str, Any], config: Path | None) -> Board:
+def merge_config(given: Mapping[str, Any], config: Path | None) -> AgentConfig:
     """The board of a command line: what is `given` (not None) goes before the file, the file before the defaults."""
     table: dict[str, Any] = {"station": DEFAULT_STATION}
     if config is not None:
-        table |= load_board(config).model_dump()
+        table |= load_agent_config(config).model_dump()
     table |= {key: value for key, value in given.items() if value is not None}
     for key, how in (("experiment", "name it"), ("robot", "--robot N")):
         if key not in table:
             raise ConfigError(f"which {key}? {how}, or --config FILE (`robot-agent init` writes one)")
-    return check(Board, table, "command line" if config is None else f"command line and {config}")
+    return check(AgentConfig, table, "command line" if config is None else f"command line and {config}")
 
 
-def open_board(board: Board) -> tuple[Link, Signing | None]:
+def open_board_link(config: AgentConfig) -> tuple[Link, Signing | None]:
     """The link to the thruster board, and what it is signed with. Raises ConfigError."""
-    signing = Signing.of(Path(board.link_key), "agent") if board.link_key is not None else None
-    return open_link(board.link, secured=signing is not None or board.link_insecure), signing
+    signing = Signing.of(Path(config.link_key), "agent") if config.link_key is not None else None
+    return open_link(config.link, secured=signing is not None or config.link_insecure), signing
 
 
-def template(name: str, board: Board) -> str:
+def template(name: str, config: AgentConfig) -> str:
     """The commented file of a board, as `init` writes it."""
-    given = board.model_dump(include={"experiment", "station", "fleet", "link", "link_key", "keys"}, exclude_none=True)
+    given = config.model_dump(include={"experiment", "station", "fleet", "link", "link_key", "keys"}, exclude_none=True)
     written = {key: tomli_w.dumps({key: value}).rstrip() for key, value in given.items()}
     left_out = {"link_key": '# link_key = "link.key"', "keys": '# keys = "keys"'}
-    insecure = "insecure = true" if board.insecure else "# insecure = true"
-    return TEMPLATE.format(name=name, robot=board.robot, insecure=insecure, **{**left_out, **written})
+    insecure = "insecure = true" if config.insecure else "# insecure = true"
+    return TEMPLATE.format(name=name, robot=config.robot, insecure=insecure, **{**left_out, **written})

@@ -28,7 +28,7 @@ Name = Annotated[str, typer.Argument(metavar="NAME", help="The parameter's name,
 cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They change only while it is disarmed.")
 
 
-class Talk:
+class ParameterSession:
     """A board, and whoever asks it."""
 
     def __init__(self, link: Link, client: ParameterClient) -> None:
@@ -50,12 +50,12 @@ class Talk:
 
 
 @contextmanager
-def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[Talk]:
+def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[ParameterSession]:
     signing = Signing.of(key, "params", LINK_ID) if key is not None else None
     client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
     wires = open_link(link, secured=signing is not None or insecure)
     try:
-        talk = Talk(wires, client)
+        talk = ParameterSession(wires, client)
         if not talk.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
             raise ConfigError(f"--link {link}: {client.silence(wires.trouble)}")
         yield talk

@@ -13,18 +13,18 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from robot_agent.host.config import Realtime
+from robot_agent.host.config import RealtimeConfig
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _MCL_ONFAULT = 4  # what is used, once it is used: threads' stacks and pools that nobody fills would take another 250 MB
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 
-def apply(wanted: Realtime) -> list[str]:
+def apply(wanted: RealtimeConfig) -> list[str]:
     """Do what is wanted. Returns what could not be done, and why."""
     refused = []
     if sys.platform != "linux":
-        return ["real-time options need Linux"] if wanted != Realtime() else []
+        return ["real-time options need Linux"] if wanted != RealtimeConfig() else []
     if wanted.cores:
         try:
             _pin(wanted.cores)

@@ -17,7 +17,7 @@ from pathlib import Path
 TIMES_A_WATCH = 4  # per watchdog period: one may be late and one lost
 
 
-class Watchdog:
+class ServiceNotifier:
     """The service manager's ear; nobody's, where there is none."""
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:

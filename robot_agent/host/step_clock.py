@@ -18,7 +18,7 @@ MOST_LATE_S = 0.5  # of steps that count as late: what made a loop slow while th
 BUDGET = 0.5  # of a period: pulses that leave later than this after their step was due are late
 
 
-class Pace:
+class StepClock:
     """Of one control loop."""
 
     def __init__(self, period_s: float, now_s: float) -> None:

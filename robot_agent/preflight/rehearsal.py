@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_agent.agent import Agent
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Heard, Inputs, Seen
+from robot_agent.inputs import Inputs, StampedPlan, StampedPose, StationView
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.mavlink.agent_link import Telemetry
@@ -24,7 +23,7 @@ STATION = 1  # session
 ARM_AFTER = 20  # steps, 1 s: until the estimate stands
 
 
-class Grounded(Exception):
+class RehearsalFailed(Exception):
     """The robot does not fly in this rehearsal; says why."""
 
 
@@ -48,7 +47,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
             board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=DEPTH_M, armed=k >= ARM_AFTER, battery_v=full_v
         )
         others = ((i, other) for i, other in enumerate(experiment.robot_ids) if other != robot)
-        plans = {other: Heard(_plan(experiment, i - me, flown), now_ns) for i, other in others}
+        plans = {other: StampedPlan(_plan(experiment, i - me, flown), now_ns) for i, other in others}
         if k == ARM_AFTER:
             given_ns = now_ns - period_ns  # as the last step ends: what that went by is still fresh
             for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
@@ -60,10 +59,12 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
                     trajectory=trajectory if order is Order.LOAD else None,
                     start_ns=given_ns + period_ns,
                 )
-                reply = agent.order(Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns)
+                reply = agent.handle_command(
+                    Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns
+                )
                 if not reply.accepted:
-                    raise Grounded(f"{order.name} is refused: {reply.reason}")
-        yield agent, Inputs(Seen(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
+                    raise RehearsalFailed(f"{order.name} is refused: {reply.reason}")
+        yield agent, Inputs(StampedPose(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
         k += 1
 
 

@@ -1,14 +1,13 @@
 """How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
 
-from robot_agent.command_check import StationView
 from robot_agent.control.controller import ControlOutput
-from robot_agent.inputs import Inputs
+from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, Health
-from robot_agent.safety.output_check import EchoCheck
-from robot_agent.safety.path_deviation import PathWatch
-from robot_agent.safety.thruster_fault_detection import ThrusterWatch
+from robot_agent.safety.output_check import OutputCheck
+from robot_agent.safety.path_deviation import PathDeviationMonitor
+from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.allocation import Allocator
-from robot_agent.vehicle.battery import Gauge
+from robot_agent.vehicle.battery import BatteryMonitor
 from wire.config.experiment import Experiment
 from wire.messages.messages import Mode, Track
 
@@ -18,16 +17,16 @@ NEVER_S = float("inf")
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 
 
-class Vitals:
+class HealthMonitor:
     """What is remembered of one robot's senses from step to step."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._safety, self._markers = experiment.safety, experiment.localizer.markers
         self._period_s = experiment.controller.period_s
-        self._battery = Gauge(experiment.vehicle.battery)
-        self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
-        self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
-        self._depth, self._pool = PathWatch(experiment.safety.off_depth_m), experiment.pool
+        self._battery = BatteryMonitor(experiment.vehicle.battery)
+        self._outputs, self._thrusters = OutputCheck(), ThrusterFaultDetector(experiment.vehicle)
+        self._allocator, self._path = Allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
+        self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
@@ -39,7 +38,7 @@ class Vitals:
         self._asked_ns: int | None = None  # when the board was last told so
         self._estimated = self._estimate_ended = False
 
-    def note(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
+    def note_inputs(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
         """Take in what a step has to go by, in the mode that the robot has been in until now. While thrusters are tested the
         test judges what the board puts out."""
         seen, telemetry = inputs.pose, inputs.telemetry
@@ -51,21 +50,21 @@ class Vitals:
             self._path.reset()
             self._depth.reset()
         self._mode = mode
-        self._battery.note(telemetry, now_ns)
+        self._battery.note_telemetry(telemetry, now_ns)
         if not testing:
-            self._echo.note(telemetry, now_ns)
+            self._outputs.note_telemetry(telemetry, now_ns)
         if mode not in POWERED:
             self._thrusters.reset()
             self._estimate_ended = False
         elif telemetry.board_ms >= 0:
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
-    def told(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
+    def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
         """These pulses went out: what board and gyroscope will be held against."""
-        self._echo.told(pulse_us, now_ns)
-        self._thrusters.told(self._allocator.turning(pulse_us), now_ns)
+        self._outputs.note_pulses(pulse_us, now_ns)
+        self._thrusters.note_moments(self._allocator.leg_moments(pulse_us), now_ns)
 
-    def flew(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
+    def note_output(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
         """What a control step found out about how the robot moves, in the mode that it is in now."""
         self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
         self._estimated = output.estimated
@@ -96,7 +95,7 @@ class Vitals:
             emergency_stop=inputs.emergency_stop,
             solver_failed=solver_failed,
             late_s=round(inputs.late_steps * self._period_s, 9),
-            echo_wrong_s=self._echo.wrong_s,
+            echo_wrong_s=self._outputs.wrong_s,
             thrusters_broken=self._thrusters.broken,
             off_path=self._path.left,
             estimate_ended=self._estimate_ended,
@@ -107,7 +106,7 @@ class Vitals:
             place_age_s=self._output.pose_age_s if self._output is not None and self._output.estimated else 0.0,
         )
 
-    def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
+    def arming_refusal(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
         """Why not to arm now; empty if nothing is against it."""
         health, limit_s = self.health(inputs, False, now_ns), self._safety.pose_hold_s
         if inputs.emergency_stop:
@@ -128,9 +127,9 @@ class Vitals:
             return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"
         if health.depth_age_s > self._safety.pose_neutral_s:
             return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
-        return self._battery.unfit(now_ns)
+        return self._battery.arming_refusal(now_ns)
 
-    def arming(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
+    def arming_command(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
         """What to tell a board that says that it is armed, or not; None: nothing, or not again so soon. To be called once at
         each step. When the power has just been taken away, or the program has just begun, each step disarms."""
         wanted = mode in LIVE

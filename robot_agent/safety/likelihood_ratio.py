@@ -30,7 +30,7 @@ SUSPECTED = 3.0  # evidence: what is felt meanwhile is no habit
 LEAST = 1e-12  # of what could have been missing: nothing
 
 
-class Habit:
+class LikelihoodRatioTest:
     """One number y that goes with others, x (k,)."""
 
     def __init__(
@@ -45,7 +45,7 @@ class Habit:
         self._young: deque[tuple[int, float, float, Array]] = deque()  # instant, seconds, roughness, (x, y)
         self.evidence = 0.0  # that a part is missing now
 
-    def note(self, x: Array, y: float, rough: float, elapsed_s: float, at_ns: int) -> None:
+    def note_sample(self, x: Array, y: float, rough: float, elapsed_s: float, at_ns: int) -> None:
         """y came with x at an instant, `elapsed_s` after the last; it may be off by `rough` more than by the noise."""
         self._young.append((at_ns, elapsed_s, rough, np.append(x, y)))
         while self._young[0][0] <= at_ns - SPANS_S[-1] * NS:

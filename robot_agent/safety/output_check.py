@@ -23,7 +23,7 @@ KEPT = 256  # commands: more than that of the fastest loop
 Pulses = tuple[int, ...]
 
 
-class EchoCheck:
+class OutputCheck:
     """What one board was told, beside what it says."""
 
     def __init__(self) -> None:
@@ -32,13 +32,13 @@ class EchoCheck:
         self._wrong: deque[tuple[int, int]] = deque()  # instant, ns that it speaks for
         self._judged_ns = 0
 
-    def told(self, pulse_us: Sequence[int], now_ns: int) -> None:
+    def note_pulses(self, pulse_us: Sequence[int], now_ns: int) -> None:
         """These pulses went out. Of two at one instant the last counts."""
         if self._told and self._told[-1][0] == now_ns:
             self._told.pop()
         self._told.append((now_ns, tuple(pulse_us)))
 
-    def note(self, telemetry: Telemetry, now_ns: int) -> None:
+    def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
         """Judge what the board says at a step that it puts out. To be called once at each step."""
         since_ns, self._judged_ns = now_ns - self._judged_ns, now_ns
         if not telemetry.armed or len(telemetry.echo_us) != CHANNELS:

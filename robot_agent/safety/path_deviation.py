@@ -12,7 +12,7 @@ AT_ONCE_MPS = 0.05  # a leap of the path's velocity from one step to the next; a
 LASTS_S = 0.5
 
 
-class PathWatch:
+class PathDeviationMonitor:
     """One robot's."""
 
     def __init__(self, limit_m: float) -> None:

@@ -21,7 +21,7 @@ from collections import deque
 
 import numpy as np
 
-from robot_agent.safety.likelihood_ratio import Habit
+from robot_agent.safety.likelihood_ratio import LikelihoodRatioTest
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 
@@ -45,7 +45,7 @@ PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
 PRIOR[:LEGS, :LEGS] += OF_ALL**2
 
 
-class ThrusterWatch:
+class ThrusterFaultDetector:
     """One robot's thrusters, watched step by step."""
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -62,14 +62,14 @@ class ThrusterWatch:
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
         self._forget_causes()
-        self._habit = Habit(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
+        self._test = LikelihoodRatioTest(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
 
     def _forget_causes(self) -> None:
         """What turned the robot, smoothed as the residual is since the observer began: legs, drag, what is always there."""
         self._legs, self._drag, self._always = np.zeros(LEGS), 0.0, 0.0
         self._unnoted_s = 0.0
 
-    def told(self, moments_nm: Array, now_ns: int) -> None:
+    def note_moments(self, moments_nm: Array, now_ns: int) -> None:
         """Pulses went out with which the legs (4,) turn the robot so. Of two at one instant the last counts."""
         acts_ns = now_ns + self._dead_ns
         if self._told and self._told[-1][0] == acts_ns:
@@ -97,9 +97,9 @@ class ThrusterWatch:
             if self._unnoted_s > NOTED_S:
                 causes = np.array([*self._legs, self._drag, rising, self._always])
                 rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
-                self._habit.note(causes, residual, rough, self._unnoted_s, at_ns)
+                self._test.note_sample(causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0
-                self.broken |= self._habit.evidence > SURE
+                self.broken |= self._test.evidence > SURE
 
     def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
         """Observe from here. What has been learned of the robot holds, if there was a gap."""

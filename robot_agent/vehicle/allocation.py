@@ -15,10 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robot_agent.vehicle.dynamics import Wrench
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
-
-Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 
 STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
@@ -68,7 +67,7 @@ class Allocator:
         """The wrench of eight pulse widths by the nominal thrust curve: what the estimator is told."""
         return self.wrench(*self._put_out(pulse_us))
 
-    def turning(self, pulse_us: tuple[int, ...]) -> Array:
+    def leg_moments(self, pulse_us: tuple[int, ...]) -> Array:
         """Each leg's part (4,) of the yaw moment of eight pulse widths, N m."""
         force, angle = self._put_out(pulse_us)
         return np.array([-leg.y_m * f * math.cos(a) for leg, f, a in zip(self._legs, force, angle, strict=True)])

@@ -16,7 +16,7 @@ NO_ARM = frozenset({3, 4, 5, 6, 7})  # MAV_BATTERY_CHARGE_STATE: critical, emerg
 EMPTY = frozenset({4, 5, 6})
 
 
-class Gauge:
+class BatteryMonitor:
     """One battery, by what its board tells of it."""
 
     def __init__(self, battery: Battery) -> None:
@@ -28,7 +28,7 @@ class Gauge:
         self._noted_ns = self._reported_ns = 0
         self._reports = -1
 
-    def note(self, telemetry: Telemetry, now_ns: int) -> None:
+    def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
         """Take in what the board has said by now. Of an old log, which counts no reports, every voltage above 0 is one."""
         elapsed_s, self._noted_ns = max(now_ns - self._noted_ns, 0) * 1e-9, now_ns
         self.charge = telemetry.charge
@@ -49,7 +49,7 @@ class Gauge:
         """Whether thrusters have to stop; not while nothing is known of it."""
         return self.charge in EMPTY or (self.voltage_v is not None and self.voltage_v < self._battery.neutral_v)
 
-    def unfit(self, now_ns: int) -> str:
+    def arming_refusal(self, now_ns: int) -> str:
         """Why not to arm with it; empty if nothing is against it."""
         if self.voltage_v is None:
             return "the battery's voltage has not been told by the thruster board yet"

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 
 from wire.config.vehicle import Vehicle
 
+Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 State = tuple[float, ...]  # 11 numbers: eta (4), nu (4), thrust that acts now [X N, Z N, N N m]
 
 

@@ -20,12 +20,11 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from robot_agent.vehicle.dynamics import Model, State
+from robot_agent.vehicle.dynamics import Model, State, Wrench
 from wire.config.controller import COAST_S
 from wire.config.controller import Estimator as EstimatorConfig
 from wire.frames import Array, wrap
 
-Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 S = TypeVar("S")
 
 NS = 1_000_000_000
@@ -42,7 +41,7 @@ INPUTS_KEPT = 256  # more than COAST_NS of the fastest loop
 
 
 @dataclass(frozen=True)
-class Sighting:
+class PoseMeasurement:
     """A pose from the localizer, in the pool frame."""
 
     stamp_ns: int  # middle of the exposure, on the robot's clock
@@ -52,10 +51,10 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Measurement:
+class StateMeasurement:
     """The newest of what was sensed. What is missing is None; a pose that was seen before may be handed in again."""
 
-    pose: Sighting | None = None
+    pose: PoseMeasurement | None = None
     depth_m: float | None = None  # of the robot's centre, from the pressure sensor
     yaw_rate_radps: float | None = None  # gyroscope
     board_ns: int | None = None  # instant of depth and yaw rate; None: now
@@ -112,7 +111,7 @@ class Estimator:
         self._disturbance = [0.0, 0.0, 0.0, 0.0]
         self._current = 0j
         self._at_ns = 0
-        self._other_poses: Contradiction[Sighting] = Contradiction(lambda a, b: not _apart(_moved(a, b)))
+        self._other_poses: Contradiction[PoseMeasurement] = Contradiction(lambda a, b: not _apart(_moved(a, b)))
         self._other_depths: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_DEPTH_M)
         self._other_rates: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_RADPS)
         self._contradicted_ns = 0  # stamp of the last pose that contradicted
@@ -123,7 +122,7 @@ class Estimator:
         """Other gains from the next pose on; what is known stays known."""
         self._config = config
 
-    def applied(self, wrench: Wrench, now_ns: int) -> None:
+    def note_wrench(self, wrench: Wrench, now_ns: int) -> None:
         """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the
         last counts."""
         acts_ns = now_ns + self._dead_ns
@@ -131,7 +130,7 @@ class Estimator:
             self._inputs.pop()
         self._inputs.append((acts_ns, wrench))
 
-    def update(self, measurement: Measurement, now_ns: int) -> Estimate | None:
+    def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
         """Take in what is new; None before the first pose and after coasting for too long."""
         self._leap = self._depth_leap = ""
         self._note_board(measurement, now_ns)
@@ -161,7 +160,7 @@ class Estimator:
             extra_u, extra_v = extra_u + over_u - through_u, extra_v + over_v - through_v
         return np.array((u, v, w, r)), np.array((extra_u, extra_v, extra_w, extra_r))
 
-    def _note_board(self, measurement: Measurement, now_ns: int) -> None:
+    def _note_board(self, measurement: StateMeasurement, now_ns: int) -> None:
         at_ns = now_ns if measurement.board_ns is None else measurement.board_ns
         if at_ns > now_ns or (self._sensed and at_ns <= self._sensed[-1][0]):
             return
@@ -218,7 +217,7 @@ class Estimator:
         self._sensed.clear()
         self._sensed.extend(kept)
 
-    def _see(self, pose: Sighting, now_ns: int) -> None:
+    def _see(self, pose: PoseMeasurement, now_ns: int) -> None:
         if self._state is None:
             if now_ns - pose.stamp_ns <= COAST_NS:
                 self._begin(pose)
@@ -238,7 +237,7 @@ class Estimator:
         elapsed_s = (pose.stamp_ns - self._at_ns) / NS
         self._state, self._at_ns = self._correct(predicted, error, pose.stamp_ns, elapsed_s), pose.stamp_ns
 
-    def _begin(self, pose: Sighting) -> None:
+    def _begin(self, pose: PoseMeasurement) -> None:
         """At rest where a pose is. Depth and what moves it are known from elsewhere: they go on."""
         if self._state is None:
             depth = self._at(1, pose.stamp_ns)
@@ -350,7 +349,7 @@ def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float
     return rest, 1.0 - beta * beta, rest * rest / step_s
 
 
-def _moved(a: Sighting, b: Sighting) -> tuple[float, float, float]:
+def _moved(a: PoseMeasurement, b: PoseMeasurement) -> tuple[float, float, float]:
     """From one pose to another: m, m, rad."""
     return b.x_m - a.x_m, b.y_m - a.y_m, wrap(b.yaw_rad - a.yaw_rad)
 

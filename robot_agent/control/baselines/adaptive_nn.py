@@ -9,7 +9,7 @@ The network starts from nothing. On an axis at a limit it does not learn what li
 
 import numpy as np
 
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
 from wire.config.baseline_controllers import AdaptiveNn as Config
 from wire.frames import Array
 
@@ -20,18 +20,18 @@ FORGET = 0.02  # e-modification: keeps weights from drifting off while s is smal
 class AdaptiveNn:
     """Its weights (3, 21), in N and N m, are what it learns."""
 
-    def __init__(self, axes: Axes, config: Config, fastest: Three) -> None:
+    def __init__(self, axes: Axes, config: Config, fastest: PerAxis) -> None:
         self._slope, self._gain, self._learning = (np.array(v) for v in (config.slope_per_s, config.gain, config.learning))
         self._fastest, self._quickest = np.array(fastest), np.array(axes.limit) / np.array(axes.mass)
         self._weights = np.zeros((3, len(SPEEDS) * len(ACCELERATIONS)))
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         surface, basis = self._look(now)
         surge, heave, yaw = (self._gain * surface + (self._weights * basis).sum(axis=1)).tolist()
         return surge, heave, yaw
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """See `FeedbackLaw`."""
         surface, basis = self._look(now)
         learning = np.where(np.array(short) * surface <= 0.0, period_s * self._learning, 0.0)[:, None]
@@ -43,7 +43,7 @@ class AdaptiveNn:
         """See `FeedbackLaw`."""
         self._weights = np.zeros_like(self._weights)
 
-    def _look(self, now: Situation) -> tuple[Array, Array]:
+    def _look(self, now: TrackingErrors) -> tuple[Array, Array]:
         """s (3,) and the basis functions (3, 21), which add up to one."""
         rate = np.array(now.speed_error)
         surface = rate + self._slope * now.error

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from robot_agent.control.baselines.tracking_errors import Situation, Three, situation
+from robot_agent.control.baselines.tracking_errors import PerAxis, TrackingErrors, tracking_errors
 from robot_agent.control.mpc import MpcPlan
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
@@ -28,10 +28,10 @@ ABSURD = 1e6  # m, rad: no reference; NaN is none either
 class FeedbackLaw(Protocol):
     """One law with its memory."""
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """What it wants, limits or not. Leaves its memory as it is."""
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """Once per control step: bring the memory up to date. `short` is wanted minus applied: not 0 on an axis at a limit."""
 
     def reset(self) -> None:
@@ -52,7 +52,7 @@ class Feedback:
         self._fresh = True
         self._law.reset()
 
-    def expected(self, state: State) -> Array:
+    def predicted_path(self, state: State) -> Array:
         """The last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
         if self._fresh:
             self._eta[0], self._eta[1] = state[:2], state[2:4]
@@ -75,7 +75,7 @@ class Feedback:
             return self._give_up(state)
         unknown = disturbance.tolist()
         goal, speed, change = (rows.tolist() for rows in _derivatives(reference, self._period_s, current))
-        now = situation(self._model, state, unknown, goal[0], speed[0], change[0])
+        now = tracking_errors(self._model, state, unknown, goal[0], speed[0], change[0])
         wanted = self._law.wrench(now)
         if not math.isfinite(sum(wanted)):
             return self._give_up(state)
@@ -86,7 +86,7 @@ class Feedback:
             x, y, *rest = self._model.advance(state, unknown, thrust, self._period_s)
             state = (x + self._period_s * current.real, y + self._period_s * current.imag, *rest)
             eta.append(state[:4])
-            there = situation(self._model, state, unknown, goal[k], speed[k], change[k])
+            there = tracking_errors(self._model, state, unknown, goal[k], speed[k], change[k])
             thrust = self._limited(self._law.wrench(there), thrust)
         self._law.learn(now, short, self._period_s)
         poses = np.array(eta)
@@ -99,7 +99,7 @@ class Feedback:
         self.reset()
         return MpcPlan(np.zeros(3), np.tile(state[:4], (self._eta.shape[1], 1)), Solve.FAILED, 0, 0.0)
 
-    def _limited(self, wanted: Three, before: Three) -> Three:
+    def _limited(self, wanted: PerAxis, before: PerAxis) -> PerAxis:
         surge, heave, yaw = (
             min(max(w, b - step, -limit), b + step, limit)
             for w, b, step, limit in zip(wanted, before, self._step_limit, self._limit, strict=True)

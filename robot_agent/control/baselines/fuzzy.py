@@ -6,7 +6,7 @@ Five triangular sets per input, products for "and", singletons weighted by how t
 
 from bisect import bisect_right
 
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
 from wire.config.baseline_controllers import Fuzzy as Config
 
 PEAKS = (-1.0, -0.4, 0.0, 0.4, 1.0)  # negative big, negative small, zero, positive small, positive big: inputs and verdicts
@@ -23,7 +23,7 @@ class Fuzzy:
         self._proportional, self._rate = config.proportional, config.integral
         self._integral = [0.0, 0.0, 0.0]
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         surge, heave, yaw = (
             limit * (gain * push + held)
@@ -33,7 +33,7 @@ class Fuzzy:
         )
         return surge, heave, yaw
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """See `FeedbackLaw`. Conditional integration, as in pid.py."""
         for axis, push in enumerate(self._verdicts(now)):
             if short[axis] * push <= 0.0:
@@ -44,7 +44,7 @@ class Fuzzy:
         """See `FeedbackLaw`."""
         self._integral = [0.0, 0.0, 0.0]
 
-    def _verdicts(self, now: Situation) -> list[float]:
+    def _verdicts(self, now: TrackingErrors) -> list[float]:
         return [
             verdict(e / big, rate / fast)
             for (big, fast), e, rate in zip(self._scales, now.error, now.speed_error, strict=True)

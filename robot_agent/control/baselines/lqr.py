@@ -9,11 +9,11 @@ behind the thrusters' lag T, x = [e, e', f], where f is the part of the thrust b
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
 from wire.config.baseline_controllers import Lqr as Config
 from wire.frames import Array
 
-NOTHING: Three = (0.0, 0.0, 0.0)
+NOTHING: PerAxis = (0.0, 0.0, 0.0)
 
 
 class Lqr:
@@ -27,7 +27,7 @@ class Lqr:
             for mass, error, velocity, limit in zip(axes.mass, config.error, config.velocity, axes.limit, strict=True)
         ]
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         known = self._axes.wrench(now, NOTHING)
         surge, heave, yaw = (
@@ -36,7 +36,7 @@ class Lqr:
         )
         return surge, heave, yaw
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """See `FeedbackLaw`."""
 
     def reset(self) -> None:

@@ -18,35 +18,35 @@ from typing import NamedTuple
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import wrap
 
-Three = tuple[float, float, float]  # surge, heave, yaw
+PerAxis = tuple[float, float, float]  # surge, heave, yaw
 
 
-class Situation(NamedTuple):
+class TrackingErrors(NamedTuple):
     """Errors are reference minus robot. Everything in m, s, N; rad and N m for yaw."""
 
-    error: Three
-    speed_error: Three  # V - u, and the same in depth and heading, where it is the error's derivative
+    error: PerAxis
+    speed_error: PerAxis  # V - u, and the same in depth and heading, where it is the error's derivative
     swing_mps: float  # r s
-    velocity: Three  # u, w, r
-    acceleration: Three  # of the velocity at which the speed error is zero: V', and the same in depth and heading
-    load: Three  # wrench at which the velocity stays as it is: drag, Coriolis force, disturbance
-    thrust: Three  # that acts now
+    velocity: PerAxis  # u, w, r
+    acceleration: PerAxis  # of the velocity at which the speed error is zero: V', and the same in depth and heading
+    load: PerAxis  # wrench at which the velocity stays as it is: drag, Coriolis force, disturbance
+    thrust: PerAxis  # that acts now
 
 
-def situation(
+def tracking_errors(
     model: Model,
     state: State,
     disturbance: Sequence[float],
     goal: Sequence[float],
     speed: Sequence[float],
     change: Sequence[float],
-) -> Situation:
+) -> TrackingErrors:
     """`goal`, `speed` and `change` (4,) are the reference's pose, velocity and acceleration; Gamma (4,) the estimator's."""
     x, y, z, yaw, u, v, w, r, *thrust = state
     c, s = math.cos(yaw), math.sin(yaw)
     away_x, away_y = goal[0] - x, goal[1] - y
     along, across = c * speed[0] + s * speed[1], c * speed[1] - s * speed[0]
-    return Situation(
+    return TrackingErrors(
         error=(c * away_x + s * away_y, goal[2] - z, wrap(goal[3] - yaw)),
         speed_error=(along - u, speed[2] - w, speed[3] - r),
         swing_mps=r * (c * away_y - s * away_x),
@@ -57,7 +57,7 @@ def situation(
     )
 
 
-def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> Three:
+def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> PerAxis:
     """The model's equations (dynamics.py) solved for the wrench, at constant velocity."""
     u, v, w, r = nu
     mass_u, _, mass_w, mass_r = model.mass
@@ -73,11 +73,11 @@ def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> Th
 class Axes:
     """Mass and limits of the three axes."""
 
-    def __init__(self, model: Model, limit: Three) -> None:
-        self.mass: Three = (model.mass[0], model.mass[2], model.mass[3])
+    def __init__(self, model: Model, limit: PerAxis) -> None:
+        self.mass: PerAxis = (model.mass[0], model.mass[2], model.mass[3])
         self.limit = limit
 
-    def wrench(self, now: Situation, feedback: Sequence[float]) -> Three:
+    def wrench(self, now: TrackingErrors, feedback: Sequence[float]) -> PerAxis:
         """Inverse dynamics: the wrench at which the speed errors fall by `feedback` (3,), m/s^2 and rad/s^2."""
         surge, heave, yaw = (
             mass * (acceleration + more) + load

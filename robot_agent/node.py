@@ -16,8 +16,8 @@ from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.control.live_tuning import Prepared
-from robot_agent.host.sd_notify import Watchdog
-from robot_agent.host.step_clock import Pace
+from robot_agent.host.sd_notify import ServiceNotifier
+from robot_agent.host.step_clock import StepClock
 from robot_agent.safety.modes import LIVE
 from robot_agent.step_record import answered, inputs_of, noted, order_noted, station_view
 from wire.config.experiment import Experiment
@@ -51,7 +51,7 @@ LEAVE_AGAIN_S = 0.01  # how often it is told meanwhile
 LEAVE_TIMES = 3  # at the least: one datagram of ten may be lost
 
 
-class Shell:
+class AgentNode:
     """Inboxes, link and clock of one robot."""
 
     def __init__(
@@ -62,13 +62,13 @@ class Shell:
         link: Link,
         lockstep: bool,
         stop: Stop,
-        watchdog: Watchdog | None = None,
+        watchdog: ServiceNotifier | None = None,
         signing: Signing | None = None,
     ) -> None:
         """With `signing` what goes to the board is signed, and so must be what it says."""
         self.agent = Agent(experiment, robot)
         self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
-        self._watchdog = watchdog or Watchdog({})
+        self._watchdog = watchdog or ServiceNotifier({})
         self._clock: Clock = LockstepClock() if lockstep else WallClock()
         self._lockstep = Lockstep(bus, stop, self._clock) if isinstance(self._clock, LockstepClock) else None
         self._signing = signing
@@ -85,7 +85,7 @@ class Shell:
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._dropped = 0  # frames of the board, for their signature
         self._trouble = ""  # that the link was last said to have
-        self._pace = Pace(experiment.controller.period_s, time.monotonic())
+        self._pace = StepClock(experiment.controller.period_s, time.monotonic())
         self._failure: BaseException | None = None  # of an order, on a network thread: the loop ends with it
         self._leaving = False
         self._steps = self._orders = 0  # of this agent, as the log counts them
@@ -210,7 +210,7 @@ class Shell:
         heartbeat = self._station()
         record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
         live = self.agent.mode in LIVE  # a thruster test runs in ARMED
-        reply = self.agent.order(header, command, station_view(record, now_ns), now_ns, prepared)
+        reply = self.agent.handle_command(header, command, station_view(record, now_ns), now_ns, prepared)
         self._orders += 1
         if live and self.agent.mode not in LIVE:
             self._awake()
@@ -247,7 +247,7 @@ class Shell:
     # --- pace: when a step is due, and up to which stamp neighbours' plans count
 
     def _wall_pace(self) -> Iterator[tuple[int, None]]:
-        pace = self._pace = Pace(self._experiment.controller.period_s, time.monotonic())
+        pace = self._pace = StepClock(self._experiment.controller.period_s, time.monotonic())
         taken: Received[Pose] | None = None
         while not self._stop.requested:
             due_s = self._await_step(pace, taken)
@@ -259,7 +259,7 @@ class Shell:
             taken = pose
             yield self._clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9), None
 
-    def _await_step(self, pace: Pace, taken: Received[Pose] | None) -> float:
+    def _await_step(self, pace: StepClock, taken: Received[Pose] | None) -> float:
         """Sleep until the next step. Returns when it was due, on the monotonic clock. `taken` is the last step's pose."""
         react_by_s = self._react_by_s()
         # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.

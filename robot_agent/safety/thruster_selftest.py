@@ -18,13 +18,13 @@ TOLERANCE_US = 5
 NS = 1_000_000_000
 
 
-class ThrusterTest:
+class ThrusterSelftest:
     """One test, from the instant at which the board is armed."""
 
     def __init__(self, vehicle: Vehicle, neutral_us: Sequence[int]) -> None:
         self.result = "running"
         self._neutral_us = tuple(neutral_us)
-        self._push_us = round(float(vehicle.thruster.pulse_us(np.array(PUSH_N))))
+        self._push_us = push_pulse_us(vehicle, PUSH_N)
         self._begin_ns: int | None = None
         self._confirmed: set[int] = set()
         self._seen: dict[int, int] = {}
@@ -42,8 +42,7 @@ class ThrusterTest:
             return self._neutral_us
         if since_s >= PUSH_S:
             return self._neutral_us
-        asked = list(self._neutral_us)
-        asked[thruster] = self._push_us
+        asked = one_pushed(self._neutral_us, thruster, self._push_us)
         if since_s >= SETTLED_S and len(echo_us) >= THRUSTERS:
             wild = self._wild(asked, echo_us)
             if wild:  # it may run at full thrust: the sooner the board is disarmed the better
@@ -52,7 +51,7 @@ class ThrusterTest:
             self._seen[thruster] = echo_us[thruster]
             if all(abs(echo_us[k] - asked[k]) <= TOLERANCE_US for k in range(THRUSTERS)):
                 self._confirmed.add(thruster)
-        return tuple(asked)
+        return asked
 
     def _wild(self, asked_us: Sequence[int], echo_us: Sequence[int]) -> str:
         """Which thrusters turn that should not, or faster than asked, or the other way; empty if none does."""
@@ -70,3 +69,13 @@ class ThrusterTest:
             if k not in self._confirmed
         ]
         return "; ".join(wrong) or "passed"
+
+
+def push_pulse_us(vehicle: Vehicle, thrust_n: float) -> int:
+    """Pulse width (us) of a thrust by the vehicle's nominal curve."""
+    return round(float(vehicle.thruster.pulse_us(np.array(thrust_n))))
+
+
+def one_pushed(neutral_us: Sequence[int], thruster: int, push_us: int) -> tuple[int, ...]:
+    """Neutral pulses with one thruster (from 0) at `push_us`."""
+    return (*neutral_us[:thruster], push_us, *neutral_us[thruster + 1 :])
