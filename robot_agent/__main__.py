@@ -1,4 +1,4 @@
-"""SHELL: `robot-agent`: what runs on a robot's board."""
+"""SHELL: `robot-agent`: the program on a robot's computer."""
 
 import sys
 from pathlib import Path

@@ -1,11 +1,11 @@
-"""READ FIRST. One robot: orders and inputs in, pulses, plan and state out. Pure: time and messages are arguments.
+"""READ FIRST. One robot: commands and inputs in, pulses, plan and state out. Pure: time and messages are arguments.
 
-The data's way through `Agent.step`:
+Data flow of `Agent.step`:
 
     pose, board, station -> health -> mode (modes.py) -> goal -> controller (controller.py) -> pulses, or neutral
                                                                                            -> plan, state
 
-Nothing here knows whether it runs in a pool or in a simulator; robot_agent/node.py has the sockets and the clock.
+The same code runs in a pool and in the simulator; sockets and clock are in robot_agent/node.py.
 """
 
 import math
@@ -45,7 +45,7 @@ BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farth
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """What leaves the robot after one control step."""
+    """Outputs of one control step."""
 
     pulse_us: tuple[int, ...]
     arm: bool | None  # tell the board to arm or disarm; None: it is as it should be
@@ -54,7 +54,7 @@ class Outputs:
 
 
 class Agent:
-    """The robot's mind between control steps: mode, trajectory, controller."""
+    """State of one robot between control steps: mode, trajectory, controller."""
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self.mode = Mode.DISARMED
@@ -84,13 +84,15 @@ class Agent:
     # --- orders
 
     def prepare(self, command: Command) -> Prepared:
-        """What an order takes that is long to make, beforehand: it may run beside a step, which an order may not."""
+        """Do the slow part of a command (building solvers for TUNE) beforehand. It may run beside a step; `handle_command` may
+        not."""
         return self._tuning.prepare(command)
 
     def handle_command(
         self, header: Header, command: Command, station: StationView, now_ns: int, prepared: Prepared | None = None
     ) -> Reply:
-        """Deal with an order. Refused ones say why. `prepared` is what `prepare` has made of it, if that was asked."""
+        """Carry out a command, or refuse it with the reason. `prepared` is the result of `prepare` for it, None if that was
+        not called."""
         reason = unacceptable(self._me.id, self._experiment.hash, header, command, station)
         if reason:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
@@ -106,6 +108,7 @@ class Agent:
         return Reply(self._me.id, not reason, reason, self.mode)
 
     def _objection(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, now_ns: int) -> str:
+        """Return the reason to refuse a command whose mode and origin are right; empty if there is none."""
         eta = self._last.eta if self._last is not None and self._last.estimated else None
         reason = self._clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta)
         if reason:
@@ -115,8 +118,8 @@ class Agent:
         return self._tuning.objection(command, prepared)
 
     def _apply(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int) -> None:
-        """Carry out an order that is accepted. It was given at one instant, and START and RESUME begin at the other, both on
-        our clock."""
+        """Carry out an accepted command, given at `given_ns`. START and RESUME take effect at `begin_ns`. Both are on our
+        clock."""
         self._tuning.apply(command, prepared, given_ns)
         self._clock.apply(command, self.mode is Mode.TRACKING, station, begin_ns)
         if command.order is Order.TEST:
@@ -140,7 +143,7 @@ class Agent:
     # --- the control step
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
-        """One control step."""
+        """Run one control step at `now_ns`."""
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         self._inputs = inputs
@@ -175,8 +178,8 @@ class Agent:
         )
 
     def _sound(self, output: ControlOutput) -> ControlOutput:
-        """What a control step came to, or neutral and FAILED in its place if there is a number in it that is none, or a pulse
-        that this vehicle has not: the last guard before the wire."""
+        """Return a control step's output, or neutral pulses and FAILED in its place if a number is not finite or a pulse is
+        outside the vehicle's range: the last guard before the wire."""
         arrays = {name: value for name, value in vars(output).items() if isinstance(value, np.ndarray)}
         lowest_us, *_, highest_us = (us for us, _ in self._experiment.vehicle.thruster.curve)
         least_us, most_us = self._experiment.vehicle.legs.ankle_us
@@ -194,7 +197,7 @@ class Agent:
         return replace(output, pulse_us=self.neutral_us, solve=Solve.FAILED, **nothing)
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
-        """The controller's; those of a thruster test while it lasts."""
+        """Return the controller's pulses, or those of a thruster self-test while it runs."""
         if self._selftest is None or self._selftest.result != "running":
             return output.pulse_us
         if self.mode is not Mode.ARMED:
@@ -203,7 +206,8 @@ class Agent:
         return self._selftest.step(telemetry.armed, telemetry.echo_us, now_ns)
 
     def note_sent(self, state: RobotState, now_ns: int) -> None:
-        """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
+        """Take note of the pulses and wrench that really went out at `now_ns` instead of those of the last step (a rerun moves
+        no robot)."""
         self._controller.note_command(state.wrench, state.wrench_delivered, now_ns)
         self._health.note_pulses(state.pulse_us, now_ns)
 
@@ -214,29 +218,29 @@ class Agent:
 
     @property
     def trajectory(self) -> Trajectory | None:
-        """What is loaded."""
+        """The loaded trajectory, None if there is none."""
         return self._clock.trajectory
 
     @property
     def react_by_ns(self) -> int | None:
-        """When the pose will be too old to go on as now: the next step must not come later."""
+        """Instant at which the pose becomes too old for the present mode; the next step must not come later."""
         return self._health.react_by_ns(self.mode)
 
     def _inside(self, pose: Pose) -> bool:
-        """Whether a pose can be one of this pool."""
+        """True if a pose lies in the pool, with the calibration's tolerance BEYOND_WALLS_M."""
         length_m, width_m, _ = self._experiment.pool.size_m
         return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
 
     def _left_the_picture(self) -> bool:
-        """Whether the robot, as far as it knows, is no longer wholly in the picture of the camera that locates it. Of a camera
-        that moves nobody here knows where it is."""
+        """True if the robot's estimate is not wholly in the picture of the camera that locates it. A moving camera's place is
+        not known here: False then."""
         experiment, last = self._experiment, self._last
         if last is None or not last.estimated or not experiment.localizer.uses_camera or experiment.landmarks:
             return False
         return float(outside_m(experiment.camera, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
 
     def _goal(self, now_ns: int) -> Goal | None:
-        """What the mode asks the controller for; None is neutral."""
+        """Return the controller's goal in the present mode; None is neutral."""
         if self.mode is Mode.TRACKING:
             return self._clock.goal(self._inputs.station, now_ns)
         if self.mode is Mode.HOLDING:
@@ -247,6 +251,7 @@ class Agent:
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
+        """Return the other robots' last plans, with their freshness and their part in the formation."""
         limit_ns, formation = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with
         return tuple(
             Neighbour(
@@ -257,7 +262,7 @@ class Agent:
         )  # fmt: skip
 
     def _obstacles(self, inputs: Inputs, now_ns: int) -> Sequence[Obstacle]:
-        """Obstacles. Those that nobody has told of for a while are kept, where they may be by now."""
+        """Return the obstacles without the robot's own hull. Those not seen lately grow with their age."""
         watched, safety = inputs.obstacles, self._experiment.safety
         if watched is None:
             return ()
@@ -270,7 +275,7 @@ class Agent:
         )
 
     def _blind(self, inputs: Inputs, now_ns: int) -> str:
-        """Why the robot does not know of obstacles though somebody should watch for them; empty if it does."""
+        """Return the reason why obstacles are not known though the experiment watches for them; empty if they are known."""
         if not self._experiment.watches_obstacles:
             return ""
         watched = inputs.obstacles
@@ -335,6 +340,7 @@ class Agent:
 
 
 def _measurement(inputs: Inputs) -> StateMeasurement:
+    """Convert inputs to the observer's measurement; what is not known is None."""
     seen, telemetry = inputs.pose, inputs.telemetry
     known = telemetry.board_ms >= 0
     return StateMeasurement(
@@ -348,12 +354,15 @@ def _measurement(inputs: Inputs) -> StateMeasurement:
 
 
 def begins_ns(header: Header, command: Command) -> int:
-    """When a START or RESUME counts, on the station's clock: the instant that it names, the same however late it comes."""
+    """Instant (station's clock) at which a START or RESUME takes effect: the one it names, however late it arrives."""
     return command.start_ns or header.stamp_ns + round(command.start_in_s * 1e9)
 
 
 def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:
-    """Why an order to that robot, which holds that experiment, is not taken; empty if it is."""
+    """Return the reason to reject a command before its content is looked at; empty if it is accepted. A command is valid from
+    the station that is heard now, while it is young, and for the experiment of this robot. The bus removes duplicates and
+    commands for an earlier process (wire/transport/command_deduplication.py). STOP and DISARM are always accepted: whoever may
+    command at all (docs/security.md) may take the power away at any time."""
     if command.robot != robot:
         return f"is for robot {command.robot}, this is robot {robot}"
     if command.order in ALWAYS_TAKEN:

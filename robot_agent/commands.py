@@ -1,4 +1,4 @@
-"""SHELL: `robot-agent init`, `unit` and `check`: a board's configuration, its service, and a look at it before the water."""
+"""SHELL: `robot-agent init`, `unit` and `check`: configuration, service and preflight of a robot's computer."""
 
 import re
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What a robot goes by at one control step: the newest of everything that it hears."""
+"""Inputs of one control step: the newest message of each kind, with its instant on our clock."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -9,7 +9,7 @@ from wire.messages.messages import Obstacles, Plan, Pose
 
 @dataclass(frozen=True, eq=False)
 class StampedPose:
-    """A pose and the instant on our clock at which it was true."""
+    """A pose and the instant of its exposure on our clock."""
 
     pose: Pose
     instant_ns: int
@@ -17,7 +17,7 @@ class StampedPose:
 
 @dataclass(frozen=True, eq=False)
 class StampedPlan:
-    """A neighbour's plan and the instant on our clock of its first node."""
+    """A neighbour's plan and the instant of its node 0 on our clock."""
 
     plan: Plan
     instant_ns: int
@@ -25,7 +25,7 @@ class StampedPlan:
 
 @dataclass(frozen=True, eq=False)
 class StampedObstacles:
-    """What the localizer sees in the pool that is no robot, and the instant on our clock at which it was so."""
+    """The localizer's obstacles and the instant of their exposure on our clock."""
 
     obstacles: Obstacles
     instant_ns: int
@@ -33,8 +33,8 @@ class StampedObstacles:
 
 @dataclass(frozen=True)
 class StationView:
-    """The station as last heard: its session, what its clock says now, how long ago it was heard, and the formation's pace as
-    it was then (wire.messages.messages.StationHeartbeat)."""
+    """The station as last heard: its session, its clock now, the age of its heartbeat, and the formation's lag and slowing in
+    that heartbeat (wire.messages.messages.StationHeartbeat)."""
 
     session: int = 0
     clock_ns: int = 0
@@ -45,7 +45,7 @@ class StationView:
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """The newest of everything at one control step."""
+    """Inputs of one control step."""
 
     pose: StampedPose | None = None
     telemetry: Telemetry = field(default_factory=Telemetry)

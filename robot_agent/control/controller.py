@@ -1,19 +1,21 @@
-"""READ FIRST (control): one control step, from what was sensed to pulse widths. Pure: time is an argument, nothing blocks.
+"""READ FIRST (control): one control step, from sensor values to pulse widths. Pure: time is an argument, nothing blocks.
 
     controller = Controller(vehicle, config, safety)
     output = controller.step(measurement, goal, neighbours, now_ns)     # once per config.period_s
 
-The data's way through `Controller.step`:
+Data flow of `Controller.step`:
 
-    measurement -> Estimator (eso.py)       state at the exposure, predicted to now and to when a new command can act
-    goal        -> Reference (reference.py) path over the horizon, heading that lets surge thrust correct lateral errors
-                -> Passing (velocity_obstacles.py)         the same path, or one that leads round somebody who is in the way
-    neighbours  -> Formation (formation.py) weighted reference, half-spaces that keep robots apart, and from obstacles
-                -> Mpc (mpc.py, dynamics.py, qp.py)    wrench over the horizon; or another law (law.py)
-                -> Allocator (allocation.py)        4 thrusters and 4 ankles, as pulse widths
+    measurement -> Estimator (eso.py)                state at the exposure, predicted to now and to when a command acts
+    goal        -> ReferenceSampler (reference.py)   reference over the horizon
+                -> GiveWay (velocity_obstacles.py)   the same reference, or one around robots and obstacles in the way
+    neighbours  -> Formation (formation.py)          weighted reference (35), half-spaces (36)
+                -> HeadingReference (heading.py)     heading in which surge thrust corrects lateral errors
+                -> Mpc (mpc.py, qp.py)               wrench over the horizon (35 to 40), or another law (law.py)
+                -> Allocator (allocation.py)         pulse widths of 4 thrusters and 4 ankles
 
-The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: it goes on estimating, puts out
-neutral pulses and forgets its plan. All instants are on one clock, the robot's monotonic one (in lockstep the simulator's).
+The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: the controller goes on
+estimating, puts out neutral pulses and forgets its plan. All instants are on one clock, the robot's monotonic one (in lockstep
+the simulator's).
 """
 
 import math
@@ -45,7 +47,7 @@ TURN = 2.0 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class ControlOutput:
-    """Everything one control step found out. Arrays are the caller's to keep: they are never written again."""
+    """Results of one control step. Its arrays belong to the caller: they are never written again."""
 
     pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless `solve` is SOLVED or SHIFTED
     wrench: Array  # (3,) asked for: surge N, heave N, yaw N m
@@ -73,7 +75,7 @@ class ControlOutput:
 
 @dataclass(frozen=True, eq=False)
 class GainSet:
-    """Other gains, and the optimisation made for them; None with a law that has none."""
+    """Other gains, with the MPC built for them; None for a law without MPC."""
 
     config: ControllerConfig
     mpc: Mpc | None
@@ -92,8 +94,8 @@ class Controller:
         room_m: tuple[float, float] | None = None,
         islands: tuple[Obstacle, ...] = (),
     ) -> None:
-        """`follows`: its one neighbour in the formation is its leader. `room_m` is the pool's length and width; None: there
-        are no walls to look out for."""
+        """`has_leader`: the one neighbour in the formation is the robot's leader. `room_m`: length and width of the pool; None
+        without walls."""
         horizon, period_s = config.mpc.horizon, config.period_s
         self._vehicle, self._config, self._urgent, self._has_leader, self._islands = (
             vehicle,
@@ -125,15 +127,15 @@ class Controller:
         return (1.0, 1.0, 1.0, 1.0) if self._has_leader else config.mpc.q_formation
 
     def prepare_gains(self, config: ControllerConfig) -> GainSet:
-        """What it takes to fly with other gains (wire/messages/live_gains.py), made beforehand: solvers are scaled by the
-        weights, and to build them takes ten times as long as a step."""
+        """Build the solvers for other gains (wire/messages/live_gains.py) beforehand: their scale depends on the weights, and
+        building takes ten times as long as a step."""
         mpc = None
         if isinstance(self._law, Mpc):
             mpc = Mpc(self._vehicle, self._model, config.mpc, config.period_s, self._formation.rows)
         return GainSet(config, mpc)
 
     def adopt_gains(self, tuned: GainSet) -> None:
-        """Fly with other gains from the next step on. Estimate, heading and plan go on from where they are."""
+        """Use other gains from the next step on. Estimate, heading and plan are kept."""
         self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
         self._estimator.tune(tuned.config.estimator)
         self._heading.tune(guidance_config(tuned.config))
@@ -150,8 +152,7 @@ class Controller:
         now_ns: int,
         obstacles: Sequence[Obstacle] = (),
     ) -> ControlOutput:
-        """One control step at `now_ns`, whose pulses are taken to go out at once. `obstacles` are obstacles. See the module's
-        docstring."""
+        """Run one control step at `now_ns`; its pulses are assumed to go out at once. See the module's docstring."""
         estimate = self._estimator.update(measurement, now_ns)
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
@@ -174,13 +175,14 @@ class Controller:
         return self._put_out(plan, estimate, reference, lead, command, is_free, now_ns)
 
     def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
-        """These went out at `now_ns`, (3,) each, in the place of what the step of that instant came to."""
+        """Take note of the wrench asked for and delivered, (3,) each, that really went out at `now_ns` instead of the last
+        step's."""
         surge, heave, yaw = delivered.tolist()
         self._estimator.note_wrench((surge, heave, yaw), now_ns)
         self._wrench, self._delivered = wrench, delivered
 
     def _take_up(self, goal: Goal) -> None:
-        """A goal of another kind starts with a fresh heading memory."""
+        """Clear the heading memory at a goal of another kind."""
         before, self._goal = self._goal, goal
         if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
             self._heading.reset()
@@ -195,7 +197,7 @@ class Controller:
         estimate: Estimate,
         now_ns: int,
     ) -> Reference:
-        """The path itself, or one that leads round the others and round obstacles."""
+        """Return the reference itself, or one that avoids the other robots and the obstacles."""
         x, y, z, _ = estimate.eta.tolist()
         traffic = robot_traffic(predictions, self._formation.clearances_m(predictions, now_ns), z, self._urgent)
         for obstacle in obstacles:
@@ -206,7 +208,8 @@ class Controller:
     def _command(
         self, goal: Goal, reference: Reference, predictions: NeighbourPredictions, estimate: Estimate
     ) -> tuple[Array, Array]:
-        """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""
+        """Return the weight W (4,) and the reference with formation terms (35) and heading, (horizon + 2, 4): now and all
+        nodes."""
         if isinstance(goal, Hold):
             command = reference.eta.copy()
             command[:, 3] = self._heading.heading_on_hold(
@@ -245,6 +248,7 @@ class Controller:
         is_free: bool,
         now_ns: int,
     ) -> ControlOutput:
+        """Convert a plan to pulses and output."""
         failed = plan.solve is Solve.FAILED
         pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
         delivered = self._allocator.delivered(pulses)
@@ -266,7 +270,7 @@ class Controller:
             estimated=True,
             eta=estimate.eta,
             nu=estimate.nu,
-            disturbance=estimate.lumped,
+            disturbance=estimate.gamma_still_water,
             eta_reference=reference.eta[0].copy(),
             eta_command=command[0].copy(),
             plan_eta=told[:, :4],
@@ -283,7 +287,7 @@ class Controller:
         )
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
-        """Thrusters off, plan forgotten. The plan that is told to others: it stays where it is."""
+        """Output with thrusters off. The plan is forgotten; neighbours are told that the robot stays in place."""
         self._law.reset()
         self._heading.reset()
         self._give_way.reset()
@@ -302,7 +306,7 @@ class Controller:
             estimated=estimate is not None,
             eta=eta,
             nu=np.zeros(4) if estimate is None else estimate.nu,
-            disturbance=np.zeros(4) if estimate is None else estimate.lumped,
+            disturbance=np.zeros(4) if estimate is None else estimate.gamma_still_water,
             eta_reference=eta,
             eta_command=eta,
             plan_eta=stay,
@@ -320,7 +324,7 @@ class Controller:
 
 
 def _resampling(from_s: Array, to_s: Array) -> Array:
-    """Linear interpolation as a matrix (to, from): plans are computed from the instant of action and told from now."""
+    """Linear interpolation as a matrix (to, from): plans begin at the instant of action and are told from now on."""
     matrix = np.zeros((len(to_s), len(from_s)))
     low = np.clip(np.searchsorted(from_s, to_s, side="right") - 1, 0, len(from_s) - 2)
     share = (to_s - from_s[low]) / (from_s[low + 1] - from_s[low])

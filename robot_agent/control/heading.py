@@ -1,16 +1,16 @@
-"""Reference heading: the direction in which thrust does what the path asks for.
+"""Reference heading: the direction in which thrust produces the force that the reference needs.
 
-The robot has no side force: its heading IS the direction in which it can push, as for a quadrotor. With the sway-aware model
-the heading is that of the force which the path needs, so that nothing is left to push sideways (body y axis j):
+The robot has no side force, so its heading is the direction in which it can push, as for a quadrotor. With the sway-aware
+model the heading is that of the force F, so that no part of it is left along the body's y axis j:
 
     F = M (a_ref + kp e_position + kd e_velocity - Gamma_v j) + d_v(|V|) V        V = V_ref - current
 
-It holds the crab angle of a turn, leans into a current, ahead of time along a bend, and steers back to the path. Of Gamma only
-the side force counts: a surge disturbance is the surge thrust's business (with it, a robot with a strong thruster oscillated
-by 0.4 rad). A heading that points the other way does as well: thrust reverses.
+This holds the crab angle of a turn, leans into a current, looks ahead along a bend, and steers back to the path. Of Gamma only
+the side force counts: surge thrust compensates a surge disturbance. (With the whole of Gamma a robot with a strong thruster
+oscillated by 0.4 rad.) The opposite heading is as good: thrust reverses.
 
 The article keeps the path's tangent, and never corrects a lateral error at walking pace: 0.33 m on its own circle. Its model
-without sway goes where it points, so there the heading is that of the velocity V + (kp / kd) e_position.
+without sway moves where it points, so there the heading is that of the velocity V + (kp / kd) e_position.
 """
 
 import math
@@ -28,7 +28,7 @@ HOLD_RADPS = 0.3  # station keeping turns no faster: at 1.2 rad/s a robot kept s
 
 
 class HeadingReference:
-    """One robot's reference heading, with its memory: filtered request, direction of thrust, what is left of a jump."""
+    """One robot's reference heading, with its memory: filtered request, direction of thrust, rest of a jump."""
 
     def __init__(self, vehicle: Vehicle, config: GuidanceConfig, period_s: float, sway: bool) -> None:
         self._sway, self._period_s = sway, period_s
@@ -39,7 +39,7 @@ class HeadingReference:
         self.reset()
 
     def tune(self, config: GuidanceConfig) -> None:
-        """Other gains from now on; the memory stays."""
+        """Use other gains from now on; the memory stays."""
         self._config = config
         self._keep = math.exp(-self._period_s / config.filter_s)
         self._worth = config.turning_force_n * self._per_force
@@ -52,7 +52,7 @@ class HeadingReference:
         self._hold_yaw: float | None = None
 
     def heading_along(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
-        """Reference headings (rows,) for a path's rows: now, then all nodes. `eta`, `nu` over ground, Gamma (4,), and the
+        """Headings (rows,) for the rows of a reference: now, then all nodes. `eta`, `nu` over ground, Gamma (4,), and the
         water's velocity x + iy are estimates."""
         request = self._force(reference, eta, nu, float(disturbance[1])) if self._sway else self._velocity(reference, eta)
         # Filtered in the tangent's frame: what feeds back in a bend, model errors above all, turns with it.
@@ -62,9 +62,9 @@ class HeadingReference:
         return self._headings(reference, tangent, self._filter(request), current)
 
     def heading_on_hold(self, reference: Reference, eta: Array, nu: Array, disturbance: Array, current: complex = 0j) -> Array:
-        """Reference headings (rows,) for keeping station: the line of the force that is needed, ahead or astern, whichever is
-        nearer; as it is while the robot is near and nothing pushes it. Here all of Gamma counts: a robot in a current ends up
-        in line with it. (Turning to the point instead makes it circle the point: it drifts on for 4 s after each turn.)"""
+        """Headings (rows,) for keeping station: the line of the needed force, ahead or astern, whichever is nearer; unchanged
+        while the robot is near and no force is needed. Here all of Gamma counts: a robot in a current ends up in line with it.
+        (A heading towards the point makes the robot circle it: it drifts on for 4 s after each turn.)"""
         if self._hold_yaw is None:
             self._hold_yaw = float(eta[3])
         radius = self._config.hold_radius_m
@@ -87,7 +87,7 @@ class HeadingReference:
         return np.full(len(reference.eta), self._hold_yaw)
 
     def _headings(self, reference: Reference, tangent: Array, feedback: Vector, current: complex) -> Array:
-        """In the tangent's frame, along + i across; so is `feedback`."""
+        """Headings from the feedback, in the tangent's frame: along + i across."""
         back = np.exp(-1j * tangent)
         if self._sway:
             velocity = reference.velocity.view(np.complex128)[:, 0] - current
@@ -113,7 +113,7 @@ class HeadingReference:
         return angle
 
     def _force(self, reference: Reference, eta: Array, nu: Array, side: float) -> Vector:
-        """Feedback part of F in the pool frame, newtons; `side` is Gamma_v."""
+        """Feedback part of F in the pool frame, N; `side` is Gamma_v."""
         x, y, _, yaw = eta.tolist()
         u, v, _, _ = nu.tolist()
         goal_x, goal_y, _, _ = reference.eta[0].tolist()

@@ -1,7 +1,7 @@
-"""The other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36).
+"""Other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36).
 
-Distances are horizontal: robots pass beside one another, never above, where the camera would lose the lower one and the
-upper one would break the surface (a controller left free to use depth did both). Only a robot 2R deeper is out of the way.
+Distances are horizontal: robots pass beside one another, never above. Otherwise the camera would lose the lower one and the
+upper one would break the surface (a controller that was free to use depth did both). Only a robot 2R deeper is out of the way.
 """
 
 import math
@@ -47,15 +47,15 @@ class Neighbour:
 
 @dataclass(frozen=True)
 class Priority:
-    """What the article ranks robots by (section 3.3): urgent task, then small tracking error. Higher goes first. Its third
-    mark, who hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
+    """Priority of a robot (article, section 3.3): urgent task first, then small tracking error. The article's third criterion,
+    which robot hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
 
     urgent: bool
     tracking_error_m: float
 
     def goes_before(self, other: "Priority", age_s: float = 0.0) -> bool:
-        """True if the other, told so long ago, must yield to this one. Two robots never both are above one another, however
-        late they hear of each other: what may have changed meanwhile does not count."""
+        """True if the other, whose priority is `age_s` old, must give way to this one. It is never true for both of two
+        robots, however late they hear of each other: a difference that may have changed meanwhile does not count."""
         if self.urgent != other.urgent:
             return self.urgent
         return other.tracking_error_m - self.tracking_error_m > SAME_ERROR_M + ERROR_RATE_MPS * max(age_s, 0.0)
@@ -63,7 +63,7 @@ class Priority:
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces:
-    """normal[i] . (x, y) of node[i] >= offset[i] - give[i] slack. Nodes count from 1."""
+    """Bounds normal[i] . (x, y) of node[i] >= offset[i] - give[i] slack (36). Nodes count from 1."""
 
     node: NDArray[np.intp]  # (rows,)
     normal: NDArray[np.complex128]  # (rows,) x + iy
@@ -71,7 +71,7 @@ class HalfSpaces:
     give: Array | None = None  # (rows,); None: 1 in all
 
     def binds(self, eta: Array) -> bool:
-        """Whether a plan (horizon + 1, 4) leans against any of them."""
+        """True if a plan (horizon + 1, 4) lies against any of the bounds."""
         places = eta[self.node, 0] + 1j * eta[self.node, 1]
         return bool(((places * self.normal.conj()).real < self.offset + LEANS_M).any())
 
@@ -85,7 +85,7 @@ NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(
 
 @dataclass(frozen=True, eq=False)
 class NeighbourPredictions:
-    """The neighbours as the controller needs them."""
+    """Neighbours' plans at our instants, as the controller needs them."""
 
     weighted_deviation: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref), to be added to Q eta_ref
     weight: Array  # (4,) sum of Q_ij
@@ -98,7 +98,7 @@ class NeighbourPredictions:
 
 
 class Formation:
-    """Workspaces for one robot."""
+    """Formation terms and half-spaces of one robot, with their workspaces."""
 
     def __init__(
         self,
@@ -130,12 +130,12 @@ class Formation:
         )
 
     def set_weight(self, q: tuple[float, float, float, float]) -> None:
-        """Q_ij from now on, the same for every neighbour."""
+        """Use another Q_ij from now on, the same for every neighbour."""
         self._weight = np.array(q)
         self._weights = np.tile(self._weight, self._horizon + 1)
 
     def predict_neighbours(self, neighbours: Sequence[Neighbour], now_ns: int) -> NeighbourPredictions:
-        """Neighbours' predictions on our horizon; of all of them at once."""
+        """Sample all neighbours' plans on our horizon, together."""
         others = [usable for neighbour in neighbours if (usable := self._in_step(neighbour)) is not None]
         if not others:
             return self._no_neighbours
@@ -162,7 +162,7 @@ class Formation:
         return NeighbourPredictions(pull, weight, heard, others, place, depth, eta.take(now, axis=0), meant)
 
     def _in_step(self, neighbour: Neighbour) -> Neighbour | None:
-        """The same with its plan at steps as long as ours, which all robots of an experiment have; None if it has no plan."""
+        """Return a neighbour with its plan at our period; None without a usable plan."""
         plan, period_s = neighbour.plan, self._period_s
         if not _readable(plan):
             return None
@@ -176,14 +176,15 @@ class Formation:
         return replace(neighbour, plan=replace(plan, period_s=period_s, eta=eta, eta_reference=reference))
 
     def _steps(self, others: Sequence[Neighbour], now_ns: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-        """Of plans put one below the other: how many steps ago each began, and its first and last row; (others,)."""
+        """Of plans stacked in one array: steps since each began, its first row and its last row; (neighbours,)."""
         lengths = np.array([len(neighbour.plan.eta) for neighbour in others])
         since_ns = np.array([now_ns - neighbour.stamp_ns for neighbour in others])
         end = np.add.accumulate(lengths)
         return since_ns / (NS * self._period_s), end - lengths, end - 1
 
     def _pull(self, others: Sequence[Neighbour], deviation: Array, share: Array) -> tuple[Array, Array]:
-        """Q_ij times the deviations (others, horizon + 2, 4) between rows, of those in the formation; and as many Q_ij."""
+        """Return Q_ij times the deviations (neighbours, horizon + 2, 4), interpolated between rows and summed over the
+        formation's members, and the sum of their Q_ij."""
         member = np.array([1.0 if neighbour.fresh and neighbour.formation else 0.0 for neighbour in others])
         members = float(np.add.reduce(member))
         if not members:
@@ -195,7 +196,7 @@ class Formation:
         return pull.reshape(-1, 4), members * self._weight
 
     def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
-        """How far to stay away from it: the longer it is silent, the farther."""
+        """Distance to keep from a neighbour: it grows with the neighbour's silence."""
         keep = 2.0 * self._safety.radius_m
         if neighbour.fresh:
             return keep
@@ -203,13 +204,14 @@ class Formation:
         return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
 
     def clearances_m(self, predictions: NeighbourPredictions, now_ns: int) -> Array:
-        """The same of all, (others,)."""
+        """Distances to keep from all neighbours, (neighbours,)."""
         if predictions.fresh_count == len(predictions.neighbours):
             return np.full(predictions.fresh_count, 2.0 * self._safety.radius_m)
         return np.array([self.clearance_m(neighbour, now_ns) for neighbour in predictions.neighbours])
 
     def required_clearance_m(self, neighbour: Neighbour, own: Priority, now_ns: int) -> float | None:
-        """The same, or None if that robot yields. Only a robot that we hear and that hears us is taken to yield."""
+        """Distance to keep from a neighbour, or None if that robot gives way. Only a robot that we hear and that hears us is
+        expected to give way."""
         plan, age_s = neighbour.plan, (now_ns - neighbour.stamp_ns) / NS
         heard_both_ways = neighbour.fresh and neighbour.hears_us
         if heard_both_ways and own.goes_before(Priority(plan.urgent, plan.tracking_error_m), age_s):
@@ -219,8 +221,8 @@ class Formation:
     def half_spaces(
         self, predictions: NeighbourPredictions, own: Array, rank: Priority, now_ns: int, obstacles: Sequence[Obstacle] = ()
     ) -> HalfSpaces:
-        """Half-spaces across the lines between predicted positions, where we come close (A6): to robots and obstacles
-        in the water. `own` (2, horizon + 1, 2) is what we expect of ourselves: (x, y) and (z, yaw)."""
+        """Half-spaces across the lines between predicted positions (A6), to robots and obstacles that come close. `own` (2,
+        horizon + 1, 2) is our predicted path: (x, y) and (z, yaw)."""
         if not predictions.neighbours and not obstacles:
             return NOWHERE
         here = own[0].view(np.complex128)[self._nodes, 0]
@@ -232,8 +234,8 @@ class Formation:
         return self._across(bodies + self._walls_near(here)) if bodies else NOWHERE
 
     def _walls_near(self, here: NDArray[np.complex128]) -> list[Body]:
-        """The walls, where something else is to be kept clear of: its lines must not lead into one. Alone a robot needs none:
-        paths lie within the pool."""
+        """Walls, while something else is to be avoided: its half-spaces must not lead into a wall. A robot with nothing to
+        avoid needs none, because paths lie within the pool."""
         found: list[Body] = []
         for inwards, half_m in self._walls:
             out = -(here * inwards.conjugate()).real  # towards the wall, from the pool's middle
@@ -246,7 +248,7 @@ class Formation:
     def _robots_near(
         self, predictions: NeighbourPredictions, own: Array, here: NDArray[np.complex128], rank: Priority, now_ns: int
     ) -> list[Body]:
-        """The robots to be kept clear of."""
+        """Robots to be avoided."""
         apart = here - predictions.position
         distance = np.abs(apart)
         nearest = np.minimum.reduce(distance, axis=1).tolist()
@@ -277,12 +279,12 @@ class Formation:
 
 
 def _readable(plan: Plan) -> bool:
-    """A plan of a known length and period."""
+    """True for a plan of plausible length and period."""
     return len(plan.eta) > 0 and plan.eta.shape == plan.eta_reference.shape and SHORTEST_S <= plan.period_s < ABSURD
 
 
 def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
-    """Poses of all plans one below the other, and how far they are from their references, without whole turns (rows, 4)."""
+    """Poses of all plans in one array, and their deviations from their references without whole turns, (rows, 4) each."""
     eta = np.concatenate([neighbour.plan.eta for neighbour in others])
     with np.errstate(invalid="ignore"):  # infinities that cancel out are found afterwards
         deviation = eta - np.concatenate([neighbour.plan.eta_reference for neighbour in others])
@@ -295,5 +297,5 @@ def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
 
 
 def _plausible(eta: Array, deviation: Array) -> bool:
-    """Numbers that can be poses; false for NaN too."""
+    """True for numbers that can be poses; false for NaN."""
     return float(np.vdot(eta, eta)) < MOST_TURNED_RAD**2 and float(np.vdot(deviation, deviation)) < ABSURD**2

@@ -1,7 +1,7 @@
-"""What is in the water and is no robot, as the controller needs it: islands of the experiment, obstacles that the camera sees.
+"""Obstacles for the controller: islands of the experiment, and obstacles that the camera sees.
 
-An outline becomes round pieces along its edge, an island is one piece. So avoiding anything is avoiding points at a distance,
-as with robots. Depth does not count: the camera cannot tell it, and islands reach from the floor to the surface.
+An outline becomes points along its edge, an island is one point. So every obstacle is avoided as points at a distance, like
+robots. Depth does not count: the camera cannot measure it, and islands reach from the floor to the surface.
 """
 
 import math
@@ -37,23 +37,23 @@ class Obstacle:
     reach_m: float  # and how far from there they go
 
     def displacement(self, now_ns: int) -> complex:
-        """How far it has moved, as far as one knows."""
+        """Predicted motion since it was seen, m."""
         return self.velocity * ((now_ns - self.instant_ns) * 1e-9)
 
     def age_s(self, now_ns: int) -> float:
-        """How long ago it was seen."""
+        """Time since it was seen."""
         return (now_ns - self.instant_ns) * 1e-9
 
     def overlaps(self, place: complex, radius_m: float, now_ns: int) -> bool:
-        """Whether it is where a hull is."""
+        """True if a hull of that radius at `place` touches or is inside the obstacle."""
         apart = place - self.displacement(now_ns) - self.edge_points[None]
         return float(np.abs(apart).min()) < radius_m or bool(_inside(apart)[0])
 
 
 class OwnHullFilter:
-    """Which obstacles are not the robot itself.
+    """Filter that removes the robot's own hull from the obstacles.
 
-    Two bodies cannot be in one place: an obstacle that the camera finds where the hull is, is the hull. One that was seen
+    Two bodies cannot be in one place: an obstacle that the camera finds at the hull's place is the hull. One that was seen
     clear of the hull before is another body, and stays one when it drifts against the hull.
     """
 
@@ -62,8 +62,8 @@ class OwnHullFilter:
         self._others: frozenset[int] = frozenset()  # ids of obstacles that have been clear of the hull
 
     def exclude(self, obstacles: Sequence[Obstacle], place: complex, now_ns: int) -> tuple[Obstacle, ...]:
-        """Those of the obstacles that are other bodies than the robot at `place`. One that was seen too long ago counts where
-        it was seen."""
+        """Return the obstacles that are other bodies than the robot at `place`. An obstacle not seen lately is compared at the
+        place where it was seen."""
         found = tuple(t for t in obstacles if t.id in self._others or not self._is_hull(t, place, now_ns))
         self._others = frozenset(obstacle.id for obstacle in found)
         return found
@@ -74,8 +74,8 @@ class OwnHullFilter:
 
 
 def island_obstacles(known: Iterable[Island], hull_m: float) -> tuple[Obstacle, ...]:
-    """The experiment's islands. Everyone knows where they are and routes are planned around them: like walls, they only stop
-    a hull."""
+    """Islands of the experiment as obstacles. All processes know them and routes are planned around them: like walls, they
+    only stop a hull."""
     found = []
     for i, island in enumerate(known):
         middle = complex(*island.position_m)
@@ -84,8 +84,8 @@ def island_obstacles(known: Iterable[Island], hull_m: float) -> tuple[Obstacle, 
 
 
 def obstacles_from_message(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Obstacle, ...]:
-    """What the localizer reports of an instant on our clock, each as of when it was seen. What lies where nothing can be is
-    left out; what moves faster than anything can is there all the same, and moves as fast as it can."""
+    """Obstacles of a localizer's message of an instant on our clock, each at the time when it was seen. One at an impossible
+    place is left out; one with an impossible speed gets FASTEST_MPS."""
     found = []
     seen_s = ages_s(seen, 0.0)
     for number, outline, velocity, unseen_s in zip(seen.ids, seen.outline, seen.velocity, seen_s, strict=False):
@@ -100,14 +100,14 @@ def obstacles_from_message(seen: Obstacles, instant_ns: int, keep_m: float) -> t
 
 
 def _believed(velocity: complex) -> complex:
-    """A velocity that something can have; none for what is no number."""
+    """Velocity limited to FASTEST_MPS; zero if it is not finite."""
     if not math.isfinite(abs(velocity)):
         return 0j
     return velocity * min(1.0, FASTEST_MPS / max(abs(velocity), FASTEST_MPS))
 
 
 def grown_with_age(obstacle: Obstacle, safety: Safety, now_ns: int) -> Obstacle:
-    """Where something may be by now that has not been seen for long."""
+    """The area in which an obstacle may be by now that was not seen for long."""
     age_s = obstacle.age_s(now_ns)
     drift = drift_m(safety, np.array([obstacle.velocity.real, obstacle.velocity.imag]), age_s)
     corners = swept(np.column_stack([obstacle.edge_points.real, obstacle.edge_points.imag]), drift)
@@ -120,8 +120,8 @@ def grown_with_age(obstacle: Obstacle, safety: Safety, now_ns: int) -> Obstacle:
 def nearest_border(
     obstacle: Obstacle, places: NDArray[np.complex128], nodes_ns: Sequence[int]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Array]:
-    """Of an obstacle seen from `places` (nodes,), each at its own instant: the nearest piece's centre, the direction away from
-    the obstacle there, and how far one is out of it, negative inside. All (nodes,)."""
+    """Nearest edge point of an obstacle from `places` (nodes,), each at its own instant; the direction away from the obstacle
+    there; and the distance to it, negative inside. All (nodes,)."""
     moved = np.array([obstacle.displacement(ns) for ns in nodes_ns])
     apart = places[:, None] - moved[:, None] - obstacle.edge_points
     closest = np.abs(apart).argmin(axis=1)
@@ -133,12 +133,12 @@ def nearest_border(
 
 
 def _inside(apart: NDArray[np.complex128]) -> NDArray[np.bool_]:
-    """Whether the pieces go once round a place, seen from it at -`apart` (places, pieces)."""
+    """True for a place that the edge points enclose; `apart` (places, points) is the place minus each point."""
     return np.asarray(np.abs(np.angle(np.roll(apart, -1, axis=1) * apart.conj()).sum(axis=1)) > math.pi)
 
 
 def _along(corners: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """The corners, and points between them no more than SPACING_M apart, in order around."""
+    """Corners, and points between them no more than SPACING_M apart, in order around."""
     edges: list[Array] = []
     for begin, end in zip(corners, np.roll(corners, -1), strict=True):
         count = max(1, min(math.ceil(abs(end - begin) / SPACING_M), MOST_PIECES // len(corners)))

@@ -1,4 +1,4 @@
-"""What the robot should do next: goals, sampled over the horizon; and going over from one trajectory to another under way."""
+"""Goals, their samples over the horizon, and the splice of one trajectory onto another in flight."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from wire.messages.messages import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Follow:
-    """Fly a trajectory; `time_s` is the time along it now (before its beginning: not started, wait at its first pose), and
-    `rate` how fast that goes: 1 as planned, 0 where the formation waits for somebody."""
+    """Goal: fly a trajectory. `time_s` is the time along it now (before its beginning the robot waits at its first pose), and
+    `rate` its speed: 1 as planned, 0 while the formation waits."""
 
     trajectory: Trajectory
     time_s: float
@@ -20,7 +20,7 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """Keep station near a pose, shape (4,). Keep the same object as long as the hold lasts."""
+    """Goal: keep station near a pose, shape (4,). Keep the same object as long as the hold lasts."""
 
     eta: Array
 
@@ -30,7 +30,7 @@ Goal = Follow | Hold
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The goal at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
+    """Reference at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
 
     eta: Array  # (horizon + 2, 4)
     velocity: Array  # (horizon + 2, 4)
@@ -38,7 +38,7 @@ class Reference:
 
 
 class ReferenceSampler:
-    """Samples goals at now and at `offsets_s` (nodes) later."""
+    """Sampler of goals at now and at `offsets_s` (nodes) later."""
 
     def __init__(self, offsets_s: Array) -> None:
         self._offsets_s = np.concatenate([[0.0], offsets_s])
@@ -46,7 +46,7 @@ class ReferenceSampler:
         self._table = np.zeros((0, 12))
 
     def sample(self, goal: Goal) -> Reference:
-        """The goal over the horizon."""
+        """Sample a goal over the horizon."""
         if isinstance(goal, Hold):
             count = len(self._offsets_s)
             return Reference(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
@@ -57,7 +57,7 @@ class ReferenceSampler:
         return Reference(rows[:, :4], rows[:, 4:8], rows[:, 8:])
 
     def _sample(self, trajectory: Trajectory, time_s: Array) -> Array:
-        """Linear interpolation; before the start and after the end the first and last pose, at rest."""
+        """Interpolate linearly; before the start and after the end return the first and last pose, at rest."""
         if trajectory is not self._known:
             self._table = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
             self._known = trajectory
@@ -78,7 +78,7 @@ def interpolate(table: Array, place: Array) -> Array:
 
 
 def pose_at(trajectory: Trajectory, time_s: float) -> Array:
-    """The pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
+    """Pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
     pose: Array = interpolate(trajectory.eta, np.array([_row(trajectory, time_s)]))[0]
     return pose
 
@@ -88,7 +88,7 @@ ON_GRID = 1e-6  # of a period
 
 
 def splice(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
-    """The old trajectory from `from_s` on, and the new one from its beginning on; under the new one's id."""
+    """Join the old trajectory from `from_s` on with the new one from its beginning on, under the new one's id."""
     seam = _row(old, new.begin_s)
     first = min(max(int(_row(old, from_s)), 0), round(seam))
     kept = slice(first, round(seam))
@@ -103,7 +103,7 @@ def splice(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
 
 
 def splice_objection(old: Trajectory, new: Trajectory) -> str:
-    """Why one cannot go over from `old` to `new` where that begins; empty if one can, with nothing that jumps."""
+    """Return the reason why `new` cannot follow `old` where `new` begins; empty if it can, without a jump."""
     row = _row(old, new.begin_s)
     if abs(new.period_s - old.period_s) > 1e-9 or abs(row - round(row)) > ON_GRID:
         return "its samples are not at the instants of the trajectory that is flown"

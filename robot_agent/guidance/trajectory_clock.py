@@ -1,9 +1,9 @@
-"""The trajectory that a robot flies, where on it the robot is to be, and the one that comes next. Pure.
+"""Clock of the trajectory: the trajectory flown, the robot's time along it, and the trajectory that comes next. Pure.
 
-The timetable is the robot's own clock, counted from an instant that all share: START and RESUME name it on the station's
-clock, so a robot that takes one late is at once where it would be by then. The trajectory's clock is the timetable less the
-formation's lag, which the station tells with every heartbeat: so all slow down together. A heartbeat that comes late moves
-nobody's reference, and one that says something else altogether moves it no faster than FASTER allows.
+The timetable is the robot's own clock, counted from an instant that all robots share. START and RESUME name it on the
+station's clock, so a robot that receives one late is at once where it should be by then. The trajectory's clock is the
+timetable minus the formation's lag, which the station sends with every heartbeat: so all slow down together. A late heartbeat
+moves no reference. One with a very different lag moves the reference no faster than FASTER allows.
 """
 
 import numpy as np
@@ -21,7 +21,7 @@ BEGINS = frozenset({Order.START, Order.RESUME})
 
 
 class TrajectoryClock:
-    """One robot's, from LOAD to LOAD."""
+    """Trajectory and clock of one robot, from LOAD to LOAD."""
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self._pool, self._vehicle = experiment.pool, experiment.vehicle
@@ -38,14 +38,14 @@ class TrajectoryClock:
 
     @property
     def id(self) -> str:
-        """Of the trajectory; empty if there is none."""
+        """Id of the trajectory; empty if there is none."""
         return self.trajectory.id if self.trajectory is not None else ""
 
     def objection(
         self, command: Command, under_way: bool, station: StationView, begins_ns: int, now_ns: int, eta: Array | None
     ) -> str:
-        """Why an order about trajectories cannot be followed; empty if it can. START and RESUME count from `begins_ns` on our
-        clock; `eta` (4,) is where the robot is, None if it does not know."""
+        """Return the reason to refuse a command about trajectories; empty if there is none. START and RESUME take effect at
+        `begins_ns` on our clock; `eta` (4,) is the robot's estimate, None without one."""
         if command.order is Order.LOAD:
             return unflyable(command.trajectory, self._pool, self._vehicle) or (
                 self._unjoinable(command.trajectory) if under_way else ""
@@ -87,7 +87,7 @@ class TrajectoryClock:
         return ""
 
     def apply(self, command: Command, under_way: bool, station: StationView, begins_ns: int) -> None:
-        """Carry out an order without objection; START and RESUME count from `begins_ns` on our clock."""
+        """Carry out a command without objection. START and RESUME take effect at `begins_ns` on our clock."""
         if command.order is Order.LOAD and under_way:
             self._next = command.trajectory
         elif command.order is Order.LOAD and command.trajectory is not None:
@@ -107,11 +107,11 @@ class TrajectoryClock:
             self._planned_m = float(np.linalg.norm(np.array(put)[:3] - trajectory.eta[0, :3]))
 
     def drop_next(self) -> None:
-        """Whoever stops flying goes over to nothing."""
+        """Forget the trajectory loaded for a SWITCH: the robot no longer flies."""
         self._next = None
 
     def goal(self, station: StationView, now_ns: int) -> Follow | None:
-        """Where to be now; None if there is no trajectory."""
+        """Return the goal at `now_ns`; None without a trajectory."""
         if self.trajectory is None:
             return None
         self._fall_behind(station, now_ns)
@@ -119,8 +119,8 @@ class TrajectoryClock:
         return Follow(self.trajectory, self.reached_s, self._rate)
 
     def _fall_behind(self, station: StationView, now_ns: int) -> None:
-        """Take over the formation's lag: at once at a start, later so that the reference never goes back, nor faster than
-        FASTER allows. Of another station than the one that started us nothing counts: the lag stays as it is."""
+        """Take over the formation's lag: at once at a start; later so that the reference never goes back, nor faster than
+        FASTER allows. The lag of another station than the one that started the robot does not count."""
         passed_s, self._stepped_ns = max(now_ns - self._stepped_ns, 0) * 1e-9, now_ns
         if station.session != self._started_by:
             self._rate = 1.0
@@ -132,7 +132,7 @@ class TrajectoryClock:
 
     @staticmethod
     def _told(station: StationView) -> tuple[float, float]:
-        """The formation's lag now and its pace, 0 to 1, as far as what the station says can be true."""
+        """Return the formation's lag now and its rate, 0 to 1, limited to possible values."""
         slowing = min(max(station.slowing, 0.0), 1.0)
         since_s = station.age_s if slowing else 0.0  # infinity if no station was ever heard
         return max(station.lag_s + slowing * since_s, 0.0), 1.0 - slowing

@@ -1,17 +1,18 @@
-"""Round one another: the reference itself gives way, where it would lead a robot into another or into an obstacle.
+"""Giving way by velocity obstacles: the reference leaves the path where it would lead into a robot or an obstacle.
 
-Half-spaces (36) keep robots apart but cannot part two that want to run through one another: head on they stop 2R apart and
-push for ever, and no plan shows a way out (a robot that stands does not move sideways by turning, to first order). So what
-the robot follows is a point that is on its reference as long as that is free, and takes another velocity while it is not:
+Half-spaces (36) keep robots apart but cannot part two that want to run through one another. Head on they stop 2R apart and
+push for ever, and no plan shows a way out (to first order, a robot at rest does not move sideways by turning). So the robot
+follows a point. The point is on the reference while that is free, and takes another velocity while it is not (sampled velocity
+obstacles, Fiorini and Shiller 1998, with a side rule as in COLREG):
 
-* Free is what passes everyone by 2R + ROOM_M within LOOK_AHEAD_S, if they go on as they have told.
+* A velocity is free if it passes every robot and obstacle by 2R + ROOM_M within LOOK_AHEAD_S, if they move on as told.
 * Two robots that meet leave one another to port (they keep to starboard), unless they are already well on the other side.
-  The side is that of the relative motion, which both see alike whoever turns first. Round obstacles the shorter way counts.
-* Who is overtaken goes on as before; so does who has an urgent task, among those who have none.
-* Of the velocities that are free, the one nearest to the velocity wanted is taken, changing steadily.
+  The side is that of the relative motion, which both see alike whichever turns first. At obstacles the shorter way counts.
+* A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
+* Of the free velocities the nearest to the wanted one is taken, changing steadily.
 
 Then the point returns to the reference, at a rate that falls with the distance: no overshoot. Robots in formation have the
-same velocity, never meet, and are given back the very path they came with.
+same velocity, never meet, and get back the very reference they came with.
 """
 
 import cmath
@@ -59,7 +60,7 @@ _PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_AN
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """Everybody and everything that may be met, k in number: what one needs to know now, as complex numbers x + iy."""
+    """Robots and obstacle points to be avoided, k in number, at this instant, as complex numbers x + iy."""
 
     place: NDArray[np.complex128]  # (k,) m
     velocity: NDArray[np.complex128]  # (k,) m/s, that they mean to have
@@ -67,11 +68,11 @@ class Traffic:
     sided: NDArray[np.bool_]  # (k,) robots, that keep to starboard too
 
     def only(self, which: NDArray[np.bool_]) -> "Traffic":
-        """Some of it."""
+        """Return a selection of it."""
         return self if which.all() else Traffic(*(column[which] for column in self._columns))
 
     def joined(self, other: "Traffic") -> "Traffic":
-        """Both."""
+        """Return both together."""
         return Traffic(*(np.concatenate(both) for both in zip(self._columns, other._columns, strict=True)))
 
     @property
@@ -83,8 +84,8 @@ NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zero
 
 
 def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
-    """The other robots as their plans tell, each to be kept so far away (k,). Left out is who swims as far below or above
-    `depth_m`, and who has to keep clear of us: an urgent task goes first, if the other has none and hears us."""
+    """The other robots from their plans, each at a distance (k,). Left out are robots as far below or above `depth_m`, and, if
+    `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
     others, there = predictions.neighbours, predictions.pose_now.view(np.complex128)
     count = np.abs(there[:, 1].real - depth_m) < keep_m
     if urgent:
@@ -93,7 +94,7 @@ def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: flo
 
 
 def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:
-    """An obstacle, piece by piece; nothing if it is too far away to be met by a robot at that speed."""
+    """Edge points of an obstacle; none if it is too far away to be met by a robot at that speed."""
     moved, keep_m = obstacle.displacement(now_ns), obstacle.clearance_m + ROOM_M
     reach_m = obstacle.reach_m + keep_m + LOOK_AHEAD_S * (abs(obstacle.velocity) + speed_mps)
     if abs(obstacle.centre + moved - place) > reach_m:
@@ -105,7 +106,7 @@ def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_n
 
 
 class GiveWay:
-    """One robot's point that is followed, with its memory."""
+    """The point that one robot follows, with its memory."""
 
     def __init__(
         self,
@@ -115,7 +116,7 @@ class GiveWay:
         room_m: tuple[float, float] | None = None,
         islands: Sequence[Obstacle] = (),
     ) -> None:
-        """`times_s` (rows,) are the instants of a path's rows from now, `room_m` the pool's length and width."""
+        """`times_s` (rows,) are the instants of a reference's rows from now, `room_m` the pool's length and width."""
         self._times_s, self._period_s = times_s, period_s
         self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
         self._fastest_mps = 0.8 * vehicle.limits.speed_mps
@@ -128,14 +129,14 @@ class GiveWay:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the reference at once."""
+        """Go back to the reference at once."""
         self._point: complex | None = None  # None: on the reference
         self._velocity = 0j
         self._turn = 0.0  # of the heading, away from the reference's
         self._met = 0  # steps for which somebody has been in the way
 
     def avoidance_path(self, reference: Reference, place: complex, traffic: Traffic) -> Reference:
-        """The path to follow instead of `path` by a robot at `place`; `path` itself if there is no reason to leave it."""
+        """Return the reference to follow instead, for a robot at `place`; `reference` itself if it is free."""
         if self._point is None:
             self._met = self._met + 1 if self._conflicts(reference, place, traffic) else 0
             if self._met < self._sure_steps:
@@ -163,7 +164,7 @@ class GiveWay:
     # --- is there anybody
 
     def _conflicts(self, reference: Reference, place: complex, traffic: Traffic) -> bool:
-        """Whether the straight line of the coming second, carried on, leads too close to anybody."""
+        """True if the straight line of the coming second, extended, leads too close to any traffic."""
         if not len(traffic.place):
             return False
         rows = reference.eta[:: self._second][:2, :2].tolist()
@@ -171,14 +172,14 @@ class GiveWay:
         return abs(velocity) >= SLIGHTEST_MPS and _closes_in(place, velocity, traffic)
 
     def _towards(self, goal: complex, speed: complex, point: complex) -> complex:
-        """The velocity that leads a point back to its goal, which moves at `speed`."""
+        """Velocity that leads a point back to its goal, which moves at `speed`."""
         back = RETURN_PER_S * (goal - point)
         limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
         velocity = speed + back * min(1.0, limit / max(abs(back), limit))
         return velocity * min(1.0, self._fastest_mps / max(abs(velocity), self._fastest_mps))
 
     def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
-        """The velocity to take because somebody is in the way; None if nobody is."""
+        """Velocity that avoids the traffic in the way; None if none is."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         heeded = traffic.only(~_overtakes(place, wanted, traffic))
@@ -191,7 +192,7 @@ class GiveWay:
         return self._nearest_free(place, wanted, away, velocity, keep, meets & heeded.sided)
 
     def _ahead(self, reference: Reference) -> NDArray[np.complex128]:
-        """How far the point would move if it returned to the reference, (steps,) LOOK_STEP_S apart."""
+        """Displacements of the point on its return to the reference, (steps,) LOOK_STEP_S apart."""
         assert self._point is not None
         last, times_s = self._times_s[-1], self._times_s
         beyond = np.maximum(_STEPS_S - last, 0.0)
@@ -213,7 +214,7 @@ class GiveWay:
         keep: Array,
         sided: NDArray[np.bool_],
     ) -> complex:
-        """Of a fan of velocities the one nearest to `wanted` that passes everyone (k,) at their distance, robots on their
+        """Of a fan of velocities the nearest to `wanted` that passes all traffic (k,) at its distance, and robots on the right
         side; if none does, the one that keeps farthest away."""
         now = self._velocity - velocity
         side = np.where(_across(now, away) > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)  # 1: leaves it to starboard
@@ -243,7 +244,8 @@ class GiveWay:
     # --- the path of the point
 
     def _led_reference(self, reference: Reference, course: complex | None, wanted: complex) -> Reference:
-        """The point's way over the horizon, and one step of it taken: along `course`, or back as `wanted`."""
+        """Return the point's reference over the horizon, and move the point by one step: with the velocity `course`, or back
+        as `wanted`."""
         assert self._point is not None
         way, going = self._path_back(reference) if course is None else self._path_out(course)
         self._velocity = _changed(self._velocity, wanted if course is None else course, CHANGE_MPS2 * self._period_s)
@@ -256,7 +258,7 @@ class GiveWay:
         return Reference(eta, rate, acceleration)
 
     def _path_out(self, course: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Places and velocities (rows,) of a point that comes to a velocity."""
+        """Places and velocities (rows,) of a point that changes to a velocity."""
         assert self._point is not None
         change = course - self._velocity
         going = self._velocity + change * np.minimum(1.0, self._times_s * (CHANGE_MPS2 / max(abs(change), 1e-12)))
@@ -289,6 +291,7 @@ class GiveWay:
         self._turn += min(max(turn - self._turn, -most), most)
 
     def _is_back(self, reference: Reference) -> bool:
+        """True if the point has returned to the reference in place, velocity and heading."""
         assert self._point is not None
         off = abs(self._point - complex(reference.eta[1, 0], reference.eta[1, 1]))
         drift = abs(self._velocity - complex(reference.velocity[1, 0], reference.velocity[1, 1]))
@@ -296,7 +299,7 @@ class GiveWay:
 
 
 def _closes_in(place: complex, velocity: complex, traffic: Traffic) -> bool:
-    """Whether straight lines at these velocities lead nearer to anybody than they should."""
+    """True if straight lines at these velocities lead closer to any traffic than allowed."""
     apart, closing = traffic.place - place, velocity - traffic.velocity
     square = closing.real**2 + closing.imag**2
     towards = apart.real * closing.real + apart.imag * closing.imag
@@ -309,7 +312,7 @@ def _closes_in(place: complex, velocity: complex, traffic: Traffic) -> bool:
 
 
 def _overtakes(place: complex, velocity: complex, traffic: Traffic) -> NDArray[np.bool_]:
-    """Robots that come from behind, on their own way forward."""
+    """Select robots that come from behind, on their own way forward."""
     apart, back = traffic.place - place, velocity.conjugate()
     astern = (apart * back).real < ABAFT * np.abs(apart) * abs(velocity)
     return np.asarray(traffic.sided & astern & ((traffic.velocity * back).real > 0.0))
@@ -321,5 +324,6 @@ def _across(closing: NDArray[np.complex128], away: NDArray[np.complex128]) -> Ar
 
 
 def _changed(velocity: complex, to: complex, most: float) -> complex:
+    """Velocity changed towards `to` by at most `most`."""
     difference = to - velocity
     return to if abs(difference) <= most else velocity + difference * (most / abs(difference))

@@ -1,6 +1,6 @@
-"""SHELL: a board's own configuration: which robot this is, what it is wired to, where its station is.
+"""SHELL: configuration of one robot's computer: the robot's number, its devices, the address of its station.
 
-What is flown, and how, is the experiment's affair and the same on every robot; this file is what differs.
+The experiment is the same on every robot; this file holds the differences between robots.
 """
 
 from collections.abc import Mapping
@@ -51,7 +51,7 @@ lock_memory = true
 
 
 class RealtimeConfig(Section):
-    """What is asked of the operating system."""
+    """Requests to the operating system."""
 
     priority: Annotated[int, Field(ge=0, le=99)] = 0
     cores: tuple[Annotated[int, Field(ge=0)], ...] = ()
@@ -81,7 +81,7 @@ class AgentConfig(Section):
 
 
 def load_agent_config(path: Path) -> AgentConfig:
-    """The checked file, its paths made absolute. Raises ConfigError."""
+    """Load and check the file, with its paths made absolute. Raises ConfigError."""
     config = check(AgentConfig, read_toml(path), str(path))
     beside = path.resolve().parent
     changes = {}
@@ -95,7 +95,7 @@ def load_agent_config(path: Path) -> AgentConfig:
 
 
 def merge_config(given: Mapping[str, Any], config: Path | None) -> AgentConfig:
-    """The board of a command line: what is `given` (not None) goes before the file, the file before the defaults."""
+    """Configuration of a command line: values `given` (not None) go before the file, the file before the defaults."""
     table: dict[str, Any] = {"station": DEFAULT_STATION}
     if config is not None:
         table |= load_agent_config(config).model_dump()
@@ -107,13 +107,13 @@ def merge_config(given: Mapping[str, Any], config: Path | None) -> AgentConfig:
 
 
 def open_board_link(config: AgentConfig) -> tuple[Link, Signing | None]:
-    """The link to the thruster board, and what it is signed with. Raises ConfigError."""
+    """Open the link to the thruster board, with its signing key if there is one. Raises ConfigError."""
     signing = Signing.of(Path(config.link_key), "agent") if config.link_key is not None else None
     return open_link(config.link, secured=signing is not None or config.link_insecure), signing
 
 
 def template(name: str, config: AgentConfig) -> str:
-    """The commented file of a board, as `init` writes it."""
+    """Commented configuration file, as `init` writes it."""
     given = config.model_dump(include={"experiment", "station", "fleet", "link", "link_key", "keys"}, exclude_none=True)
     written = {key: tomli_w.dumps({key: value}).rstrip() for key, value in given.items()}
     left_out = {"link_key": '# link_key = "link.key"', "keys": '# keys = "keys"'}

@@ -29,13 +29,13 @@ cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They ch
 
 
 class ParameterSession:
-    """A board, and whoever asks it."""
+    """Link to a board and the client that talks over it."""
 
     def __init__(self, link: Link, client: ParameterClient) -> None:
         self._link, self.client = link, client
 
     def until(self, done: Callable[[], bool], ask: Callable[[], bytes]) -> bool:
-        """Ask, and ask again, until `done()`; whether it came to that."""
+        """Repeat a request until `done()`. Returns False after WITHIN_S without success."""
         end_s = time.monotonic() + WITHIN_S
         asked_s = 0.0
         while time.monotonic() < end_s:
@@ -160,7 +160,7 @@ def _found(client: ParameterClient, name: str) -> float:
 
 
 def _refusal(client: ParameterClient) -> str:
-    """Why the board told no value."""
+    """Text about a missing value."""
     if client.error is None:
         return "no answer"
     if client.error[1] == DOES_NOT_EXIST:

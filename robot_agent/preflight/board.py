@@ -1,5 +1,5 @@
-"""SHELL: `robot-agent check`: looks the board over before the robot gets wet. One failure does not keep the rest from being
-tried."""
+"""SHELL: `robot-agent check`: preflight of the robot's computer and its thruster board. A failed check does not stop the
+others."""
 
 import itertools
 import platform
@@ -30,7 +30,7 @@ BOARD_WITHIN_S = 2.0
 def run_preflight(
     config: AgentConfig, thrusters: Callable[[Experiment], Iterator[CheckFinding]] | None
 ) -> Iterator[CheckFinding]:
-    """Everything, in the order in which things depend on each other; `thrusters` turns them, if asked for."""
+    """Run all checks, in the order of their dependence; `thrusters` turns them, None if not asked for."""
     machine = f"shoal {metadata.version('shoal')}, Python {platform.python_version()}, {platform.machine()}"
     yield CheckFinding("software", CheckVerdict.OK, machine)
     experiment = None
@@ -73,7 +73,8 @@ def _device(config: AgentConfig) -> Iterator[CheckFinding]:
 
 
 def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
-    """Returns whether it is heard, and says that it is disarmed: so nobody flies the robot."""
+    """Listen to the thruster board. Returns True if it is heard and reports that it is disarmed: so no agent flies the
+    robot."""
     try:
         telemetry = read_telemetry(config)
     except ConfigError as error:
@@ -88,7 +89,7 @@ def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
 
 
 def read_telemetry(config: AgentConfig) -> Telemetry:
-    """What the thruster board says. Raises ConfigError if it says nothing."""
+    """Return the thruster board's telemetry. Raises ConfigError if the board is silent."""
     wires, signing = open_board_link(config)
     mavlink = agent_end(config.robot, signing)
     try:
@@ -110,7 +111,7 @@ def read_telemetry(config: AgentConfig) -> Telemetry:
 
 
 def _others(seen: Telemetry) -> str:
-    """What came in the place of the robot's own board, if anything did."""
+    """Text about the frames that came instead of the board's own; empty if there were none."""
     if seen.forged_frames:
         return "what comes is signed with another key, or there is no link_key"
     if seen.unsigned_frames:

@@ -1,4 +1,4 @@
-"""What was found when the board was looked over: one line each, and whether the robot may go into the water. Pure."""
+"""Findings of the preflight: one line each, with a verdict. Pure."""
 
 import json
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ BUDGET = 0.5  # of a period: what a control step may take
 
 
 class CheckVerdict(Enum):
-    """How it is."""
+    """Result of one check."""
 
     OK = "ok"
     WARN = "warn"
@@ -24,7 +24,7 @@ class CheckVerdict(Enum):
 
 @dataclass(frozen=True)
 class CheckFinding:
-    """One line of the table."""
+    """One line of the preflight's table."""
 
     what: str
     verdict: CheckVerdict
@@ -32,17 +32,17 @@ class CheckFinding:
 
 
 def exit_code(findings: Sequence[CheckFinding]) -> int:
-    """0 if nothing has failed."""
+    """0 if no check has failed, else 1."""
     return int(any(finding.verdict is CheckVerdict.FAIL for finding in findings))
 
 
 def to_json(findings: Sequence[CheckFinding]) -> str:
-    """For programs."""
+    """Findings as JSON."""
     return json.dumps([{**asdict(finding), "verdict": finding.verdict.name.lower()} for finding in findings], indent=1)
 
 
 def certificate(common_name: str, starts: datetime, expires: datetime, now: datetime) -> CheckFinding:
-    """Whether a certificate counts, and for how long."""
+    """Judge a certificate's period of validity."""
     days = (expires - now).days
     if now < starts:
         return CheckFinding(
@@ -57,14 +57,14 @@ def certificate(common_name: str, starts: datetime, expires: datetime, now: date
 
 
 def clock(offset_s: float) -> CheckFinding:
-    """This board's clock against the station's, as its heartbeat tells it."""
+    """Judge this computer's clock against the station's heartbeat."""
     verdict = CheckVerdict.OK if abs(offset_s) <= CLOCK_APART_S else CheckVerdict.WARN
     side = "ahead of" if offset_s > 0 else "behind"
     return CheckFinding("clock", verdict, f"{abs(offset_s) * 1e3:.0f} ms {side} the station's")
 
 
 def timing(p50_ms: float, p99_ms: float, period_s: float, neighbours: int) -> CheckFinding:
-    """A control step's time on this CPU against half a period."""
+    """Judge a control step's time on this CPU against half a period."""
     budget_ms = BUDGET * period_s * 1e3
     verdict = CheckVerdict.OK if p99_ms <= budget_ms else CheckVerdict.WARN if p50_ms <= budget_ms else CheckVerdict.FAIL
     detail = f"p50 {p50_ms:.2f} ms, p99 {p99_ms:.2f} ms with {neighbours} neighbours; half a period is {budget_ms:g} ms"
@@ -72,5 +72,5 @@ def timing(p50_ms: float, p99_ms: float, period_s: float, neighbours: int) -> Ch
 
 
 def not_timed(why: str) -> CheckFinding:
-    """No time of a control step is known: a robot that does not fly has little to compute."""
+    """Finding for a control step that could not be timed: a robot that does not fly has little to compute."""
     return CheckFinding("control step", CheckVerdict.WARN, f"not timed: in the rehearsal, a circle of 1 m at 0.3 m, {why}")

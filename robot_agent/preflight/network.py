@@ -1,4 +1,4 @@
-"""SHELL: the network's part of `robot-agent check`: certificate, way to the station, its clock, and who is there already."""
+"""SHELL: network part of `robot-agent check`: certificate, connection to the station, its clock, and a running agent."""
 
 import time
 from collections.abc import Generator
@@ -23,7 +23,8 @@ PRESENT_WITHIN_S = 0.5  # after the station is heard: who is there already the r
 
 
 def check_network(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
-    """Certificate, way to the station, clock. Returns whether an agent of this robot is on the network already."""
+    """Check certificate, connection to the station, and clock. Returns True if an agent of this robot is on the network
+    already."""
     process = process_name(Role.ROBOT, config.robot)
     keys = None
     if config.keys is not None:

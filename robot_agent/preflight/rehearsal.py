@@ -1,7 +1,7 @@
-"""A flight in thought: the robot's own agent on its own experiment, round a circle, with every neighbour's plan. Pure.
+"""Rehearsal: the robot's own agent on its own experiment, round a circle, with every neighbour's plan. Pure.
 
-To time a control step on the CPU that will have to do it. The poses are those of a robot that flies as planned, a few
-millimetres off; the work of a step does not depend on how well it goes.
+It serves to time a control step on the CPU that will run it. The poses are those of a robot that flies as planned, a few
+millimetres off; the work of a step does not depend on the tracking error.
 """
 
 from collections.abc import Iterator
@@ -24,12 +24,12 @@ ARM_AFTER = 20  # steps, 1 s: until the estimate stands
 
 
 class RehearsalFailed(Exception):
-    """The robot does not fly in this rehearsal; says why."""
+    """The robot does not fly in this rehearsal, with the reason."""
 
 
 def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs, int]]:
-    """Agent, inputs and time of one control step after the other, without end; whoever asks does the step. Raises Grounded if
-    the agent refuses to fly."""
+    """Yield agent, inputs and time of one control step after another, without end; the caller does the step. Raises
+    RehearsalFailed if the agent refuses to fly."""
     unmoved = experiment.safety.model_copy(update={"watch_thrusters": False})  # here thrusters move nothing
     experiment = experiment.model_copy(update={"safety": unmoved})
     agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
@@ -69,7 +69,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
 
 
 def _eta(times_s: Array, i: int) -> Array:
-    """Poses (n, 4) along a circle, the robot's own around the pool's centre or the i-th one beside it."""
+    """Poses (n, 4) along a circle: the robot's own around the pool's centre, or the i-th one beside it."""
     angle = times_s * SPEED_MPS / RADIUS_M
     x, y = RADIUS_M * np.cos(angle) + i * APART_M, RADIUS_M * np.sin(angle)
     return np.stack([x, y, np.full_like(angle, DEPTH_M), angle + np.pi / 2], axis=1)

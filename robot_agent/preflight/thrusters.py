@@ -1,7 +1,7 @@
-"""SHELL: turn each thruster a little, one after the other, and see that the board did. The robot must be free to move.
+"""SHELL: turn each thruster a little, one after another, and compare with the board's echo. The robot must be free to move.
 
-Pulses go out at the control rate, as in flight, so the board's own rules (arming, rate, age) hold all the time. Whatever
-happens, also when it is told to end or its terminal is closed, the last things sent are neutral pulses and a disarm.
+Pulses go out at the control rate, as in flight, so the board's own rules (arming, rate, age) hold all the time. However it
+ends, also by a signal or a closed terminal, the last things sent are neutral pulses and a disarm.
 """
 
 import signal
@@ -24,7 +24,7 @@ THRUST_SHARE = 0.15  # of the largest thrust: turns, and tips nothing over
 
 
 class _Bench:
-    """The link to the board, kept supplied with pulses."""
+    """Link to the board, with pulses sent at the control rate."""
 
     def __init__(self, experiment: Experiment, link: Link, mavlink: AgentLink) -> None:
         self._link, self._mavlink = link, mavlink
@@ -38,12 +38,12 @@ class _Bench:
 
     @property
     def said(self) -> str:
-        """The board's last words."""
+        """The board's last text."""
         texts = self._mavlink.telemetry.texts
         return texts[-1][1] if texts else "it does not say why"
 
     def hold(self, pulse_us: tuple[int, ...], seconds: float, arm: bool | None = None) -> list[tuple[int, ...]]:
-        """Send pulses for a while, asking the board to arm or disarm as well if told so. Returns the echoes."""
+        """Send pulses for a while; with `arm` also ask the board to arm or disarm, until it has. Returns the echoes."""
         echoes: list[tuple[int, ...]] = []
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
@@ -59,7 +59,7 @@ class _Bench:
 
 
 def turn_thrusters(experiment: Experiment, config: AgentConfig) -> Iterator[CheckFinding]:
-    """One finding per thruster. The caller has made sure that nobody's fingers are near."""
+    """Yield one finding per thruster. The caller has made sure that no hand is near."""
     link, signing = open_board_link(config)
     before = {number: signal.signal(number, _end) for number in (signal.SIGTERM, signal.SIGHUP)}
     bench = _Bench(experiment, link, agent_end(config.robot, signing))
@@ -81,12 +81,12 @@ def turn_thrusters(experiment: Experiment, config: AgentConfig) -> Iterator[Chec
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    """As Ctrl-C does: what is under way ends in its `finally`."""
+    """Signal handler: end as Ctrl-C does, through the `finally` blocks."""
     raise SystemExit(128 + number)
 
 
 def judge(i: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
-    """Whether the board put out what thruster i (from 0) was told, and turned no other."""
+    """Compare echoes with the pulses for thruster i (from 0); no other one may turn."""
     what = f"thruster {i + 1}"
     full = [echo[:THRUSTERS] for echo in echoes if len(echo) >= THRUSTERS]
     if not full:

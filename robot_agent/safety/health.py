@@ -1,4 +1,4 @@
-"""How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
+"""Health of a robot: ages of its inputs and results of its checks, from which the mode is decided. Pure."""
 
 from robot_agent.control.controller import ControlOutput
 from robot_agent.inputs import Inputs, StationView
@@ -18,7 +18,7 @@ DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the poo
 
 
 class HealthMonitor:
-    """What is remembered of one robot's senses from step to step."""
+    """Memory of one robot's inputs and outputs from step to step."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._safety, self._markers = experiment.safety, experiment.localizer.markers
@@ -39,8 +39,7 @@ class HealthMonitor:
         self._estimated = self._estimate_ended = False
 
     def note_inputs(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
-        """Take in what a step has to go by, in the mode that the robot has been in until now. While thrusters are tested the
-        test judges what the board puts out."""
+        """Take in a step's inputs, in the mode up to now. During a thruster self-test that test judges the board's outputs."""
         seen, telemetry = inputs.pose, inputs.telemetry
         if seen is not None and seen.pose.track >= Track.KCF:
             self._sighted_ns = seen.instant_ns
@@ -60,12 +59,12 @@ class HealthMonitor:
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
     def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
-        """These pulses went out: what board and gyroscope will be held against."""
+        """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""
         self._outputs.note_pulses(pulse_us, now_ns)
         self._thrusters.note_moments(self._allocator.leg_moments(pulse_us), now_ns)
 
     def note_output(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
-        """What a control step found out about how the robot moves, in the mode that it is in now."""
+        """Take in a control step's estimate and reference, in the mode from now on."""
         self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
         self._estimated = output.estimated
         place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
@@ -80,7 +79,7 @@ class HealthMonitor:
         return self._allocator.neutral_us
 
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
-        """What reactions look at. Asks only: nothing is changed by it."""
+        """Return the values that reactions are decided by. Changes nothing."""
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
         if self._board_armed and not telemetry.armed:
@@ -107,7 +106,7 @@ class HealthMonitor:
         )
 
     def arming_refusal(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
-        """Why not to arm now; empty if nothing is against it."""
+        """Return the reason not to arm now; empty if there is none."""
         health, limit_s = self.health(inputs, False, now_ns), self._safety.pose_hold_s
         if inputs.emergency_stop:
             return "the emergency stop is down"
@@ -130,8 +129,9 @@ class HealthMonitor:
         return self._battery.arming_refusal(now_ns)
 
     def arming_command(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
-        """What to tell a board that says that it is armed, or not; None: nothing, or not again so soon. To be called once at
-        each step. When the power has just been taken away, or the program has just begun, each step disarms."""
+        """Return True to arm the board, False to disarm it, None to send nothing at this step. `armed` is the board's own
+        report. Call it once a step. For DISARM_S after the power is taken away, or after the program starts, each step
+        disarms."""
         wanted = mode in LIVE
         if wanted is not self._wanted:
             self._wanted, self._wanted_since_ns, self._asked_ns = wanted, now_ns, None
@@ -147,7 +147,7 @@ class HealthMonitor:
         return wanted
 
     def react_by_ns(self, mode: Mode) -> int | None:
-        """When the pose will be too old to go on as now."""
+        """Instant at which the pose becomes too old for `mode`; None if there is none."""
         if mode not in POWERED or self._sighted_ns is None:
             return None
         limit_s = self._safety.pose_hold_s if mode is Mode.TRACKING else self._safety.pose_neutral_s

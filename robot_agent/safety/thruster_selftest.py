@@ -1,7 +1,7 @@
-"""A short push of each thruster in turn, and whether the board says that it put it out. Pure.
+"""Self-test of the thrusters in the water: a short push of each in turn, compared with the board's echo. Pure.
 
-What the board echoes is what it sent to the speed controllers: this finds a board that does not listen, wrong limits, crossed
-channels. That a propeller turns, and which way, a person sees; in flight it shows in the estimated disturbance.
+The echo is what the board sent to the speed controllers. So the test finds a board that does not obey, wrong limits, and
+crossed channels. A person sees whether a propeller turns, and which way; in flight it shows in the estimated disturbance.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class ThrusterSelftest:
         self._seen: dict[int, int] = {}
 
     def step(self, armed: bool, echo_us: Sequence[int], now_ns: int) -> tuple[int, ...]:
-        """Pulses for now; neutral when it is over."""
+        """Return the pulses for now; neutral when the test is over."""
         if self._begin_ns is None and armed:
             self._begin_ns = now_ns
         if self._begin_ns is None or self.result != "running":
@@ -54,7 +54,7 @@ class ThrusterSelftest:
         return asked
 
     def _wild(self, asked_us: Sequence[int], echo_us: Sequence[int]) -> str:
-        """Which thrusters turn that should not, or faster than asked, or the other way; empty if none does."""
+        """Text about thrusters that turn though they should not, or faster than asked, or in reverse; empty if none does."""
         told = zip(asked_us, self._neutral_us, echo_us, strict=False)
         return "; ".join(
             f"thruster {k + 1} was asked for {asked} us, the board says {echo}"

@@ -11,7 +11,7 @@ from wire.config.baseline_controllers import Backstepping as Config
 
 
 class Backstepping:
-    """Without memory: the disturbance is the estimator's."""
+    """The law, without memory: the disturbance is the estimator's."""
 
     def __init__(self, axes: Axes, config: Config) -> None:
         self._axes = axes

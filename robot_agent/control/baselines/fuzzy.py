@@ -1,7 +1,7 @@
-"""Fuzzy control that knows no model: rules on error and velocity error (Mac Vicar-Whelan's table), and an integral of their
-verdict (fuzzy PID, Woo, Chung and Lin 2000), per axis.
+"""Fuzzy control without a model: rules on error and velocity error (Mac Vicar-Whelan's table), and an integral of their output
+(fuzzy PID, Woo, Chung and Lin 2000), per axis.
 
-Five triangular sets per input, products for "and", singletons weighted by how true they are for the verdict.
+Five triangular sets per input, products for "and", singletons weighted by the truth of their rules for the output.
 """
 
 from bisect import bisect_right
@@ -15,7 +15,7 @@ RULES = ((0, 0, 0, 1, 2), (0, 0, 1, 2, 3), (0, 1, 2, 3, 4), (1, 2, 3, 4, 4), (2,
 
 
 class Fuzzy:
-    """Its integrals, as shares of the limits, are what it learns."""
+    """The law; its integrals, as shares of the limits, are its memory."""
 
     def __init__(self, axes: Axes, config: Config) -> None:
         self._limit = axes.limit
@@ -52,7 +52,7 @@ class Fuzzy:
 
 
 def verdict(error: float, rate: float) -> float:
-    """All rules on inputs in units of "big", -1 to 1."""
+    """Output of all rules for inputs in units of "big", -1 to 1."""
     row, high = _sets(error)
     column, fast = _sets(rate)
     near = (1.0 - fast) * PEAKS[RULES[row][column]] + fast * PEAKS[RULES[row][column + 1]]
@@ -61,7 +61,7 @@ def verdict(error: float, rate: float) -> float:
 
 
 def _sets(value: float) -> tuple[int, float]:
-    """Of neighbouring sets that add up to one: the lower one that is true, and how true the one above it is."""
+    """Of neighbouring sets that add up to one: the index of the lower one, and the truth of the upper one."""
     value = min(max(value, -1.0), 1.0)
     low = min(bisect_right(PEAKS, value), len(PEAKS) - 1) - 1
     return low, (value - PEAKS[low]) / (PEAKS[low + 1] - PEAKS[low])

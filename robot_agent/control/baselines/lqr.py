@@ -1,7 +1,7 @@
 """Linear-quadratic regulator, discrete in time (Anderson and Moore, Optimal Control, 1990), per axis.
 
-The model takes care of the load and of the reference's acceleration (inverse dynamics); what is left is a double integrator
-behind the thrusters' lag T, x = [e, e', f], where f is the part of the thrust beyond that, and c the part of the command:
+Inverse dynamics compensates the load and the reference's acceleration. What remains is a double integrator behind the
+thrusters' lag T, x = [e, e', f], with f the thrust beyond that, and c the command beyond that:
 
     e'' = -f / m        T f' = c - f        c = -K x minimises   sum q_e e^2 + q_v e'^2 + (c / limit)^2
 """
@@ -17,7 +17,7 @@ NOTHING: PerAxis = (0.0, 0.0, 0.0)
 
 
 class Lqr:
-    """Without memory: gains are computed once, the disturbance is the estimator's."""
+    """The law, without memory: gains are computed once, the disturbance is the estimator's."""
 
     def __init__(self, axes: Axes, config: Config, lag_s: float, period_s: float) -> None:
         self._axes = axes

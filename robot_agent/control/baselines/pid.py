@@ -1,7 +1,7 @@
-"""Three independent PID loops that know no model: wrench = p e + i (integral of e) + d e'.
+"""Three independent PID loops without a model: wrench = p e + i (integral of e) + d e'.
 
 The integral stands still on an axis that is at a limit and would go further beyond it (conditional integration; Astrom and
-Hagglund, PID Controllers, 1995, section 3.5): without, it winds up for the ten seconds of a start at full thrust.
+Hagglund, PID Controllers, 1995, section 3.5). Otherwise it winds up for the ten seconds of a start at full thrust.
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
@@ -9,7 +9,7 @@ from wire.config.baseline_controllers import Pid as Config
 
 
 class Pid:
-    """Its integrals, in N and N m, are what it learns. They hold no more than the limit."""
+    """The law; its integrals, in N and N m, are its memory. They hold no more than the limit."""
 
     def __init__(self, axes: Axes, config: Config) -> None:
         self._gains = tuple(zip(config.p, config.i, config.d, axes.limit, strict=True))

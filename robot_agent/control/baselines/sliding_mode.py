@@ -2,7 +2,7 @@
 
     s = e' + lambda e        wrench such that s' = -reach sat(s / layer)        sat(x) = x within -1..1, else its sign
 
-Whatever disturbs by less than `reach` cannot keep s out of the layer; a thin layer holds it closer, and chatters.
+A disturbance below `reach` cannot keep s out of the layer; a thin layer holds it closer, and chatters.
 """
 
 from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
@@ -10,7 +10,7 @@ from wire.config.baseline_controllers import SlidingMode as Config
 
 
 class SlidingMode:
-    """Without memory: the disturbance is the estimator's, the switching term takes what that misses."""
+    """The law, without memory: the disturbance is the estimator's, and the switching term takes its error."""
 
     def __init__(self, axes: Axes, config: Config) -> None:
         self._axes = axes

@@ -1,14 +1,15 @@
-"""What a feedback law looks at: errors along the three axes that the robot can push, and what the model knows about them.
+"""Inputs of a feedback law: errors along the three axes that the robot can push, and the model's terms for them.
 
-The robot has no side force. Guidance turns lateral errors into heading, for every law alike; what is left to the law is the
-error along the robot's own x axis, in depth and in heading. With the reference p moving at p', body axes i (ahead), j (aside):
+The robot has no side force. The reference heading turns lateral errors into heading, for every law alike. Left to the law is
+the error along the robot's own x axis, in depth and in heading. With the reference p moving at p', body axes i (ahead), j
+(aside):
 
     e = i . (p - position)    e' = V - u + r s    V = i . p'    s = j . (p - position)    s' = W - v - r e    W = j . p'
 
-Velocities are through the water, the reference's too: where it streams steadily, nothing else changes.
+Velocities are through the water, the reference's too: in an even current nothing else changes.
 
-r s only swings the error from one axis to the other: it drops out of (e^2 + s^2)' = 2 e (V - u) + 2 s (W - v). Laws that push
-against it (taking e' for V - u) made robots 0.1 m off the path of `pool` shake themselves away from it.
+r s only moves the error from one axis to the other: it drops out of (e^2 + s^2)' = 2 e (V - u) + 2 s (W - v). Laws that push
+against it (with e' in the place of V - u) made robots 0.1 m off the path of `pool` shake themselves away from it.
 """
 
 import math
@@ -22,7 +23,7 @@ PerAxis = tuple[float, float, float]  # surge, heave, yaw
 
 
 class TrackingErrors(NamedTuple):
-    """Errors are reference minus robot. Everything in m, s, N; rad and N m for yaw."""
+    """Errors, reference minus robot, and model terms. Units m, s, N; rad and N m for yaw."""
 
     error: PerAxis
     speed_error: PerAxis  # V - u, and the same in depth and heading, where it is the error's derivative
@@ -41,7 +42,8 @@ def tracking_errors(
     speed: Sequence[float],
     change: Sequence[float],
 ) -> TrackingErrors:
-    """`goal`, `speed` and `change` (4,) are the reference's pose, velocity and acceleration; Gamma (4,) the estimator's."""
+    """Compute the errors. `goal`, `speed` and `change` (4,) are the reference's pose, velocity and acceleration; Gamma (4,) is
+    the estimator's."""
     x, y, z, yaw, u, v, w, r, *thrust = state
     c, s = math.cos(yaw), math.sin(yaw)
     away_x, away_y = goal[0] - x, goal[1] - y
@@ -58,7 +60,7 @@ def tracking_errors(
 
 
 def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> PerAxis:
-    """The model's equations (dynamics.py) solved for the wrench, at constant velocity."""
+    """Solve the model's equations (dynamics.py) for the wrench at constant velocity."""
     u, v, w, r = nu
     mass_u, _, mass_w, mass_r = model.mass
     linear_u, _, linear_w, linear_r = model.linear

@@ -142,7 +142,7 @@ def test_constant_disturbances_are_found(gyro: bool) -> None:
     last = estimates[-1]
     assert last is not None
     assert last.disturbance == pytest.approx(gamma, abs=1.5e-3)
-    assert np.array_equal(last.lumped, last.disturbance) and last.current == 0j
+    assert np.array_equal(last.gamma_still_water, last.disturbance) and last.current == 0j
 
 
 # --- currents
@@ -173,7 +173,7 @@ def test_what_a_current_does_is_told_as_the_disturbance_that_still_water_would_n
         assert estimate is not None
         before, here, after = (flight.true(t + shift) for shift in (-0.025, 0.0, 0.025))
         still = integrate(VEHICLE, before, constant(circling(t)), 0.05)  # its thrust is steady by now
-        assert estimate.lumped[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
+        assert estimate.gamma_still_water[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
 
 
 def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> None:
@@ -181,7 +181,7 @@ def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> Non
     observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0), [0.0, 0.01, 0.0, 0.0]
     observer.note_wrench((0.0, 0.0, 0.0), 0)
     before = np.array(observer._propagate(observer._state, 0, 100_000_000))
-    v = observer._put_down_to_current(0.15, 0.02, 0.01, 0.7, 0.05)
+    v = observer._split_side_force_and_current(0.15, 0.02, 0.01, 0.7, 0.05)
     after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
     assert observer._disturbance[1] < 0.01 and abs(observer._current) > 1e-4
     assert after[:2] == pytest.approx(
@@ -202,7 +202,7 @@ def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> Non
         observer._current = 0.05 * np.exp(1j * (0.7 + 0.5 * math.pi - turned + 0.5 * math.pi))
         observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, *(0.0,) * 3), [0.0, 0.4, 0.0, 0.0]
         before = np.array(observer._propagate(observer._state, 0, 100_000_000))
-        v = observer._put_down_to_current(0.15, 0.02, 0.4, 0.7, 0.05)
+        v = observer._split_side_force_and_current(0.15, 0.02, 0.4, 0.7, 0.05)
         after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
         assert abs(observer._current) <= 0.05 + 1e-12
         assert after[:2] == pytest.approx(before[:2], abs=0.05 * 0.1 * 0.02)
