@@ -12,8 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import Row
-from robot_agent.control.controller import Controller, Follow, Measurement, Neighbour, Sighting
+from robot_agent.control.controller import Controller
+from robot_agent.guidance.formation import Neighbour
+from robot_agent.guidance.reference import Follow
 from robot_agent.vehicle.dynamics import Model, State
+from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, wrap
 from wire.messages.messages import Plan, Solve, Trajectory
@@ -149,7 +152,7 @@ def fly(case: Case, steps: int, tamper: Tamper | None = None, clock: Callable[[]
     return Flown(took, errors, np.array(changes), unsolved)
 
 
-def _seen(state: State, now_ns: int, noise: Sequence[float] | Array) -> Measurement:
+def _seen(state: State, now_ns: int, noise: Sequence[float] | Array) -> StateMeasurement:
     """As if it had taken 40 ms; the robot is where it was then to a millimetre or two, which counts as noise here."""
     x, y, z, yaw = state[:4]
     age_s = 0.04
@@ -157,7 +160,7 @@ def _seen(state: State, now_ns: int, noise: Sequence[float] | Array) -> Measurem
         (np.cos(yaw) * state[4] - np.sin(yaw) * state[5]) * age_s,
         (np.sin(yaw) * state[4] + np.cos(yaw) * state[5]) * age_s,
     )
-    sighting = Sighting(
+    sighting = PoseMeasurement(
         now_ns - round(age_s * 1e9), x - back_x + noise[0], y - back_y + noise[1], wrap(yaw - state[7] * age_s + noise[2])
     )
-    return Measurement(sighting, z + noise[3], state[7] + noise[4])
+    return StateMeasurement(sighting, z + noise[3], state[7] + noise[4])

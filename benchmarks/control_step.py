@@ -55,9 +55,9 @@ class Witness:
             self.apart.append(100.0 * float((np.abs(ours.x - exact.x)[self._first] / self._limit).max()))
         return ours
 
-    def start_from(self, x: Array) -> None:
+    def warm_start(self, x: Array) -> None:
         """Passed on."""
-        self._solver.start_from(x)
+        self._solver.warm_start(x)
 
 
 def first_moves(case: Case) -> list[float]:

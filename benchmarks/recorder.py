@@ -38,8 +38,7 @@ from groundstation.logs.repair import recover, valid_records
 from groundstation.planning import planner
 from groundstation.station.process import record_everything
 from robot_agent.agent import Agent
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Inputs, Seen
+from robot_agent.inputs import Inputs, StampedPose, StationView
 from sim_bridge.sil.ports import free_port
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import Telemetry
@@ -163,7 +162,7 @@ def _control(address: str, told: Connection, stop: Any) -> None:
                 continue
             now_ns = clock.now_ns()
             pose = Pose(0.3, 0.2, 0.1, received.message.covariance, Track.MARKER, True, 0.9, 0.3)
-            inputs = Inputs(Seen(pose, now_ns), Telemetry(board_ms=1, arrival_ns=now_ns), StationView(1, now_ns, 0.0))
+            inputs = Inputs(StampedPose(pose, now_ns), Telemetry(board_ms=1, arrival_ns=now_ns), StationView(1, now_ns, 0.0))
             state = agent.step(inputs, now_ns).state
             took_ms.append((clock.now_ns() - received.header.stamp_ns) * 1e-6)
             sequences.append(received.header.sequence)

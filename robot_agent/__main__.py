@@ -1,4 +1,4 @@
-"""SHELL: `robot-agent`: what runs on a robot's board."""
+"""SHELL: `robot-agent`: the program on a robot's computer."""
 
 import sys
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from robot_agent.commands import check, init, unit
-from robot_agent.host.config import DEFAULT_LINK, choose, open_board
+from robot_agent.host.config import DEFAULT_LINK, merge_config, open_board_link
 from robot_agent.host.params import cli as params
 from wire.config.experiment import load_experiment
 from wire.process.cli_options import (
@@ -78,8 +78,8 @@ def run(
                           robot-agent run --config /etc/shoal/agent.toml
     """
     from robot_agent.host import realtime
-    from robot_agent.host.sd_notify import Watchdog
-    from robot_agent.process import Shell
+    from robot_agent.host.sd_notify import ServiceNotifier
+    from robot_agent.node import AgentNode
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
     from wire.transport.network import endpoint
@@ -97,7 +97,7 @@ def run(
         "keys": None if keys is None else str(keys),
         "insecure": insecure or None,
     }
-    board = choose(given, config)
+    board = merge_config(given, config)
     start_log(f"agent-{board.robot}", verbose)
     stop = Stop()
     loaded = load_experiment(board.experiment, board.settings)
@@ -105,15 +105,15 @@ def run(
     ring = None if board.keys is None else Path(board.keys)
     me = process_name(Role.ROBOT, board.robot)
     where = endpoint(board.station, me, ring, insecure=board.insecure, lossless=lockstep)
-    (wires, signing), watchdog = open_board(board), Watchdog()
+    (wires, signing), watchdog = open_board_link(board), ServiceNotifier()
     try:
         receive_on_one_thread()
         with Bus(ZenohTransport(where, stop), board.fleet) as bus:
             for refused in realtime.apply(board.realtime):
                 log.warning("real time: %s", refused)
-            shell = Shell(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing)
+            node = AgentNode(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing)
             realtime.settle()
-            shell.run()
+            node.run()
     finally:
         watchdog.stopping()
         wires.close()

@@ -1,11 +1,11 @@
-"""READ FIRST. One robot: orders and inputs in, pulses, plan and state out. Pure: time and messages are arguments.
+"""READ FIRST. One robot: commands and inputs in, pulses, plan and state out. Pure: time and messages are arguments.
 
-The data's way through `Agent.step`:
+Data flow of `Agent.step`:
 
     pose, board, station -> health -> mode (modes.py) -> goal -> controller (controller.py) -> pulses, or neutral
                                                                                            -> plan, state
 
-Nothing here knows whether it runs in a pool or in a simulator; robot_agent/process.py has the sockets and the clock.
+The same code runs in a pool and in the simulator; sockets and clock are in robot_agent/node.py.
 """
 
 import math
@@ -15,32 +15,37 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.command_check import StationView, begins_ns, unacceptable
-from robot_agent.control.controller import Controller, ControlOutput, Goal, Hold, Measurement, Neighbour, Sighting
-from robot_agent.control.live_tuning import Gains, Prepared
-from robot_agent.guidance.obstacles import Apart, Thing, islands, spread, things_seen
-from robot_agent.guidance.trajectory_clock import Course
-from robot_agent.inputs import Inputs
-from robot_agent.safety.health import Vitals
+from robot_agent.control.controller import Controller, ControlOutput
+from robot_agent.control.live_tuning import LiveTuning, Prepared
+from robot_agent.guidance.formation import Neighbour
+from robot_agent.guidance.obstacles import Obstacle, OwnHullFilter, grown_with_age, island_obstacles, obstacles_from_message
+from robot_agent.guidance.reference import Goal, Hold
+from robot_agent.guidance.trajectory_clock import TrajectoryClock
+from robot_agent.inputs import Inputs, StationView
+from robot_agent.safety.health import HealthMonitor
 from robot_agent.safety.modes import ORDERS, POWERED, Health, react, refusal
-from robot_agent.safety.pulse_selftest import ThrusterTest
+from robot_agent.safety.thruster_selftest import ThrusterSelftest
+from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
 from wire.camera_coverage import outside_m
 from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import Telemetry
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order, Plan, Pose, Reply, RobotState, Solve, Track, Trajectory
 from wire.obstacle_memory import blindness, is_old
+from wire.transport.command_deduplication import ALWAYS_TAKEN
 
 THRUSTERS = 4
 UNSEEN = frozenset({"pose late", "no pose"})  # reasons of modes.py
 SUSPECT = frozenset({"thruster board disobeys", "thrusters do not do as told"})  # after these no earlier test counts
 LEFT = ": it has left the camera's picture"
+FROM_THE_FUTURE_S = 0.5  # a command may look younger than the heartbeat it is judged by, by no more than this
+LONGEST_LIFE_S = 5.0  # upper limit of a command's time to live: an older command moves no robot
 BEYOND_WALLS_M = 0.5  # a calibration is no better than that; what is seen farther out is no robot of this pool
 
 
 @dataclass(frozen=True, eq=False)
 class Outputs:
-    """What leaves the robot after one control step."""
+    """Outputs of one control step."""
 
     pulse_us: tuple[int, ...]
     arm: bool | None  # tell the board to arm or disarm; None: it is as it should be
@@ -49,7 +54,7 @@ class Outputs:
 
 
 class Agent:
-    """The robot's mind between control steps: mode, trajectory, controller."""
+    """State of one robot between control steps: mode, trajectory, controller."""
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self.mode = Mode.DISARMED
@@ -60,18 +65,18 @@ class Agent:
             experiment.controller,
             experiment.safety,
             self._me.urgent,
-            follows=leader is not None,
+            has_leader=leader is not None,
             room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
-            islands=islands(experiment.islands, experiment.vehicle.radius_m),
+            islands=island_obstacles(experiment.islands, experiment.vehicle.radius_m),
         )
-        self._gains = Gains(self._controller, experiment.controller)
+        self._tuning = LiveTuning(self._controller, experiment.controller)
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
         self._fault = ""
-        self._course = Course(experiment, robot)
-        self._test: ThrusterTest | None = None
-        self._vitals = Vitals(experiment)
-        self._apart = Apart(experiment.vehicle.radius_m)
+        self._clock = TrajectoryClock(experiment, robot)
+        self._selftest: ThrusterSelftest | None = None
+        self._health = HealthMonitor(experiment)
+        self._own_hull = OwnHullFilter(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
         self._inputs = Inputs()
@@ -79,13 +84,15 @@ class Agent:
     # --- orders
 
     def prepare(self, command: Command) -> Prepared:
-        """What an order takes that is long to make, beforehand: it may run beside a step, which an order may not."""
-        return self._gains.prepare(command)
+        """Do the slow part of a command (building solvers for TUNE) beforehand. It may run beside a step; `handle_command` may
+        not."""
+        return self._tuning.prepare(command)
 
-    def order(
+    def handle_command(
         self, header: Header, command: Command, station: StationView, now_ns: int, prepared: Prepared | None = None
     ) -> Reply:
-        """Deal with an order. Refused ones say why. `prepared` is what `prepare` has made of it, if that was asked."""
+        """Carry out a command, or refuse it with the reason. `prepared` is the result of `prepare` for it, None if that was
+        not called."""
         reason = unacceptable(self._me.id, self._experiment.hash, header, command, station)
         if reason:
             return Reply(self._me.id, False, f"{command.order.name} {reason}", self.mode)
@@ -97,26 +104,27 @@ class Agent:
             prepared = self.prepare(command) if prepared is None else prepared
             reason = self._objection(command, prepared, station, begin_ns, now_ns)
         if not reason and prepared is not None:
-            self._follow(command, prepared, station, begin_ns, given_ns)
+            self._apply(command, prepared, station, begin_ns, given_ns)
         return Reply(self._me.id, not reason, reason, self.mode)
 
     def _objection(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, now_ns: int) -> str:
+        """Return the reason to refuse a command whose mode and origin are right; empty if there is none."""
         eta = self._last.eta if self._last is not None and self._last.estimated else None
-        reason = self._course.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta)
+        reason = self._clock.objection(command, self.mode is Mode.TRACKING, station, begin_ns, now_ns, eta)
         if reason:
             return reason
         if command.order is Order.ARM:
-            return self._vitals.unfit(self._inputs, station, now_ns)
-        return self._gains.objection(command, prepared)
+            return self._health.arming_refusal(self._inputs, station, now_ns)
+        return self._tuning.objection(command, prepared)
 
-    def _follow(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int) -> None:
-        """Carry out an order that is accepted. It was given at one instant, and START and RESUME begin at the other, both on
-        our clock."""
-        self._gains.follow(command, prepared, given_ns)
-        self._course.follow(command, self.mode is Mode.TRACKING, station, begin_ns)
+    def _apply(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int) -> None:
+        """Carry out an accepted command, given at `given_ns`. START and RESUME take effect at `begin_ns`. Both are on our
+        clock."""
+        self._tuning.apply(command, prepared, given_ns)
+        self._clock.apply(command, self.mode is Mode.TRACKING, station, begin_ns)
         if command.order is Order.TEST:
             neutral_us = self._last.pulse_us if self._last is not None else ()
-            self._test = ThrusterTest(self._experiment.vehicle, neutral_us)
+            self._selftest = ThrusterSelftest(self._experiment.vehicle, neutral_us)
         if command.order is Order.STOP:
             self._fault = "emergency stop"
         target = ORDERS[command.order].to
@@ -127,48 +135,51 @@ class Agent:
         if mode is not Mode.HOLDING:
             self._hold = None
         if mode not in POWERED:
-            self._gains.leave_run()
+            self._tuning.leave_run()
         if mode is not Mode.TRACKING:
-            self._course.drop_next()
+            self._clock.drop_next()
         self.mode, self._fault = mode, fault
 
     # --- the control step
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
-        """One control step."""
+        """Run one control step at `now_ns`."""
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
         self._inputs = inputs
-        self._vitals.note(inputs, self.mode, now_ns, self._test is not None and self._test.result == "running")
+        self._health.note_inputs(inputs, self.mode, now_ns, self._selftest is not None and self._selftest.result == "running")
         solver_failed = self._last is not None and self._last.solve is Solve.FAILED
-        health = self._vitals.health(inputs, solver_failed, now_ns)
+        health = self._health.health(inputs, solver_failed, now_ns)
         mode, reason = react(self.mode, health, self._experiment.safety)
-        if reason in SUSPECT and self._test is not None and self._test.result == "passed":
-            self._test = None
+        if reason in SUSPECT and self._selftest is not None and self._selftest.result == "passed":
+            self._selftest = None
         if mode is not self.mode:
             self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
         neighbours = self._neighbours(inputs, now_ns)
-        things, goal = self._things(inputs, now_ns), self._goal(now_ns)  # time goes on along the path while the board arms
+        obstacles, goal = (
+            self._obstacles(inputs, now_ns),
+            self._goal(now_ns),
+        )  # time goes on along the path while the board arms
         if not inputs.telemetry.armed:
             goal = None  # a board arms on neutral pulses, and puts out no others
-        self._gains.step(now_ns, self._course.reached_s)
-        output = self._sound(self._controller.step(_measurement(inputs), goal, neighbours, now_ns, things))
+        self._tuning.step(now_ns, self._clock.reached_s)
+        output = self._sound(self._controller.step(_measurement(inputs), goal, neighbours, now_ns, obstacles))
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
-        self._vitals.told(pulses, now_ns)
-        self._vitals.flew(output, self.mode, now_ns)
+        self._health.note_pulses(pulses, now_ns)
+        self._health.note_output(output, self.mode, now_ns)
         heard = tuple(n.robot for n in neighbours if n.fresh)
         plan = self._plan(output, heard) if output.estimated else None
         return Outputs(
             pulses,
-            self._vitals.arming(inputs.telemetry.armed, self.mode, now_ns),
+            self._health.arming_command(inputs.telemetry.armed, self.mode, now_ns),
             plan,
             self._state(output, pulses, health, inputs, heard, self._blind(inputs, now_ns)),
         )
 
     def _sound(self, output: ControlOutput) -> ControlOutput:
-        """What a control step came to, or neutral and FAILED in its place if there is a number in it that is none, or a pulse
-        that this vehicle has not: the last guard before the wire."""
+        """Return a control step's output, or neutral pulses and FAILED in its place if a number is not finite or a pulse is
+        outside the vehicle's range: the last guard before the wire."""
         arrays = {name: value for name, value in vars(output).items() if isinstance(value, np.ndarray)}
         lowest_us, *_, highest_us = (us for us, _ in self._experiment.vehicle.thruster.curve)
         least_us, most_us = self._experiment.vehicle.legs.ankle_us
@@ -186,51 +197,52 @@ class Agent:
         return replace(output, pulse_us=self.neutral_us, solve=Solve.FAILED, **nothing)
 
     def _pulses(self, output: ControlOutput, telemetry: Telemetry, now_ns: int) -> tuple[int, ...]:
-        """The controller's; those of a thruster test while it lasts."""
-        if self._test is None or self._test.result != "running":
+        """Return the controller's pulses, or those of a thruster self-test while it runs."""
+        if self._selftest is None or self._selftest.result != "running":
             return output.pulse_us
         if self.mode is not Mode.ARMED:
-            self._test = None
+            self._selftest = None
             return output.pulse_us
-        return self._test.step(telemetry.armed, telemetry.echo_us, now_ns)
+        return self._selftest.step(telemetry.armed, telemetry.echo_us, now_ns)
 
-    def acted(self, state: RobotState, now_ns: int) -> None:
-        """What really went out at `now_ns`, if it was not what the last step said: a rerun moves nothing."""
-        self._controller.acted(state.wrench, state.wrench_delivered, now_ns)
-        self._vitals.told(state.pulse_us, now_ns)
+    def note_sent(self, state: RobotState, now_ns: int) -> None:
+        """Take note of the pulses and wrench that really went out at `now_ns` instead of those of the last step (a rerun moves
+        no robot)."""
+        self._controller.note_command(state.wrench, state.wrench_delivered, now_ns)
+        self._health.note_pulses(state.pulse_us, now_ns)
 
     @property
     def neutral_us(self) -> tuple[int, ...]:
         """Pulses with which no thruster turns: 4 thrusters, 4 ankles."""
-        return self._vitals.neutral_us
+        return self._health.neutral_us
 
     @property
     def trajectory(self) -> Trajectory | None:
-        """What is loaded."""
-        return self._course.trajectory
+        """The loaded trajectory, None if there is none."""
+        return self._clock.trajectory
 
     @property
     def react_by_ns(self) -> int | None:
-        """When the pose will be too old to go on as now: the next step must not come later."""
-        return self._vitals.react_by_ns(self.mode)
+        """Instant at which the pose becomes too old for the present mode; the next step must not come later."""
+        return self._health.react_by_ns(self.mode)
 
     def _inside(self, pose: Pose) -> bool:
-        """Whether a pose can be one of this pool."""
+        """True if a pose lies in the pool, with the calibration's tolerance BEYOND_WALLS_M."""
         length_m, width_m, _ = self._experiment.pool.size_m
         return abs(pose.x_m) <= 0.5 * length_m + BEYOND_WALLS_M and abs(pose.y_m) <= 0.5 * width_m + BEYOND_WALLS_M
 
     def _left_the_picture(self) -> bool:
-        """Whether the robot, as far as it knows, is no longer wholly in the picture of the camera that locates it. Of a camera
-        that moves nobody here knows where it is."""
+        """True if the robot's estimate is not wholly in the picture of the camera that locates it. A moving camera's place is
+        not known here: False then."""
         experiment, last = self._experiment, self._last
         if last is None or not last.estimated or not experiment.localizer.uses_camera or experiment.landmarks:
             return False
         return float(outside_m(experiment.camera, last.eta[None, :3], experiment.vehicle.radius_m)[0]) > 0.0
 
     def _goal(self, now_ns: int) -> Goal | None:
-        """What the mode asks the controller for; None is neutral."""
+        """Return the controller's goal in the present mode; None is neutral."""
         if self.mode is Mode.TRACKING:
-            return self._course.goal(self._inputs.station, now_ns)
+            return self._clock.goal(self._inputs.station, now_ns)
         if self.mode is Mode.HOLDING:
             leapt = self._last is not None and self._last.leap != ""  # the place to hold was never the robot's
             if (self._hold is None or leapt) and self._last is not None and self._last.estimated:
@@ -239,6 +251,7 @@ class Agent:
         return None
 
     def _neighbours(self, inputs: Inputs, now_ns: int) -> tuple[Neighbour, ...]:
+        """Return the other robots' last plans, with their freshness and their part in the formation."""
         limit_ns, formation = self._experiment.safety.plan_max_age_s * 1e9, self._in_formation_with
         return tuple(
             Neighbour(
@@ -248,22 +261,24 @@ class Agent:
             for robot, heard in sorted(inputs.plans.items())
         )  # fmt: skip
 
-    def _things(self, inputs: Inputs, now_ns: int) -> Sequence[Thing]:
-        """Obstacles. Those that nobody has told of for a while are kept, where they may be by now."""
-        watched, safety = inputs.watched, self._experiment.safety
+    def _obstacles(self, inputs: Inputs, now_ns: int) -> Sequence[Obstacle]:
+        """Return the obstacles without the robot's own hull. Those not seen lately grow with their age."""
+        watched, safety = inputs.obstacles, self._experiment.safety
         if watched is None:
             return ()
-        found = things_seen(watched.obstacles, watched.instant_ns, safety.radius_m)
+        found = obstacles_from_message(watched.obstacles, watched.instant_ns, safety.radius_m)
         if self._last is not None and self._last.estimated:
             x, y, _, _ = self._last.eta.tolist()
-            found = self._apart.others(found, complex(x, y), now_ns)
-        return tuple(spread(thing, safety, now_ns) if is_old(thing.age_s(now_ns)) else thing for thing in found)
+            found = self._own_hull.exclude(found, complex(x, y), now_ns)
+        return tuple(
+            grown_with_age(obstacle, safety, now_ns) if is_old(obstacle.age_s(now_ns)) else obstacle for obstacle in found
+        )
 
     def _blind(self, inputs: Inputs, now_ns: int) -> str:
-        """Why the robot does not know of obstacles though somebody should watch for them; empty if it does."""
+        """Return the reason why obstacles are not known though the experiment watches for them; empty if they are known."""
         if not self._experiment.watches_obstacles:
             return ""
-        watched = inputs.watched
+        watched = inputs.obstacles
         if watched is None:
             return blindness(None, 0.0)
         return blindness(watched.obstacles, (now_ns - watched.instant_ns) * 1e-9)
@@ -293,9 +308,9 @@ class Agent:
             mode=self.mode,
             fault=self._fault,
             experiment_hash=self._experiment.hash,
-            tuning_id=self._gains.id,
-            trajectory_s=self._course.reached_s,
-            trajectory_id=self._course.id,
+            tuning_id=self._tuning.id,
+            trajectory_s=self._clock.reached_s,
+            trajectory_id=self._clock.id,
             eta=output.eta,
             nu=output.nu,
             disturbance=output.disturbance,
@@ -317,21 +332,47 @@ class Agent:
             solve=output.solve,
             iterations=output.iterations,
             slack_m=output.slack_m,
-            thruster_test=self._test.result if self._test is not None else "",
+            thruster_test=self._selftest.result if self._selftest is not None else "",
             heard=heard,
             planned=output.estimated,
             blind=blind,
         )
 
 
-def _measurement(inputs: Inputs) -> Measurement:
+def _measurement(inputs: Inputs) -> StateMeasurement:
+    """Convert inputs to the observer's measurement; what is not known is None."""
     seen, telemetry = inputs.pose, inputs.telemetry
     known = telemetry.board_ms >= 0
-    return Measurement(
-        pose=Sighting(seen.instant_ns, seen.pose.x_m, seen.pose.y_m, seen.pose.yaw_rad)
+    return StateMeasurement(
+        pose=PoseMeasurement(seen.instant_ns, seen.pose.x_m, seen.pose.y_m, seen.pose.yaw_rad)
         if seen is not None and seen.pose.track >= Track.KCF
         else None,
         depth_m=telemetry.depth_m if known else None,
         yaw_rate_radps=telemetry.yaw_rate_radps if known else None,
         board_ns=telemetry.arrival_ns if known else None,
     )
+
+
+def begins_ns(header: Header, command: Command) -> int:
+    """Instant (station's clock) at which a START or RESUME takes effect: the one it names, however late it arrives."""
+    return command.start_ns or header.stamp_ns + round(command.start_in_s * 1e9)
+
+
+def unacceptable(robot: int, experiment_hash: str, header: Header, command: Command, station: StationView) -> str:
+    """Return the reason to reject a command before its content is looked at; empty if it is accepted. A command is valid from
+    the station that is heard now, while it is young, and for the experiment of this robot. The bus removes duplicates and
+    commands for an earlier process (wire/transport/command_deduplication.py). STOP and DISARM are always accepted: whoever may
+    command at all (docs/security.md) may take the power away at any time."""
+    if command.robot != robot:
+        return f"is for robot {command.robot}, this is robot {robot}"
+    if command.order in ALWAYS_TAKEN:
+        return ""
+    if header.session != station.session:
+        return "does not come from the station that is heard now"
+    age_s = (station.clock_ns - header.stamp_ns) * 1e-9
+    lives_s = min(command.time_to_live_s, LONGEST_LIFE_S)
+    if not -FROM_THE_FUTURE_S <= age_s <= lives_s:
+        return f"is {age_s:.3f} s old, lives {lives_s:g} s"
+    if command.experiment_hash != experiment_hash:
+        return f"is for experiment {command.experiment_hash[:8]}, this robot holds {experiment_hash[:8]}"
+    return ""

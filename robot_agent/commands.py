@@ -1,13 +1,15 @@
-"""SHELL: `robot-agent init`, `unit` and `check`: a board's configuration, its service, and a look at it before the water."""
+"""SHELL: `robot-agent init`, `unit` and `check`: configuration, service and preflight of a robot's computer."""
 
+import re
 from collections.abc import Iterator
+from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from robot_agent.host.config import DEFAULT_LINK, choose, load_board, template
-from robot_agent.preflight.findings import Finding, Verdict, exit_code, to_json
+from robot_agent.host.config import DEFAULT_LINK, load_agent_config, merge_config, template
+from robot_agent.preflight.findings import CheckFinding, CheckVerdict, exit_code, to_json
 from wire.config.experiment import Experiment, load_experiment
 from wire.process.cli_options import DEFAULT_FLEET, FleetName
 from wire.process.output_files import check_output, replace_text
@@ -18,7 +20,8 @@ from wire.transport.network import refuse_open
 
 ConfigFile = Annotated[Path, typer.Option("--config", metavar="FILE", help="The board's configuration (`robot-agent init`).")]
 DEFAULT_CONFIG = Path("agent.toml")
-COLOURS = {Verdict.OK: "green", Verdict.WARN: "yellow", Verdict.FAIL: "red", Verdict.SKIPPED: None}
+COLOURS = {CheckVerdict.OK: "green", CheckVerdict.WARN: "yellow", CheckVerdict.FAIL: "red", CheckVerdict.SKIPPED: None}
+UNIT_NAME = "shoal-agent.service"
 CAREFUL = "Each thruster will turn. Is the robot free, and is nobody's hand near it?"
 
 
@@ -49,7 +52,7 @@ def init(
     if not experiment.endswith(".toml"):  # a file may be brought later
         load_experiment(experiment).robot(robot)
     given = {"experiment": experiment, "robot": robot, "link": link, "station": station, "fleet": fleet}
-    board = choose({**given, "link_key": link_key, "keys": keys, "insecure": insecure}, None)
+    board = merge_config({**given, "link_key": link_key, "keys": keys, "insecure": insecure}, None)
     with os_errors_as_config_errors(out):
         if out.exists() and not force:
             raise ConfigError(f"{out}: is there already (--force writes over it)")
@@ -66,9 +69,18 @@ def unit(
 
     Example:  robot-agent unit --user pi | sudo tee /etc/systemd/system/shoal-agent.service
     """
-    from robot_agent.host.unit import unit as text
+    typer.echo(unit_text(home, user), nl=False)
 
-    typer.echo(text(home, user), nl=False)
+
+def unit_text(home: str, user: str) -> str:
+    """Systemd unit of an agent that is installed in `home` and runs as `user`. Raises ConfigError for a folder or a user that
+    systemd would misread."""
+    if not re.fullmatch(r"/[\w./-]+", home):
+        raise ConfigError(f"{home!r}: not a folder for a unit file (allowed: an absolute path of letters, digits, . _ - /)")
+    if not re.fullmatch(r"[a-z_][\w-]*", user):
+        raise ConfigError(f"{user!r}: not a user's name")
+    template = resources.files("robot_agent.host") / "templates" / UNIT_NAME
+    return template.read_text(encoding="utf-8").replace("@HOME@", home.rstrip("/")).replace("@USER@", user)
 
 
 def check(
@@ -83,19 +95,19 @@ def check(
 
     Example:  robot-agent check --json
     """
-    from robot_agent.preflight.board import look_over
-    from robot_agent.preflight.thruster_selftest import turn_thrusters
+    from robot_agent.preflight.board import run_preflight
+    from robot_agent.preflight.thrusters import turn_thrusters
 
     start_log("check")
-    board = load_board(config)
+    board = load_agent_config(config)
     if thrusters and not yes and not typer.confirm(CAREFUL, err=True):
         thrusters = False
 
-    def turn(experiment: Experiment) -> Iterator[Finding]:
+    def turn(experiment: Experiment) -> Iterator[CheckFinding]:
         return turn_thrusters(experiment, board)
 
     found = []
-    for finding in look_over(board, turn if thrusters else None):
+    for finding in run_preflight(board, turn if thrusters else None):
         found.append(finding)
         if not json:
             typer.echo(

@@ -1,45 +1,56 @@
-"""What a robot goes by at one control step: the newest of everything that it hears."""
+"""Inputs of one control step: the newest message of each kind, with its instant on our clock."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from robot_agent.command_check import StationView
 from wire.mavlink.agent_link import Telemetry
 from wire.messages.messages import Obstacles, Plan, Pose
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A pose and the instant on our clock at which it was true."""
+class StampedPose:
+    """A pose and the instant of its exposure on our clock."""
 
     pose: Pose
     instant_ns: int
 
 
 @dataclass(frozen=True, eq=False)
-class Heard:
-    """A neighbour's plan and the instant on our clock of its first node."""
+class StampedPlan:
+    """A neighbour's plan and the instant of its node 0 on our clock."""
 
     plan: Plan
     instant_ns: int
 
 
 @dataclass(frozen=True, eq=False)
-class Watched:
-    """What the localizer sees in the pool that is no robot, and the instant on our clock at which it was so."""
+class StampedObstacles:
+    """The localizer's obstacles and the instant of their exposure on our clock."""
 
     obstacles: Obstacles
     instant_ns: int
 
 
+@dataclass(frozen=True)
+class StationView:
+    """The station as last heard: its session, its clock now, the age of its heartbeat, and the formation's lag and slowing in
+    that heartbeat (wire.messages.messages.StationHeartbeat)."""
+
+    session: int = 0
+    clock_ns: int = 0
+    age_s: float = float("inf")
+    lag_s: float = 0.0
+    slowing: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """The newest of everything at one control step."""
+    """Inputs of one control step."""
 
-    pose: Seen | None = None
+    pose: StampedPose | None = None
     telemetry: Telemetry = field(default_factory=Telemetry)
     station: StationView = field(default_factory=StationView)
     emergency_stop: bool = False
-    plans: Mapping[int, Heard] = field(default_factory=dict)
-    watched: Watched | None = None
+    plans: Mapping[int, StampedPlan] = field(default_factory=dict)
+    obstacles: StampedObstacles | None = None
     late_steps: int = 0  # by how much late steps outnumber timely ones of late (step_clock.py)

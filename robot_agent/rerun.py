@@ -1,9 +1,9 @@
-"""A robot's control steps done again from what the log says of them. Pure; `groundstation rerun` brings the log.
+"""A robot's control steps repeated from its log. Pure; `groundstation rerun` reads the log.
 
-What comes in is in the order of use: each plan and each obstacles' message before the first step that names it. Nothing here
-flies: the pulses of a step act on nothing, and the next step's inputs are again those of the log. Where the log's own states
-come along, each behind its step, the agent takes it that their pulses went out: then a changed agent is asked at each step
-what it would do there and then, and does not take the thrust that it never gave for a disturbance.
+Input messages come in the order of use: each plan and obstacles message before the first step that names it. No robot moves:
+the pulses of a step have no effect, and the next step's inputs are again those of the log. If the log's states are given, each
+behind its step, the agent assumes that their pulses went out. A changed agent is then asked at each step for its own output in
+that situation, and does not mistake the thrust of the logged agent for a disturbance.
 """
 
 from collections import deque
@@ -28,7 +28,7 @@ WARNING = 3  # an event's level
 
 @dataclass(frozen=True)
 class _Kept:
-    """A message of another that steps may name."""
+    """A message of another sender that steps may name."""
 
     session: int
     sequence: int
@@ -36,7 +36,7 @@ class _Kept:
 
 
 class Rerun:
-    """One robot's agent, led through its log once more."""
+    """One robot's agent, run through its log again."""
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self._experiment, self._robot = experiment, robot
@@ -46,7 +46,7 @@ class Rerun:
         self._kept: dict[tuple[Topic, int | None], deque[_Kept]] = {}
 
     def run(self, messages: Iterable[Logged]) -> Iterator[Again]:
-        """States and plans as they would have been, and an event wherever the log leaves something out."""
+        """Yield states and plans of the repeated steps, and an event for each gap in the log."""
         for topic, robot, header, payload in messages:
             try:
                 message: Any = decode(topic.type, payload, "log", topic.name)
@@ -60,13 +60,13 @@ class Rerun:
                 yield from self._begin(message, header)
                 yield from self._step(message, header.stamp_ns)
             elif isinstance(message, RobotState):
-                self.agent.acted(message, header.stamp_ns)
+                self.agent.note_sent(message, header.stamp_ns)
             else:
                 kept = self._kept.setdefault((topic, robot), deque(maxlen=KEPT))
                 kept.append(_Kept(header.session, header.sequence, message))
 
     def _begin(self, record: StepInputs, header: Header) -> Iterator[Again]:
-        """A new agent where the robot's program had one."""
+        """Start a new agent where the robot's process started one."""
         if header.session != self._session or record.step < self._next:
             self.agent = Agent(self._experiment, self._robot)
             self._session, self._next = header.session, 0
@@ -102,7 +102,7 @@ class Rerun:
         named_ours = record.reply is None or "is for experiment" not in record.reply.reason
         command = replace(record.command, experiment_hash=self._experiment.hash) if named_ours else record.command
         header = Header(record.order_session, record.order_sequence, record.order_stamp_ns)
-        self.agent.order(header, command, station_view(record, now_ns), now_ns)
+        self.agent.handle_command(header, command, station_view(record, now_ns), now_ns)
 
     def _named(self, topic: Topic, robot: int | None, session: int, sequence: int) -> Any:
         for kept in reversed(self._kept.get((topic, robot), ())):
@@ -115,7 +115,7 @@ class Rerun:
 
 
 def _check(message: Any) -> None:
-    """Raises DecodeError for a step that names plans by halves."""
+    """Raise DecodeError for a step whose columns about plans differ in length."""
     if isinstance(message, StepInputs):
         named = (message.plan_sessions, message.plan_sequences, message.plan_instants_ns)
         if any(len(column) != len(message.plan_robots) for column in named):

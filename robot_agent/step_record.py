@@ -1,8 +1,8 @@
-"""What a control step had to go by, as a record from which the step can be done again. Pure.
+"""Record of a control step's inputs, complete enough to repeat the step. Pure.
 
-The robot's program makes the record first and steps on what it says, so that nothing can reach a step and not its record:
+The node makes the record first and steps on it, so that no input can reach a step without being recorded:
 
-    messages of the bus, telemetry -> `noted` -> StepInputs -> `inputs_of` -> Agent.step
+    messages of the bus, telemetry -> `record_step` -> StepInputs -> `inputs_of` -> Agent.step
                                                   the log   -> `inputs_of` -> Agent.step      (rerun.py)
 """
 
@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Heard, Inputs, Seen, Watched
+from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from wire.mavlink.agent_link import Telemetry
 from wire.messages.codec import Header
 from wire.messages.messages import (
@@ -31,7 +30,7 @@ from wire.process.runtime import Clock
 from wire.transport.bus import Received
 
 
-def noted(
+def record_step(
     step: int,
     late_steps: int,
     clock: Clock,
@@ -41,7 +40,7 @@ def noted(
     plans: Mapping[int, Received[Plan]],
     obstacles: Received[Obstacles] | None,
 ) -> StepInputs:
-    """The record of a step. Plans and obstacles are named only: the log has them, and they are large."""
+    """Record of a step. Plans and obstacles are named by session and sequence only: the log has them, and they are large."""
     robots = sorted(plans)
     return StepInputs(
         step=step,
@@ -59,32 +58,32 @@ def noted(
     )
 
 
-def order_noted(
+def record_command(
     before_step: int, number: int, clock: Clock, header: Header, command: Command, heartbeat: Received[StationHeartbeat] | None
 ) -> OrderTaken:
-    """The record of an order, without its answer."""
+    """Record of a command, without its reply."""
     station = _station(clock, heartbeat)
     del station["heartbeat"]
     return OrderTaken(before_step, number, header.session, header.sequence, header.stamp_ns, command=command, **station)
 
 
 def inputs_of(record: StepInputs, plans: Mapping[int, Plan], obstacles: Obstacles | None, now_ns: int) -> Inputs:
-    """What the agent is given at `now_ns`. `plans` and `obstacles` are the messages that the record names, as far as they are
-    known."""
+    """Inputs of the agent at `now_ns`, from a record. `plans` and `obstacles` are the messages that the record names, as far
+    as they are known."""
     instants = zip(record.plan_robots, record.plan_instants_ns, strict=True)
     return Inputs(
-        pose=Seen(record.pose, record.pose_instant_ns) if record.pose is not None else None,
+        pose=StampedPose(record.pose, record.pose_instant_ns) if record.pose is not None else None,
         telemetry=_telemetry(record.board) if record.board is not None else Telemetry(),
         station=station_view(record, now_ns),
         emergency_stop=record.heartbeat is not None and record.heartbeat.emergency_stop,
-        plans={robot: Heard(plans[robot], instant_ns) for robot, instant_ns in instants if robot in plans},
-        watched=Watched(obstacles, record.obstacles_instant_ns) if obstacles is not None else None,
+        plans={robot: StampedPlan(plans[robot], instant_ns) for robot, instant_ns in instants if robot in plans},
+        obstacles=StampedObstacles(obstacles, record.obstacles_instant_ns) if obstacles is not None else None,
         late_steps=record.late_steps,
     )
 
 
 def station_view(record: StepInputs | OrderTaken, now_ns: int) -> StationView:
-    """The station as it is judged at `now_ns`."""
+    """The station as judged at `now_ns`."""
     if not record.station_session:
         return StationView()
     age_ns = now_ns - record.station_instant_ns
@@ -93,8 +92,8 @@ def station_view(record: StepInputs | OrderTaken, now_ns: int) -> StationView:
     return view if beat is None else replace(view, lag_s=beat.lag_s, slowing=beat.slowing)
 
 
-def answered(record: OrderTaken, reply: Reply) -> OrderTaken:
-    """An order's record with its answer."""
+def with_reply(record: OrderTaken, reply: Reply) -> OrderTaken:
+    """Record of a command with its reply."""
     return OrderTaken(**{**vars(record), "reply": reply})
 
 

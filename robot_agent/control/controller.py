@@ -1,19 +1,21 @@
-"""READ FIRST (control): one control step, from what was sensed to pulse widths. Pure: time is an argument, nothing blocks.
+"""READ FIRST (control): one control step, from sensor values to pulse widths. Pure: time is an argument, nothing blocks.
 
     controller = Controller(vehicle, config, safety)
     output = controller.step(measurement, goal, neighbours, now_ns)     # once per config.period_s
 
-The data's way through `Controller.step`:
+Data flow of `Controller.step`:
 
-    measurement -> Estimator (eso.py)       state at the exposure, predicted to now and to when a new command can act
-    goal        -> Reference (reference.py) path over the horizon, heading that lets surge thrust correct lateral errors
-                -> Passing (velocity_obstacles.py)         the same path, or one that leads round somebody who is in the way
-    neighbours  -> Formation (formation.py) weighted reference, half-spaces that keep robots apart, and from obstacles
-                -> Mpc (mpc.py, dynamics.py, qp.py)    wrench over the horizon; or another law (law.py)
-                -> Allocator (allocation.py)        4 thrusters and 4 ankles, as pulse widths
+    measurement -> Estimator (eso.py)                state at the exposure, predicted to now and to when a command acts
+    goal        -> ReferenceSampler (reference.py)   reference over the horizon
+                -> GiveWay (velocity_obstacles.py)   the same reference, or one around robots and obstacles in the way
+    neighbours  -> Formation (formation.py)          weighted reference (35), half-spaces (36)
+                -> HeadingReference (heading.py)     heading in which surge thrust corrects lateral errors
+                -> Mpc (mpc.py, qp.py)               wrench over the horizon (35 to 40), or another law (law.py)
+                -> Allocator (allocation.py)         pulse widths of 4 thrusters and 4 ankles
 
-The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: it goes on estimating, puts out
-neutral pulses and forgets its plan. All instants are on one clock, the robot's monotonic one (in lockstep the simulator's).
+The estimator is told that `output.pulse_us` went out at `now_ns`. `goal = None` means neutral: the controller goes on
+estimating, puts out neutral pulses and forgets its plan. All instants are on one clock, the robot's monotonic one (in lockstep
+the simulator's).
 """
 
 import math
@@ -22,22 +24,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robot_agent.control.heading import Guidance
+from robot_agent.control.heading import HeadingReference
 from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
-from robot_agent.guidance.formation import Company, Formation, Neighbour, Rank
-from robot_agent.guidance.obstacles import Thing
-from robot_agent.guidance.reference import Follow, Goal, Hold, Path, Sampler
-from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, Passing, pieces, robots
+from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
+from robot_agent.guidance.obstacles import Obstacle
+from robot_agent.guidance.reference import Goal, Hold, Reference, ReferenceSampler
+from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import Estimate, Estimator, Measurement, Sighting
+from robot_agent.vehicle.eso import Estimate, Estimator, StateMeasurement
 from wire.config.controller import ControllerConfig, Safety
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 from wire.messages.messages import Solve
-
-__all__ = ["ControlOutput", "Controller", "Follow", "Goal", "Hold", "Measurement", "Neighbour", "Sighting"]
 
 NS = 1_000_000_000
 KEEP_TURN = 0.55  # of a turn: a robot that faces backwards does not change its mind about the way round at every step
@@ -46,7 +46,7 @@ TURN = 2.0 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class ControlOutput:
-    """Everything one control step found out. Arrays are the caller's to keep: they are never written again."""
+    """Results of one control step. Its arrays belong to the caller: they are never written again."""
 
     pulse_us: tuple[int, ...]  # 4 thrusters, 4 ankles; neutral unless `solve` is SOLVED or SHIFTED
     wrench: Array  # (3,) asked for: surge N, heave N, yaw N m
@@ -73,8 +73,8 @@ class ControlOutput:
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
-    """Other gains, and the optimisation made for them; None with a law that has none."""
+class GainSet:
+    """Other gains, with the MPC built for them; None for a law without MPC."""
 
     config: ControllerConfig
     mpc: Mpc | None
@@ -89,123 +89,147 @@ class Controller:
         config: ControllerConfig,
         safety: Safety,
         urgent: bool = False,
-        follows: bool = False,
+        has_leader: bool = False,
         room_m: tuple[float, float] | None = None,
-        islands: tuple[Thing, ...] = (),
+        islands: tuple[Obstacle, ...] = (),
     ) -> None:
-        """`follows`: its one neighbour in the formation is its leader. `room_m` is the pool's length and width; None: there
-        are no walls to look out for."""
+        """`has_leader`: the one neighbour in the formation is the robot's leader. `room_m`: length and width of the pool; None
+        without walls."""
         horizon, period_s = config.mpc.horizon, config.period_s
-        self._vehicle, self._config, self._urgent, self._follows, self._islands = vehicle, config, urgent, follows, islands
+        self._vehicle, self._config, self._urgent, self._has_leader, self._islands = (
+            vehicle,
+            config,
+            urgent,
+            has_leader,
+            islands,
+        )
         self._weight = np.array(config.mpc.q)
         self._model = model = Model(vehicle, config.estimator.sway, config.mpc.model_lag)
         self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
-        self._sampler = Sampler(nodes_s)
-        self._guidance = Guidance(vehicle, guidance_config(config), period_s, config.estimator.sway)
+        self._sampler = ReferenceSampler(nodes_s)
+        self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway)
         self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
-        self._formation.weigh(self._formation_weight(config))
-        self._passing = Passing(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
+        self._formation.set_weight(self._formation_weight(config))
+        self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
         self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
         self._wrench = np.zeros(3)  # asked for in the last step,
         self._delivered = np.zeros(3)  # and what its pulses gave
-        self._rank = Rank(urgent, 0.0)
+        self._priority = Priority(urgent, 0.0)
         self._goal: Goal | None = None
         self._turns: int | None = None  # of the heading against the path's; None: not known yet
 
     def _formation_weight(self, config: ControllerConfig) -> tuple[float, float, float, float]:
-        return (1.0, 1.0, 1.0, 1.0) if self._follows else config.mpc.q_formation
+        return (1.0, 1.0, 1.0, 1.0) if self._has_leader else config.mpc.q_formation
 
-    def make_ready(self, config: ControllerConfig) -> Tuned:
-        """What it takes to fly with other gains (wire/messages/live_gains.py), made beforehand: solvers are scaled by the
-        weights, and to build them takes ten times as long as a step."""
+    def prepare_gains(self, config: ControllerConfig) -> GainSet:
+        """Build the solvers for other gains (wire/messages/live_gains.py) beforehand: their scale depends on the weights, and
+        building takes ten times as long as a step."""
         mpc = None
         if isinstance(self._law, Mpc):
             mpc = Mpc(self._vehicle, self._model, config.mpc, config.period_s, self._formation.rows)
-        return Tuned(config, mpc)
+        return GainSet(config, mpc)
 
-    def adopt(self, tuned: Tuned) -> None:
-        """Fly with other gains from the next step on. Estimate, heading and plan go on from where they are."""
+    def adopt_gains(self, tuned: GainSet) -> None:
+        """Use other gains from the next step on. Estimate, heading and plan are kept."""
         self._config, self._weight = tuned.config, np.array(tuned.config.mpc.q)
         self._estimator.tune(tuned.config.estimator)
-        self._guidance.tune(guidance_config(tuned.config))
-        self._formation.weigh(self._formation_weight(tuned.config))
+        self._heading.tune(guidance_config(tuned.config))
+        self._formation.set_weight(self._formation_weight(tuned.config))
         if tuned.mpc is not None and isinstance(self._law, Mpc):
-            tuned.mpc.go_on_from(self._law)
+            tuned.mpc.take_over_plan(self._law)
             self._law = tuned.mpc
 
     def step(
         self,
-        measurement: Measurement,
+        measurement: StateMeasurement,
         goal: Goal | None,
         neighbours: Sequence[Neighbour],
         now_ns: int,
-        things: Sequence[Thing] = (),
+        obstacles: Sequence[Obstacle] = (),
     ) -> ControlOutput:
-        """One control step at `now_ns`, whose pulses are taken to go out at once. `things` are obstacles. See the module's
-        docstring."""
+        """Run one control step at `now_ns`; its pulses are assumed to go out at once. See the module's docstring."""
         estimate = self._estimator.update(measurement, now_ns)
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
-        path = self._sampler.path(goal)
-        company = self._formation.company(neighbours, now_ns)
-        lead = path if isinstance(goal, Hold) else self._lead(path, company, things, estimate, now_ns)
-        weight, command = self._command(goal, lead, company, estimate)
-        expected = self._law.expected(estimate.action)
-        keep_clear = self._formation.half_spaces(company, expected, self._rank, now_ns, (*self._islands, *things))
+        reference = self._sampler.sample(goal)
+        predictions = self._formation.predict_neighbours(neighbours, now_ns)
+        lead = (
+            reference if isinstance(goal, Hold) else self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
+        )
+        weight, command = self._command(goal, lead, predictions, estimate)
+        predicted_path = self._law.predicted_path(estimate.action)
+        keep_clear = self._formation.half_spaces(
+            predictions, predicted_path, self._priority, now_ns, (*self._islands, *obstacles)
+        )
         plan = self._law.plan(
             estimate.action, estimate.disturbance, self._wrench, command[1:], weight, keep_clear, estimate.current,
             self._delivered,
         )  # fmt: skip
-        is_free = lead is path and not keep_clear.bind(plan.eta)
-        return self._put_out(plan, estimate, path, lead, command, is_free, now_ns)
+        is_free = lead is reference and not keep_clear.binds(plan.eta)
+        return self._put_out(plan, estimate, reference, lead, command, is_free, now_ns)
 
-    def acted(self, wrench: Array, delivered: Array, now_ns: int) -> None:
-        """These went out at `now_ns`, (3,) each, in the place of what the step of that instant came to."""
+    def note_command(self, wrench: Array, delivered: Array, now_ns: int) -> None:
+        """Take note of the wrench asked for and delivered, (3,) each, that really went out at `now_ns` instead of the last
+        step's."""
         surge, heave, yaw = delivered.tolist()
-        self._estimator.applied((surge, heave, yaw), now_ns)
+        self._estimator.note_wrench((surge, heave, yaw), now_ns)
         self._wrench, self._delivered = wrench, delivered
 
     def _take_up(self, goal: Goal) -> None:
-        """A goal of another kind starts with a fresh heading memory."""
+        """Clear the heading memory at a goal of another kind."""
         before, self._goal = self._goal, goal
         if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
-            self._guidance.reset()
-            self._passing.reset()
+            self._heading.reset()
+            self._give_way.reset()
             self._turns = None
 
-    def _lead(self, path: Path, company: Company, things: Sequence[Thing], estimate: Estimate, now_ns: int) -> Path:
-        """The path itself, or one that leads round the others and round things."""
+    def _avoidance_path(
+        self,
+        reference: Reference,
+        predictions: NeighbourPredictions,
+        obstacles: Sequence[Obstacle],
+        estimate: Estimate,
+        now_ns: int,
+    ) -> Reference:
+        """Return the reference itself, or one that avoids the other robots and the obstacles."""
         x, y, z, _ = estimate.eta.tolist()
-        traffic = robots(company, self._formation.keeps_m(company, now_ns), z, self._urgent)
-        for thing in things:
-            speed_mps = math.hypot(*path.velocity[0, :2].tolist()) + CATCH_UP_MPS
-            traffic = traffic.joined(pieces(thing, complex(x, y), speed_mps, now_ns))
-        return self._passing.lead(path, complex(x, y), traffic)
+        traffic = robot_traffic(predictions, self._formation.clearances_m(predictions, now_ns), z, self._urgent)
+        for obstacle in obstacles:
+            speed_mps = math.hypot(*reference.velocity[0, :2].tolist()) + CATCH_UP_MPS
+            traffic = traffic.joined(obstacle_traffic(obstacle, complex(x, y), speed_mps, now_ns))
+        return self._give_way.avoidance_path(reference, complex(x, y), traffic)
 
-    def _command(self, goal: Goal, path: Path, company: Company, estimate: Estimate) -> tuple[Array, Array]:
-        """Weight W (4,) and weighted reference with heading (horizon + 2, 4), rows for now and all nodes."""
+    def _command(
+        self, goal: Goal, reference: Reference, predictions: NeighbourPredictions, estimate: Estimate
+    ) -> tuple[Array, Array]:
+        """Return the weight W (4,) and the reference with formation terms (35) and heading, (horizon + 2, 4): now and all
+        nodes."""
         if isinstance(goal, Hold):
-            command = path.eta.copy()
-            command[:, 3] = self._guidance.hold(path, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
+            command = reference.eta.copy()
+            command[:, 3] = self._heading.heading_on_hold(
+                reference, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
+            )
             return self._weight, command
-        command = path.eta.copy()
+        command = reference.eta.copy()
         weight = self._weight
-        if company.weight.any():
-            if self._follows:  # own node + (leader - leader's node) = leader + offset
-                pull = company.pull / company.weight
+        if predictions.weight.any():
+            if self._has_leader:  # own node + (leader - leader's node) = leader + offset
+                pull = predictions.weighted_deviation / predictions.weight
             else:
-                weight = weight + company.weight
-                pull = company.pull / np.maximum(weight, 1e-12)
+                weight = weight + predictions.weight
+                pull = predictions.weighted_deviation / np.maximum(weight, 1e-12)
             command[1:] += pull
             command[0] += pull[0]
         if self._config.guidance.enabled:
-            lead = Path(command, path.velocity, path.acceleration)
-            command[:, 3] = self._guidance.follow(lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current)
+            lead = Reference(command, reference.velocity, reference.acceleration)
+            command[:, 3] = self._heading.heading_along(
+                lead, estimate.eta, estimate.nu, estimate.disturbance, estimate.current
+            )
         away = float(estimate.eta[3] - command[0, 3]) / TURN
         if self._turns is None or abs(away - self._turns) > KEEP_TURN:
             self._turns = round(away)
@@ -217,24 +241,25 @@ class Controller:
         self,
         plan: MpcPlan,
         estimate: Estimate,
-        path: Path,
-        lead: Path,
+        reference: Reference,
+        lead: Reference,
         command: Array,
         is_free: bool,
         now_ns: int,
     ) -> ControlOutput:
+        """Convert a plan to pulses and output."""
         failed = plan.solve is Solve.FAILED
         pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
         delivered = self._allocator.delivered(pulses)
-        self._estimator.applied(delivered, now_ns)
+        self._estimator.note_wrench(delivered, now_ns)
         wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, np.array(delivered)
-        error_m = math.dist(path.eta[0, :3].tolist(), estimate.eta[:3].tolist())
+        error_m = math.dist(reference.eta[0, :3].tolist(), estimate.eta[:3].tolist())
         # Told from now on, at the command's instants: poses, and where they are meant to be. That is without the formation's
         # pull: neighbours who shared a deviation would else see less of it, and the less the more of them there are.
         told = np.empty((len(command), 8))
         told[0, :4], told[1:, :4], told[:, 4:7], told[:, 7] = estimate.eta, plan.eta, lead.eta[:, :3], command[:, 3]
         told = self._to_now @ told
-        self._rank = Rank(self._urgent, error_m)
+        self._priority = Priority(self._urgent, error_m)
         return ControlOutput(
             pulse_us=pulses,
             wrench=plan.wrench,
@@ -244,8 +269,8 @@ class Controller:
             estimated=True,
             eta=estimate.eta,
             nu=estimate.nu,
-            disturbance=estimate.lumped,
-            eta_reference=path.eta[0].copy(),
+            disturbance=estimate.gamma_still_water,
+            eta_reference=reference.eta[0].copy(),
             eta_command=command[0].copy(),
             plan_eta=told[:, :4],
             plan_reference=told[:, 4:],
@@ -261,14 +286,14 @@ class Controller:
         )
 
     def _neutral(self, estimate: Estimate | None, now_ns: int) -> ControlOutput:
-        """Thrusters off, plan forgotten. The plan that is told to others: it stays where it is."""
+        """Output with thrusters off. The plan is forgotten; neighbours are told that the robot stays in place."""
         self._law.reset()
-        self._guidance.reset()
-        self._passing.reset()
+        self._heading.reset()
+        self._give_way.reset()
         self._goal = None
         wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
-        self._estimator.applied((0.0, 0.0, 0.0), now_ns)
-        self._rank = Rank(self._urgent, 0.0)
+        self._estimator.note_wrench((0.0, 0.0, 0.0), now_ns)
+        self._priority = Priority(self._urgent, 0.0)
         eta = np.zeros(4) if estimate is None else estimate.eta
         stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))
         return ControlOutput(
@@ -280,7 +305,7 @@ class Controller:
             estimated=estimate is not None,
             eta=eta,
             nu=np.zeros(4) if estimate is None else estimate.nu,
-            disturbance=np.zeros(4) if estimate is None else estimate.lumped,
+            disturbance=np.zeros(4) if estimate is None else estimate.gamma_still_water,
             eta_reference=eta,
             eta_command=eta,
             plan_eta=stay,
@@ -298,7 +323,7 @@ class Controller:
 
 
 def _resampling(from_s: Array, to_s: Array) -> Array:
-    """Linear interpolation as a matrix (to, from): plans are computed from the instant of action and told from now."""
+    """Linear interpolation as a matrix (to, from): plans begin at the instant of action and are told from now on."""
     matrix = np.zeros((len(to_s), len(from_s)))
     low = np.clip(np.searchsorted(from_s, to_s, side="right") - 1, 0, len(from_s) - 2)
     share = (to_s - from_s[low]) / (from_s[low + 1] - from_s[low])

@@ -1,4 +1,4 @@
-"""The control law: what turns estimate and reference into a wrench and a plan. One of them is the ESO-MPC."""
+"""Control laws: from estimate and reference to a wrench and a plan. One of them is the ESO-MPC."""
 
 from typing import Protocol
 
@@ -24,8 +24,8 @@ class Law(Protocol):
     def reset(self) -> None:
         """Forget the last plan."""
 
-    def expected(self, state: State) -> Array:
-        """What the coming plan is expected to be: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
+    def predicted_path(self, state: State) -> Array:
+        """Return the poses expected of the coming plan: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
 
     def plan(
         self,
@@ -38,13 +38,14 @@ class Law(Protocol):
         current: complex = 0j,
         delivered: Array | None = None,
     ) -> MpcPlan:
-        """One step. `state` when a command given now begins to act, its velocities through water that streams at `current`
-        (x + iy, m/s); Gamma (4,); `wrench` (3,) asked for last, `delivered` (3,) what the thrusters gave of it (None: all);
-        `reference` (horizon + 1, 4) from that instant on, its yaw near the state's; `weight` W (4,)."""
+        """Compute one step. `state` is that at which a command given now begins to act, its velocities through water that
+        streams at `current` (x + iy, m/s). Gamma (4,); `wrench` (3,) asked for last, `delivered` (3,) its part that the
+        thrusters gave (None: all); `reference` (horizon + 1, 4) from that instant on, its yaw near the state's; `weight` W
+        (4,)."""
 
 
 def guidance_config(config: ControllerConfig) -> GuidanceConfig:
-    """Guidance as the law wants it: how fast a heading may correct depends on the loop that follows it."""
+    """Settings of the heading for a law: the correction gain depends on the heading loop."""
     if config.law == "eso-mpc":
         return config.guidance
     gain = getattr(config, config.law.replace("-", "_")).guidance_per_s2
@@ -52,7 +53,7 @@ def guidance_config(config: ControllerConfig) -> GuidanceConfig:
 
 
 def make_law(vehicle: Vehicle, model: Model, config: ControllerConfig, period_s: float, rows: int) -> Law:
-    """The law of that name. `rows` half-spaces there can be."""
+    """Build the law named in the settings. `rows` is the largest number of half-spaces."""
     if config.law == "eso-mpc":
         return Mpc(vehicle, model, config.mpc, period_s, rows)
     return Feedback(_feedback(vehicle, model, config, period_s), vehicle, model, period_s, config.mpc.horizon)

@@ -1,12 +1,12 @@
-"""The model along a horizon: poses at all nodes as an affine function of the wrenches to come (17-25, 33, condensed).
+"""Linearised model over the horizon: poses at all nodes as an affine function of the wrenches to come (17-25, 33, condensed).
 
-Linearised along a nominal trajectory, each node around its own point, the horizon is a chain of recursions that is
-triangular and banded: heave and yaw rate first, then surge with sway, then poses as running sums. LAPACK's banded solve
-runs a chain for the free response and all input blocks at once (5 us; a Python loop over 50 nodes takes 100).
+Linearised along a nominal trajectory, each node around its own point, the horizon is a chain of recursions that is triangular
+and banded: heave and yaw rate first, then surge with sway, then poses as running sums. LAPACK's banded solve runs a chain for
+the free response and all input blocks at once (5 us; a Python loop over 50 nodes takes 100).
 
-What a step costs is the number of NumPy calls, and that their inner loops are long. So quantities go in pairs that obey
-equations of the same form, (u, v) and (w, r), (x, y) and (z, yaw), side by side in memory: an array of pairs is one array to
-NumPy, a sequence of unknowns to LAPACK, and complex numbers where that helps. u + iv turned into the pool is one product.
+The time of a step is the number of NumPy calls, so their inner loops must be long. Quantities with equations of the same form
+are stored in pairs side by side: (u, v) and (w, r), (x, y) and (z, yaw). An array of pairs is one array to NumPy, a sequence
+of unknowns to LAPACK, and an array of complex numbers for rotations: u + iv turned into the pool frame is one product.
 
 Accelerations are counted as change of velocity per step: with s = -dt slope / m, the exponential Euler step of dynamics.py is
 v+ = exp(s) v + (exp(s) - 1) / s a.
@@ -23,11 +23,12 @@ TINY = 1e-12  # m/s: keeps 0/0 out
 
 
 class Prediction:
-    """Workspaces for `horizon` nodes `period_s` apart with the inputs held over `blocks` (the last block to the end).
+    """Affine prediction of poses for `horizon` nodes `period_s` apart, with the inputs held over `blocks` (the last to the
+    end).
 
-    After `linearise` the rows hold, per input block and last the free response, at nodes 0..horizon:
-    `position` (2 blocks + 1, nodes) complex: x + iy by surge blocks, yaw blocks, free; `heave` and `yaw` (blocks + 1, nodes)
-    by heave or yaw blocks, free. `eta` and `nu` (2, nodes, 2) are the nominal trajectory: (x, y), (z, yaw); (u, v), (w, r).
+    After `linearise` the rows hold, per input block and last the free response, at nodes 0..horizon: `position` (2 blocks + 1,
+    nodes) complex: x + iy by surge blocks, yaw blocks, free; `heave` and `yaw` (blocks + 1, nodes) by heave or yaw blocks,
+    free. `eta` and `nu` (2, nodes, 2) are the nominal trajectory: (x, y), (z, yaw); (u, v), (w, r).
     """
 
     def __init__(self, model: Model, period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
@@ -52,7 +53,7 @@ class Prediction:
         self._speed_keep, self._u_from_v, self._v_from_u = speed[:-2, 2], speed[1:-2:2, 1], speed[:-2:2, 3]
 
     def _drag_and_coriolis(self, model: Model, horizon: int) -> None:
-        """Spelled out for every node: with rows of four NumPy's inner loops would be of length four."""
+        """Repeat the coefficients for every node: with rows of four NumPy's inner loops would be of length four."""
         dt, sway = self._dt, 1.0 if model.sway else 0.0
 
         def at_nodes(u: float, v: float, w: float, r: float) -> Array:
@@ -65,7 +66,8 @@ class Prediction:
         self._sway_step = sway * dt
 
     def _thrust(self, model: Model, horizon: int, blocks: tuple[int, ...]) -> None:
-        """What drives the chains: per step, for a unit of each block, and of the thrust there was (thrusters lag)."""
+        """Compute the inputs of the chains: per step, for a unit of each block, and for the decaying thrust that acts now
+        (thrusters lag)."""
         n, dt, mass = self._n, self._dt, model.mass
         left, mean = model.lag(dt)
         starts = np.concatenate([[0], np.cumsum(blocks)])
@@ -91,12 +93,12 @@ class Prediction:
         self.nu[:, :-1] = self.nu[:, 1:]
 
     def poses(self) -> Array:
-        """The nominal trajectory's poses (nodes, 4) as they are now, to keep."""
+        """Copy of the nominal trajectory's poses (nodes, 4)."""
         return np.concatenate((self.eta[0], self.eta[1]), axis=1)
 
     def linearise(self, state: State, wrench: Array, disturbance: Array, current: complex = 0j) -> None:
-        """Fill the responses for a start `state`, the wrench (3,) that the blocks are changes to, Gamma (4,), and water that
-        streams at `current` (x + iy, m/s); velocities are through the water."""
+        """Compute the responses for a start `state`, the wrench (3,) that the blocks are changes to, Gamma (4,), and water
+        that streams at `current` (x + iy, m/s). Velocities are through the water."""
         eta, nu, flow = self.eta, self.nu, self._flow
         turned = eta[1, :, 1]
         turned += state[3] - turned[0]  # the plan's turn, from the heading there is
@@ -122,7 +124,7 @@ class Prediction:
         self._move(state, current)
 
     def _applied(self, state: State, wrench: Array, disturbance: Array) -> Array:
-        """Velocity per step (2, horizon, 2) of the disturbance and of the wrench that thrusters are coming to."""
+        """Velocity per step (2, horizon, 2) of the disturbance and of the wrench that thrusters approach."""
         dt, (mass_u, _, mass_w, mass_r) = self._dt, self._mass
         x, z, n = wrench.tolist()
         u, v, w, r = disturbance.tolist()
@@ -133,7 +135,7 @@ class Prediction:
         return np.asarray(np.matmul(self._fading, self._levels))
 
     def _turn_and_dive(self, state: State, keep: Array, held: Array, push: Array) -> None:
-        """Heave and yaw rate, each by itself; their integrals are z and yaw."""
+        """Solve heave and yaw rate, each by itself, and their integrals z and yaw."""
         rates, drive = self._turning, self._turning_drive
         drive[-1] = push
         np.multiply(drive, held, out=rates[:, 1:])
@@ -143,7 +145,7 @@ class Prediction:
         _integrate(rates.view(np.complex128)[:, :, 0], 0.5 * self._dt, complex(state[2], state[3]), self._sunk_turned)
 
     def _surge_and_sway(self, state: State, keep: Array, held: Array, push: Array) -> None:
-        """Coupled by drag's common speed and by the turn; u r and v r are linearised: v r ~ v0 r + r0 v - v0 r0."""
+        """Solve surge and sway, coupled by the common drag speed and by the turn; v r is linearised as v0 r + r0 v - v0 r0."""
         n, speed, drive = self._n, self._speed, self._speed_drive
         u, v, r = self.nu[0, :-1, 0], self.nu[0, :-1, 1], self.nu[1, :-1, 1]
         u_from_r, v_from_r = self._coriolis_u * v, self._coriolis_v * u
@@ -165,7 +167,7 @@ class Prediction:
         dtbtrs(self._speed_band, speed.reshape(2 * n + 1, -1).T, uplo="L", diag="U", overwrite_b=1)
 
     def _move(self, state: State, current: complex) -> None:
-        """(x + iy)' = (u + iv) exp(i yaw) + current, linearised in yaw."""
+        """Integrate (x + iy)' = (u + iv) exp(i yaw) + current, linearised in yaw."""
         yaw = self.eta[1, :, 1]
         rotation = np.exp(1j * yaw)
         turn = self.nu[0].view(np.complex128)[:, 0] * rotation
@@ -177,7 +179,7 @@ class Prediction:
         velocity[-1] -= turn
         _integrate(velocity, 0.5 * self._dt, complex(state[0], state[1]), self.position)
 
-    def follow(self, surge_yaw: Array, heave: Array) -> None:
+    def set_nominal(self, surge_yaw: Array, heave: Array) -> None:
         """Make the response to block changes `surge_yaw` (2 blocks) and `heave` (blocks) the nominal trajectory."""
         n, planar, turning = self._n, self._planar, self._changes
         planar[:-1] = surge_yaw

@@ -1,53 +1,53 @@
-"""Weights and gains changed in flight, in two steps: TUNE checks a set and makes it ready, ADOPT says from when on it counts.
+"""Gains changed in flight, in two steps: TUNE checks and prepares a set, ADOPT names the instant from which it counts.
 
-So a fleet changes together or not at all: nobody flies with a set that another robot refused. Between two control steps, never
-within one. Pure: time is an argument.
+So a fleet changes together or not at all: no robot flies with a set that another one refused. Gains change between two control
+steps, never within one. Pure: time is an argument.
 """
 
 from dataclasses import dataclass
 
-from robot_agent.control.controller import Controller, Tuned
+from robot_agent.control.controller import Controller, GainSet
 from wire.config.controller import ControllerConfig
 from wire.messages.live_gains import of_message, tuning
 from wire.messages.messages import Command, Order
 from wire.toml_loader import ConfigError
 
-Prepared = Tuned | str  # a set that can be flown, or why it cannot be
+Prepared = GainSet | str  # a set that can be flown, or why it cannot be
 
 
 @dataclass(frozen=True, eq=False)
 class Adoption:
-    """Which set, and from when on: both must have come, the instant on our clock and the place along the trajectory."""
+    """A set of gains and its beginning: both the instant on our clock and the place along the trajectory must be reached."""
 
     id: str
-    tuned: Tuned
+    tuned: GainSet
     at_ns: int
     trajectory_s: float
 
 
-class Gains:
-    """What the controller flies with, and what it may fly with next."""
+class LiveTuning:
+    """The controller's present gains, and the set that is prepared."""
 
     def __init__(self, controller: Controller, config: ControllerConfig) -> None:
         self.id = tuning(config).id
         self._controller, self._config = controller, config
-        self._ready: tuple[str, Tuned] | None = None
+        self._ready: tuple[str, GainSet] | None = None
         self._adoption: Adoption | None = None
 
     def prepare(self, command: Command) -> Prepared:
-        """What a TUNE asks for, made; or why it cannot be; nothing for another order. It takes ten times as long as a control
-        step and changes nothing, so it may be done beside one."""
+        """Build the set of a TUNE, or return the reason why it cannot be built; nothing for another command. It takes ten
+        times as long as a control step and changes nothing, so it may run beside one."""
         if command.order is not Order.TUNE:
             return ""
         if command.tuning is None:
             return "carries no gains"
         try:
-            return self._controller.make_ready(of_message(self._config, command.tuning))
+            return self._controller.prepare_gains(of_message(self._config, command.tuning))
         except ConfigError as error:
             return str(error)
 
     def objection(self, command: Command, prepared: Prepared) -> str:
-        """Why a TUNE or ADOPT is not followed; empty if it is."""
+        """Return the reason to refuse a TUNE or ADOPT; empty if there is none."""
         if command.order is Order.TUNE and isinstance(prepared, str):
             return prepared
         if command.order is Order.ADOPT and command.tuning_id != self.id:
@@ -56,9 +56,9 @@ class Gains:
                 return f"tuning {command.tuning_id} is not ready (flown: {self.id}, ready: {ready})"
         return ""
 
-    def follow(self, command: Command, prepared: Prepared, given_ns: int) -> None:
-        """Carry out an order without objection, given at that instant on our clock."""
-        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, Tuned):
+    def apply(self, command: Command, prepared: Prepared, given_ns: int) -> None:
+        """Carry out a command without objection, given at `given_ns` on our clock."""
+        if command.order is Order.TUNE and command.tuning is not None and isinstance(prepared, GainSet):
             self._ready = command.tuning.id, prepared
         elif command.order is Order.ADOPT and command.tuning_id == self.id:
             self._adoption = None
@@ -67,13 +67,13 @@ class Gains:
             self._adoption = Adoption(*self._ready, at_ns, command.trajectory_s)
 
     def leave_run(self) -> None:
-        """Forget a set that waits for its lap: there is none to come."""
+        """Forget a set that waits for a later lap: the run is over."""
         if self._adoption is not None and self._adoption.trajectory_s > 0.0:
             self._adoption = None
 
     def step(self, now_ns: int, reached_s: float) -> None:
-        """Before each control step: change over if it is time."""
+        """Change to the adopted set if its time has come. Call it before each control step."""
         wanted = self._adoption
         if wanted is not None and now_ns >= wanted.at_ns and reached_s >= wanted.trajectory_s:
-            self._controller.adopt(wanted.tuned)
+            self._controller.adopt_gains(wanted.tuned)
             self.id, self._ready, self._adoption = wanted.id, None, None

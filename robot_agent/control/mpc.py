@@ -29,13 +29,13 @@ WEIGHED_S = 0.05  # control period for which `r` weighs changes against the erro
 
 
 def bridged_steps(period_s: float) -> int:
-    """How many control steps in a row may do without a solution."""
+    """Number of consecutive control steps that the last plan may bridge without a solution."""
     return int(BRIDGED_S / period_s + 1e-9)
 
 
 @dataclass(frozen=True, eq=False)
 class MpcPlan:
-    """What to do now, and what is expected of it."""
+    """A wrench for now, and the predicted poses."""
 
     wrench: Array  # (3,)
     eta: Array  # (horizon + 1, 4) predicted, node 0 is the start
@@ -46,10 +46,10 @@ class MpcPlan:
 
 
 class Mpc:
-    """Workspaces and memory of one robot's controller.
+    """Model predictive controller of one robot, with its workspaces and memory.
 
-    Half-spaces are rare, and their rows would double the time of a solve: so there are two problems, `alone` with the limits
-    only and `beside` others with a slack and `rows` more.
+    Half-spaces are rare, and their rows would double the time of a solve. So there are two problems: one with the limits only,
+    one with `rows` half-spaces and a slack in addition.
     """
 
     def __init__(self, vehicle: Vehicle, model: Model, config: MpcConfig, period_s: float, rows: int) -> None:
@@ -72,21 +72,22 @@ class Mpc:
         self._planar_cost, self._depth_cost = block_diag(*smooth[:2]), smooth[2]
         self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
         self._slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])
-        self._p_beside = block_diag(self._p, np.array([[self._slack]]))
+        self._p_with_slack = block_diag(self._p, np.array([[self._slack]]))
         self._a = np.vstack([np.eye(size), block_diag(difference, difference, difference)])
-        self._a_beside = block_diag(self._a, np.ones((rows, 1)))
+        self._a_with_slack = block_diag(self._a, np.ones((rows, 1)))
         channel_limits, channel_steps = self._limit.take(CHANNELS).repeat(n), self._step_limit.take(CHANNELS).repeat(n)
         self._channel_limits, self._channel_of = channel_limits, np.array(CHANNELS).repeat(n)
         self._upper = np.concatenate([channel_limits, channel_steps, np.full(rows, NO_BOUND)])
         self._lower = -self._upper
-        self._alone, self._beside = self._make_solvers(rows)
-        self._in_company = False
+        self._plain_solver, self._half_space_solver = self._make_solvers(rows)
+        self._had_half_spaces = False
 
     def _make_solvers(self, rows: int) -> tuple[Solver, Solver]:
-        """Scaled so that the Hessian of a robot at rest has a unit diagonal: 16 iterations, 18-40 with the limits as scale."""
+        """Build both solvers, scaled so that the Hessian of a robot at rest has a unit diagonal: 16 iterations, 18-40 with the
+        limits as scale."""
         n, size = self._n, 3 * self._n
         p_beside = block_diag(np.ones((2 * n, 2 * n)), np.ones((n, n)), np.ones((1, 1))) > 0.0
-        a_beside = self._a_beside != 0.0
+        a_beside = self._a_with_slack != 0.0
         a_beside[2 * size :, : 2 * n] = True
         rest = (0.0,) * 11
         self._prediction.restart(rest)
@@ -101,19 +102,19 @@ class Mpc:
         return alone, make_solver(name, p_beside, a_beside, scale_beside, row_scale_beside, bounds=size)
 
     def reset(self) -> None:
-        """Forget the last plan: until the next one stands, for some steps at most, the thrusters stay off."""
+        """Forget the last plan: until the next solution, for a few steps at most, the thrusters stay off."""
         self._fresh, self._shifted = True, 0
         self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)
 
-    def go_on_from(self, other: "Mpc") -> None:
-        """Take over the plan of a controller that has other weights, and nothing else of it."""
+    def take_over_plan(self, other: "Mpc") -> None:
+        """Take over the plan of an MPC with other weights, and nothing else of it."""
         self._prediction, self._fresh, self._shifted = other._prediction, other._fresh, other._shifted
         self._solution, self._base = other._solution, other._base
-        self._alone.start_from(self._solution[: 3 * self._n])  # without the slack of a plan beside others
+        self._plain_solver.warm_start(self._solution[: 3 * self._n])  # without the slack of a plan beside others
 
-    def expected(self, state: State) -> Array:
-        """What the coming plan is linearised along, the last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all
-        nodes, shape (2, horizon + 1, 2)."""
+    def predicted_path(self, state: State) -> Array:
+        """Return the poses around which the coming plan is linearised: the last plan moved on by one step, or `state`; (x, y)
+        and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
         if self._fresh or self._config.linearise == "point":
             self._prediction.restart(state)
             self._fresh = False
@@ -130,9 +131,8 @@ class Mpc:
         current: complex = 0j,
         delivered: Array | None = None,
     ) -> MpcPlan:
-        """One solve. Velocities of `state` are through water that streams at `current` (x + iy, m/s). `reference` (horizon +
-        1, 4), its yaw near the state's; `weight` W (4,); `wrench` (3,) asked for last: bounds (39, 40) count from there. What
-        the thrusters gave of it is `delivered`: the model goes on from that, and takes what lacked for lacking on."""
+        """Solve once, see `Law.plan`. Bounds (39, 40) count from `wrench` (3,), asked for last. The model starts from
+        `delivered` (3,), and assumes that the difference persists."""
         n, prediction = self._n, self._prediction
         if self._fresh or self._config.linearise == "point":
             prediction.restart(state)
@@ -140,19 +140,19 @@ class Mpc:
         prediction.linearise(state, wrench if delivered is None else delivered, disturbance, current)
         self._objective(reference, weight)
         self._limits(wrench)
-        solution = self._solve_alone() if len(keep_clear.node) == 0 else self._solve_beside(keep_clear)
+        solution = self._qp_plain() if len(keep_clear.node) == 0 else self._qp_with_half_spaces(keep_clear)
         if not solution.solved:
             return self._fall_back(wrench, solution.iterations)
         x = solution.x
-        prediction.follow(x[: 2 * n], x[2 * n : 3 * n])
+        prediction.set_nominal(x[: 2 * n], x[2 * n : 3 * n])
         self._solution, self._base, self._shifted = x, wrench, 0
         eta = prediction.poses()
         prediction.shift()
-        slack_m = max(0.0, float(x[-1])) if self._in_company else 0.0
+        slack_m = max(0.0, float(x[-1])) if self._had_half_spaces else 0.0
         return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, solution.iterations, slack_m)
 
     def _objective(self, reference: Array, weight: Array) -> None:
-        """P and q as Gram matrices: unit responses, and the free response's error as one more row."""
+        """Write P and q of (35) as Gram matrices of unit responses, with the free response's error as one more row."""
         n, h, prediction = self._n, self._h, self._prediction
         root = np.sqrt(weight)
         goal = reference[1:] * root
@@ -170,36 +170,38 @@ class Mpc:
         self._q[: 2 * n], self._q[2 * n : 3 * n] = moving[-1, :-1], sinking[-1, :-1]
 
     def _limits(self, wrench: Array) -> None:
-        """Bounds (39) on blocks that are changes to `wrench`."""
+        """Write the bounds (39) on blocks that are changes to `wrench`."""
         size, now = 3 * self._n, wrench.take(self._channel_of)
         np.subtract(self._channel_limits, now, out=self._upper[:size])
         np.negative(self._channel_limits, out=self._lower[:size])
         self._lower[:size] -= now
 
-    def _solve_alone(self) -> Solution:
+    def _qp_plain(self) -> Solution:
+        """Solve without half-spaces."""
         size = 3 * self._n
-        if self._in_company:
-            self._alone.start_from(self._solution[:size])
-            self._in_company = False
-        return self._alone.solve(self._p, self._q[:size], None, self._lower[: 2 * size], self._upper[: 2 * size])
+        if self._had_half_spaces:
+            self._plain_solver.warm_start(self._solution[:size])
+            self._had_half_spaces = False
+        return self._plain_solver.solve(self._p, self._q[:size], None, self._lower[: 2 * size], self._upper[: 2 * size])
 
-    def _solve_beside(self, keep_clear: HalfSpaces) -> Solution:
-        """With half-spaces (36) in the first of the rows that there are for them."""
+    def _qp_with_half_spaces(self, keep_clear: HalfSpaces) -> Solution:
+        """Solve with half-spaces (36) in the first of the rows reserved for them."""
         n, size, count = self._n, 3 * self._n, len(keep_clear.node)
-        if not self._in_company:
-            self._beside.start_from(np.append(self._solution[:size], 0.0))
-            self._in_company = True
+        if not self._had_half_spaces:
+            self._half_space_solver.warm_start(np.append(self._solution[:size], 0.0))
+            self._had_half_spaces = True
         responses = self._prediction.position[:, keep_clear.node]
         along = responses.real * keep_clear.normal.real + responses.imag * keep_clear.normal.imag
-        rows, lower = self._a_beside[2 * size :], self._lower[2 * size :]
+        rows, lower = self._a_with_slack[2 * size :], self._lower[2 * size :]
         rows[:count, : 2 * n], rows[count:, : 2 * n] = along[:-1].T, 0.0
         rows[:count, -1] = 1.0 if keep_clear.give is None else keep_clear.give
         lower[:count], lower[count:] = keep_clear.offset - along[-1], -NO_BOUND
-        self._p_beside[:-1, :-1] = self._p
-        return self._beside.solve(self._p_beside, self._q, self._a_beside, self._lower, self._upper)
+        self._p_with_slack[:-1, :-1] = self._p
+        return self._half_space_solver.solve(self._p_with_slack, self._q, self._a_with_slack, self._lower, self._upper)
 
     def _step_of_plan(self, step: int, before: Array) -> Array:
-        """The last good plan's wrench (3,), exactly within the limits (the solver is right to 1e-4)."""
+        """Return the last good plan's wrench (3,) at a step, clipped exactly to the limits (the solver's tolerance is
+        1e-4)."""
         asked = self._solution[self._unknowns[step]]
         asked += self._base
         np.maximum(asked, before - self._step_limit, out=asked)
@@ -209,7 +211,7 @@ class Mpc:
         return np.asarray(asked)
 
     def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
-        """The last good plan, moved on by a step; nothing once it is used up."""
+        """Return the last good plan moved on by a step; FAILED and no thrust once BRIDGED_S are used up."""
         eta = self._prediction.poses()
         if self._shifted >= self._most_shifted:
             self.reset()

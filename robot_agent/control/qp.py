@@ -1,9 +1,9 @@
-"""Quadratic programs of one fixed size, solved over and over: min 1/2 x'Px + q'x with lower <= Ax <= upper.
+"""Quadratic programs of one fixed size, solved repeatedly: min 1/2 x'Px + q'x with lower <= Ax <= upper.
 
 Both backends take dense arrays and own all bookkeeping. They are built once; a solve changes numbers, never structure, and
-starts from the last solution. Whatever comes in is checked first, because OSQP does not (all reproduced with 1.1): bounds
-that cross and vectors of a wrong size are printed and dropped, the old ones stay; a strided vector is misread; one NaN
-spoils every later solve; `update(Px=)` overwrites the caller's array; an infeasible problem returns a finite x of 2e9.
+starts from the last solution. Inputs are checked first, because OSQP does not (all reproduced with 1.1): it prints bounds that
+cross and vectors of a wrong size, drops them, and keeps the old ones. It misreads a strided vector. One NaN spoils every later
+solve. `update(Px=)` overwrites the caller's array. An infeasible problem returns a finite x of 2e9.
 """
 
 import importlib
@@ -57,15 +57,15 @@ class Solver(Protocol):
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """Solve for p (n, n) symmetric, q (n,), a (m, n), bounds (m,); 1e30 and beyond is no bound. `a` None: as it was."""
 
-    def start_from(self, x: Array) -> None:
-        """Begin the next solve at x (n,) instead of at the last solution."""
+    def warm_start(self, x: Array) -> None:
+        """Start the next solve at x (n,) instead of at the last solution."""
 
 
 class OsqpSolver:
     """OSQP with a sparsity pattern frozen at the start: entries outside the masks must stay zero.
 
-    `scale` (n,) and `row_scale` (m,) bring unknowns and rows near one; the solver does no scaling of its own, which would
-    cost more than the solve and change from step to step.
+    `scale` (n,) and `row_scale` (m,) bring unknowns and rows near one. OSQP's own scaling is off: it would cost more than the
+    solve and change from step to step.
     """
 
     def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array) -> None:
@@ -104,13 +104,13 @@ class OsqpSolver:
             return Solution(np.zeros(len(q)), False, info.iter)
         return Solution(x * self._scale, True, info.iter)
 
-    def start_from(self, x: Array) -> None:
+    def warm_start(self, x: Array) -> None:
         """See `Solver`. The multipliers start at zero."""
         self._solver.warm_start(x / self._scale, np.zeros(len(self._low)))
 
     def _close(self, info: Any, x: Array) -> bool:
-        """Solved; or out of iterations so close to it that the plan is better than the last one (residuals are scaled, and
-        count beside the largest number there is: 2 mm of slack are close where 0.2 m are needed)."""
+        """True if solved, or out of iterations so near the solution that the plan is better than the last one. Residuals are
+        scaled and relative to the largest number: an error of 2 mm of slack is accepted where 0.2 m are needed."""
         status = info.status_val
         if status in SOLVED:
             return True
@@ -120,9 +120,10 @@ class OsqpSolver:
 
 
 class DaqpSolver:
-    """DAQP: dual active set, exact, with a short tail. For small problems. It has no memory: `start_from` does nothing.
+    """DAQP: dual active set, exact, with a bounded worst case. For small problems. It has no memory: `warm_start` does
+    nothing.
 
-    The first `bounds` rows of A must be those of the identity: they are handled at next to no cost.
+    The first `bounds` rows of A must be those of the identity: they cost almost nothing.
     """
 
     def __init__(self, p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0) -> None:
@@ -153,23 +154,23 @@ class DaqpSolver:
             return Solution(np.zeros(len(q)), False, info["iterations"])
         return Solution(x * self._scale, True, info["iterations"])
 
-    def start_from(self, x: Array) -> None:
+    def warm_start(self, x: Array) -> None:
         """See `Solver`."""
 
 
 def _workspace(*sizes: int) -> tuple[Array, list[Array]]:
-    """One array and its parts: all numbers of a problem can be checked at once."""
+    """One array and views of its parts, so that all numbers of a problem are checked at once."""
     numbers = np.zeros(sum(sizes))
     return numbers, np.split(numbers, np.cumsum(sizes[:-1]))
 
 
 def _finite(numbers: Array) -> bool:
-    """True if every one is; false too if their sum overflows."""
+    """True if every number is finite; false too if their sum overflows."""
     return math.isfinite(np.add.reduce(numbers))
 
 
 def _scaled_bounds(lower: Array, upper: Array, scale: Array, low: Array, high: Array) -> None:
-    """Write the bounds of scaled rows into `low` and `high`, with the solvers' own infinity for none."""
+    """Write the bounds of scaled rows into `low` and `high`, with the solvers' own infinity for missing ones."""
     np.multiply(lower, scale, out=low)
     np.maximum(low, -NO_BOUND, out=low)
     np.multiply(upper, scale, out=high)
@@ -177,7 +178,7 @@ def _scaled_bounds(lower: Array, upper: Array, scale: Array, low: Array, high: A
 
 
 def _built(p_mask: Mask, a_mask: Mask) -> Any:
-    """OSQP's own solver object. Its Python wrapper takes another 50 us a step to look up constants and copy fields."""
+    """Build OSQP's own solver object. Its Python wrapper takes another 50 us a step to look up constants and copy fields."""
     ext = osqp.OSQP(algebra="builtin").ext
     settings = ext.OSQPSettings()
     ext.osqp_set_default_settings(settings)
@@ -192,14 +193,14 @@ def _built(p_mask: Mask, a_mask: Mask) -> Any:
 def make_solver(
     name: Literal["osqp", "daqp"], p_mask: Mask, a_mask: Mask, scale: Array, row_scale: Array, bounds: int = 0
 ) -> Solver:
-    """The backend of that name for problems with entries in these masks only, (n, n) and (m, n). The first `bounds` rows of
-    A are those of the identity."""
+    """Build the backend of that name for problems with entries in these masks only, (n, n) and (m, n). The first `bounds` rows
+    of A are those of the identity."""
     if name == "osqp":
         return OsqpSolver(p_mask, a_mask, scale, row_scale)
     return DaqpSolver(p_mask, a_mask, scale, row_scale, bounds)
 
 
 def _by_columns(mask: Mask) -> NDArray[np.intp]:
-    """Places in the flattened matrix of the entries in compressed-sparse-column order."""
+    """Indices in the flattened matrix of the mask's entries, in compressed-sparse-column order."""
     columns, rows = np.nonzero(mask.T)
     return np.asarray(rows * mask.shape[1] + columns)

@@ -1,7 +1,7 @@
-"""The other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36).
+"""Other robots in the cost and in the constraints: formation terms (35) and collision half-spaces (36).
 
-Distances are horizontal: robots pass beside one another, never above, where the camera would lose the lower one and the
-upper one would break the surface (a controller left free to use depth did both). Only a robot 2R deeper is out of the way.
+Distances are horizontal: robots pass beside one another, never above. Otherwise the camera would lose the lower one and the
+upper one would break the surface (a controller that was free to use depth did both). Only a robot 2R deeper is out of the way.
 """
 
 import math
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.guidance.obstacles import Thing, border
+from robot_agent.guidance.obstacles import Obstacle, nearest_border
 from robot_agent.guidance.reference import interpolate
 from wire.config.controller import MpcConfig, Safety
 from wire.frames import TURN, Array
@@ -45,16 +45,16 @@ class Neighbour:
 
 
 @dataclass(frozen=True)
-class Rank:
-    """What the article ranks robots by (section 3.3): urgent task, then small tracking error. Higher goes first. Its third
-    mark, who hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
+class Priority:
+    """Priority of a robot (article, section 3.3): urgent task first, then small tracking error. The article's third criterion,
+    which robot hears others, comes before both here, and the other way round: see `Neighbour.hears_us`."""
 
     urgent: bool
     tracking_error_m: float
 
-    def above(self, other: "Rank", age_s: float = 0.0) -> bool:
-        """True if the other, told so long ago, must yield to this one. Two robots never both are above one another, however
-        late they hear of each other: what may have changed meanwhile does not count."""
+    def goes_before(self, other: "Priority", age_s: float = 0.0) -> bool:
+        """True if the other, whose priority is `age_s` old, must give way to this one. It is never true for both of two
+        robots, however late they hear of each other: a difference that may have changed meanwhile does not count."""
         if self.urgent != other.urgent:
             return self.urgent
         return other.tracking_error_m - self.tracking_error_m > SAME_ERROR_M + ERROR_RATE_MPS * max(age_s, 0.0)
@@ -62,15 +62,15 @@ class Rank:
 
 @dataclass(frozen=True, eq=False)
 class HalfSpaces:
-    """normal[i] . (x, y) of node[i] >= offset[i] - give[i] slack. Nodes count from 1."""
+    """Bounds normal[i] . (x, y) of node[i] >= offset[i] - give[i] slack (36). Nodes count from 1."""
 
     node: NDArray[np.intp]  # (rows,)
     normal: NDArray[np.complex128]  # (rows,) x + iy
     offset: Array  # (rows,)
     give: Array | None = None  # (rows,); None: 1 in all
 
-    def bind(self, eta: Array) -> bool:
-        """Whether a plan (horizon + 1, 4) leans against any of them."""
+    def binds(self, eta: Array) -> bool:
+        """True if a plan (horizon + 1, 4) lies against any of the bounds."""
         places = eta[self.node, 0] + 1j * eta[self.node, 1]
         return bool(((places * self.normal.conj()).real < self.offset + LEANS_M).any())
 
@@ -83,21 +83,21 @@ NOWHERE = HalfSpaces(np.zeros(0, np.intp), np.zeros(0, np.complex128), np.zeros(
 
 
 @dataclass(frozen=True, eq=False)
-class Company:
-    """The neighbours as the controller needs them."""
+class NeighbourPredictions:
+    """Neighbours' plans at our instants, as the controller needs them."""
 
-    pull: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref): added to Q eta_ref it is the weighted reference
+    weighted_deviation: Array  # (horizon + 1, 4) sum of Q_ij (eta_j - eta_j^ref), to be added to Q eta_ref
     weight: Array  # (4,) sum of Q_ij
-    heard: int
-    others: Sequence[Neighbour]  # whose plans can be used
-    place: NDArray[np.complex128]  # (others, nodes) predicted x + iy, at the nodes where distance is kept
+    fresh_count: int
+    neighbours: Sequence[Neighbour]  # whose plans can be used
+    position: NDArray[np.complex128]  # (neighbours, nodes) predicted x + iy, at the nodes where distance is kept
     depth: Array  # (others, nodes)
-    now: Array  # (others, 4) poses as their plans have them now
-    meant: NDArray[np.complex128]  # (others,) velocities x + iy that they mean to have
+    pose_now: Array  # (neighbours, 4) poses as their plans have them now
+    intended_velocity: NDArray[np.complex128]  # (neighbours,) velocities x + iy that they mean to have
 
 
 class Formation:
-    """Workspaces for one robot."""
+    """Formation terms and half-spaces of one robot, with their workspaces."""
 
     def __init__(
         self,
@@ -111,7 +111,7 @@ class Formation:
         """The horizon's node 0 lies `dead_s` ahead of now. A hull of radius `hull_m` keeps off the walls of a pool of length
         and width `room_m`; None: there are no walls."""
         self._safety, self._period_s, self._horizon = safety, period_s, config.horizon
-        self.weigh(config.q_formation)
+        self.set_weight(config.q_formation)
         self._ahead = np.arange(config.horizon + 2)
         self._nodes = np.unique(np.linspace(0, config.horizon, NODES + 1)[1:].round().astype(np.intp))
         self._nodes_ns = np.rint(NS * (dead_s + period_s * self._nodes)).astype(np.int64).tolist()
@@ -124,23 +124,25 @@ class Formation:
         self._dead_steps, self._meant = dead_s / period_s, max(round(MEANT_S / period_s), 1)
         none, nobody = np.zeros((0, len(self._nodes))), np.zeros((0, 4))
         pull = np.zeros((config.horizon + 1, 4))
-        self._alone = Company(pull, np.zeros(4), 0, (), none.astype(np.complex128), none, nobody, np.zeros(0, np.complex128))
+        self._no_neighbours = NeighbourPredictions(
+            pull, np.zeros(4), 0, (), none.astype(np.complex128), none, nobody, np.zeros(0, np.complex128)
+        )
 
-    def weigh(self, q: tuple[float, float, float, float]) -> None:
-        """Q_ij from now on, the same for every neighbour."""
+    def set_weight(self, q: tuple[float, float, float, float]) -> None:
+        """Use another Q_ij from now on, the same for every neighbour."""
         self._weight = np.array(q)
         self._weights = np.tile(self._weight, self._horizon + 1)
 
-    def company(self, neighbours: Sequence[Neighbour], now_ns: int) -> Company:
-        """Neighbours' predictions on our horizon; of all of them at once."""
+    def predict_neighbours(self, neighbours: Sequence[Neighbour], now_ns: int) -> NeighbourPredictions:
+        """Sample all neighbours' plans on our horizon, together."""
         others = [usable for neighbour in neighbours if (usable := self._in_step(neighbour)) is not None]
         if not others:
-            return self._alone
+            return self._no_neighbours
         eta, deviation = _stacked(others)
         if not _plausible(eta, deviation):
             others = [neighbour for neighbour in others if _plausible(*_stacked([neighbour]))]
             if not others:
-                return self._alone
+                return self._no_neighbours
             eta, deviation = _stacked(others)
         steps, first, last = self._steps(others, now_ns)
         ahead = steps + self._dead_steps
@@ -156,10 +158,10 @@ class Formation:
         reference = (eta.take((now, then), axis=0) - deviation.take((now, then), axis=0)).view(np.complex128)[:, :, 0]
         meant = (reference[1] - reference[0]) / (self._period_s * np.maximum(then - now, 1))
         place, depth, heard = there[:, :, 0], there[:, :, 1].real, sum(n.fresh for n in others)
-        return Company(pull, weight, heard, others, place, depth, eta.take(now, axis=0), meant)
+        return NeighbourPredictions(pull, weight, heard, others, place, depth, eta.take(now, axis=0), meant)
 
     def _in_step(self, neighbour: Neighbour) -> Neighbour | None:
-        """The same with its plan at steps as long as ours, which all robots of an experiment have; None if it has no plan."""
+        """Return a neighbour with its plan at our period; None without a usable plan."""
         plan, period_s = neighbour.plan, self._period_s
         if not _readable(plan):
             return None
@@ -173,62 +175,66 @@ class Formation:
         return replace(neighbour, plan=replace(plan, period_s=period_s, eta=eta, eta_reference=reference))
 
     def _steps(self, others: Sequence[Neighbour], now_ns: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-        """Of plans put one below the other: how many steps ago each began, and its first and last row; (others,)."""
+        """Of plans stacked in one array: steps since each began, its first row and its last row; (neighbours,)."""
         lengths = np.array([len(neighbour.plan.eta) for neighbour in others])
         since_ns = np.array([now_ns - neighbour.stamp_ns for neighbour in others])
         end = np.add.accumulate(lengths)
         return since_ns / (NS * self._period_s), end - lengths, end - 1
 
     def _pull(self, others: Sequence[Neighbour], deviation: Array, share: Array) -> tuple[Array, Array]:
-        """Q_ij times the deviations (others, horizon + 2, 4) between rows, of those in the formation; and as many Q_ij."""
+        """Return Q_ij times the deviations (neighbours, horizon + 2, 4), interpolated between rows and summed over the
+        formation's members, and the sum of their Q_ij."""
         member = np.array([1.0 if neighbour.fresh and neighbour.formation else 0.0 for neighbour in others])
         members = float(np.add.reduce(member))
         if not members:
-            return self._alone.pull, self._alone.weight
+            return self._no_neighbours.weighted_deviation, self._no_neighbours.weight
         after = member * share
         before, behind = np.array((member - after, after)) @ deviation.reshape(len(others), -1)
         pull = before[:-4] + behind[4:]
         pull *= self._weights
         return pull.reshape(-1, 4), members * self._weight
 
-    def keep_m(self, neighbour: Neighbour, now_ns: int) -> float:
-        """How far to stay away from it: the longer it is silent, the farther."""
+    def clearance_m(self, neighbour: Neighbour, now_ns: int) -> float:
+        """Distance to keep from a neighbour: it grows with the neighbour's silence."""
         keep = 2.0 * self._safety.radius_m
         if neighbour.fresh:
             return keep
         silent_s = max(0.0, (now_ns - neighbour.stamp_ns) / NS)
         return keep + min(self._safety.bubble_mps * silent_s, self._safety.bubble_max_m)
 
-    def keeps_m(self, company: Company, now_ns: int) -> Array:
-        """The same of all, (others,)."""
-        if company.heard == len(company.others):
-            return np.full(company.heard, 2.0 * self._safety.radius_m)
-        return np.array([self.keep_m(neighbour, now_ns) for neighbour in company.others])
+    def clearances_m(self, predictions: NeighbourPredictions, now_ns: int) -> Array:
+        """Distances to keep from all neighbours, (neighbours,)."""
+        if predictions.fresh_count == len(predictions.neighbours):
+            return np.full(predictions.fresh_count, 2.0 * self._safety.radius_m)
+        return np.array([self.clearance_m(neighbour, now_ns) for neighbour in predictions.neighbours])
 
-    def distance_m(self, neighbour: Neighbour, own: Rank, now_ns: int) -> float | None:
-        """The same, or None if that robot yields. Only a robot that we hear and that hears us is taken to yield."""
+    def required_clearance_m(self, neighbour: Neighbour, own: Priority, now_ns: int) -> float | None:
+        """Distance to keep from a neighbour, or None if that robot gives way. Only a robot that we hear and that hears us is
+        expected to give way."""
         plan, age_s = neighbour.plan, (now_ns - neighbour.stamp_ns) / NS
         heard_both_ways = neighbour.fresh and neighbour.hears_us
-        if heard_both_ways and own.above(Rank(plan.urgent, plan.tracking_error_m), age_s):
+        if heard_both_ways and own.goes_before(Priority(plan.urgent, plan.tracking_error_m), age_s):
             return None
-        return self.keep_m(neighbour, now_ns)
+        return self.clearance_m(neighbour, now_ns)
 
-    def half_spaces(self, company: Company, own: Array, rank: Rank, now_ns: int, things: Sequence[Thing] = ()) -> HalfSpaces:
-        """Half-spaces across the lines between predicted positions, where we come close (A6): to other robots, and to things
-        in the water. `own` (2, horizon + 1, 2) is what we expect of ourselves: (x, y) and (z, yaw)."""
-        if not company.others and not things:
+    def half_spaces(
+        self, predictions: NeighbourPredictions, own: Array, rank: Priority, now_ns: int, obstacles: Sequence[Obstacle] = ()
+    ) -> HalfSpaces:
+        """Half-spaces across the lines between predicted positions (A6), to robots and obstacles that come close. `own` (2,
+        horizon + 1, 2) is our predicted path: (x, y) and (z, yaw)."""
+        if not predictions.neighbours and not obstacles:
             return NOWHERE
         here = own[0].view(np.complex128)[self._nodes, 0]
-        bodies = self._robots_near(company, own, here, rank, now_ns) if company.others else []
-        for thing in things:
-            there, away, apart_m = border(thing, here, [now_ns + ns for ns in self._nodes_ns])
-            if apart_m.min() < thing.keep_m + self._safety.margin_m:
-                bodies.append((there, away, apart_m - thing.keep_m, thing.keep_m, 1.0))
+        bodies = self._robots_near(predictions, own, here, rank, now_ns) if predictions.neighbours else []
+        for obstacle in obstacles:
+            there, away, apart_m = nearest_border(obstacle, here, [now_ns + ns for ns in self._nodes_ns])
+            if apart_m.min() < obstacle.clearance_m + self._safety.margin_m:
+                bodies.append((there, away, apart_m - obstacle.clearance_m, obstacle.clearance_m, 1.0))
         return self._across(bodies + self._walls_near(here)) if bodies else NOWHERE
 
     def _walls_near(self, here: NDArray[np.complex128]) -> list[Body]:
-        """The walls, where something else is to be kept clear of: its lines must not lead into one. Alone a robot needs none:
-        paths lie within the pool."""
+        """Walls, while something else is to be avoided: its half-spaces must not lead into a wall. A robot with nothing to
+        avoid needs none, because paths lie within the pool."""
         found: list[Body] = []
         for inwards, half_m in self._walls:
             out = -(here * inwards.conjugate()).real  # towards the wall, from the pool's middle
@@ -238,22 +244,28 @@ class Formation:
                 found.append((there, away, half_m - out - self._wall_m, self._wall_m, WALL_GIVES))
         return found
 
-    def _robots_near(self, company: Company, own: Array, here: NDArray[np.complex128], rank: Rank, now_ns: int) -> list[Body]:
-        """The robots to be kept clear of."""
-        apart = here - company.place
+    def _robots_near(
+        self, predictions: NeighbourPredictions, own: Array, here: NDArray[np.complex128], rank: Priority, now_ns: int
+    ) -> list[Body]:
+        """Robots to be avoided."""
+        apart = here - predictions.position
         distance = np.abs(apart)
         nearest = np.minimum.reduce(distance, axis=1).tolist()
-        near_m = self._near_m if company.heard == len(company.others) else self._near_m + self._safety.bubble_max_m
+        near_m = (
+            self._near_m
+            if predictions.fresh_count == len(predictions.neighbours)
+            else self._near_m + self._safety.bubble_max_m
+        )
         kept = []
         for i, there_m in enumerate(nearest):
             if there_m < near_m:
-                keep_m = self.distance_m(company.others[i], rank, now_ns)
+                keep_m = self.required_clearance_m(predictions.neighbours[i], rank, now_ns)
                 if keep_m is not None:
-                    level = np.abs(own[1, self._nodes, 0] - company.depth[i]) < keep_m
+                    level = np.abs(own[1, self._nodes, 0] - predictions.depth[i]) < keep_m
                     if (level & (distance[i] < keep_m + self._safety.margin_m)).any():
                         away = apart[i] / np.maximum(distance[i], TOUCHING_M)
                         away[distance[i] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out
-                        kept.append((company.place[i], away, distance[i] - keep_m, keep_m, 1.0))
+                        kept.append((predictions.position[i], away, distance[i] - keep_m, keep_m, 1.0))
         return kept
 
     def _across(self, bodies: list[Body]) -> HalfSpaces:
@@ -266,12 +278,12 @@ class Formation:
 
 
 def _readable(plan: Plan) -> bool:
-    """A plan of a known length and period."""
+    """True for a plan of plausible length and period."""
     return len(plan.eta) > 0 and plan.eta.shape == plan.eta_reference.shape and SHORTEST_S <= plan.period_s < ABSURD
 
 
 def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
-    """Poses of all plans one below the other, and how far they are from their references, without whole turns (rows, 4)."""
+    """Poses of all plans in one array, and their deviations from their references without whole turns, (rows, 4) each."""
     eta = np.concatenate([neighbour.plan.eta for neighbour in others])
     with np.errstate(invalid="ignore"):  # infinities that cancel out are found afterwards
         deviation = eta - np.concatenate([neighbour.plan.eta_reference for neighbour in others])
@@ -284,5 +296,5 @@ def _stacked(others: Sequence[Neighbour]) -> tuple[Array, Array]:
 
 
 def _plausible(eta: Array, deviation: Array) -> bool:
-    """Numbers that can be poses; false for NaN too."""
+    """True for numbers that can be poses; false for NaN."""
     return float(np.vdot(eta, eta)) < MOST_TURNED_RAD**2 and float(np.vdot(deviation, deviation)) < ABSURD**2

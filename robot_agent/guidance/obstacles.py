@@ -1,7 +1,7 @@
-"""What is in the water and is no robot, as the controller needs it: islands of the experiment, obstacles that the camera sees.
+"""Obstacles for the controller: islands of the experiment, and obstacles that the camera sees.
 
-An outline becomes round pieces along its edge, an island is one piece. So avoiding anything is avoiding points at a distance,
-as with robots. Depth does not count: the camera cannot tell it, and islands reach from the floor to the surface.
+An outline becomes points along its edge, an island is one point. So every obstacle is avoided as points at a distance, like
+robots. Depth does not count: the camera cannot measure it, and islands reach from the floor to the surface.
 """
 
 import math
@@ -25,35 +25,35 @@ MOST_PIECES = 200  # of one obstacle: an outline of 30 m
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
+class Obstacle:
     """One obstacle. Complex numbers are x + iy in the pool frame."""
 
     id: int  # the localizer's number of it, or its place among the islands
-    pieces: NDArray[np.complex128]  # (k,) places at `instant_ns`, m
-    keep_m: float  # how far a robot's centre stays from each
+    edge_points: NDArray[np.complex128]  # (k,) places at `instant_ns`, m
+    clearance_m: float  # how far a robot's centre stays from each
     velocity: complex  # m/s
     instant_ns: int  # on our clock
-    middle: complex  # of the pieces,
+    centre: complex  # of the pieces,
     reach_m: float  # and how far from there they go
 
-    def ahead(self, now_ns: int) -> complex:
-        """How far it has moved, as far as one knows."""
+    def displacement(self, now_ns: int) -> complex:
+        """Predicted motion since it was seen, m."""
         return self.velocity * ((now_ns - self.instant_ns) * 1e-9)
 
     def age_s(self, now_ns: int) -> float:
-        """How long ago it was seen."""
+        """Time since it was seen."""
         return (now_ns - self.instant_ns) * 1e-9
 
     def overlaps(self, place: complex, radius_m: float, now_ns: int) -> bool:
-        """Whether it is where a hull is."""
-        apart = place - self.ahead(now_ns) - self.pieces[None]
+        """True if a hull of that radius at `place` touches or is inside the obstacle."""
+        apart = place - self.displacement(now_ns) - self.edge_points[None]
         return float(np.abs(apart).min()) < radius_m or bool(_inside(apart)[0])
 
 
-class Apart:
-    """Which obstacles are not the robot itself.
+class OwnHullFilter:
+    """Filter that removes the robot's own hull from the obstacles.
 
-    Two bodies cannot be in one place: an obstacle that the camera finds where the hull is, is the hull. One that was seen
+    Two bodies cannot be in one place: an obstacle that the camera finds at the hull's place is the hull. One that was seen
     clear of the hull before is another body, and stays one when it drifts against the hull.
     """
 
@@ -61,31 +61,31 @@ class Apart:
         self._hull_m = hull_m
         self._others: frozenset[int] = frozenset()  # ids of obstacles that have been clear of the hull
 
-    def others(self, things: Sequence[Thing], place: complex, now_ns: int) -> tuple[Thing, ...]:
-        """Those of the obstacles that are other bodies than the robot at `place`. One that was seen too long ago counts where
-        it was seen."""
-        found = tuple(t for t in things if t.id in self._others or not self._is_hull(t, place, now_ns))
-        self._others = frozenset(thing.id for thing in found)
+    def exclude(self, obstacles: Sequence[Obstacle], place: complex, now_ns: int) -> tuple[Obstacle, ...]:
+        """Return the obstacles that are other bodies than the robot at `place`. An obstacle not seen lately is compared at the
+        place where it was seen."""
+        found = tuple(t for t in obstacles if t.id in self._others or not self._is_hull(t, place, now_ns))
+        self._others = frozenset(obstacle.id for obstacle in found)
         return found
 
-    def _is_hull(self, thing: Thing, place: complex, now_ns: int) -> bool:
-        at_ns = thing.instant_ns if is_old(thing.age_s(now_ns)) else now_ns
-        return thing.overlaps(place, self._hull_m, at_ns)
+    def _is_hull(self, obstacle: Obstacle, place: complex, now_ns: int) -> bool:
+        at_ns = obstacle.instant_ns if is_old(obstacle.age_s(now_ns)) else now_ns
+        return obstacle.overlaps(place, self._hull_m, at_ns)
 
 
-def islands(known: Iterable[Island], hull_m: float) -> tuple[Thing, ...]:
-    """The experiment's islands. Everyone knows where they are and routes are planned around them: like walls, they only stop
-    a hull."""
+def island_obstacles(known: Iterable[Island], hull_m: float) -> tuple[Obstacle, ...]:
+    """Islands of the experiment as obstacles. All processes know them and routes are planned around them: like walls, they
+    only stop a hull."""
     found = []
     for i, island in enumerate(known):
         middle = complex(*island.position_m)
-        found.append(Thing(i, np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
+        found.append(Obstacle(i, np.array([middle]), island.radius_m + hull_m, 0j, 0, middle, 0.0))
     return tuple(found)
 
 
-def things_seen(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Thing, ...]:
-    """What the localizer reports of an instant on our clock, each as of when it was seen. What lies where nothing can be is
-    left out; what moves faster than anything can is there all the same, and moves as fast as it can."""
+def obstacles_from_message(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Obstacle, ...]:
+    """Obstacles of a localizer's message of an instant on our clock, each at the time when it was seen. One at an impossible
+    place is left out; one with an impossible speed gets FASTEST_MPS."""
     found = []
     seen_s = ages_s(seen, 0.0)
     for number, outline, velocity, unseen_s in zip(seen.ids, seen.outline, seen.velocity, seen_s, strict=False):
@@ -95,50 +95,50 @@ def things_seen(seen: Obstacles, instant_ns: int, keep_m: float) -> tuple[Thing,
         pieces = _along(corners)
         middle = complex(pieces.mean())
         seen_ns = instant_ns - round(unseen_s * 1e9)
-        found.append(Thing(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
+        found.append(Obstacle(number, pieces, keep_m, speed, seen_ns, middle, float(np.abs(pieces - middle).max())))
     return tuple(found)
 
 
 def _believed(velocity: complex) -> complex:
-    """A velocity that something can have; none for what is no number."""
+    """Velocity limited to FASTEST_MPS; zero if it is not finite."""
     if not math.isfinite(abs(velocity)):
         return 0j
     return velocity * min(1.0, FASTEST_MPS / max(abs(velocity), FASTEST_MPS))
 
 
-def spread(thing: Thing, safety: Safety, now_ns: int) -> Thing:
-    """Where something may be by now that has not been seen for long."""
-    age_s = thing.age_s(now_ns)
-    drift = drift_m(safety, np.array([thing.velocity.real, thing.velocity.imag]), age_s)
-    corners = swept(np.column_stack([thing.pieces.real, thing.pieces.imag]), drift)
+def grown_with_age(obstacle: Obstacle, safety: Safety, now_ns: int) -> Obstacle:
+    """The area in which an obstacle may be by now that was not seen for long."""
+    age_s = obstacle.age_s(now_ns)
+    drift = drift_m(safety, np.array([obstacle.velocity.real, obstacle.velocity.imag]), age_s)
+    corners = swept(np.column_stack([obstacle.edge_points.real, obstacle.edge_points.imag]), drift)
     pieces = _along(corners[:, 0] + 1j * corners[:, 1])
     middle = complex(pieces.mean())
-    keep_m = thing.keep_m + growth_m(safety, age_s)
-    return Thing(thing.id, pieces, keep_m, 0j, now_ns, middle, float(np.abs(pieces - middle).max()))
+    keep_m = obstacle.clearance_m + growth_m(safety, age_s)
+    return Obstacle(obstacle.id, pieces, keep_m, 0j, now_ns, middle, float(np.abs(pieces - middle).max()))
 
 
-def border(
-    thing: Thing, places: NDArray[np.complex128], nodes_ns: Sequence[int]
+def nearest_border(
+    obstacle: Obstacle, places: NDArray[np.complex128], nodes_ns: Sequence[int]
 ) -> tuple[NDArray[np.complex128], NDArray[np.complex128], Array]:
-    """Of a thing as seen from `places` (nodes,), each at its own instant: the nearest piece's centre, the direction away from
-    the thing there, and how far one is out of it, negative inside. All (nodes,)."""
-    moved = np.array([thing.ahead(ns) for ns in nodes_ns])
-    apart = places[:, None] - moved[:, None] - thing.pieces
+    """Nearest edge point of an obstacle from `places` (nodes,), each at its own instant; the direction away from the obstacle
+    there; and the distance to it, negative inside. All (nodes,)."""
+    moved = np.array([obstacle.displacement(ns) for ns in nodes_ns])
+    apart = places[:, None] - moved[:, None] - obstacle.edge_points
     closest = np.abs(apart).argmin(axis=1)
     away = np.take_along_axis(apart, closest[:, None], axis=1)[:, 0]
     sign = np.where(_inside(apart), -1.0, 1.0)
     distance = np.abs(away)
     direction = np.where(distance > TOUCHING_M, sign * away / np.maximum(distance, TOUCHING_M), 1.0)
-    return thing.pieces[closest] + moved, direction, sign * distance
+    return obstacle.edge_points[closest] + moved, direction, sign * distance
 
 
 def _inside(apart: NDArray[np.complex128]) -> NDArray[np.bool_]:
-    """Whether the pieces go once round a place, seen from it at -`apart` (places, pieces)."""
+    """True for a place that the edge points enclose; `apart` (places, points) is the place minus each point."""
     return np.asarray(np.abs(np.angle(np.roll(apart, -1, axis=1) * apart.conj()).sum(axis=1)) > math.pi)
 
 
 def _along(corners: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """The corners, and points between them no more than SPACING_M apart, in order around."""
+    """Corners, and points between them no more than SPACING_M apart, in order around."""
     edges: list[Array] = []
     for begin, end in zip(corners, np.roll(corners, -1), strict=True):
         count = max(1, min(math.ceil(abs(end - begin) / SPACING_M), MOST_PIECES // len(corners)))

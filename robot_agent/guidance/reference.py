@@ -1,4 +1,4 @@
-"""What the robot should do next: goals, sampled over the horizon; and going over from one trajectory to another under way."""
+"""Goals, their samples over the horizon, and the splice of one trajectory onto another in flight."""
 
 from dataclasses import dataclass
 
@@ -10,8 +10,8 @@ from wire.messages.messages import Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Follow:
-    """Fly a trajectory; `time_s` is the time along it now (before its beginning: not started, wait at its first pose), and
-    `rate` how fast that goes: 1 as planned, 0 where the formation waits for somebody."""
+    """Goal: fly a trajectory. `time_s` is the time along it now (before its beginning the robot waits at its first pose), and
+    `rate` its speed: 1 as planned, 0 while the formation waits."""
 
     trajectory: Trajectory
     time_s: float
@@ -20,7 +20,7 @@ class Follow:
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """Keep station near a pose, shape (4,). Keep the same object as long as the hold lasts."""
+    """Goal: keep station near a pose, shape (4,). Keep the same object as long as the hold lasts."""
 
     eta: Array
 
@@ -29,35 +29,35 @@ Goal = Follow | Hold
 
 
 @dataclass(frozen=True, eq=False)
-class Path:
-    """The goal at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
+class Reference:
+    """Reference at now and at the horizon's nodes: rows 0 (now), 1.. (nodes 0..horizon)."""
 
     eta: Array  # (horizon + 2, 4)
     velocity: Array  # (horizon + 2, 4)
     acceleration: Array  # (horizon + 2, 4)
 
 
-class Sampler:
-    """Samples goals at now and at `offsets_s` (nodes) later."""
+class ReferenceSampler:
+    """Sampler of goals at now and at `offsets_s` (nodes) later."""
 
     def __init__(self, offsets_s: Array) -> None:
         self._offsets_s = np.concatenate([[0.0], offsets_s])
         self._known: Trajectory | None = None
         self._table = np.zeros((0, 12))
 
-    def path(self, goal: Goal) -> Path:
-        """The goal over the horizon."""
+    def sample(self, goal: Goal) -> Reference:
+        """Sample a goal over the horizon."""
         if isinstance(goal, Hold):
             count = len(self._offsets_s)
-            return Path(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
+            return Reference(np.tile(goal.eta, (count, 1)), np.zeros((count, 4)), np.zeros((count, 4)))
         rows = self._sample(goal.trajectory, goal.time_s + goal.rate * self._offsets_s)
         if goal.rate != 1.0:  # the same way at another pace (chain rule); how the pace will change is not known
             rows[:, 4:8] *= goal.rate
             rows[:, 8:] *= goal.rate**2
-        return Path(rows[:, :4], rows[:, 4:8], rows[:, 8:])
+        return Reference(rows[:, :4], rows[:, 4:8], rows[:, 8:])
 
     def _sample(self, trajectory: Trajectory, time_s: Array) -> Array:
-        """Linear interpolation; before the start and after the end the first and last pose, at rest."""
+        """Interpolate linearly; before the start and after the end return the first and last pose, at rest."""
         if trajectory is not self._known:
             self._table = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
             self._known = trajectory
@@ -78,7 +78,7 @@ def interpolate(table: Array, place: Array) -> Array:
 
 
 def pose_at(trajectory: Trajectory, time_s: float) -> Array:
-    """The pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
+    """Pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
     pose: Array = interpolate(trajectory.eta, np.array([_row(trajectory, time_s)]))[0]
     return pose
 
@@ -87,8 +87,8 @@ SEAM_M, SEAM_MPS, SEAM_MPS2 = 1e-6, 1e-6, 1e-6  # and radians: the station conti
 ON_GRID = 1e-6  # of a period
 
 
-def spliced(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
-    """The old trajectory from `from_s` on, and the new one from its beginning on; under the new one's id."""
+def splice(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
+    """Join the old trajectory from `from_s` on with the new one from its beginning on, under the new one's id."""
     seam = _row(old, new.begin_s)
     first = min(max(int(_row(old, from_s)), 0), round(seam))
     kept = slice(first, round(seam))
@@ -102,8 +102,8 @@ def spliced(old: Trajectory, new: Trajectory, from_s: float) -> Trajectory:
     )
 
 
-def seam_trouble(old: Trajectory, new: Trajectory) -> str:
-    """Why one cannot go over from `old` to `new` where that begins; empty if one can, with nothing that jumps."""
+def splice_objection(old: Trajectory, new: Trajectory) -> str:
+    """Return the reason why `new` cannot follow `old` where `new` begins; empty if it can, without a jump."""
     row = _row(old, new.begin_s)
     if abs(new.period_s - old.period_s) > 1e-9 or abs(row - round(row)) > ON_GRID:
         return "its samples are not at the instants of the trajectory that is flown"

@@ -1,7 +1,7 @@
-"""Why a robot could not fly a trajectory: its shape, its consistency, and what it takes against the robot's own vehicle. Pure.
+"""Check of a trajectory: its shape, its consistency, and its demands on this robot's vehicle. Pure.
 
 The planner has checked the same before (groundstation/planning/feasibility.py). A robot checks again because a trajectory may
-come from another version, another vehicle file, or a fault in the planner, and it is the robot that would fly it.
+come from another version, another vehicle file, or a fault in the planner, and the robot would have to fly it.
 """
 
 import numpy as np
@@ -26,7 +26,7 @@ AXES = (("x", "m"), ("y", "m"), ("z", "m"), ("yaw", "rad"))
 
 
 def unflyable(trajectory: Trajectory | None, pool: PoolConfig, vehicle: Vehicle) -> str:
-    """Why a trajectory cannot be flown by this vehicle in this pool; empty if it can."""
+    """Return the reason why this vehicle cannot fly a trajectory in this pool; empty if it can."""
     if trajectory is None:
         return "carries no trajectory"
     if not trajectory.id:
@@ -49,8 +49,9 @@ def unflyable(trajectory: Trajectory | None, pool: PoolConfig, vehicle: Vehicle)
 
 
 def _inconsistent(trajectory: Trajectory) -> str:
-    """Where poses, velocities and accelerations contradict one another; empty if they do not. The trapezoidal rule leads from
-    each sample to the next; where a velocity leaps, the pose may lie anywhere between what the two velocities make of it."""
+    """Return the first contradiction between poses, velocities and accelerations; empty if there is none. The trapezoidal rule
+    leads from each sample to the next. Where a velocity leaps, the pose may lie anywhere between the results of the two
+    velocities."""
     period_s, velocity = trajectory.period_s, trajectory.velocity
     leap = np.abs(np.diff(velocity, axis=0))
     off = np.abs(np.diff(trajectory.eta, axis=0) - 0.5 * period_s * (velocity[1:] + velocity[:-1]))
@@ -81,7 +82,7 @@ def _inconsistent(trajectory: Trajectory) -> str:
 
 
 def _too_much(trajectory: Trajectory, vehicle: Vehicle) -> str:
-    """What the trajectory takes and the vehicle has not; empty if it has all of it."""
+    """Return the first demand beyond the vehicle's limits; empty if there is none."""
     for what, unit, _, limit, values in vehicle.demands(trajectory.velocity, trajectory.acceleration):
         k = int(np.argmax(values))
         if not values[k] <= OVER * limit:
@@ -91,7 +92,7 @@ def _too_much(trajectory: Trajectory, vehicle: Vehicle) -> str:
 
 
 def _first(fine: NDArray[np.bool_]) -> tuple[int, int] | None:
-    """Row and column of the first entry that is not fine."""
+    """Row and column of the first entry that is false."""
     bad = np.argwhere(np.logical_not(fine))
     return (int(bad[0, 0]), int(bad[0, 1])) if len(bad) else None
 

@@ -1,16 +1,16 @@
-"""The trajectory that a robot flies, where on it the robot is to be, and the one that comes next. Pure.
+"""Clock of the trajectory: the trajectory flown, the robot's time along it, and the trajectory that comes next. Pure.
 
-The timetable is the robot's own clock, counted from an instant that all share: START and RESUME name it on the station's
-clock, so a robot that takes one late is at once where it would be by then. The trajectory's clock is the timetable less the
-formation's lag, which the station tells with every heartbeat: so all slow down together. A heartbeat that comes late moves
-nobody's reference, and one that says something else altogether moves it no faster than FASTER allows.
+The timetable is the robot's own clock, counted from an instant that all robots share. START and RESUME name it on the
+station's clock, so a robot that receives one late is at once where it should be by then. The trajectory's clock is the
+timetable minus the formation's lag, which the station sends with every heartbeat: so all slow down together. A late heartbeat
+moves no reference. One with a very different lag moves the reference no faster than FASTER allows.
 """
 
 import numpy as np
 
-from robot_agent.command_check import StationView
-from robot_agent.guidance.reference import Follow, pose_at, seam_trouble, spliced
+from robot_agent.guidance.reference import Follow, pose_at, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
+from robot_agent.inputs import StationView
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Command, Order, Trajectory
@@ -20,8 +20,8 @@ FASTER = 0.5  # of the timetable's pace: a reference that has to catch up with w
 BEGINS = frozenset({Order.START, Order.RESUME})
 
 
-class Course:
-    """One robot's, from LOAD to LOAD."""
+class TrajectoryClock:
+    """Trajectory and clock of one robot, from LOAD to LOAD."""
 
     def __init__(self, experiment: Experiment, robot: int) -> None:
         self._pool, self._vehicle = experiment.pool, experiment.vehicle
@@ -38,14 +38,14 @@ class Course:
 
     @property
     def id(self) -> str:
-        """Of the trajectory; empty if there is none."""
+        """Id of the trajectory; empty if there is none."""
         return self.trajectory.id if self.trajectory is not None else ""
 
     def objection(
         self, command: Command, under_way: bool, station: StationView, begins_ns: int, now_ns: int, eta: Array | None
     ) -> str:
-        """Why an order about trajectories cannot be followed; empty if it can. START and RESUME count from `begins_ns` on our
-        clock; `eta` (4,) is where the robot is, None if it does not know."""
+        """Return the reason to refuse a command about trajectories; empty if there is none. START and RESUME take effect at
+        `begins_ns` on our clock; `eta` (4,) is the robot's estimate, None without one."""
         if command.order is Order.LOAD:
             return unflyable(command.trajectory, self._pool, self._vehicle) or (
                 self._unjoinable(command.trajectory) if under_way else ""
@@ -63,7 +63,7 @@ class Course:
             return "no trajectory is flown"
         if new.begin_s <= self.reached_s:
             return f"too late: it begins at {new.begin_s:.2f} s, {self.reached_s:.2f} s have gone by"
-        return seam_trouble(self.trajectory, new)
+        return splice_objection(self.trajectory, new)
 
     def _unstartable(self, command: Command, station: StationView, begins_ns: int, now_ns: int, eta: Array | None) -> str:
         if self.trajectory is None:
@@ -86,14 +86,14 @@ class Course:
             )
         return ""
 
-    def follow(self, command: Command, under_way: bool, station: StationView, begins_ns: int) -> None:
-        """Carry out an order without objection; START and RESUME count from `begins_ns` on our clock."""
+    def apply(self, command: Command, under_way: bool, station: StationView, begins_ns: int) -> None:
+        """Carry out a command without objection. START and RESUME take effect at `begins_ns` on our clock."""
         if command.order is Order.LOAD and under_way:
             self._next = command.trajectory
         elif command.order is Order.LOAD and command.trajectory is not None:
             self._take(command.trajectory)
         if command.order is Order.SWITCH and self.trajectory is not None and self._next is not None:
-            self.trajectory, self._next = spliced(self.trajectory, self._next, self.reached_s), None
+            self.trajectory, self._next = splice(self.trajectory, self._next, self.reached_s), None
         if command.order in BEGINS:
             self._earliest_s, self._started_by = command.trajectory_s, station.session
             self._time_zero_ns = begins_ns - round(self._earliest_s * 1e9)
@@ -107,11 +107,11 @@ class Course:
             self._planned_m = float(np.linalg.norm(np.array(put)[:3] - trajectory.eta[0, :3]))
 
     def drop_next(self) -> None:
-        """Whoever stops flying goes over to nothing."""
+        """Forget the trajectory loaded for a SWITCH: the robot no longer flies."""
         self._next = None
 
     def goal(self, station: StationView, now_ns: int) -> Follow | None:
-        """Where to be now; None if there is no trajectory."""
+        """Return the goal at `now_ns`; None without a trajectory."""
         if self.trajectory is None:
             return None
         self._fall_behind(station, now_ns)
@@ -119,8 +119,8 @@ class Course:
         return Follow(self.trajectory, self.reached_s, self._rate)
 
     def _fall_behind(self, station: StationView, now_ns: int) -> None:
-        """Take over the formation's lag: at once at a start, later so that the reference never goes back, nor faster than
-        FASTER allows. Of another station than the one that started us nothing counts: the lag stays as it is."""
+        """Take over the formation's lag: at once at a start; later so that the reference never goes back, nor faster than
+        FASTER allows. The lag of another station than the one that started the robot does not count."""
         passed_s, self._stepped_ns = max(now_ns - self._stepped_ns, 0) * 1e-9, now_ns
         if station.session != self._started_by:
             self._rate = 1.0
@@ -132,7 +132,7 @@ class Course:
 
     @staticmethod
     def _told(station: StationView) -> tuple[float, float]:
-        """The formation's lag now and its pace, 0 to 1, as far as what the station says can be true."""
+        """Return the formation's lag now and its rate, 0 to 1, limited to possible values."""
         slowing = min(max(station.slowing, 0.0), 1.0)
         since_s = station.age_s if slowing else 0.0  # infinity if no station was ever heard
         return max(station.lag_s + slowing * since_s, 0.0), 1.0 - slowing

@@ -1,17 +1,18 @@
-"""Round one another: the reference itself gives way, where it would lead a robot into another or into an obstacle.
+"""Giving way by velocity obstacles: the reference leaves the path where it would lead into a robot or an obstacle.
 
-Half-spaces (36) keep robots apart but cannot part two that want to run through one another: head on they stop 2R apart and
-push for ever, and no plan shows a way out (a robot that stands does not move sideways by turning, to first order). So what
-the robot follows is a point that is on its reference as long as that is free, and takes another velocity while it is not:
+Half-spaces (36) keep robots apart but cannot part two that want to run through one another. Head on they stop 2R apart and
+push for ever, and no plan shows a way out (to first order, a robot at rest does not move sideways by turning). So the robot
+follows a point. The point is on the reference while that is free, and takes another velocity while it is not (sampled velocity
+obstacles, Fiorini and Shiller 1998, with a side rule as in COLREG):
 
-* Free is what passes everyone by 2R + ROOM_M within LOOK_AHEAD_S, if they go on as they have told.
+* A velocity is free if it passes every robot and obstacle by 2R + ROOM_M within LOOK_AHEAD_S, if they move on as told.
 * Two robots that meet leave one another to port (they keep to starboard), unless they are already well on the other side.
-  The side is that of the relative motion, which both see alike whoever turns first. Round obstacles the shorter way counts.
-* Who is overtaken goes on as before; so does who has an urgent task, among those who have none.
-* Of the velocities that are free, the one nearest to the velocity wanted is taken, changing steadily.
+  The side is that of the relative motion, which both see alike whichever turns first. At obstacles the shorter way counts.
+* A robot that is overtaken goes on as before; so does one with an urgent task, among robots without one.
+* Of the free velocities the nearest to the wanted one is taken, changing steadily.
 
 Then the point returns to the reference, at a rate that falls with the distance: no overshoot. Robots in formation have the
-same velocity, never meet, and are given back the very path they came with.
+same velocity, never meet, and get back the very reference they came with.
 """
 
 import cmath
@@ -23,9 +24,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from robot_agent.guidance.formation import MEANT_S, WALL_M, Company
-from robot_agent.guidance.obstacles import Thing
-from robot_agent.guidance.reference import Path
+from robot_agent.guidance.formation import MEANT_S, WALL_M, NeighbourPredictions
+from robot_agent.guidance.obstacles import Obstacle
+from robot_agent.guidance.reference import Reference
 from wire.config.vehicle import Vehicle
 from wire.frames import Array, wrap
 
@@ -59,7 +60,7 @@ _PRICE = np.append(2.0 * (1.0 - _PACES)[:, None] + np.abs(_ANGLES) + 1e-3 * (_AN
 
 @dataclass(frozen=True, eq=False)
 class Traffic:
-    """Everybody and everything that may be met, k in number: what one needs to know now, as complex numbers x + iy."""
+    """Robots and obstacle points to be avoided, k in number, at this instant, as complex numbers x + iy."""
 
     place: NDArray[np.complex128]  # (k,) m
     velocity: NDArray[np.complex128]  # (k,) m/s, that they mean to have
@@ -67,11 +68,11 @@ class Traffic:
     sided: NDArray[np.bool_]  # (k,) robots, that keep to starboard too
 
     def only(self, which: NDArray[np.bool_]) -> "Traffic":
-        """Some of it."""
+        """Return a selection of it."""
         return self if which.all() else Traffic(*(column[which] for column in self._columns))
 
     def joined(self, other: "Traffic") -> "Traffic":
-        """Both."""
+        """Return both together."""
         return Traffic(*(np.concatenate(both) for both in zip(self._columns, other._columns, strict=True)))
 
     @property
@@ -82,28 +83,30 @@ class Traffic:
 NOBODY = Traffic(np.zeros(0, np.complex128), np.zeros(0, np.complex128), np.zeros(0), np.zeros(0, bool))
 
 
-def robots(company: Company, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
-    """The other robots as their plans tell, each to be kept so far away (k,). Left out is who swims as far below or above
-    `depth_m`, and who has to keep clear of us: an urgent task goes first, if the other has none and hears us."""
-    others, there = company.others, company.now.view(np.complex128)
+def robot_traffic(predictions: NeighbourPredictions, keep_m: Array, depth_m: float, urgent: bool) -> Traffic:
+    """The other robots from their plans, each at a distance (k,). Left out are robots as far below or above `depth_m`, and, if
+    `urgent`, robots that must give way to us: without an urgent task, and hearing us."""
+    others, there = predictions.neighbours, predictions.pose_now.view(np.complex128)
     count = np.abs(there[:, 1].real - depth_m) < keep_m
     if urgent:
         count &= [not (other.fresh and other.hears_us and not other.plan.urgent) for other in others]
-    return Traffic(there[:, 0], company.meant, keep_m + ROOM_M, np.ones(len(others), bool)).only(count)
+    return Traffic(there[:, 0], predictions.intended_velocity, keep_m + ROOM_M, np.ones(len(others), bool)).only(count)
 
 
-def pieces(thing: Thing, place: complex, speed_mps: float, now_ns: int) -> Traffic:
-    """An obstacle, piece by piece; nothing if it is too far away to be met by a robot at that speed."""
-    moved, keep_m = thing.ahead(now_ns), thing.keep_m + ROOM_M
-    reach_m = thing.reach_m + keep_m + LOOK_AHEAD_S * (abs(thing.velocity) + speed_mps)
-    if abs(thing.middle + moved - place) > reach_m:
+def obstacle_traffic(obstacle: Obstacle, place: complex, speed_mps: float, now_ns: int) -> Traffic:
+    """Edge points of an obstacle; none if it is too far away to be met by a robot at that speed."""
+    moved, keep_m = obstacle.displacement(now_ns), obstacle.clearance_m + ROOM_M
+    reach_m = obstacle.reach_m + keep_m + LOOK_AHEAD_S * (abs(obstacle.velocity) + speed_mps)
+    if abs(obstacle.centre + moved - place) > reach_m:
         return NOBODY
-    count = len(thing.pieces)
-    return Traffic(thing.pieces + moved, np.full(count, thing.velocity), np.full(count, keep_m), np.zeros(count, bool))
+    count = len(obstacle.edge_points)
+    return Traffic(
+        obstacle.edge_points + moved, np.full(count, obstacle.velocity), np.full(count, keep_m), np.zeros(count, bool)
+    )
 
 
-class Passing:
-    """One robot's point that is followed, with its memory."""
+class GiveWay:
+    """The point that one robot follows, with its memory."""
 
     def __init__(
         self,
@@ -111,9 +114,9 @@ class Passing:
         times_s: Array,
         period_s: float,
         room_m: tuple[float, float] | None = None,
-        islands: Sequence[Thing] = (),
+        islands: Sequence[Obstacle] = (),
     ) -> None:
-        """`times_s` (rows,) are the instants of a path's rows from now, `room_m` the pool's length and width."""
+        """`times_s` (rows,) are the instants of a reference's rows from now, `room_m` the pool's length and width."""
         self._times_s, self._period_s = times_s, period_s
         self._sure_steps = max(SURE_STEPS, round(SURE_S / period_s))
         self._fastest_mps = 0.8 * vehicle.limits.speed_mps
@@ -121,78 +124,81 @@ class Passing:
         self._steps = self._steps_s.tolist()
         half = np.array(room_m if room_m is not None else (math.inf, math.inf)) / 2.0
         self._room_x, self._room_y = (half - vehicle.radius_m - WALL_M).tolist()
-        self._islands = [(island.middle, island.keep_m + WALL_M) for island in islands]
+        self._islands = [(island.centre, island.clearance_m + WALL_M) for island in islands]
         self._second = min(int(np.searchsorted(times_s, MEANT_S - 1e-9)), len(times_s) - 1)  # a horizon may be shorter
         self.reset()
 
     def reset(self) -> None:
-        """Back to the reference at once."""
+        """Go back to the reference at once."""
         self._point: complex | None = None  # None: on the reference
         self._velocity = 0j
         self._turn = 0.0  # of the heading, away from the reference's
         self._met = 0  # steps for which somebody has been in the way
 
-    def lead(self, path: Path, place: complex, traffic: Traffic) -> Path:
-        """The path to follow instead of `path` by a robot at `place`; `path` itself if there is no reason to leave it."""
+    def avoidance_path(self, reference: Reference, place: complex, traffic: Traffic) -> Reference:
+        """Return the reference to follow instead, for a robot at `place`; `reference` itself if it is free."""
         if self._point is None:
-            self._met = self._met + 1 if self._meets(path, place, traffic) else 0
+            self._met = self._met + 1 if self._conflicts(reference, place, traffic) else 0
             if self._met < self._sure_steps:
-                return path
-        begin, speed = complex(path.eta[0, 0], path.eta[0, 1]), complex(path.velocity[0, 0], path.velocity[0, 1])
+                return reference
+        begin, speed = (
+            complex(reference.eta[0, 0], reference.eta[0, 1]),
+            complex(reference.velocity[0, 0], reference.velocity[0, 1]),
+        )
         on_path = self._point is None
         if self._point is None:
             self._point, self._velocity, self._turn = begin, speed, 0.0
         wanted = self._towards(begin, speed, self._point)
-        course = self._way_round(path, place, wanted, traffic)
+        course = self._avoiding_velocity(reference, place, wanted, traffic)
         if on_path and course is None:  # the path itself bends away
             self.reset()
-            return path
+            return reference
         if course is not None:  # do not run away from a robot that cannot follow
             away = self._point - place
             self._point = place + away * min(1.0, LEASH_M / max(abs(away), LEASH_M))
-        led = self._follow(path, course, wanted)
-        if course is None and self._is_back(path):
+        led = self._led_reference(reference, course, wanted)
+        if course is None and self._is_back(reference):
             self.reset()
         return led
 
     # --- is there anybody
 
-    def _meets(self, path: Path, place: complex, traffic: Traffic) -> bool:
-        """Whether the straight line of the coming second, carried on, leads too close to anybody."""
+    def _conflicts(self, reference: Reference, place: complex, traffic: Traffic) -> bool:
+        """True if the straight line of the coming second, extended, leads too close to any traffic."""
         if not len(traffic.place):
             return False
-        rows = path.eta[:: self._second][:2, :2].tolist()
+        rows = reference.eta[:: self._second][:2, :2].tolist()
         velocity = complex(rows[1][0] - rows[0][0], rows[1][1] - rows[0][1]) / float(self._times_s[self._second])
         return abs(velocity) >= SLIGHTEST_MPS and _closes_in(place, velocity, traffic)
 
     def _towards(self, goal: complex, speed: complex, point: complex) -> complex:
-        """The velocity that leads a point back to its goal, which moves at `speed`."""
+        """Velocity that leads a point back to its goal, which moves at `speed`."""
         back = RETURN_PER_S * (goal - point)
         limit = max(CATCH_UP * abs(speed), CATCH_UP_MPS)
         velocity = speed + back * min(1.0, limit / max(abs(back), limit))
         return velocity * min(1.0, self._fastest_mps / max(abs(velocity), self._fastest_mps))
 
-    def _way_round(self, path: Path, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
-        """The velocity to take because somebody is in the way; None if nobody is."""
+    def _avoiding_velocity(self, reference: Reference, place: complex, wanted: complex, traffic: Traffic) -> complex | None:
+        """Velocity that avoids the traffic in the way; None if none is."""
         if abs(wanted) < SLIGHTEST_MPS or not len(traffic.place):
             return None
         heeded = traffic.only(~_overtakes(place, wanted, traffic))
         away, velocity = heeded.place - place, heeded.velocity
         keep = np.minimum(heeded.keep_m, PARTING * np.abs(away))
-        shift = self._ahead(path)[:, None] - velocity * _STEPS_S[:, None]
+        shift = self._ahead(reference)[:, None] - velocity * _STEPS_S[:, None]
         meets = (np.abs(away - shift) < keep).any(axis=0)
         if not meets.any():
             return None
         return self._nearest_free(place, wanted, away, velocity, keep, meets & heeded.sided)
 
-    def _ahead(self, path: Path) -> NDArray[np.complex128]:
-        """How far the point would move if it returned to the reference, (steps,) LOOK_STEP_S apart."""
+    def _ahead(self, reference: Reference) -> NDArray[np.complex128]:
+        """Displacements of the point on its return to the reference, (steps,) LOOK_STEP_S apart."""
         assert self._point is not None
         last, times_s = self._times_s[-1], self._times_s
         beyond = np.maximum(_STEPS_S - last, 0.0)
-        x, y = (np.interp(_STEPS_S, times_s, path.eta[:, k]) + beyond * path.velocity[-1, k] for k in (0, 1))
+        x, y = (np.interp(_STEPS_S, times_s, reference.eta[:, k]) + beyond * reference.velocity[-1, k] for k in (0, 1))
         goals = (x + 1j * y).tolist()
-        point, before, ahead = self._point, complex(path.eta[0, 0], path.eta[0, 1]), []
+        point, before, ahead = self._point, complex(reference.eta[0, 0], reference.eta[0, 1]), []
         for goal in goals:
             point += LOOK_STEP_S * self._towards(before, (goal - before) / LOOK_STEP_S, point)
             before = goal
@@ -208,7 +214,7 @@ class Passing:
         keep: Array,
         sided: NDArray[np.bool_],
     ) -> complex:
-        """Of a fan of velocities the one nearest to `wanted` that passes everyone (k,) at their distance, robots on their
+        """Of a fan of velocities the nearest to `wanted` that passes all traffic (k,) at its distance, and robots on the right
         side; if none does, the one that keeps farthest away."""
         now = self._velocity - velocity
         side = np.where(_across(now, away) > WELL_CLEAR * keep * np.abs(now), 1.0, -1.0)  # 1: leaves it to starboard
@@ -237,21 +243,22 @@ class Passing:
 
     # --- the path of the point
 
-    def _follow(self, path: Path, course: complex | None, wanted: complex) -> Path:
-        """The point's way over the horizon, and one step of it taken: along `course`, or back as `wanted`."""
+    def _led_reference(self, reference: Reference, course: complex | None, wanted: complex) -> Reference:
+        """Return the point's reference over the horizon, and move the point by one step: with the velocity `course`, or back
+        as `wanted`."""
         assert self._point is not None
-        way, going = self._way_back(path) if course is None else self._way_out(course)
+        way, going = self._path_back(reference) if course is None else self._path_out(course)
         self._velocity = _changed(self._velocity, wanted if course is None else course, CHANGE_MPS2 * self._period_s)
         self._point += self._velocity * self._period_s
-        self._steer(float(path.eta[0, 3]))
-        eta, rate, acceleration = path.eta.copy(), path.velocity.copy(), path.acceleration.copy()
+        self._steer(float(reference.eta[0, 3]))
+        eta, rate, acceleration = reference.eta.copy(), reference.velocity.copy(), reference.acceleration.copy()
         eta.view(np.complex128)[:, 0], rate.view(np.complex128)[:, 0] = way, going
         eta[:, 3] += self._turn
         acceleration[:, :2] = 0.0
-        return Path(eta, rate, acceleration)
+        return Reference(eta, rate, acceleration)
 
-    def _way_out(self, course: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Places and velocities (rows,) of a point that comes to a velocity."""
+    def _path_out(self, course: complex) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Places and velocities (rows,) of a point that changes to a velocity."""
         assert self._point is not None
         change = course - self._velocity
         going = self._velocity + change * np.minimum(1.0, self._times_s * (CHANGE_MPS2 / max(abs(change), 1e-12)))
@@ -261,10 +268,10 @@ class Passing:
         way += self._point
         return way, going
 
-    def _way_back(self, path: Path) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    def _path_back(self, reference: Reference) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
         """Places and velocities (rows,) of a point that returns to the reference."""
         assert self._point is not None
-        goals, speeds = path.eta.view(np.complex128)[:, 0].tolist(), path.velocity.view(np.complex128)[:, 0].tolist()
+        goals, speeds = reference.eta.view(np.complex128)[:, 0].tolist(), reference.velocity.view(np.complex128)[:, 0].tolist()
         point, velocity = self._point, self._velocity
         places, velocities = [point], [velocity]
         for goal, speed, step_s in zip(goals, speeds, self._steps, strict=False):
@@ -283,15 +290,16 @@ class Passing:
         most = TURN_RADPS * self._period_s
         self._turn += min(max(turn - self._turn, -most), most)
 
-    def _is_back(self, path: Path) -> bool:
+    def _is_back(self, reference: Reference) -> bool:
+        """True if the point has returned to the reference in place, velocity and heading."""
         assert self._point is not None
-        off = abs(self._point - complex(path.eta[1, 0], path.eta[1, 1]))
-        drift = abs(self._velocity - complex(path.velocity[1, 0], path.velocity[1, 1]))
+        off = abs(self._point - complex(reference.eta[1, 0], reference.eta[1, 1]))
+        drift = abs(self._velocity - complex(reference.velocity[1, 0], reference.velocity[1, 1]))
         return off < ARRIVED_M + drift * self._period_s and drift < ARRIVED_MPS and abs(self._turn) < ARRIVED_RAD
 
 
 def _closes_in(place: complex, velocity: complex, traffic: Traffic) -> bool:
-    """Whether straight lines at these velocities lead nearer to anybody than they should."""
+    """True if straight lines at these velocities lead closer to any traffic than allowed."""
     apart, closing = traffic.place - place, velocity - traffic.velocity
     square = closing.real**2 + closing.imag**2
     towards = apart.real * closing.real + apart.imag * closing.imag
@@ -304,7 +312,7 @@ def _closes_in(place: complex, velocity: complex, traffic: Traffic) -> bool:
 
 
 def _overtakes(place: complex, velocity: complex, traffic: Traffic) -> NDArray[np.bool_]:
-    """Robots that come from behind, on their own way forward."""
+    """Select robots that come from behind, on their own way forward."""
     apart, back = traffic.place - place, velocity.conjugate()
     astern = (apart * back).real < ABAFT * np.abs(apart) * abs(velocity)
     return np.asarray(traffic.sided & astern & ((traffic.velocity * back).real > 0.0))
@@ -316,5 +324,6 @@ def _across(closing: NDArray[np.complex128], away: NDArray[np.complex128]) -> Ar
 
 
 def _changed(velocity: complex, to: complex, most: float) -> complex:
+    """Velocity changed towards `to` by at most `most`."""
     difference = to - velocity
     return to if abs(difference) <= most else velocity + difference * (most / abs(difference))

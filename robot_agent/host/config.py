@@ -1,6 +1,6 @@
-"""SHELL: a board's own configuration: which robot this is, what it is wired to, where its station is.
+"""SHELL: configuration of one robot's computer: the robot's number, its devices, the address of its station.
 
-What is flown, and how, is the experiment's affair and the same on every robot; this file is what differs.
+The experiment is the same on every robot; this file holds the differences between robots.
 """
 
 from collections.abc import Mapping
@@ -50,15 +50,15 @@ lock_memory = true
 """
 
 
-class Realtime(Section):
-    """What is asked of the operating system."""
+class RealtimeConfig(Section):
+    """Requests to the operating system."""
 
     priority: Annotated[int, Field(ge=0, le=99)] = 0
     cores: tuple[Annotated[int, Field(ge=0)], ...] = ()
     lock_memory: bool = False
 
 
-class Board(Section):
+class AgentConfig(Section):
     """The whole file."""
 
     robot: Annotated[int, Field(ge=1, le=999)]
@@ -71,7 +71,7 @@ class Board(Section):
     keys: str | None = None
     insecure: bool = False
     settings: tuple[str, ...] = ()
-    realtime: Realtime = Realtime()
+    realtime: RealtimeConfig = RealtimeConfig()
 
     @model_validator(mode="after")
     def _keys_or_not(self) -> Self:
@@ -80,42 +80,42 @@ class Board(Section):
         return self
 
 
-def load_board(path: Path) -> Board:
-    """The checked file, its paths made absolute. Raises ConfigError."""
-    board = check(Board, read_toml(path), str(path))
+def load_agent_config(path: Path) -> AgentConfig:
+    """Load and check the file, with its paths made absolute. Raises ConfigError."""
+    config = check(AgentConfig, read_toml(path), str(path))
     beside = path.resolve().parent
     changes = {}
-    if board.keys is not None:
-        changes["keys"] = str(beside / board.keys)
-    if board.link_key is not None:
-        changes["link_key"] = str(beside / board.link_key)
-    if board.experiment.endswith(".toml"):
-        changes["experiment"] = str(beside / board.experiment)
-    return board.model_copy(update=changes)
+    if config.keys is not None:
+        changes["keys"] = str(beside / config.keys)
+    if config.link_key is not None:
+        changes["link_key"] = str(beside / config.link_key)
+    if config.experiment.endswith(".toml"):
+        changes["experiment"] = str(beside / config.experiment)
+    return config.model_copy(update=changes)
 
 
-def choose(given: Mapping[str, Any], config: Path | None) -> Board:
-    """The board of a command line: what is `given` (not None) goes before the file, the file before the defaults."""
+def merge_config(given: Mapping[str, Any], config: Path | None) -> AgentConfig:
+    """Configuration of a command line: values `given` (not None) go before the file, the file before the defaults."""
     table: dict[str, Any] = {"station": DEFAULT_STATION}
     if config is not None:
-        table |= load_board(config).model_dump()
+        table |= load_agent_config(config).model_dump()
     table |= {key: value for key, value in given.items() if value is not None}
     for key, how in (("experiment", "name it"), ("robot", "--robot N")):
         if key not in table:
             raise ConfigError(f"which {key}? {how}, or --config FILE (`robot-agent init` writes one)")
-    return check(Board, table, "command line" if config is None else f"command line and {config}")
+    return check(AgentConfig, table, "command line" if config is None else f"command line and {config}")
 
 
-def open_board(board: Board) -> tuple[Link, Signing | None]:
-    """The link to the thruster board, and what it is signed with. Raises ConfigError."""
-    signing = Signing.of(Path(board.link_key), "agent") if board.link_key is not None else None
-    return open_link(board.link, secured=signing is not None or board.link_insecure), signing
+def open_board_link(config: AgentConfig) -> tuple[Link, Signing | None]:
+    """Open the link to the thruster board, with its signing key if there is one. Raises ConfigError."""
+    signing = Signing.of(Path(config.link_key), "agent") if config.link_key is not None else None
+    return open_link(config.link, secured=signing is not None or config.link_insecure), signing
 
 
-def template(name: str, board: Board) -> str:
-    """The commented file of a board, as `init` writes it."""
-    given = board.model_dump(include={"experiment", "station", "fleet", "link", "link_key", "keys"}, exclude_none=True)
+def template(name: str, config: AgentConfig) -> str:
+    """Commented configuration file, as `init` writes it."""
+    given = config.model_dump(include={"experiment", "station", "fleet", "link", "link_key", "keys"}, exclude_none=True)
     written = {key: tomli_w.dumps({key: value}).rstrip() for key, value in given.items()}
     left_out = {"link_key": '# link_key = "link.key"', "keys": '# keys = "keys"'}
-    insecure = "insecure = true" if board.insecure else "# insecure = true"
-    return TEMPLATE.format(name=name, robot=board.robot, insecure=insecure, **{**left_out, **written})
+    insecure = "insecure = true" if config.insecure else "# insecure = true"
+    return TEMPLATE.format(name=name, robot=config.robot, insecure=insecure, **{**left_out, **written})

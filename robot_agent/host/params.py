@@ -28,14 +28,14 @@ Name = Annotated[str, typer.Argument(metavar="NAME", help="The parameter's name,
 cli = typer.Typer(help="The thruster board's parameters (docs/board.md). They change only while it is disarmed.")
 
 
-class Talk:
-    """A board, and whoever asks it."""
+class ParameterSession:
+    """Link to a board and the client that talks over it."""
 
     def __init__(self, link: Link, client: ParameterClient) -> None:
         self._link, self.client = link, client
 
     def until(self, done: Callable[[], bool], ask: Callable[[], bytes]) -> bool:
-        """Ask, and ask again, until `done()`; whether it came to that."""
+        """Repeat a request until `done()`. Returns False after WITHIN_S without success."""
         end_s = time.monotonic() + WITHIN_S
         asked_s = 0.0
         while time.monotonic() < end_s:
@@ -50,12 +50,12 @@ class Talk:
 
 
 @contextmanager
-def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[Talk]:
+def _talk(link: str, robot: int | None, key: Path | None, insecure: bool) -> Iterator[ParameterSession]:
     signing = Signing.of(key, "params", LINK_ID) if key is not None else None
     client = ParameterClient(robot) if signing is None else ParameterClient(robot, signing.key, signing.stamps)
     wires = open_link(link, secured=signing is not None or insecure)
     try:
-        talk = Talk(wires, client)
+        talk = ParameterSession(wires, client)
         if not talk.until(lambda: client.heard and client.robot_id is not None, lambda: b""):
             raise ConfigError(f"--link {link}: {client.silence(wires.trouble)}")
         yield talk
@@ -160,7 +160,7 @@ def _found(client: ParameterClient, name: str) -> float:
 
 
 def _refusal(client: ParameterClient) -> str:
-    """Why the board told no value."""
+    """Text about a missing value."""
     if client.error is None:
         return "no answer"
     if client.error[1] == DOES_NOT_EXIST:

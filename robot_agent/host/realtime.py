@@ -1,7 +1,7 @@
-"""SHELL: what is asked of the operating system so that the loop runs when it must; what it does not allow is said, not fatal.
+"""SHELL: real-time settings of the control loop. A setting that the system refuses is reported, and is not fatal.
 
-Only the calling thread gets the real-time priority: that is the control loop. Zenoh's network threads, begun before, stay as
-they were, so a flood of messages cannot push the loop aside. The cores are for all threads of the process, Zenoh's too.
+Only the calling thread gets the real-time priority: the control loop. Zenoh's network threads, started before, keep the
+ordinary one, so a flood of messages cannot displace the loop. The CPU cores are set for all threads of the process.
 """
 
 import ctypes
@@ -13,18 +13,18 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from robot_agent.host.config import Realtime
+from robot_agent.host.config import RealtimeConfig
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _MCL_ONFAULT = 4  # what is used, once it is used: threads' stacks and pools that nobody fills would take another 250 MB
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 
-def apply(wanted: Realtime) -> list[str]:
-    """Do what is wanted. Returns what could not be done, and why."""
+def apply(wanted: RealtimeConfig) -> list[str]:
+    """Apply the settings. Returns the refused ones, with reasons."""
     refused = []
     if sys.platform != "linux":
-        return ["real-time options need Linux"] if wanted != Realtime() else []
+        return ["real-time options need Linux"] if wanted != RealtimeConfig() else []
     if wanted.cores:
         try:
             _pin(wanted.cores)
@@ -44,20 +44,20 @@ def apply(wanted: Realtime) -> list[str]:
 
 
 def settle() -> None:
-    """Keep Python's collector off what there is by now: going through all of it takes longer than a control step lasts."""
+    """Exclude all present objects from Python's garbage collection: a full pass takes longer than a control step."""
     gc.collect()
     gc.freeze()
 
 
 def _pin(cores: Sequence[int]) -> None:
-    """Every thread of this process onto these cores; those that begin later inherit it. Raises OSError, ValueError."""
+    """Pin every thread of this process to these cores; later threads inherit it. Raises OSError, ValueError."""
     for thread in (int(task.name) for task in Path("/proc/self/task").iterdir()):
         with suppress(ProcessLookupError):  # it has ended since
             os.sched_setaffinity(thread, cores)
 
 
 def permitted() -> str:
-    """What this process may ask for, for people."""
+    """Text of this process's real-time permissions."""
     if sys.platform != "linux":
         return "not Linux: no real-time options"
     most = resource.getrlimit(resource.RLIMIT_RTPRIO)[1]
@@ -69,7 +69,7 @@ def permitted() -> str:
 
 
 def governor() -> str:
-    """The CPU's frequency governor; empty where there is none to see."""
+    """Frequency governor of the CPU; empty if unknown."""
     return _GOVERNOR.read_text(encoding="ascii").strip() if _GOVERNOR.is_file() else ""
 
 

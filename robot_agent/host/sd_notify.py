@@ -1,11 +1,11 @@
-"""SHELL: telling systemd that this process is up, what its robot does, and that its control loop goes round (Type=notify,
+"""SHELL: notify systemd of the process's start, its robot's mode, and each turn of its control loop (Type=notify,
 WatchdogSec).
 
-The protocol of sd_notify(3) is one datagram to the socket that $NOTIFY_SOCKET names. It goes out from the completed control
-step and from nowhere else: no thread of its own could vouch for a loop that hangs. While the process still waits for its
-station there is no loop to vouch for; that wait says so itself.
+The protocol of sd_notify(3) is one datagram to the socket that $NOTIFY_SOCKET names. It is sent from the completed control
+step only: a separate thread could not vouch for a loop that hangs. The wait for the station, before there is a loop, sends its
+own.
 
-What the robot does also stands in the file `status` of the service's runtime folder, with the process's number:
+The robot's mode is also written to the file `status` of the service's runtime folder, with the process's number:
 `groundstation deploy` reads it before it restarts the service (groundstation/deploy/templates/armed.sh).
 """
 
@@ -17,8 +17,8 @@ from pathlib import Path
 TIMES_A_WATCH = 4  # per watchdog period: one may be late and one lost
 
 
-class Watchdog:
-    """The service manager's ear; nobody's, where there is none."""
+class ServiceNotifier:
+    """Connection to the service manager; without one, every call does nothing."""
 
     def __init__(self, environment: dict[str, str] | None = None) -> None:
         found = dict(os.environ) if environment is None else environment
@@ -35,11 +35,11 @@ class Watchdog:
             self._socket.setblocking(False)
 
     def ready(self, status: str) -> None:
-        """The process does what it is for."""
+        """Report that the process is ready."""
         self._send(f"READY=1\nSTATUS={status}")
 
     def mode(self, mode: str, why: str = "") -> None:
-        """What the robot does from now on: a mode's name, and a reason for people."""
+        """Report the robot's mode by name, with a reason."""
         if self._status is not None:
             new = self._status.with_suffix(".new")
             with contextlib.suppress(OSError):  # without the file a deployment asks for --force
@@ -48,13 +48,13 @@ class Watchdog:
         self._send(f"STATUS={mode.lower()}{f': {why}' if why else ''}")
 
     def alive(self, now_ns: int) -> None:
-        """The loop has gone round once more. `now_ns` is monotonic."""
+        """Report one more turn of the loop. `now_ns` is monotonic."""
         if self._every_ns and now_ns >= self._due_ns:
             self._due_ns = now_ns + self._every_ns
             self._send("WATCHDOG=1")
 
     def stopping(self) -> None:
-        """The process ends because it was told to."""
+        """Report that the process ends by request."""
         self._send("STOPPING=1")
         if self._status is not None:
             with contextlib.suppress(OSError):
@@ -69,7 +69,7 @@ class Watchdog:
             return
 
     def close(self) -> None:
-        """Forget the socket."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None

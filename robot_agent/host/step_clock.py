@@ -1,9 +1,9 @@
-"""When a control step is due, by the wall clock. Pure: instants are arguments, in seconds on one monotonic clock.
+"""Instants of control steps by the wall clock. Pure: instants are arguments, in seconds on one monotonic clock.
 
 Steps stand on a grid, one in each period: filters, plans and rate limits count in periods. The grid follows the camera slowly.
-Where the camera has the loop's rate, or a multiple of it, the two fall in step, and from then on each step comes with its
-pose: up to EARLY before its place on the grid or LATE after. At any other rate steps come on the grid, with the newest pose
-there is. Either way the mean period is the one that was set.
+If the camera has the loop's rate, or a multiple of it, the two fall in step, and from then on each step comes with its pose:
+up to EARLY before its place on the grid or LATE after. At any other rate steps come on the grid, with the newest pose. Either
+way the mean period is the configured one.
 """
 
 import math
@@ -18,8 +18,8 @@ MOST_LATE_S = 0.5  # of steps that count as late: what made a loop slow while th
 BUDGET = 0.5  # of a period: pulses that leave later than this after their step was due are late
 
 
-class Pace:
-    """Of one control loop."""
+class StepClock:
+    """Step clock of one control loop."""
 
     def __init__(self, period_s: float, now_s: float) -> None:
         self.missed = 0  # steps whose pulses left late
@@ -31,11 +31,11 @@ class Pace:
 
     @property
     def opens_s(self) -> float:
-        """Before this no pose brings a step."""
+        """Instant before which no pose brings a step."""
         return self._grid_s - EARLY * self._period_s
 
     def due_s(self, arrived_s: float | None) -> float:
-        """When the next step is due. `arrived_s` is when the newest pose came, if no step has taken it yet; else None."""
+        """Instant of the next step. `arrived_s` is the arrival of the newest pose, None if a step has taken it."""
         if self._off_s > IN_STEP * self._period_s:
             return self._grid_s
         latest_s = self._grid_s + (LATE if self._had_pose else 0.0) * self._period_s  # but one that is gone holds up no more
@@ -44,7 +44,7 @@ class Pace:
         return min(arrived_s, latest_s)
 
     def stepped(self, now_s: float, arrived_s: float | None) -> None:
-        """A step begins, with the pose that came at `arrived_s`. Places on the grid that have gone by are left out."""
+        """Take note of a step at `now_s` with the pose that came at `arrived_s`. Missed places on the grid are left out."""
         self._had_pose = arrived_s is not None
         if arrived_s is not None:
             off_s, most_s = math.remainder(arrived_s - self._grid_s, self._period_s), MOST * self._period_s
@@ -54,8 +54,8 @@ class Pace:
         self._grid_s += max(math.ceil(behind_s / self._period_s), 0) * self._period_s
 
     def put_out(self, late_s: float) -> None:
-        """The pulses of a step have left, so much later than the step was due. One that is late costs what one in time makes
-        good: a single hiccup ends nothing, and a loop that cannot keep up is found however it alternates."""
+        """Take note of a step's pulses, sent `late_s` after the step was due. A timely step cancels a late one: a single delay
+        ends nothing, and a loop that cannot keep up is found in any pattern."""
         late = late_s > BUDGET * self._period_s
         self.missed += late
         self.late_steps = min(self.late_steps + 1, self._most_late) if late else max(self.late_steps - 1, 0)

@@ -1,5 +1,5 @@
-"""SHELL: `robot-agent check`: looks the board over before the robot gets wet. One failure does not keep the rest from being
-tried."""
+"""SHELL: `robot-agent check`: preflight of the robot's computer and its thruster board. A failed check does not stop the
+others."""
 
 import itertools
 import platform
@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from robot_agent.host import realtime
-from robot_agent.host.config import Board, open_board
+from robot_agent.host.config import AgentConfig, open_board_link
 from robot_agent.preflight import findings
-from robot_agent.preflight.findings import Finding, Verdict
-from robot_agent.preflight.network import look_at_network
-from robot_agent.preflight.rehearsal import Grounded, rehearse
+from robot_agent.preflight.findings import CheckFinding, CheckVerdict
+from robot_agent.preflight.network import check_network
+from robot_agent.preflight.rehearsal import RehearsalFailed, rehearse
 from wire.config.experiment import Experiment, load_experiment
 from wire.mavlink.agent_link import Telemetry
 from wire.mavlink.board_port import parse_link, serial_trouble
@@ -27,68 +27,71 @@ REHEARSED, WARM_UP = 400, 60  # control steps: 20 s of flight
 BOARD_WITHIN_S = 2.0
 
 
-def look_over(board: Board, thrusters: Callable[[Experiment], Iterator[Finding]] | None) -> Iterator[Finding]:
-    """Everything, in the order in which things depend on each other; `thrusters` turns them, if asked for."""
+def run_preflight(
+    config: AgentConfig, thrusters: Callable[[Experiment], Iterator[CheckFinding]] | None
+) -> Iterator[CheckFinding]:
+    """Run all checks, in the order of their dependence; `thrusters` turns them, None if not asked for."""
     machine = f"shoal {metadata.version('shoal')}, Python {platform.python_version()}, {platform.machine()}"
-    yield Finding("software", Verdict.OK, machine)
+    yield CheckFinding("software", CheckVerdict.OK, machine)
     experiment = None
     try:
-        loaded = load_experiment(board.experiment, board.settings)
-        loaded.robot(board.robot)
+        loaded = load_experiment(config.experiment, config.settings)
+        loaded.robot(config.robot)
         vehicle, experiment = loaded.vehicle, loaded
-        detail = f"{loaded.name} ({loaded.hash[:8]}), robot {board.robot} of {len(loaded.robot_ids)}"
-        yield Finding("experiment", Verdict.OK, detail)
+        detail = f"{loaded.name} ({loaded.hash[:8]}), robot {config.robot} of {len(loaded.robot_ids)}"
+        yield CheckFinding("experiment", CheckVerdict.OK, detail)
         detail = f"{vehicle.name}: {len(vehicle.legs.position_m)} legs, {vehicle.mass.surge_kg:g} kg with what it drags along"
-        yield Finding("vehicle", Verdict.OK, detail)
+        yield CheckFinding("vehicle", CheckVerdict.OK, detail)
     except ConfigError as error:
-        yield Finding("experiment", Verdict.FAIL, str(error))
-    flying = yield from look_at_network(board)
-    yield from _computer(board)
+        yield CheckFinding("experiment", CheckVerdict.FAIL, str(error))
+    flying = yield from check_network(config)
+    yield from _computer(config)
     if experiment is not None:
-        yield _timing(experiment, board.robot)
-    yield from _device(board)
+        yield _timing(experiment, config.robot)
+    yield from _device(config)
     idle = False
     if flying:  # two programs on one thruster board: what one sends the other would spoil
-        yield Finding("thruster board", Verdict.SKIPPED, "this robot's agent has it (systemctl stop shoal-agent)")
+        yield CheckFinding("thruster board", CheckVerdict.SKIPPED, "this robot's agent has it (systemctl stop shoal-agent)")
     else:
-        idle = yield from _board(board)
+        idle = yield from _board(config)
     if thrusters is None or experiment is None or not idle:
         needs = "(--thrusters turns them one by one)" if thrusters is None else "(the board must say that it is disarmed)"
-        yield Finding("thrusters", Verdict.SKIPPED, f"not turned {needs}")
+        yield CheckFinding("thrusters", CheckVerdict.SKIPPED, f"not turned {needs}")
     else:
         yield from thrusters(experiment)
 
 
-def _device(board: Board) -> Iterator[Finding]:
+def _device(config: AgentConfig) -> Iterator[CheckFinding]:
     try:
-        address = parse_link(board.link)
+        address = parse_link(config.link)
     except ConfigError:
         return  # the thruster board's line says it
     if address.kind == "serial":
         trouble = serial_trouble(Path(address.where))
-        verdict = Verdict.FAIL if trouble else Verdict.OK
-        yield Finding("device", verdict, trouble or f"{address.where}: can be read and written")
+        verdict = CheckVerdict.FAIL if trouble else CheckVerdict.OK
+        yield CheckFinding("device", verdict, trouble or f"{address.where}: can be read and written")
 
 
-def _board(board: Board) -> Generator[Finding, None, bool]:
-    """Returns whether it is heard, and says that it is disarmed: so nobody flies the robot."""
+def _board(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
+    """Listen to the thruster board. Returns True if it is heard and reports that it is disarmed: so no agent flies the
+    robot."""
     try:
-        telemetry = hear_board(board)
+        telemetry = read_telemetry(config)
     except ConfigError as error:
-        yield Finding("thruster board", Verdict.FAIL, str(error))
+        yield CheckFinding("thruster board", CheckVerdict.FAIL, str(error))
         return False
     idle = telemetry.heartbeats > 0 and not telemetry.armed
     battery = f"{telemetry.battery_v:.1f} V" if telemetry.battery_reports else "no voltage told"
     armed = "disarmed" if idle else "ARMED: by whom?" if telemetry.armed else "does not say whether it is armed"
     detail = f"heard; {battery}, depth {telemetry.depth_m:.2f} m, {armed}"
-    yield Finding("thruster board", Verdict.OK if idle and telemetry.battery_reports else Verdict.WARN, detail)
+    yield CheckFinding("thruster board", CheckVerdict.OK if idle and telemetry.battery_reports else CheckVerdict.WARN, detail)
     return idle
 
 
-def hear_board(board: Board) -> Telemetry:
-    """What the thruster board says. Raises ConfigError if it says nothing."""
-    wires, signing = open_board(board)
-    mavlink = agent_end(board.robot, signing)
+def read_telemetry(config: AgentConfig) -> Telemetry:
+    """Return the thruster board's telemetry. Raises ConfigError if the board is silent."""
+    wires, signing = open_board_link(config)
+    mavlink = agent_end(config.robot, signing)
     try:
         deadline, heard = time.monotonic() + BOARD_WITHIN_S, None
         while time.monotonic() < deadline:
@@ -101,14 +104,14 @@ def hear_board(board: Board) -> Telemetry:
                     break
         if heard is None:
             why = wires.trouble or _others(mavlink.telemetry)
-            raise ConfigError(f"{board.link}: silent for {BOARD_WITHIN_S:g} s{why and '; '}{why}")
+            raise ConfigError(f"{config.link}: silent for {BOARD_WITHIN_S:g} s{why and '; '}{why}")
         return heard
     finally:
         wires.close()
 
 
 def _others(seen: Telemetry) -> str:
-    """What came in the place of the robot's own board, if anything did."""
+    """Text about the frames that came instead of the board's own; empty if there were none."""
     if seen.forged_frames:
         return "what comes is signed with another key, or there is no link_key"
     if seen.unsigned_frames:
@@ -118,21 +121,23 @@ def _others(seen: Telemetry) -> str:
     return "what comes is not of this robot's board" if seen.foreign_frames else ""
 
 
-def _computer(board: Board) -> Iterator[Finding]:
-    yield Finding("real time", Verdict.OK, realtime.permitted())
+def _computer(config: AgentConfig) -> Iterator[CheckFinding]:
+    yield CheckFinding("real time", CheckVerdict.OK, realtime.permitted())
     governor = realtime.governor()
     if governor and governor != "performance":
-        yield Finding("CPU governor", Verdict.WARN, f"{governor}: steps take longer at a low clock; `performance` is steadier")
+        yield CheckFinding(
+            "CPU governor", CheckVerdict.WARN, f"{governor}: steps take longer at a low clock; `performance` is steadier"
+        )
 
 
-def _timing(experiment: Experiment, robot: int) -> Finding:
+def _timing(experiment: Experiment, robot: int) -> CheckFinding:
     steps_ms = []
     try:
         for agent, inputs, now_ns in itertools.islice(rehearse(experiment, robot), REHEARSED):
             began = time.perf_counter_ns()
             state = agent.step(inputs, now_ns).state
             steps_ms.append((time.perf_counter_ns() - began) * 1e-6)
-    except Grounded as why:
+    except RehearsalFailed as why:
         return findings.not_timed(str(why))
     if state.mode is not Mode.TRACKING:
         return findings.not_timed(f"the robot is {state.mode.name}, {state.fault or 'for no reason told'}")

@@ -1,4 +1,4 @@
-"""What was found when the board was looked over: one line each, and whether the robot may go into the water. Pure."""
+"""Findings of the preflight: one line each, with a verdict. Pure."""
 
 import json
 from collections.abc import Sequence
@@ -13,8 +13,8 @@ MINUTE = "%Y-%m-%d %H:%M"
 BUDGET = 0.5  # of a period: what a control step may take
 
 
-class Verdict(Enum):
-    """How it is."""
+class CheckVerdict(Enum):
+    """Result of one check."""
 
     OK = "ok"
     WARN = "warn"
@@ -23,52 +23,54 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One line of the table."""
+class CheckFinding:
+    """One line of the preflight's table."""
 
     what: str
-    verdict: Verdict
+    verdict: CheckVerdict
     detail: str
 
 
-def exit_code(findings: Sequence[Finding]) -> int:
-    """0 if nothing has failed."""
-    return int(any(finding.verdict is Verdict.FAIL for finding in findings))
+def exit_code(findings: Sequence[CheckFinding]) -> int:
+    """0 if no check has failed, else 1."""
+    return int(any(finding.verdict is CheckVerdict.FAIL for finding in findings))
 
 
-def to_json(findings: Sequence[Finding]) -> str:
-    """For programs."""
+def to_json(findings: Sequence[CheckFinding]) -> str:
+    """Findings as JSON."""
     return json.dumps([{**asdict(finding), "verdict": finding.verdict.name.lower()} for finding in findings], indent=1)
 
 
-def certificate(common_name: str, starts: datetime, expires: datetime, now: datetime) -> Finding:
-    """Whether a certificate counts, and for how long."""
+def certificate(common_name: str, starts: datetime, expires: datetime, now: datetime) -> CheckFinding:
+    """Judge a certificate's period of validity."""
     days = (expires - now).days
     if now < starts:
-        return Finding("certificate", Verdict.FAIL, f"valid from {starts:{MINUTE}} UTC on; is this board's clock right?")
-    if now >= expires:
-        return Finding(
-            "certificate", Verdict.FAIL, f"expired on {expires:%Y-%m-%d %H:%M} UTC; `groundstation keys add` renews it"
+        return CheckFinding(
+            "certificate", CheckVerdict.FAIL, f"valid from {starts:{MINUTE}} UTC on; is this board's clock right?"
         )
-    verdict = Verdict.WARN if expires - now < EXPIRES_SOON else Verdict.OK
-    return Finding("certificate", verdict, f"{common_name}, valid for {days} days more")
+    if now >= expires:
+        return CheckFinding(
+            "certificate", CheckVerdict.FAIL, f"expired on {expires:%Y-%m-%d %H:%M} UTC; `groundstation keys add` renews it"
+        )
+    verdict = CheckVerdict.WARN if expires - now < EXPIRES_SOON else CheckVerdict.OK
+    return CheckFinding("certificate", verdict, f"{common_name}, valid for {days} days more")
 
 
-def clock(offset_s: float) -> Finding:
-    """This board's clock against the station's, as its heartbeat tells it."""
-    verdict = Verdict.OK if abs(offset_s) <= CLOCK_APART_S else Verdict.WARN
+def clock(offset_s: float) -> CheckFinding:
+    """Judge this computer's clock against the station's heartbeat."""
+    verdict = CheckVerdict.OK if abs(offset_s) <= CLOCK_APART_S else CheckVerdict.WARN
     side = "ahead of" if offset_s > 0 else "behind"
-    return Finding("clock", verdict, f"{abs(offset_s) * 1e3:.0f} ms {side} the station's")
+    return CheckFinding("clock", verdict, f"{abs(offset_s) * 1e3:.0f} ms {side} the station's")
 
 
-def timing(p50_ms: float, p99_ms: float, period_s: float, neighbours: int) -> Finding:
-    """A control step's time on this CPU against half a period."""
+def timing(p50_ms: float, p99_ms: float, period_s: float, neighbours: int) -> CheckFinding:
+    """Judge a control step's time on this CPU against half a period."""
     budget_ms = BUDGET * period_s * 1e3
-    verdict = Verdict.OK if p99_ms <= budget_ms else Verdict.WARN if p50_ms <= budget_ms else Verdict.FAIL
+    verdict = CheckVerdict.OK if p99_ms <= budget_ms else CheckVerdict.WARN if p50_ms <= budget_ms else CheckVerdict.FAIL
     detail = f"p50 {p50_ms:.2f} ms, p99 {p99_ms:.2f} ms with {neighbours} neighbours; half a period is {budget_ms:g} ms"
-    return Finding("control step", verdict, detail)
+    return CheckFinding("control step", verdict, detail)
 
 
-def not_timed(why: str) -> Finding:
-    """No time of a control step is known: a robot that does not fly has little to compute."""
-    return Finding("control step", Verdict.WARN, f"not timed: in the rehearsal, a circle of 1 m at 0.3 m, {why}")
+def not_timed(why: str) -> CheckFinding:
+    """Finding for a control step that could not be timed: a robot that does not fly has little to compute."""
+    return CheckFinding("control step", CheckVerdict.WARN, f"not timed: in the rehearsal, a circle of 1 m at 0.3 m, {why}")

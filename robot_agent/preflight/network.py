@@ -1,13 +1,13 @@
-"""SHELL: the network's part of `robot-agent check`: certificate, way to the station, its clock, and who is there already."""
+"""SHELL: network part of `robot-agent check`: certificate, connection to the station, its clock, and a running agent."""
 
 import time
 from collections.abc import Generator
 from datetime import UTC, datetime
 from pathlib import Path
 
-from robot_agent.host.config import Board
+from robot_agent.host.config import AgentConfig
 from robot_agent.preflight import findings
-from robot_agent.preflight.findings import Finding, Verdict
+from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from wire.messages import topics
 from wire.messages.messages import StationHeartbeat
 from wire.messages.topics import Role, process_name
@@ -23,30 +23,31 @@ STATION_WITHIN_S = 3.0
 PRESENT_WITHIN_S = 0.5  # after the station is heard: who is there already the router tells in its own time
 
 
-def look_at_network(board: Board) -> Generator[Finding, None, bool]:
-    """Certificate, way to the station, clock. Returns whether an agent of this robot is on the network already."""
-    process = process_name(Role.ROBOT, board.robot)
+def check_network(config: AgentConfig) -> Generator[CheckFinding, None, bool]:
+    """Check certificate, connection to the station, and clock. Returns True if an agent of this robot is on the network
+    already."""
+    process = process_name(Role.ROBOT, config.robot)
     keys = None
-    if board.keys is not None:
+    if config.keys is not None:
         try:
-            keys = open_keys(Path(board.keys), process)
+            keys = open_keys(Path(config.keys), process)
             yield _certificate(keys)
         except ConfigError as error:
-            yield Finding("certificate", Verdict.FAIL, str(error))
+            yield CheckFinding("certificate", CheckVerdict.FAIL, str(error))
             return False
     try:
-        where = endpoint(board.station, process, None if keys is None else Path(board.keys or ""), insecure=board.insecure)
+        where = endpoint(config.station, process, None if keys is None else Path(config.keys or ""), insecure=config.insecure)
     except ConfigError as error:
-        yield Finding("station", Verdict.FAIL, str(error))
+        yield CheckFinding("station", CheckVerdict.FAIL, str(error))
         return False
     if where.insecure:
-        yield Finding("certificate", Verdict.WARN, "none: the network is open, anybody on it can command the robots")
+        yield CheckFinding("certificate", CheckVerdict.WARN, "none: the network is open, anybody on it can command the robots")
     trouble = trouble_reaching(where.address, where.keys)
     if trouble:
-        yield Finding("station", Verdict.FAIL, f"{where.address}: {trouble}")
+        yield CheckFinding("station", CheckVerdict.FAIL, f"{where.address}: {trouble}")
         return False
     try:
-        with Bus(ZenohTransport(where, patience_s=STATION_WITHIN_S), board.fleet) as bus:
+        with Bus(ZenohTransport(where, patience_s=STATION_WITHIN_S), config.fleet) as bus:
             beats = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
             bus.watch_presence()
             bus.wait(lambda: beats.newest_header() is not None, STATION_WITHIN_S)
@@ -54,23 +55,23 @@ def look_at_network(board: Board) -> Generator[Finding, None, bool]:
             since_ns = received.header.age_ns + time.monotonic_ns() - received.arrived_ns if received is not None else 0
             flying = bus.wait(lambda: process in bus.present, PRESENT_WITHIN_S)
     except Unreached as error:
-        yield Finding("station", Verdict.FAIL, str(error))
+        yield CheckFinding("station", CheckVerdict.FAIL, str(error))
         return False
     if received is None:
         why = "a router answers, but no station is heard; is `groundstation run` on, under the same --fleet?"
-        yield Finding("station", Verdict.FAIL, f"{where.address}: {why}")
+        yield CheckFinding("station", CheckVerdict.FAIL, f"{where.address}: {why}")
         return flying
-    yield Finding("station", Verdict.OK, f"{where.address}: heard, its mission is {received.message.mission}")
+    yield CheckFinding("station", CheckVerdict.OK, f"{where.address}: heard, its mission is {received.message.mission}")
     yield findings.clock((now_ns - received.header.stamp_ns - since_ns) * 1e-9)
     return flying
 
 
-def _certificate(keys: Keys) -> Finding:
+def _certificate(keys: Keys) -> CheckFinding:
     from cryptography import x509  # a fleet without keys has no use for it
 
     try:
         found = x509.load_pem_x509_certificate(keys.certificate.read_bytes())
         found.verify_directly_issued_by(x509.load_pem_x509_certificate(keys.ca.read_bytes()))
     except Exception as error:  # the library has a dozen ways to say that a file is no good; each is the answer here
-        return Finding("certificate", Verdict.FAIL, f"{keys.certificate}: not of the authority beside it: {error}")
+        return CheckFinding("certificate", CheckVerdict.FAIL, f"{keys.certificate}: not of the authority beside it: {error}")
     return findings.certificate(common_name(keys), found.not_valid_before_utc, found.not_valid_after_utc, datetime.now(UTC))

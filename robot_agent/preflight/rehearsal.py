@@ -1,7 +1,7 @@
-"""A flight in thought: the robot's own agent on its own experiment, round a circle, with every neighbour's plan. Pure.
+"""Rehearsal: the robot's own agent on its own experiment, round a circle, with every neighbour's plan. Pure.
 
-To time a control step on the CPU that will have to do it. The poses are those of a robot that flies as planned, a few
-millimetres off; the work of a step does not depend on how well it goes.
+It serves to time a control step on the CPU that will run it. The poses are those of a robot that flies as planned, a few
+millimetres off; the work of a step does not depend on the tracking error.
 """
 
 from collections.abc import Iterator
@@ -9,8 +9,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from robot_agent.agent import Agent
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Heard, Inputs, Seen
+from robot_agent.inputs import Inputs, StampedPlan, StampedPose, StationView
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.mavlink.agent_link import Telemetry
@@ -24,13 +23,13 @@ STATION = 1  # session
 ARM_AFTER = 20  # steps, 1 s: until the estimate stands
 
 
-class Grounded(Exception):
-    """The robot does not fly in this rehearsal; says why."""
+class RehearsalFailed(Exception):
+    """The robot does not fly in this rehearsal, with the reason."""
 
 
 def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs, int]]:
-    """Agent, inputs and time of one control step after the other, without end; whoever asks does the step. Raises Grounded if
-    the agent refuses to fly."""
+    """Yield agent, inputs and time of one control step after another, without end; the caller does the step. Raises
+    RehearsalFailed if the agent refuses to fly."""
     unmoved = experiment.safety.model_copy(update={"watch_thrusters": False})  # here thrusters move nothing
     experiment = experiment.model_copy(update={"safety": unmoved})
     agent, period_s, noise = Agent(experiment, robot), experiment.controller.period_s, np.random.default_rng(1)
@@ -48,7 +47,7 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
             board_ms=now_ns // 1_000_000, arrival_ns=now_ns, depth_m=DEPTH_M, armed=k >= ARM_AFTER, battery_v=full_v
         )
         others = ((i, other) for i, other in enumerate(experiment.robot_ids) if other != robot)
-        plans = {other: Heard(_plan(experiment, i - me, flown), now_ns) for i, other in others}
+        plans = {other: StampedPlan(_plan(experiment, i - me, flown), now_ns) for i, other in others}
         if k == ARM_AFTER:
             given_ns = now_ns - period_ns  # as the last step ends: what that went by is still fresh
             for n, order in enumerate((Order.LOAD, Order.ARM, Order.START), 1):
@@ -60,15 +59,17 @@ def rehearse(experiment: Experiment, robot: int) -> Iterator[tuple[Agent, Inputs
                     trajectory=trajectory if order is Order.LOAD else None,
                     start_ns=given_ns + period_ns,
                 )
-                reply = agent.order(Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns)
+                reply = agent.handle_command(
+                    Header(STATION, n, given_ns), command, StationView(STATION, given_ns, 0.0), given_ns
+                )
                 if not reply.accepted:
-                    raise Grounded(f"{order.name} is refused: {reply.reason}")
-        yield agent, Inputs(Seen(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
+                    raise RehearsalFailed(f"{order.name} is refused: {reply.reason}")
+        yield agent, Inputs(StampedPose(pose, now_ns - 20_000_000), telemetry, station, plans=plans), now_ns
         k += 1
 
 
 def _eta(times_s: Array, i: int) -> Array:
-    """Poses (n, 4) along a circle, the robot's own around the pool's centre or the i-th one beside it."""
+    """Poses (n, 4) along a circle: the robot's own around the pool's centre, or the i-th one beside it."""
     angle = times_s * SPEED_MPS / RADIUS_M
     x, y = RADIUS_M * np.cos(angle) + i * APART_M, RADIUS_M * np.sin(angle)
     return np.stack([x, y, np.full_like(angle, DEPTH_M), angle + np.pi / 2], axis=1)

@@ -1,5 +1,6 @@
-"""What keeps a robot safe: its mode, its health, and checks of what it senses and does.
+"""Safety of one robot: its mode, its health, and checks of its sensors and outputs.
 
-Health (health.py) and commands move the mode (modes.py); pulses are checked on their way out (output_check.py); dead thrusters
-(thruster_fault_detection.py) and a path that is left (path_deviation.py) are found in flight.
+Health (health.py) and commands move the mode (modes.py). The board's echo is compared with the pulses sent (output_check.py).
+Dead thrusters (thruster_fault_detection.py) and a robot off its path (path_deviation.py) are detected in flight.
+thruster_selftest.py pushes each thruster before the flight.
 """

@@ -1,14 +1,13 @@
-"""How a robot fares: what it heard and felt, as the ages and doubts that its mode is judged by. Pure."""
+"""Health of a robot: ages of its inputs and results of its checks, from which the mode is decided. Pure."""
 
-from robot_agent.command_check import StationView
 from robot_agent.control.controller import ControlOutput
-from robot_agent.inputs import Inputs
+from robot_agent.inputs import Inputs, StationView
 from robot_agent.safety.modes import LIVE, POWERED, Health
-from robot_agent.safety.output_check import EchoCheck
-from robot_agent.safety.path_deviation import PathWatch
-from robot_agent.safety.thruster_fault_detection import ThrusterWatch
+from robot_agent.safety.output_check import OutputCheck
+from robot_agent.safety.path_deviation import PathDeviationMonitor
+from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from robot_agent.vehicle.allocation import Allocator
-from robot_agent.vehicle.battery import Gauge
+from robot_agent.vehicle.battery import BatteryMonitor
 from wire.config.experiment import Experiment
 from wire.messages.messages import Mode, Track
 
@@ -18,16 +17,16 @@ NEVER_S = float("inf")
 DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the pool is wrong; the station warns from there on
 
 
-class Vitals:
-    """What is remembered of one robot's senses from step to step."""
+class HealthMonitor:
+    """Memory of one robot's inputs and outputs from step to step."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._safety, self._markers = experiment.safety, experiment.localizer.markers
         self._period_s = experiment.controller.period_s
-        self._battery = Gauge(experiment.vehicle.battery)
-        self._echo, self._thrusters = EchoCheck(), ThrusterWatch(experiment.vehicle)
-        self._allocator, self._path = Allocator(experiment.vehicle), PathWatch(experiment.safety.off_path_m)
-        self._depth, self._pool = PathWatch(experiment.safety.off_depth_m), experiment.pool
+        self._battery = BatteryMonitor(experiment.vehicle.battery)
+        self._outputs, self._thrusters = OutputCheck(), ThrusterFaultDetector(experiment.vehicle)
+        self._allocator, self._path = Allocator(experiment.vehicle), PathDeviationMonitor(experiment.safety.off_path_m)
+        self._depth, self._pool = PathDeviationMonitor(experiment.safety.off_depth_m), experiment.pool
         self._output: ControlOutput | None = None  # of the last control step
         self._mode = Mode.DISARMED
         self._sighted_ns: int | None = None  # instant of the last pose that was seen, not only predicted
@@ -39,9 +38,8 @@ class Vitals:
         self._asked_ns: int | None = None  # when the board was last told so
         self._estimated = self._estimate_ended = False
 
-    def note(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
-        """Take in what a step has to go by, in the mode that the robot has been in until now. While thrusters are tested the
-        test judges what the board puts out."""
+    def note_inputs(self, inputs: Inputs, mode: Mode, now_ns: int, testing: bool = False) -> None:
+        """Take in a step's inputs, in the mode up to now. During a thruster self-test that test judges the board's outputs."""
         seen, telemetry = inputs.pose, inputs.telemetry
         if seen is not None and seen.pose.track >= Track.KCF:
             self._sighted_ns = seen.instant_ns
@@ -51,22 +49,22 @@ class Vitals:
             self._path.reset()
             self._depth.reset()
         self._mode = mode
-        self._battery.note(telemetry, now_ns)
+        self._battery.note_telemetry(telemetry, now_ns)
         if not testing:
-            self._echo.note(telemetry, now_ns)
+            self._outputs.note_telemetry(telemetry, now_ns)
         if mode not in POWERED:
             self._thrusters.reset()
             self._estimate_ended = False
         elif telemetry.board_ms >= 0:
             self._thrusters.step(telemetry.yaw_rate_radps, telemetry.arrival_ns, telemetry.board_ms * 1_000_000)
 
-    def told(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
-        """These pulses went out: what board and gyroscope will be held against."""
-        self._echo.told(pulse_us, now_ns)
-        self._thrusters.told(self._allocator.turning(pulse_us), now_ns)
+    def note_pulses(self, pulse_us: tuple[int, ...], now_ns: int) -> None:
+        """Take note of pulses that went out; the board's echo and the gyroscope are compared with them."""
+        self._outputs.note_pulses(pulse_us, now_ns)
+        self._thrusters.note_moments(self._allocator.leg_moments(pulse_us), now_ns)
 
-    def flew(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
-        """What a control step found out about how the robot moves, in the mode that it is in now."""
+    def note_output(self, output: ControlOutput, mode: Mode, now_ns: int) -> None:
+        """Take in a control step's estimate and reference, in the mode from now on."""
         self._estimate_ended |= mode in POWERED and self._estimated and not output.estimated
         self._estimated = output.estimated
         place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
@@ -81,7 +79,7 @@ class Vitals:
         return self._allocator.neutral_us
 
     def health(self, inputs: Inputs, solver_failed: bool, now_ns: int) -> Health:
-        """What reactions look at. Asks only: nothing is changed by it."""
+        """Return the values that reactions are decided by. Changes nothing."""
         telemetry = inputs.telemetry
         disarmed_s = (now_ns - self._armed_since_ns) * 1e-9 if self._armed_since_ns is not None else 0.0
         if self._board_armed and not telemetry.armed:
@@ -96,7 +94,7 @@ class Vitals:
             emergency_stop=inputs.emergency_stop,
             solver_failed=solver_failed,
             late_s=round(inputs.late_steps * self._period_s, 9),
-            echo_wrong_s=self._echo.wrong_s,
+            echo_wrong_s=self._outputs.wrong_s,
             thrusters_broken=self._thrusters.broken,
             off_path=self._path.left,
             estimate_ended=self._estimate_ended,
@@ -107,8 +105,8 @@ class Vitals:
             place_age_s=self._output.pose_age_s if self._output is not None and self._output.estimated else 0.0,
         )
 
-    def unfit(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
-        """Why not to arm now; empty if nothing is against it."""
+    def arming_refusal(self, inputs: Inputs, station: StationView, now_ns: int) -> str:
+        """Return the reason not to arm now; empty if there is none."""
         health, limit_s = self.health(inputs, False, now_ns), self._safety.pose_hold_s
         if inputs.emergency_stop:
             return "the emergency stop is down"
@@ -128,11 +126,12 @@ class Vitals:
             return f"the depth sensor says {depth_m:.2f} m in a pool of {floor_m:g} m: check it, or its zero"
         if health.depth_age_s > self._safety.pose_neutral_s:
             return f"no depth that can be true for {health.depth_age_s:.2f} s (the sensor says {depth_m:.2f} m)"
-        return self._battery.unfit(now_ns)
+        return self._battery.arming_refusal(now_ns)
 
-    def arming(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
-        """What to tell a board that says that it is armed, or not; None: nothing, or not again so soon. To be called once at
-        each step. When the power has just been taken away, or the program has just begun, each step disarms."""
+    def arming_command(self, armed: bool, mode: Mode, now_ns: int) -> bool | None:
+        """Return True to arm the board, False to disarm it, None to send nothing at this step. `armed` is the board's own
+        report. Call it once a step. For DISARM_S after the power is taken away, or after the program starts, each step
+        disarms."""
         wanted = mode in LIVE
         if wanted is not self._wanted:
             self._wanted, self._wanted_since_ns, self._asked_ns = wanted, now_ns, None
@@ -148,7 +147,7 @@ class Vitals:
         return wanted
 
     def react_by_ns(self, mode: Mode) -> int | None:
-        """When the pose will be too old to go on as now."""
+        """Instant at which the pose becomes too old for `mode`; None if there is none."""
         if mode not in POWERED or self._sighted_ns is None:
             return None
         limit_s = self._safety.pose_hold_s if mode is Mode.TRACKING else self._safety.pose_neutral_s

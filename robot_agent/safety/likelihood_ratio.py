@@ -1,16 +1,16 @@
-"""How a number has gone with others so far, and whether it now misses a part of one of them. Pure.
+"""Recursive least squares with a generalised likelihood ratio test for a missing part (Willsky and Jones 1976). Pure.
 
-Recursive least squares for y = theta . x + noise, with a prior: theta is about zero, with a covariance. What is known of theta
-fades back to that in FADES_S. The noise is learned, too: in rough water little is known of theta for longer.
+The model is y = theta . x + noise, with a prior: theta is about zero, with a given covariance. Knowledge of theta fades back
+to the prior in FADES_S. The noise variance is learned too: in rough water little is known of theta for longer.
 
-A part that is missing, a share q of what goes with x_k, leaves -q x_k in y. How much likelier that makes the newest samples
-is a log-likelihood ratio, in which theta is as uncertain as it is known to be: what may be a habit not learned yet is no
-evidence. With r = y - theta . x, and S the covariance of noise and theta's uncertainty together,
+A missing share q of the part that goes with x_k leaves -q x_k in y. The evidence is the log-likelihood ratio of the newest
+samples with and without that. The uncertainty of theta enters it, so that an effect not learned yet is no evidence. With r = y
+- theta . x, and S the covariance of noise and theta's uncertainty together,
 
     evidence = -q x_k' S^-1 r - q^2 / 2 x_k' S^-1 x_k        at its largest over k, q, and the last SPANS_S
 
-So that what breaks does not excuse itself, samples teach only when they have been looked at for so long, and not while there
-is something to suspect.
+Samples are learned only after they have been tested for the longest span, and not while evidence exceeds SUSPECTED: otherwise
+a fault would be learned as normal.
 """
 
 import math
@@ -30,23 +30,24 @@ SUSPECTED = 3.0  # evidence: what is felt meanwhile is no habit
 LEAST = 1e-12  # of what could have been missing: nothing
 
 
-class Habit:
-    """One number y that goes with others, x (k,)."""
+class LikelihoodRatioTest:
+    """Test of one number y against its regressors x (k,)."""
 
     def __init__(
         self, prior: Array, noise: float, least_noise: float, same_s: float, parts: int, shares: tuple[float, float]
     ) -> None:
-        """`prior` (k, k): covariance of theta before anything is known; `noise`: standard deviation of y, at first and at
-        least. Samples within `same_s` of each other say the same. Missing may be a share, from least to most, of what goes
-        with one of the first `parts` of x."""
+        """`prior` (k, k): covariance of theta at first; `noise`: standard deviation of y at first, `least_noise`: at least.
+        Samples within `same_s` of each other are correlated and count once. A missing share, from least to most in `shares`,
+        is sought in each of the first `parts` of x."""
         self._prior, self._least_variance, self._same_s = prior, least_noise**2, same_s
         self._theta, self._covariance, self._variance = np.zeros(len(prior)), prior, noise**2
         self._parts, self._shares = parts, shares
         self._young: deque[tuple[int, float, float, Array]] = deque()  # instant, seconds, roughness, (x, y)
         self.evidence = 0.0  # that a part is missing now
 
-    def note(self, x: Array, y: float, rough: float, elapsed_s: float, at_ns: int) -> None:
-        """y came with x at an instant, `elapsed_s` after the last; it may be off by `rough` more than by the noise."""
+    def note_sample(self, x: Array, y: float, rough: float, elapsed_s: float, at_ns: int) -> None:
+        """Take in y with x at an instant, `elapsed_s` after the last sample; `rough` is an additional standard deviation
+        of y."""
         self._young.append((at_ns, elapsed_s, rough, np.append(x, y)))
         while self._young[0][0] <= at_ns - SPANS_S[-1] * NS:
             _, seconds, roughness, sample = self._young.popleft()
@@ -66,7 +67,7 @@ class Habit:
         self._covariance = known - np.outer(gain, toward)
 
     def _look(self, at_ns: int) -> float:
-        """The evidence in the young samples."""
+        """Return the evidence in the young samples."""
         instants, seconds, rough, samples = zip(*self._young, strict=True)
         z = np.array(samples)
         z[:, -1] -= z[:, :-1] @ self._theta
@@ -76,7 +77,7 @@ class Habit:
         return self._missing(summed)
 
     def _missing(self, summed: Array) -> float:
-        """The evidence in weighted sums of (x, r) (x, r)' over each span."""
+        """Return the evidence in weighted sums of (x, r) (x, r)' over each span."""
         of_x = summed[:, :-1, :-1] + np.linalg.inv(self._covariance)
         certain = summed - summed[:, :, :-1] @ np.linalg.solve(of_x, summed[:, :-1])  # (x, r)' S^-1 (x, r)
         along, size = -certain[:, -1, : self._parts], certain.diagonal(axis1=1, axis2=2)[:, : self._parts]

@@ -1,7 +1,7 @@
-"""What a robot may do, and what makes it stop: two tables and the function that reads them.
+"""Modes of a robot: two tables and the function that reads them.
 
-ORDERS says which orders are accepted in which mode. REACTIONS says what happens by itself, first match first; nothing ever
-leads by itself back to thrust. docs/modes.md draws both (`robot-agent modes`).
+ORDERS lists the modes in which each command is accepted. REACTIONS lists the robot's own transitions, first match first; none
+of them leads back to thrust. `robot-agent modes` prints both for docs/modes.md.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,7 @@ ANY = frozenset(Mode)
 
 @dataclass(frozen=True)
 class Transition:
-    """An order is accepted in these modes and leads there; None keeps the mode."""
+    """Modes in which a command is accepted, and the mode that it leads to; None keeps the mode."""
 
     accepted_in: frozenset[Mode]
     to: Mode | None
@@ -47,7 +47,7 @@ ORDERS: dict[Order, Transition] = {
 
 @dataclass(frozen=True)
 class Health:
-    """What the reactions look at. An age is in seconds by the receiver's clock; infinity is "never heard"."""
+    """Values that the reactions are decided by. An age is in seconds by the receiver's clock; infinity is "never heard"."""
 
     pose_age_s: float  # of the last pose that was seen, not only predicted
     identity_age_s: float  # of the last pose that was surely this robot's
@@ -71,7 +71,7 @@ class Health:
 
 @dataclass(frozen=True)
 class Reaction:
-    """In one of these modes, if `when` holds, go there and give `reason`."""
+    """Transition from one of `modes` to `to`, with `reason`, if `when` holds."""
 
     reason: str
     modes: frozenset[Mode]
@@ -112,7 +112,7 @@ REACTIONS: tuple[Reaction, ...] = (
 
 
 def react(mode: Mode, health: Health, safety: Safety) -> tuple[Mode, str]:
-    """The mode after this step's reactions, and the reason if it changed (empty otherwise)."""
+    """Return the mode after this step's reactions, and the reason if it changed (empty otherwise)."""
     for reaction in REACTIONS:
         if mode in reaction.modes and reaction.when(health, safety):
             detail = reaction.detail(health)
@@ -121,7 +121,7 @@ def react(mode: Mode, health: Health, safety: Safety) -> tuple[Mode, str]:
 
 
 def refusal(order: Order, mode: Mode) -> str:
-    """Why `order` cannot be followed in `mode`, naming the modes in which it can; empty if it can."""
+    """Return the reason to refuse `order` in `mode`, with the modes in which it is accepted; empty if it is accepted."""
     if order not in ORDERS:
         return f"{order.name} is no order (allowed: {', '.join(o.name for o in ORDERS)})"
     if mode in ORDERS[order].accepted_in:

@@ -1,10 +1,10 @@
-"""Does the thruster board put out what it is told? Pure.
+"""Comparison of the thruster board's echo with the commands sent to it. Pure.
 
-The board's echo is a burst old, and of an age that the wire decides. But it is of one moment: all outputs together lie where
-they were told to be at some instant lately, or on their way from there to the next command. (To look at each output for
-itself excuses too much: of two that are confused, one is told now what the other was told a moment ago whenever they cross.)
-That finds outputs that are crossed, stuck or limited otherwise than the vehicle file says, a board that listens to somebody
-else, and a wire that is slow both ways. What it cannot see does no harm: outputs that are told the same may change places.
+The echo is one burst old, and its delay on the wire varies. But all its outputs are of one instant. So all outputs together
+must lie at a command sent lately, or between it and the next one. (Each output checked by itself would excuse too much: of two
+crossed outputs, one is now at the value that the other had a moment ago whenever the two cross.) The check finds outputs that
+are crossed, stuck or limited otherwise than the vehicle file says, a board that obeys another sender, and a wire that is slow
+in both directions. It cannot see two crossed outputs with equal commands, which do no harm.
 """
 
 from collections import deque
@@ -23,8 +23,8 @@ KEPT = 256  # commands: more than that of the fastest loop
 Pulses = tuple[int, ...]
 
 
-class EchoCheck:
-    """What one board was told, beside what it says."""
+class OutputCheck:
+    """Commands to one board, compared with its echoes."""
 
     def __init__(self) -> None:
         self._told: deque[tuple[int, Pulses]] = deque(maxlen=KEPT)
@@ -32,14 +32,14 @@ class EchoCheck:
         self._wrong: deque[tuple[int, int]] = deque()  # instant, ns that it speaks for
         self._judged_ns = 0
 
-    def told(self, pulse_us: Sequence[int], now_ns: int) -> None:
-        """These pulses went out. Of two at one instant the last counts."""
+    def note_pulses(self, pulse_us: Sequence[int], now_ns: int) -> None:
+        """Take note of pulses that went out. Of two at one instant the last counts."""
         if self._told and self._told[-1][0] == now_ns:
             self._told.pop()
         self._told.append((now_ns, tuple(pulse_us)))
 
-    def note(self, telemetry: Telemetry, now_ns: int) -> None:
-        """Judge what the board says at a step that it puts out. To be called once at each step."""
+    def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
+        """Judge the newest echo. Call it once a step."""
         since_ns, self._judged_ns = now_ns - self._judged_ns, now_ns
         if not telemetry.armed or len(telemetry.echo_us) != CHANNELS:
             self._wrong.clear()
@@ -60,7 +60,8 @@ class EchoCheck:
         return any(_between(telemetry.echo_us, lately[i : i + 2]) for i in range(len(lately)))
 
     def _lately(self, arrival_ns: int) -> list[Pulses]:
-        """What was told before an echo came, newest first. The last before the time looked at held into it, and counts."""
+        """Return the commands sent before an echo came, newest first; also the last one before that time span, which held into
+        it."""
         lately = []
         for sent_ns, pulse_us in reversed(self._told):
             if sent_ns <= arrival_ns:
@@ -71,7 +72,7 @@ class EchoCheck:
 
 
 def _between(echo_us: Pulses, told: Sequence[Pulses]) -> bool:
-    """Whether every output lies within what it was told."""
+    """True if every output lies within the range of the given commands."""
     return all(
         min(pulses) - TOLERANCE_US <= echo <= max(pulses) + TOLERANCE_US
         for echo, pulses in zip(echo_us, zip(*told, strict=True), strict=True)

@@ -1,9 +1,10 @@
-"""Has a robot left its path without a reason? Pure. The last line: whatever it is that nobody has thought of, a robot that
-does not go where it means to go says so.
+"""Detection of a robot that has left its path without a known reason. Pure. It is the last line of defence, for causes that no
+other check covers.
 
-Reasons are a way round somebody or something, or room made for somebody, from when the robot was still on its path (whoever
-drifts off comes near to others as well), and not having arrived yet: a robot that starts off its path, or comes back to it, is
-watched from where it has been close to it and as fast. Where a path sets off all at once, nobody is, and all arrive anew.
+Known reasons are avoidance of a robot or obstacle, or room made for one, that began while the robot was on its path (a robot
+that drifts off comes near to others as well), and a robot that has not arrived yet. A robot that starts off its path, or
+returns to it, is watched from the instant at which it is close to it and as fast. When the path's velocity leaps, all robots
+have to arrive again.
 """
 
 ARRIVED = 0.5  # of the limit
@@ -12,15 +13,15 @@ AT_ONCE_MPS = 0.05  # a leap of the path's velocity from one step to the next; a
 LASTS_S = 0.5
 
 
-class PathWatch:
-    """One robot's."""
+class PathDeviationMonitor:
+    """Deviation of one robot from its path."""
 
     def __init__(self, limit_m: float) -> None:
         self._limit_m = limit_m
         self.reset()
 
     def reset(self) -> None:
-        """It has another goal, or none."""
+        """Start anew, with another goal or none."""
         self.left = False  # stays so until the next reset
         self._has_arrived = False
         self._since_ns: int | None = None
@@ -28,7 +29,7 @@ class PathWatch:
         self._path_mps: complex | None = None
 
     def step(self, place_m: complex, path_m: complex, is_free: bool, now_ns: int) -> None:
-        """Where the robot is and where it is to be, both x + iy; `is_free`: nothing leads it round, or aside."""
+        """Take in the robot's place and its reference, both x + iy in m. `is_free`: the robot avoids nothing at this step."""
         off_m = abs(place_m - path_m)
         drift_mps, at_once = self._motion(place_m, path_m, now_ns)
         if at_once:
@@ -43,8 +44,8 @@ class PathWatch:
             self.left |= now_ns - self._since_ns >= LASTS_S * 1e9
 
     def _motion(self, place_m: complex, path_m: complex, now_ns: int) -> tuple[float, bool]:
-        """How fast the robot moves as seen from its path, m/s, infinitely while nobody knows; whether the path sets off at
-        once."""
+        """Return the robot's speed relative to its path (m/s, infinity at the first step), and True if the path's velocity
+        leaps."""
         before, self._before = self._before, (place_m, path_m, now_ns)
         if before is None:
             return float("inf"), False

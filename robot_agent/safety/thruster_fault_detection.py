@@ -1,19 +1,19 @@
-"""Does each thruster turn the robot as it is told, as far as the gyroscope can tell? Pure.
+"""Detection of a thruster that does not turn the robot as commanded, from the gyroscope. Pure.
 
-Each leg turns the robot as it pushes, and the gyroscope feels that at once. A first-order observer of the yaw rate r,
+Each leg turns the robot as it pushes, and the gyroscope senses that at once. A first-order observer of the yaw rate r,
 
     r^' = (sum N_k - d(r^)) / m_r + (r - r^) / T        residual = m_r (r - r^) / T
 
-gives the moment that nothing explains, smoothed over T, without differences of a noisy rate; N_k is what leg k is told, after
-the thruster's dead time and lag. Mass, voltage, drag and curve are never known exactly, thrusters are not alike, a gyroscope
-has a bias, and pulses and rates take their time on the way: how far the residual goes with each N_k, with d(r), with nothing
-and with how fast the moment changes is learned in flight. A leg that gives less than it is told, nothing, or the opposite
-leaves a share of its own N_k in the residual. Whether that makes what was felt lately so much likelier that it cannot be
-chance is asked step by step (likelihood_ratio.py); water that pushes as it likes does not follow one leg's pulses.
+gives the unexplained moment, smoothed over T, without differences of a noisy rate. N_k is the commanded moment of leg k after
+the thruster's dead time and lag. Mass, voltage, drag and curve are never known exactly, thrusters differ, a gyroscope has a
+bias, and pulses and rates are delayed. So the dependence of the residual on each N_k, on d(r), on a constant and on the
+moment's rate of change is learned in flight. A leg that gives less thrust than commanded, none, or the opposite leaves a share
+of its own N_k in the residual. likelihood_ratio.py tests at each step whether that is chance; disturbances of the water do not
+follow one leg's pulses.
 
-What it cannot see is a thruster that is told next to nothing, or goes on doing what it did when it stuck, for as long as that
-is what it is told: neither moves the robot. Limits are measured, on flights of the article's robot with masses and thrusters
-off by 30 %, in waves and gusts (tests/robot_agent/safety/test_thruster_fault_detection.py).
+A thruster with almost no command, or one stuck at its present command, cannot be seen: neither moves the robot. The limits are
+measured on flights of the article's robot with masses and thrusters off by 30 %, in waves and gusts
+(tests/robot_agent/safety/test_thruster_fault_detection.py).
 """
 
 import math
@@ -21,7 +21,7 @@ from collections import deque
 
 import numpy as np
 
-from robot_agent.safety.likelihood_ratio import Habit
+from robot_agent.safety.likelihood_ratio import LikelihoodRatioTest
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
 
@@ -45,8 +45,8 @@ PRIOR = np.diag(np.square([OF_ONE] * LEGS + [OF_DRAG, LATE_S, OF_NOTHING_NM]))
 PRIOR[:LEGS, :LEGS] += OF_ALL**2
 
 
-class ThrusterWatch:
-    """One robot's thrusters, watched step by step."""
+class ThrusterFaultDetector:
+    """Fault detection for one robot's thrusters."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._mass, self._lag_s = vehicle.mass.yaw_kg_m2, vehicle.thruster.lag_s
@@ -55,30 +55,30 @@ class ThrusterWatch:
         self.reset()
 
     def reset(self) -> None:
-        """Thrusters are at rest, and nothing is known of how the robot moves."""
+        """Start anew: thrusters at rest, nothing learned."""
         self.broken = False  # stays so until the next reset
         self._told: deque[tuple[int, Array]] = deque(maxlen=64)  # from when on it acts, each leg's moment
         self._acting = np.zeros(LEGS)
         self._rate: float | None = None
         self._at_ns = self._board_ns = 0
         self._forget_causes()
-        self._habit = Habit(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
+        self._test = LikelihoodRatioTest(PRIOR, *NOISE_NM, SAME_S, LEGS, MISSING)
 
     def _forget_causes(self) -> None:
-        """What turned the robot, smoothed as the residual is since the observer began: legs, drag, what is always there."""
+        """Clear the smoothed moments of legs, drag and the constant."""
         self._legs, self._drag, self._always = np.zeros(LEGS), 0.0, 0.0
         self._unnoted_s = 0.0
 
-    def told(self, moments_nm: Array, now_ns: int) -> None:
-        """Pulses went out with which the legs (4,) turn the robot so. Of two at one instant the last counts."""
+    def note_moments(self, moments_nm: Array, now_ns: int) -> None:
+        """Take note of the yaw moments (4,) of pulses that went out. Of two at one instant the last counts."""
         acts_ns = now_ns + self._dead_ns
         if self._told and self._told[-1][0] == acts_ns:
             self._told.pop()
         self._told.append((acts_ns, moments_nm))
 
     def step(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
-        """The gyroscope's yaw rate at an instant, and when that was by the board's clock; one that was given before is not
-        looked at again."""
+        """Take in a yaw rate with its instant on our clock and on the board's clock. A sample that was given before is
+        ignored."""
         elapsed_ns, board_elapsed_ns = at_ns - self._at_ns, board_ns - self._board_ns
         if self._rate is None or not 0 <= elapsed_ns <= LONGEST_NS or abs(elapsed_ns - board_elapsed_ns) > APART_NS:
             self._begin(yaw_rate_radps, at_ns, board_ns)
@@ -97,19 +97,19 @@ class ThrusterWatch:
             if self._unnoted_s > NOTED_S:
                 causes = np.array([*self._legs, self._drag, rising, self._always])
                 rough = math.hypot(SHARE * moment, UNEVEN_S * rising)
-                self._habit.note(causes, residual, rough, self._unnoted_s, at_ns)
+                self._test.note_sample(causes, residual, rough, self._unnoted_s, at_ns)
                 self._unnoted_s = 0.0
-                self.broken |= self._habit.evidence > SURE
+                self.broken |= self._test.evidence > SURE
 
     def _begin(self, yaw_rate_radps: float, at_ns: int, board_ns: int) -> None:
-        """Observe from here. What has been learned of the robot holds, if there was a gap."""
+        """Start the observer at this sample. Learned parameters are kept across a gap."""
         if self._rate is not None and at_ns > self._at_ns:
             self._push(self._at_ns, at_ns)
         self._rate, self._at_ns, self._board_ns = yaw_rate_radps, at_ns, board_ns
         self._forget_causes()
 
     def _push(self, from_ns: int, to_ns: int) -> Array:
-        """Let the thrusters follow what they were told; the integral of their moments (4,)."""
+        """Let the thrusters follow their commands; return the integral of their moments (4,), N m s."""
         impulse = np.zeros(LEGS)
         while from_ns < to_ns:
             while len(self._told) > 1 and self._told[1][0] <= from_ns:
@@ -123,7 +123,7 @@ class ThrusterWatch:
         return impulse
 
     def _observe(self, rate: float, measured: float, moment: float, elapsed_s: float) -> float:
-        """The residual moment."""
+        """Advance the observer; return the residual moment, N m."""
         predicted = rate + elapsed_s * moment / self._mass
         self._rate = predicted - math.expm1(-elapsed_s / SMOOTH_S) * (measured - predicted)
         return self._mass * (measured - self._rate) / SMOOTH_S

@@ -15,17 +15,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from robot_agent.vehicle.dynamics import Wrench
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
-
-Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 
 STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
 
 
 class Leg(NamedTuple):
-    """Where a leg is: 1 ahead, -1 behind; on the port side or not; its distance to starboard."""
+    """Position of a leg: 1 fore, -1 aft; port or starboard; distance to starboard."""
 
     fore: float
     port: bool
@@ -53,7 +52,7 @@ class Allocator:
         self._between_n: list[float] = vehicle.thruster.force_n(pulses_us[:-1] + 0.5).tolist()
 
     def pulses(self, wrench: Array) -> tuple[int, ...]:
-        """Pulse widths in us for a wrench (3,), as much of it as the thrusters can give; neutral for what is no number."""
+        """Pulse widths (us) for a wrench (3,), as far as the thrusters can deliver it; neutral if it is not finite."""
         if not math.isfinite(sum(wrench.tolist())):
             return self.neutral_us
         force, ankle = self.forces(wrench)
@@ -61,20 +60,20 @@ class Allocator:
         return (*[self._pulse(f) for f in force], *[round(level_us + per_rad * angle) for angle in ankle])
 
     def _pulse(self, force_n: float) -> int:
-        """The pulse for a thrust, the nearest by the curve. The slightest is just outside the dead zone, none is neutral."""
+        """Pulse with the nearest thrust of the curve. The smallest lies just outside the dead zone; zero force is neutral."""
         return self._slowest_us + bisect_right(self._between_n, force_n) if force_n else self.neutral_us[0]
 
     def delivered(self, pulse_us: tuple[int, ...]) -> Wrench:
-        """The wrench of eight pulse widths by the nominal thrust curve: what the estimator is told."""
+        """Wrench of eight pulse widths by the nominal thrust curve, for the estimator."""
         return self.wrench(*self._put_out(pulse_us))
 
-    def turning(self, pulse_us: tuple[int, ...]) -> Array:
-        """Each leg's part (4,) of the yaw moment of eight pulse widths, N m."""
+    def leg_moments(self, pulse_us: tuple[int, ...]) -> Array:
+        """Yaw moment of each leg (4,) for eight pulse widths, N m."""
         force, angle = self._put_out(pulse_us)
         return np.array([-leg.y_m * f * math.cos(a) for leg, f, a in zip(self._legs, force, angle, strict=True)])
 
     def _put_out(self, pulse_us: tuple[int, ...]) -> tuple[list[float], list[float]]:
-        """Forces and ankle angles of eight pulse widths."""
+        """Thrusts (N) and ankle angles (rad) of eight pulse widths."""
         force = [self._thrust_n[pulse - self._slowest_us] for pulse in pulse_us[:4]]
         return force, [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]]
 

@@ -1,8 +1,8 @@
-"""How much a battery still has, as far as arming and flying go by it. Pure.
+"""State of the battery for arming and flying. Pure.
 
-One raw voltage says little: under load it sags by more than lies between two thresholds. So it is smoothed over 1 s, as the
-board does it (docs/board.md, rule 6). What the board takes the battery to be counts besides: it measures more often, and its
-thresholds may have been set otherwise than the vehicle file's.
+One raw voltage says little: under load it sags by more than the distance between two thresholds. So it is smoothed over 1 s,
+as the board does it (docs/board.md, rule 6). The board's own charge state counts as well: the board measures more often, and
+its thresholds may differ from the vehicle file's.
 """
 
 import math
@@ -16,8 +16,8 @@ NO_ARM = frozenset({3, 4, 5, 6, 7})  # MAV_BATTERY_CHARGE_STATE: critical, emerg
 EMPTY = frozenset({4, 5, 6})
 
 
-class Gauge:
-    """One battery, by what its board tells of it."""
+class BatteryMonitor:
+    """Voltage and charge state of one battery, from the board's reports."""
 
     def __init__(self, battery: Battery) -> None:
         self.voltage_v: float | None = None  # smoothed; None: none has been told
@@ -28,8 +28,8 @@ class Gauge:
         self._noted_ns = self._reported_ns = 0
         self._reports = -1
 
-    def note(self, telemetry: Telemetry, now_ns: int) -> None:
-        """Take in what the board has said by now. Of an old log, which counts no reports, every voltage above 0 is one."""
+    def note_telemetry(self, telemetry: Telemetry, now_ns: int) -> None:
+        """Take in the board's newest report. An old log counts no reports: there every voltage above 0 is one."""
         elapsed_s, self._noted_ns = max(now_ns - self._noted_ns, 0) * 1e-9, now_ns
         self.charge = telemetry.charge
         if telemetry.battery_reports == 0 and telemetry.battery_v <= 0.0:
@@ -46,11 +46,11 @@ class Gauge:
 
     @property
     def empty(self) -> bool:
-        """Whether thrusters have to stop; not while nothing is known of it."""
+        """True if thrusters have to stop; false while the voltage is unknown."""
         return self.charge in EMPTY or (self.voltage_v is not None and self.voltage_v < self._battery.neutral_v)
 
-    def unfit(self, now_ns: int) -> str:
-        """Why not to arm with it; empty if nothing is against it."""
+    def arming_refusal(self, now_ns: int) -> str:
+        """Return the reason not to arm with this battery; empty if there is none."""
         if self.voltage_v is None:
             return "the battery's voltage has not been told by the thruster board yet"
         age_s = (now_ns - self._reported_ns) * 1e-9

@@ -20,11 +20,12 @@ from collections.abc import Sequence
 
 from wire.config.vehicle import Vehicle
 
+Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 State = tuple[float, ...]  # 11 numbers: eta (4), nu (4), thrust that acts now [X N, Z N, N N m]
 
 
 class Model:
-    """A vehicle's nominal dynamics. `sway = False` is the article's model: v stays zero."""
+    """Nominal dynamics of a vehicle. `sway = False` gives the article's model: v stays zero."""
 
     def __init__(self, vehicle: Vehicle, sway: bool = True, lag: bool = True) -> None:
         self.mass = tuple(float(m) for m in vehicle.inertia)
@@ -35,7 +36,7 @@ class Model:
         self.coriolis = self.mass[1] / self.mass[0]  # m_v / m_u
 
     def lag(self, dt_s: float) -> tuple[float, float]:
-        """How much of (thrust - command) is left after `dt_s`, and its mean over `dt_s`."""
+        """Return the share of (thrust - command) that is left after `dt_s`, and its mean over `dt_s`."""
         if self.lag_s <= 0.0 or dt_s <= 0.0:
             return (0.0, 0.0) if dt_s > 0.0 else (1.0, 1.0)
         left = math.exp(-dt_s / self.lag_s)
@@ -48,32 +49,32 @@ class Model:
         return along * u / self.mass[0], aside * v / self.mass[1]
 
     def sway_slope(self, u: float, v: float) -> float:
-        """How fast sideways motion dies out at velocities u, v: slope of the drag, per mass, 1/s."""
+        """Rate (1/s) at which sideways motion decays at velocities u, v: slope of the drag, per mass."""
         speed = math.hypot(u, v)
         bend = v * v / speed if speed > 0.0 else 0.0
         return (self.linear[1] + self.quadratic[1] * (speed + bend)) / self.mass[1]
 
     def advance(self, state: State, disturbance: Sequence[float], wrench: Sequence[float], dt_s: float) -> State:
-        """The state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,)."""
+        """Return the state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,)."""
         x, y, z, yaw, u, v, w, r, fx, fz, fn = state
         left, mean = self.lag(dt_s)
         cx, cz, cn = wrench
         mass_u, mass_v, mass_w, mass_r = self.mass
         linear_u, linear_v, linear_w, linear_r = self.linear
         quadratic_u, quadratic_v, quadratic_w, quadratic_r = self.quadratic
-        speed, climb, spin = math.sqrt(u * u + v * v), abs(w), abs(r)
+        speed, speed_w, speed_r = math.sqrt(u * u + v * v), abs(w), abs(r)
         bend = 1.0 / speed if speed > 0.0 else 0.0
-        push = cx + (fx - cx) * mean - (linear_u + quadratic_u * speed) * u
-        held = _held((linear_u + quadratic_u * (speed + u * u * bend)) / mass_u, dt_s)
-        u1 = u + held * (push / mass_u + self.coriolis * v * r + disturbance[0])
+        force = cx + (fx - cx) * mean - (linear_u + quadratic_u * speed) * u
+        phi_dt = _phi_dt((linear_u + quadratic_u * (speed + u * u * bend)) / mass_u, dt_s)
+        u1 = u + phi_dt * (force / mass_u + self.coriolis * v * r + disturbance[0])
         v1 = 0.0
         if self.sway:
-            held = _held((linear_v + quadratic_v * (speed + v * v * bend)) / mass_v, dt_s)
-            v1 = v + held * (disturbance[1] - (linear_v + quadratic_v * speed) * v / mass_v - u * r / self.coriolis)
-        push = cz + (fz - cz) * mean - (linear_w + quadratic_w * climb) * w
-        w1 = w + _held((linear_w + 2.0 * quadratic_w * climb) / mass_w, dt_s) * (push / mass_w + disturbance[2])
-        push = cn + (fn - cn) * mean - (linear_r + quadratic_r * spin) * r
-        r1 = r + _held((linear_r + 2.0 * quadratic_r * spin) / mass_r, dt_s) * (push / mass_r + disturbance[3])
+            phi_dt = _phi_dt((linear_v + quadratic_v * (speed + v * v * bend)) / mass_v, dt_s)
+            v1 = v + phi_dt * (disturbance[1] - (linear_v + quadratic_v * speed) * v / mass_v - u * r / self.coriolis)
+        force = cz + (fz - cz) * mean - (linear_w + quadratic_w * speed_w) * w
+        w1 = w + _phi_dt((linear_w + 2.0 * quadratic_w * speed_w) / mass_w, dt_s) * (force / mass_w + disturbance[2])
+        force = cn + (fn - cn) * mean - (linear_r + quadratic_r * speed_r) * r
+        r1 = r + _phi_dt((linear_r + 2.0 * quadratic_r * speed_r) / mass_r, dt_s) * (force / mass_r + disturbance[3])
         half = 0.5 * dt_s
         yaw1 = yaw + half * (r + r1)
         c, s, c1, s1 = math.cos(yaw), math.sin(yaw), math.cos(yaw1), math.sin(yaw1)
@@ -82,6 +83,6 @@ class Model:
         return (x1, y1, z + half * (w + w1), yaw1, u1, v1, w1, r1, *rest)
 
 
-def _held(slope: float, dt_s: float) -> float:
-    """dt phi(a dt): how long a constant acceleration counts while drag of that slope, per mass, eats it."""
+def _phi_dt(slope: float, dt_s: float) -> float:
+    """dt phi(a dt), s: effective time of a constant acceleration against drag of slope a (1/s, per mass)."""
     return -math.expm1(-slope * dt_s) / slope

@@ -1,14 +1,15 @@
-"""Extended state observer (31): pose, velocity and lumped disturbance, computed where the delay is accounted for.
+"""Extended state observer (31): pose, velocity and lumped disturbance Gamma, with every delay accounted for.
 
-The observer lives at the exposure of the newest pose. From there it is predicted to now, and on to the instant at which a
-command given now begins to act, with the wrenches that act meanwhile: 50 ms unaccounted at 0.3 m/s is 15 mm, more than all
-vision noise. Gains are the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao 2006), which tend to
-b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones: poses come late and go missing.
+The state is that at the exposure of the newest pose. From there it is predicted to now, and on to the instant at which a
+command given now begins to act, with the wrenches that act meanwhile. Without that, 50 ms at 0.3 m/s are 15 mm, more than all
+vision noise. Gains are those of the discrete "current observer" for a bandwidth w (Miklosovic, Radke, Gao 2006). They tend to
+b1 = 3w, b2 = 3w^2, b3 = w^3 for short steps and stay stable for long ones, because poses come late and go missing.
 
-The water may stream. To a robot that holds its heading a current c and a side force Gamma_v look the same; to one that turns a
-current stands still while a force of its own turns along. So what lasts of Gamma_v is put down to a current, little by little
-and along the one direction (v, Gamma_v, c) += (-1, -slope of drag / m_v, 1) dc that changes no prediction at this heading. In
-water that streams evenly the model holds as it is for velocities through the water: c only moves the robot along.
+The water may stream. For a robot with constant heading, a current c and a side force Gamma_v look the same; for a robot that
+turns, a current keeps its direction in the pool while a force of the robot turns along. So the lasting part of Gamma_v is
+moved to the current, slowly, along the one direction (v, Gamma_v, c) += (-1, -slope of drag / m_v, 1) dc that changes no
+prediction at this heading. In water that streams evenly the model holds for velocities through the water; c only adds to the
+robot's motion over ground.
 """
 
 import cmath
@@ -20,11 +21,10 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from robot_agent.vehicle.dynamics import Model, State
+from robot_agent.vehicle.dynamics import Model, State, Wrench
 from wire.config.controller import COAST_S, EstimatorConfig
 from wire.frames import Array, wrap
 
-Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 S = TypeVar("S")
 
 NS = 1_000_000_000
@@ -41,7 +41,7 @@ INPUTS_KEPT = 256  # more than COAST_NS of the fastest loop
 
 
 @dataclass(frozen=True)
-class Sighting:
+class PoseMeasurement:
     """A pose from the localizer, in the pool frame."""
 
     stamp_ns: int  # middle of the exposure, on the robot's clock
@@ -51,46 +51,47 @@ class Sighting:
 
 
 @dataclass(frozen=True)
-class Measurement:
-    """The newest of what was sensed. What is missing is None; a pose that was seen before may be handed in again."""
+class StateMeasurement:
+    """The newest sensor values. Missing ones are None; the same pose may be given more than once."""
 
-    pose: Sighting | None = None
+    pose: PoseMeasurement | None = None
     depth_m: float | None = None  # of the robot's centre, from the pressure sensor
     yaw_rate_radps: float | None = None  # gyroscope
     board_ns: int | None = None  # instant of depth and yaw rate; None: now
 
 
 class Contradiction(Generic[S]):
-    """Samples in a row that contradict the estimate. A sample that does not agree with the one before it begins a new row."""
+    """Count of consecutive samples that contradict the estimate. A sample that disagrees with the one before starts a new
+    count."""
 
     def __init__(self, agree: Callable[[S, S], bool]) -> None:
         self._agree = agree
         self._last: S | None = None
         self._count = 0
 
-    def lasts(self, sample: S) -> bool:
-        """Count one more. True if there are now enough to be believed; then the count begins anew."""
+    def persists(self, sample: S) -> bool:
+        """Count one more sample. True if GATE_PATIENCE samples in a row agree; the count then starts anew."""
         self._count = self._count + 1 if self._last is not None and self._agree(self._last, sample) else 1
         self._last = sample
         if self._count < GATE_PATIENCE:
             return False
-        self.end()
+        self.reset()
         return True
 
-    def end(self) -> None:
-        """A sample has agreed with the estimate."""
+    def reset(self) -> None:
+        """Start a new count, after a sample that agrees with the estimate."""
         self._last, self._count = None, 0
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What is known of the robot. Velocities and `disturbance` are in the body frame, `current` in the pool's."""
+    """The estimated state. Velocities and `disturbance` are in the body frame, `current` in the pool frame."""
 
     eta: Array  # (4,) now; yaw continuous, not wrapped
     nu: Array  # (4,) now, over ground
     disturbance: Array  # (4,) acceleration that the nominal model does not explain, in water that streams at `current`
     current: complex  # x + iy of the water's own velocity, m/s
-    lumped: Array  # (4,) both together: what a model of still water does not explain
+    gamma_still_water: Array  # (4,) both together: what a model of still water does not explain
     action: State  # when a command given now begins to act; velocities through the water
     pose_age_s: float
     depth_age_s: float  # of the last depth that did not contradict the estimate; infinite before the first
@@ -99,10 +100,10 @@ class Estimate:
 
 
 class Estimator:
-    """One robot's observer. `update` once per control step, then `applied` with the wrench that was sent."""
+    """One robot's observer. Call `update` once per control step, then `note_wrench` with the wrench that was sent."""
 
     def __init__(self, model: Model, config: EstimatorConfig, dead_time_s: float, fastest_mps: float = math.inf) -> None:
-        """`fastest_mps`: no current is stronger; what a robot cannot swim against it cannot hold out in either."""
+        """`fastest_mps` limits the estimated current: a robot cannot hold its place in a stronger one."""
         self._model, self._config, self._fastest_mps = model, config, fastest_mps
         self._dead_ns = round(dead_time_s * NS)
         self._inputs: deque[tuple[int, Wrench]] = deque(maxlen=INPUTS_KEPT)  # (instant from which it acts, wrench)
@@ -111,7 +112,7 @@ class Estimator:
         self._disturbance = [0.0, 0.0, 0.0, 0.0]
         self._current = 0j
         self._at_ns = 0
-        self._other_poses: Contradiction[Sighting] = Contradiction(lambda a, b: not _apart(_moved(a, b)))
+        self._other_poses: Contradiction[PoseMeasurement] = Contradiction(lambda a, b: not _exceeds_gate(_moved(a, b)))
         self._other_depths: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_DEPTH_M)
         self._other_rates: Contradiction[float] = Contradiction(lambda a, b: abs(a - b) <= GATE_RADPS)
         self._contradicted_ns = 0  # stamp of the last pose that contradicted
@@ -119,65 +120,71 @@ class Estimator:
         self._leap = self._depth_leap = ""
 
     def tune(self, config: EstimatorConfig) -> None:
-        """Other gains from the next pose on; what is known stays known."""
+        """Use other gains from the next pose on; the estimate stays."""
         self._config = config
 
-    def applied(self, wrench: Wrench, now_ns: int) -> None:
-        """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the
-        last counts."""
+    def note_wrench(self, wrench: Wrench, now_ns: int) -> None:
+        """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the last
+        counts."""
         acts_ns = now_ns + self._dead_ns
         if self._inputs and self._inputs[-1][0] == acts_ns:
             self._inputs.pop()
         self._inputs.append((acts_ns, wrench))
 
-    def update(self, measurement: Measurement, now_ns: int) -> Estimate | None:
-        """Take in what is new; None before the first pose and after coasting for too long."""
+    def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
+        """Take in new measurements and return the estimate; None before the first pose and after coasting longer than
+        COAST_S."""
         self._leap = self._depth_leap = ""
         self._note_board(measurement, now_ns)
         pose = measurement.pose
         if pose is not None and pose.stamp_ns <= now_ns and _sane(pose.x_m) and _sane(pose.y_m) and _sane(pose.yaw_rad):
-            self._see(pose, now_ns)
+            self._correct_with_pose(pose, now_ns)
         if self._state is None or now_ns - self._at_ns > COAST_NS:
             self._state, self._disturbance = None, [0.0, 0.0, 0.0, 0.0]
             return None
         self._forget_inputs()
         now = self._propagate(self._state, self._at_ns, now_ns)
         action = self._propagate(now, now_ns, now_ns + self._dead_ns)
-        nu, lumped = self._over_ground(now)
+        nu, gamma_still_water = self._over_ground(now)
         disturbance, age_s = np.array(self._disturbance), (now_ns - self._at_ns) / NS
         depth_age_s = (now_ns - self._depth_ns) / NS if self._depth_ns is not None else math.inf
         eta, current = np.array(now[:4]), self._current
-        return Estimate(eta, nu, disturbance, current, lumped, action, age_s, depth_age_s, self._leap, self._depth_leap)
+        return Estimate(
+            eta, nu, disturbance, current, gamma_still_water, action, age_s, depth_age_s, self._leap, self._depth_leap
+        )
 
     def _over_ground(self, state: State) -> tuple[Array, Array]:
-        """Velocities over ground, and the acceleration that the current lends to a robot at them, with Gamma; (4,) each."""
-        (u, v, w, r), (extra_u, extra_v, extra_w, extra_r) = state[4:8], self._disturbance
+        """Return velocities over ground, and Gamma with the acceleration by which the current changes drag at them; (4,)
+        each."""
+        (u, v, w, r), (gamma_u, gamma_v, gamma_w, gamma_r) = state[4:8], self._disturbance
         if self._current:
             carried = self._current * cmath.rect(1.0, -state[3])
             through_u, through_v = self._model.drag(u, v)
             u, v = u + carried.real, v + carried.imag
             over_u, over_v = self._model.drag(u, v)
-            extra_u, extra_v = extra_u + over_u - through_u, extra_v + over_v - through_v
-        return np.array((u, v, w, r)), np.array((extra_u, extra_v, extra_w, extra_r))
+            gamma_u, gamma_v = gamma_u + over_u - through_u, gamma_v + over_v - through_v
+        return np.array((u, v, w, r)), np.array((gamma_u, gamma_v, gamma_w, gamma_r))
 
-    def _note_board(self, measurement: Measurement, now_ns: int) -> None:
+    def _note_board(self, measurement: StateMeasurement, now_ns: int) -> None:
+        """Store a depth and a yaw rate that pass their gates."""
         at_ns = now_ns if measurement.board_ns is None else measurement.board_ns
         if at_ns > now_ns or (self._sensed and at_ns <= self._sensed[-1][0]):
             return
         depth, rate = measurement.depth_m, measurement.yaw_rate_radps
         depth = depth if depth is not None and _sane(depth) else None
         rate = rate if self._config.use_imu_yaw_rate and rate is not None and _sane(rate) else None
-        if depth is not None and not self._believes_depth(depth, at_ns):
+        if depth is not None and not self._accepts_depth(depth, at_ns):
             depth = None
-        if rate is not None and not self._believes_rate(rate):
+        if rate is not None and not self._accepts_rate(rate):
             rate = None
         if depth is not None:
             self._depth_ns = at_ns
         if depth is not None or rate is not None:
             self._sensed.append((at_ns, depth, rate))
 
-    def _believes_depth(self, depth_m: float, at_ns: int) -> bool:
-        """Whether a depth can be the robot's. One that lasts against the estimate replaces it: heave begins anew there."""
+    def _accepts_depth(self, depth_m: float, at_ns: int) -> bool:
+        """True if a depth passes the gate. A depth that contradicts the estimate persistently replaces it; heave then starts
+        anew."""
         if self._state is None:
             return True
         if self._depth_ns is None:  # the first one: nothing was believed before
@@ -185,9 +192,9 @@ class Estimator:
             return True
         believed_m = self._state[2] + self._state[6] * (at_ns - self._at_ns) / NS
         if abs(depth_m - believed_m) <= GATE_DEPTH_M:
-            self._other_depths.end()
+            self._other_depths.reset()
             return True
-        if not self._other_depths.lasts(depth_m):
+        if not self._other_depths.persists(depth_m):
             return False
         self._depth_leap = f"the sensor says {depth_m:.2f} m, {believed_m:.2f} m was believed"
         self._sink_to(depth_m)
@@ -195,29 +202,31 @@ class Estimator:
         return True
 
     def _sink_to(self, depth_m: float) -> None:
-        """Begin heave anew: at rest at a depth."""
+        """Set depth, at rest, and clear the heave disturbance."""
         assert self._state is not None
         x, y, _, yaw, u, v, _, r, *thrust = self._state
         self._state, self._disturbance[2] = (x, y, depth_m, yaw, u, v, 0.0, r, *thrust), 0.0
 
-    def _believes_rate(self, rate_radps: float) -> bool:
-        """Whether a yaw rate can be the robot's; a glitch is left out, what lasts is taken over."""
+    def _accepts_rate(self, rate_radps: float) -> bool:
+        """True if a yaw rate passes the gate. A single outlier is left out, a persistent one replaces the estimate."""
         if self._state is None or abs(rate_radps - self._state[7]) <= GATE_RADPS:
-            self._other_rates.end()
+            self._other_rates.reset()
             return True
-        if not self._other_rates.lasts(rate_radps):
+        if not self._other_rates.persists(rate_radps):
             return False
         self._state = (*self._state[:7], rate_radps, *self._state[8:])
         self._forget(2)
         return True
 
     def _forget(self, column: int) -> None:
-        """Depths (1) or yaw rates (2) of before a leap: nothing lies between those and what comes."""
+        """Drop depths (1) or yaw rates (2) from before a leap, so that none is interpolated across it."""
         kept = [(at_ns, None, rate) if column == 1 else (at_ns, depth, None) for at_ns, depth, rate in self._sensed]
         self._sensed.clear()
         self._sensed.extend(kept)
 
-    def _see(self, pose: Sighting, now_ns: int) -> None:
+    def _correct_with_pose(self, pose: PoseMeasurement, now_ns: int) -> None:
+        """Correct the state with a new pose that passes the gate; start anew at one that contradicts the estimate
+        persistently."""
         if self._state is None:
             if now_ns - pose.stamp_ns <= COAST_NS:
                 self._begin(pose)
@@ -226,21 +235,21 @@ class Estimator:
             return  # seen before, or overtaken by a newer one
         predicted = self._propagate(self._state, self._at_ns, pose.stamp_ns)
         error = (pose.x_m - predicted[0], pose.y_m - predicted[1], wrap(pose.yaw_rad - predicted[3]))
-        if _apart(error):
+        if _exceeds_gate(error):
             self._contradicted_ns = pose.stamp_ns
-            if self._other_poses.lasts(pose):
+            if self._other_poses.persists(pose):
                 told, believed = (pose.x_m, pose.y_m, pose.yaw_rad), (*predicted[:2], wrap(predicted[3]))
                 self._leap = f"poses say {_place(told)}, {_place(believed)} was believed"
                 self._begin(pose)
             return
-        self._other_poses.end()
+        self._other_poses.reset()
         elapsed_s = (pose.stamp_ns - self._at_ns) / NS
         self._state, self._at_ns = self._correct(predicted, error, pose.stamp_ns, elapsed_s), pose.stamp_ns
 
-    def _begin(self, pose: Sighting) -> None:
-        """At rest where a pose is. Depth and what moves it are known from elsewhere: they go on."""
+    def _begin(self, pose: PoseMeasurement) -> None:
+        """Start at rest at a pose. Depth and the heave disturbance have another source and go on."""
         if self._state is None:
-            depth = self._at(1, pose.stamp_ns)
+            depth = self._sensed_at(1, pose.stamp_ns)
             z, yaw, w = depth if depth is not None else 0.0, pose.yaw_rad, 0.0
             thrust: State = (0.0, 0.0, 0.0)
         else:
@@ -249,41 +258,42 @@ class Estimator:
         self._state = (pose.x_m, pose.y_m, z, yaw, 0.0, 0.0, w, 0.0, *thrust)
         self._disturbance, self._current = [0.0, 0.0, self._disturbance[2], 0.0], 0j
         self._at_ns = pose.stamp_ns
-        self._other_poses.end()
-        self._other_rates.end()
+        self._other_poses.reset()
+        self._other_rates.reset()
 
     def _correct(self, state: State, error: tuple[float, float, float], at_ns: int, elapsed_s: float) -> State:
-        """(31) for pool axes x, y, z and yaw; velocities and disturbances are corrected in the body frame by J^T."""
+        """Apply (31) to pool axes x, y, z and yaw with gains b1 (pose), b2 (velocity), b3 (Gamma). Velocities and Gamma are
+        corrected in the body frame, by J^T of the error."""
         x, y, z, yaw, u, v, w, r, *thrust = state
-        extra, config = self._disturbance, self._config
-        pose, velocity, unknown = gains(config.bandwidth_radps, elapsed_s)
+        gamma, config = self._disturbance, self._config
+        b1, b2, b3 = gains(config.bandwidth_radps, elapsed_s)
         if not config.enabled:
-            unknown = 0.0
+            b3 = 0.0
         c, s = math.cos(yaw), math.sin(yaw)
-        ahead, aside = c * error[0] + s * error[1], -s * error[0] + c * error[1]
-        x, y = x + pose * error[0], y + pose * error[1]
-        u, extra[0] = u + velocity * ahead, extra[0] + unknown * ahead
+        error_u, error_v = c * error[0] + s * error[1], -s * error[0] + c * error[1]  # J^T of the planar innovation
+        x, y = x + b1 * error[0], y + b1 * error[1]
+        u, gamma[0] = u + b2 * error_u, gamma[0] + b3 * error_u
         if config.sway:
-            v = self._put_down_to_current(u, v + velocity * aside, extra[1] + unknown * aside, yaw, elapsed_s)
-        depth = self._at(1, at_ns)
+            v = self._split_side_force_and_current(u, v + b2 * error_v, gamma[1] + b3 * error_v, yaw, elapsed_s)
+        depth = self._sensed_at(1, at_ns)
         if depth is not None:
-            sunk = depth - z
-            z, w, extra[2] = z + pose * sunk, w + velocity * sunk, extra[2] + unknown * sunk
-        rate = self._at(2, at_ns)
+            error_z = depth - z
+            z, w, gamma[2] = z + b1 * error_z, w + b2 * error_z, gamma[2] + b3 * error_z
+        rate = self._sensed_at(2, at_ns)
         if rate is None:
-            pose, velocity, unknown = gains(config.yaw_bandwidth_radps, elapsed_s)
-            r, slip = r + velocity * error[2], unknown * error[2]
+            b1, b2, b3 = gains(config.yaw_bandwidth_radps, elapsed_s)
+            r, gamma_step = r + b2 * error[2], b3 * error[2]
         else:
             # The gyroscope sees the rate at once, the camera keeps the heading; a gyro bias of 2 mrad/s moves it by 0.5 mrad.
-            pose, velocity, unknown = gains_with_rate(config.yaw_bandwidth_radps, elapsed_s)
-            spun = rate - r
-            r, slip = r + velocity * spun, unknown * spun
-        extra[3] += slip if config.enabled else 0.0
-        return (x, y, z, yaw + pose * error[2], u, v, w, r, *thrust)
+            b1, b2, b3 = gains_with_rate(config.yaw_bandwidth_radps, elapsed_s)
+            error_r = rate - r
+            r, gamma_step = r + b2 * error_r, b3 * error_r
+        gamma[3] += gamma_step if config.enabled else 0.0
+        return (x, y, z, yaw + b1 * error[2], u, v, w, r, *thrust)
 
-    def _put_down_to_current(self, u: float, v: float, side: float, yaw: float, elapsed_s: float) -> float:
-        """Share a side force out between Gamma_v and the current; returns the sway velocity through the water. A current as
-        strong as any gets no stronger: what would make it so stays a side force."""
+    def _split_side_force_and_current(self, u: float, v: float, side: float, yaw: float, elapsed_s: float) -> float:
+        """Divide a side force (m/s^2) between Gamma_v and the current. Returns the sway velocity through the water. A current
+        at its limit grows no further: the rest stays a side force."""
         slope = self._model.sway_slope(u, v)
         drift = -math.expm1(-self._config.current_rate_radps * elapsed_s) * side / slope
         aside = cmath.rect(1.0, yaw + 0.5 * math.pi)
@@ -295,8 +305,8 @@ class Estimator:
         self._current += drift * aside
         return v - drift
 
-    def _at(self, column: int, at_ns: int) -> float | None:
-        """Depth (1) or yaw rate (2) at an instant, interpolated between board samples, held at the ends."""
+    def _sensed_at(self, column: int, at_ns: int) -> float | None:
+        """Return depth (1) or yaw rate (2) at an instant, interpolated between board samples and held at the ends."""
         later: tuple[int, float] | None = None
         for sample in reversed(self._sensed):
             value = sample[column]
@@ -314,18 +324,19 @@ class Estimator:
             self._inputs.popleft()
 
     def _propagate(self, state: State, from_ns: int, to_ns: int) -> State:
-        """Predict with the inputs that act in between, no correction."""
+        """Predict the state with the wrenches that act in between, without correction."""
         wrench: Wrench = (0.0, 0.0, 0.0)
         for acts_ns, following in self._inputs:
             if acts_ns >= to_ns:
                 break
             if acts_ns > from_ns:
-                state = self._steps(state, wrench, acts_ns - from_ns)
+                state = self._advance(state, wrench, acts_ns - from_ns)
                 from_ns = acts_ns
             wrench = following
-        return self._steps(state, wrench, to_ns - from_ns)
+        return self._advance(state, wrench, to_ns - from_ns)
 
-    def _steps(self, state: State, wrench: Wrench, duration_ns: int) -> State:
+    def _advance(self, state: State, wrench: Wrench, duration_ns: int) -> State:
+        """Predict under a constant wrench, in steps of at most LONGEST_STEP_NS."""
         count = -(-duration_ns // LONGEST_STEP_NS)
         for _ in range(count):
             state = self._model.advance(state, self._disturbance, wrench, duration_ns / count / NS)
@@ -336,34 +347,34 @@ class Estimator:
 
 
 def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
-    """Innovation gains for pose, velocity, disturbance: all three observer poles at exp(-w dt)."""
+    """Innovation gains b1, b2, b3 for pose, velocity and Gamma: all three observer poles at exp(-w dt)."""
     beta = math.exp(-bandwidth_radps * step_s)
     rest = 1.0 - beta
     return 1.0 - beta**3, 1.5 * rest * rest * (1.0 + beta) / step_s, rest**3 / (step_s * step_s)
 
 
 def gains_with_rate(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:
-    """The same where velocity is measured too: pose by the pose's error; velocity and disturbance by the velocity's."""
+    """Gains b1, b2, b3 if velocity is measured too: pose by the pose error; velocity and Gamma by the velocity error."""
     beta = math.exp(-bandwidth_radps * step_s)
     rest = 1.0 - beta
     return rest, 1.0 - beta * beta, rest * rest / step_s
 
 
-def _moved(a: Sighting, b: Sighting) -> tuple[float, float, float]:
-    """From one pose to another: m, m, rad."""
+def _moved(a: PoseMeasurement, b: PoseMeasurement) -> tuple[float, float, float]:
+    """Difference between two poses: m, m, rad."""
     return b.x_m - a.x_m, b.y_m - a.y_m, wrap(b.yaw_rad - a.yaw_rad)
 
 
-def _apart(moved: tuple[float, float, float]) -> bool:
-    """Whether this is farther than a robot moves between two poses."""
+def _exceeds_gate(moved: tuple[float, float, float]) -> bool:
+    """True for a difference that is larger than a robot's motion between two poses."""
     return math.hypot(moved[0], moved[1]) > GATE_M or abs(moved[2]) > GATE_RAD
 
 
 def _place(pose: tuple[float, ...]) -> str:
-    """x, y, yaw for people."""
+    """Text of x, y, yaw."""
     return f"({pose[0]:.2f} m, {pose[1]:.2f} m, {pose[2]:.2f} rad)"
 
 
 def _sane(value: float) -> bool:
-    """A number that can be a measurement; false for NaN too."""
+    """True for a number that can be a measurement; false for NaN."""
     return abs(value) < ABSURD

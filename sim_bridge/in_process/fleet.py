@@ -20,8 +20,7 @@ from typing import Protocol
 import numpy as np
 
 from robot_agent.agent import Agent, Outputs
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Heard, Inputs, Seen, Watched
+from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from sim_bridge.camera.ideal_localizer import Located
 from sim_bridge.fault_schedule import Faults
 from sim_bridge.plant.fleet import Plant
@@ -149,7 +148,7 @@ class Robot:
     """One agent with what is kept of it."""
 
     agent: Agent
-    plan: Heard | None = None
+    plan: StampedPlan | None = None
     states: list[RobotState] = field(default_factory=list)
 
 
@@ -178,7 +177,7 @@ class AgentFleet:
         self._latency_ns = round(experiment.sim.latency_s * NS)
         self._located = Located(experiment, seed)
         self.seen: deque[tuple[int, list[Pose]]] = deque(maxlen=SEEN_KEPT)  # instant on the agents' clock, pose of each robot
-        self.watched: deque[Watched] = deque(maxlen=SEEN_KEPT)
+        self.watched: deque[StampedObstacles] = deque(maxlen=SEEN_KEPT)
         self._orders = 0
 
     @property
@@ -199,7 +198,7 @@ class AgentFleet:
             trajectory=self.trajectories[robot] if order is Order.LOAD else None,
             start_ns=self.now_ns + round(start_in_s * NS),
         )
-        return self.robots[i].agent.order(
+        return self.robots[i].agent.handle_command(
             Header(STATION_SESSION, self._orders, self.now_ns), command, self.station(), self.now_ns
         )
 
@@ -256,9 +255,9 @@ class AgentFleet:
         self.seen.append((stamp_ns, self._located.poses(self._water.eta)))
         obstacles = self._located.obstacles(self._water.now_ns / NS)
         if obstacles is not None:
-            self.watched.append(Watched(obstacles, stamp_ns))
+            self.watched.append(StampedObstacles(obstacles, stamp_ns))
 
-    def think(self, i: int, plans: Mapping[int, Heard | None]) -> None:
+    def think(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         """One control step of the i-th robot."""
         robot, me, ahead_ns = self.robots[i], self.experiment.robot_ids[i], self.ahead_ns[i]
         heard = {r: replace(p, instant_ns=p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
@@ -268,23 +267,23 @@ class AgentFleet:
             telemetry=self._water.telemetry(i, now_ns),
             station=self.station(),
             plans=heard,
-            watched=replace(adrift, instant_ns=adrift.instant_ns + ahead_ns) if adrift is not None else None,
+            obstacles=replace(adrift, instant_ns=adrift.instant_ns + ahead_ns) if adrift is not None else None,
         )
         begin_ns = self._clock_ns()
         outputs = robot.agent.step(inputs, now_ns)
         took_ns = self._clock_ns() - begin_ns
         self._water.act(i, outputs)
-        robot.plan = Heard(outputs.plan, self.now_ns) if outputs.plan is not None else robot.plan
+        robot.plan = StampedPlan(outputs.plan, self.now_ns) if outputs.plan is not None else robot.plan
         robot.states.append(replace(outputs.state, step_us=took_ns / 1000.0) if took_ns else outputs.state)
 
-    def pose(self, i: int) -> Seen | None:
+    def pose(self, i: int) -> StampedPose | None:
         """The newest pose of the i-th robot that is out of the localizer by now."""
         for stamp_ns, poses in reversed(self.seen):
             if stamp_ns <= self.now_ns - self._latency_ns:
-                return Seen(poses[i], stamp_ns)
+                return StampedPose(poses[i], stamp_ns)
         return None
 
-    def _seen_adrift(self) -> Watched | None:
+    def _seen_adrift(self) -> StampedObstacles | None:
         """The newest that is out of the localizer by now of what is no robot."""
         return next((w for w in reversed(self.watched) if w.instant_ns <= self.now_ns - self._latency_ns), None)
 

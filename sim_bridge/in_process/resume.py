@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from robot_agent.agent import Agent
-from robot_agent.inputs import Heard
+from robot_agent.inputs import StampedPlan
 from robot_agent.rerun import Logged, Rerun
 from sim_bridge.in_process.fleet import NS, AgentFleet, BareWater
 from wire.config.experiment import Experiment
@@ -86,7 +86,7 @@ def branch(
     fleet.now_ns = at_ns
     for i, (robot, memory) in enumerate(zip(fleet.robots, memories, strict=True)):
         robot.agent = memory.agent
-        robot.plan = Heard(memory.plan, at_ns) if memory.plan is not None else None
+        robot.plan = StampedPlan(memory.plan, at_ns) if memory.plan is not None else None
         robot.states.append(memory.state)
         fleet.ahead_ns[i] = memory.now_ns - at_ns
     fleet.expose(at_ns)

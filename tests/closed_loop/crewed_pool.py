@@ -13,7 +13,7 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import first_leg
 from groundstation.telemetry import RobotView
 from robot_agent.agent import Agent
-from robot_agent.command_check import StationView
+from robot_agent.inputs import StationView
 from sim_bridge.in_process.fleet import STATION_SESSION
 from tests.closed_loop.dry_pool import DryPool
 from wire.config.experiment import Experiment
@@ -112,7 +112,7 @@ class CrewedPool(DryPool):
             elif self.agents_work[i]:
                 self._sent += 1
                 header = Header(STATION_SESSION, self._sent, self.now_ns)
-                reply = self.robots[i].agent.order(header, command, self.station(), self.now_ns + self.ahead_ns[i])
+                reply = self.robots[i].agent.handle_command(header, command, self.station(), self.now_ns + self.ahead_ns[i])
                 self._answers.append(Answer(command, reply))
         if not self.phases or self.phases[-1] is not self.mission.phase:
             self.phases.append(self.mission.phase)
@@ -124,5 +124,5 @@ def _goal(agent: Agent) -> Array:
     goal = agent._controller._goal
     if goal is None:
         return np.full(12, np.nan)
-    path = agent._controller._sampler.path(goal)
+    path = agent._controller._sampler.sample(goal)
     return np.concatenate([path.eta[0], path.velocity[0], path.acceleration[0]])

@@ -10,8 +10,7 @@ import numpy as np
 
 from groundstation.planning import planner
 from robot_agent.agent import Outputs
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Heard
+from robot_agent.inputs import StampedPlan, StationView
 from sim_bridge.in_process.fleet import STATION_SESSION, AgentFleet
 from sim_bridge.world import World
 from wire.config.experiment import Experiment
@@ -96,7 +95,7 @@ class DryPool(AgentFleet):
         if self.camera_works:
             super().expose(stamp_ns)
 
-    def think(self, i: int, plans: Mapping[int, Heard | None]) -> None:
+    def think(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         if self.agents_work[i]:
             super().think(i, plans)
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from groundstation.station import process as station_process
 from localizer import node as localizer_shell
-from robot_agent import process as agent_shell
+from robot_agent import node as agent_node
 from sim_bridge.node.pool import Pool
 from sim_bridge.node.udp_ports import Sockets
 from sim_bridge.sil.ports import free_base_port
@@ -155,7 +155,7 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
             closing.callback(link.close)
-            shells.append(agent_shell.Shell(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
+            shells.append(agent_node.AgentNode(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
         if not poses:
             shells.append(localizer_shell.Shell(experiment, bus("localizer"), stop, LockstepClock()).run)
         threads = [threading.Thread(target=run, daemon=True) for run in shells]

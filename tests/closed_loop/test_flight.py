@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_agent.inputs import Seen
+from robot_agent.inputs import StampedPose
 from tests.closed_loop.dry_pool import DryPool
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order
@@ -208,9 +208,9 @@ def test_a_pose_outside_the_pool_is_none(place: dict[str, float]) -> None:
     pool = flying()
     there = pool.pose
 
-    def outside(i: int) -> Seen | None:
+    def outside(i: int) -> StampedPose | None:
         seen = there(i)
-        return seen and Seen(replace(seen.pose, x_m=place["x_m"], y_m=place["y_m"]), seen.instant_ns)
+        return seen and StampedPose(replace(seen.pose, x_m=place["x_m"], y_m=place["y_m"]), seen.instant_ns)
 
     pool.pose = outside  # type: ignore[method-assign]
     modes = []

@@ -72,7 +72,7 @@ class Lab:
             return Reply(command.robot, False, "no answer within 0.5 s", silent=True)
         self._sent += 1
         now_ns, agent = self.pool.now_ns, self.pool.robots[self.pool.experiment.robot_ids.index(command.robot)].agent
-        return agent.order(Header(1, self._sent, now_ns), command, self.pool.station(), now_ns)
+        return agent.handle_command(Header(1, self._sent, now_ns), command, self.pool.station(), now_ns)
 
     def step(self) -> None:
         self.pool.step()

@@ -24,8 +24,7 @@ from groundstation.telemetry import RobotView
 from groundstation.web.protocol import BadRequest, read_request
 from localizer.tracking.fleet_localizer import Locator
 from robot_agent.agent import Agent
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Heard, Inputs, Seen, Watched
+from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from robot_agent.safety.modes import POWERED
 from sim_bridge.thruster_board.board import Board
 from tests.faults.bites import Bites
@@ -118,12 +117,12 @@ def agent(data: bytes) -> None:
         station = StationView(1, now_ns, 0.0)
         pose = Pose(0.5, 0.1, 0.2, np.eye(3) * 1e-6, Track.MARKER, True, 1.0, 0.3)
         telemetry = Telemetry(board_ms=number, arrival_ns=now_ns, battery_v=12.0, armed=number > 2)
-        robot.step(Inputs(Seen(pose, now_ns), telemetry, station), now_ns)
+        robot.step(Inputs(StampedPose(pose, now_ns), telemetry, station), now_ns)
         path = _trajectory()
         command = Command(
             order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None
         )
-        robot.order(Header(1, number, now_ns), command, station, now_ns)
+        robot.handle_command(Header(1, number, now_ns), command, station, now_ns)
         now_ns += PERIOD_NS
     while bites.left:
         _agent_step(robot, bites, now_ns)
@@ -136,7 +135,7 @@ def _agent_step(robot: Agent, bites: Bites, now_ns: int) -> None:
 
     kind = bites.byte(8)
     inputs = robot._inputs
-    pose = Seen(bites.message(Pose), instant()) if kind & 1 else inputs.pose
+    pose = StampedPose(bites.message(Pose), instant()) if kind & 1 else inputs.pose
     telemetry = dataclasses.replace(inputs.telemetry, arrival_ns=now_ns, armed=True)
     if kind & 2:
         telemetry = dataclasses.replace(
@@ -148,8 +147,8 @@ def _agent_step(robot: Agent, bites: Bites, now_ns: int) -> None:
             depth_m=bites.number(),
             battery_v=bites.number(),
         )
-    plans = {2: Heard(bites.message(Plan), instant())} if kind & 4 else inputs.plans
-    watched = Watched(bites.message(Obstacles), instant()) if kind & 4 else inputs.watched
+    plans = {2: StampedPlan(bites.message(Plan), instant())} if kind & 4 else inputs.plans
+    watched = StampedObstacles(bites.message(Obstacles), instant()) if kind & 4 else inputs.obstacles
     outputs = robot.step(Inputs(pose, telemetry, StationView(1, now_ns, 0.0), False, plans, watched, bites.byte(5)), now_ns)
     assert len(outputs.pulse_us) == 8 and all(1000 <= pulse <= 2000 for pulse in outputs.pulse_us)
     assert robot.mode in POWERED or outputs.pulse_us[:4] == (1500,) * 4
@@ -166,7 +165,7 @@ def orders(data: bytes) -> None:
     while bites.left:
         command = bites.message(Command)
         header = Header(bites.byte(2), bites.byte(), now_ns - bites.byte() * 10_000_000)
-        reply = robot.order(header, command, StationView(bites.byte(2), now_ns, 0.0), now_ns)
+        reply = robot.handle_command(header, command, StationView(bites.byte(2), now_ns, 0.0), now_ns)
         decode(Reply, encode(reply), "agent", "reply")
         robot.step(dataclasses.replace(robot._inputs, station=StationView(1, now_ns, 0.0)), now_ns)
         now_ns += PERIOD_NS

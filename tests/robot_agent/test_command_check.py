@@ -2,7 +2,8 @@
 
 import pytest
 
-from robot_agent.command_check import LONGEST_LIFE_S, StationView, unacceptable
+from robot_agent.agent import LONGEST_LIFE_S, unacceptable
+from robot_agent.inputs import StationView
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Order
 

@@ -32,10 +32,10 @@ POOL = load_experiment("pool", SETTINGS)
 PATIENCE_S, NEUTRAL_US = 60.0, (1500,) * 4
 TURN_THRUSTERS = """
 import sys
-from robot_agent.host.config import Board
-from robot_agent.preflight.thruster_selftest import turn_thrusters
+from robot_agent.host.config import AgentConfig
+from robot_agent.preflight.thrusters import turn_thrusters
 from wire.config.experiment import load_experiment
-print(list(turn_thrusters(load_experiment("pool"), Board(robot=1, experiment="pool", station="", link=sys.argv[1]))))
+print(list(turn_thrusters(load_experiment("pool"), AgentConfig(robot=1, experiment="pool", station="", link=sys.argv[1]))))
 """
 BROKEN_ON_PURPOSE = """
 import runpy, signal, sys

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from groundstation.planning import planner
-from robot_agent.process import Shell
+from robot_agent.node import AgentNode
 from robot_agent.rerun import Rerun
 from tests.robot_agent.obedient_board import Board
 from wire.config.experiment import Experiment, load_experiment
@@ -74,9 +74,9 @@ class Pond:
         for topic in (topics.INPUTS, topics.ORDERS, topics.PLAN, topics.OBSTACLES):
             listener.subscribe(topic, None, self._hear)
         self.clock = HandClock()
-        self.shell = Shell(self.experiment, ME, self.agents, Board(), False, Stop(install=False))
-        self.shell._clock = self.clock
-        self.agents.serve(ME, self.shell._order)
+        self.node = AgentNode(self.experiment, ME, self.agents, Board(), False, Stop(install=False))
+        self.node._clock = self.clock
+        self.agents.serve(ME, self.node._order)
         self.random = np.random.default_rng(4)
         self.trajectory = planner.plan(self.experiment)[ME]
 
@@ -110,9 +110,9 @@ class Pond:
             self.station.publish(topics.HEARTBEAT, StationHeartbeat(self.experiment.hash, False, "RUNNING"), self.sent_ns)
             self.clock.tick_ns += PERIOD_NS
             now_ns = self.clock.tick_ns
-            record, outputs = self.shell._step(now_ns, None)
+            record, outputs = self.node._step(now_ns, None)
             self.agents.publish(topics.INPUTS, record, now_ns, ME)
-            self.shell._write(outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS)  # never late
+            self.node._write(outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS)  # never late
             self.states.append(outputs.state)
             self.plans += [outputs.plan] if outputs.plan is not None else []
 

@@ -7,7 +7,7 @@ from socket import SOCK_DGRAM
 
 import pytest
 
-from robot_agent.process import Shell
+from robot_agent.node import AgentNode
 from sim_bridge.sil.ports import free_port
 from tests.sim_bridge.boards import board
 from wire.config.experiment import load_experiment
@@ -32,9 +32,9 @@ def test_state_tells_of_the_board_and_of_its_clock_only_where_the_keys_match(sam
     stop, link = Stop(install=False), open_link(f"udp:127.0.0.1:{port}")
     bus, ear = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     heard = ear.inbox(topics.STATE, RobotState, 1)
-    shell = Shell(load_experiment("pool"), 1, bus, link, False, stop, signing=signing)
+    node = AgentNode(load_experiment("pool"), 1, bus, link, False, stop, signing=signing)
     with board(f"udp:127.0.0.1:{port}", folder):
-        thread = threading.Thread(target=shell.run)
+        thread = threading.Thread(target=node.run)
         thread.start()
         try:
             deadline, told = time.monotonic() + (20.0 if same else 3.0), None

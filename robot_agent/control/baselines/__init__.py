@@ -1,5 +1,5 @@
-"""Control laws of the literature, tuned on the same budget, to compare the ESO-MPC with.
+"""Control laws of the literature, tuned on the same budget, for comparison with the ESO-MPC.
 
-Start with feedback.py; docs/baselines.md has equations and figures. Each takes the same tracking errors (tracking_errors.py)
-and gives a wrench, with the same limits and allocation behind it.
+Start with feedback.py; docs/baselines.md has equations and figures. All laws take the same tracking errors
+(tracking_errors.py) and return a wrench; limits and allocation after them are the same.
 """

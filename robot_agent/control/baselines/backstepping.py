@@ -6,18 +6,18 @@
 In surge L has c s^2 / 2 more, and L' has c s (W - v), which guidance makes negative: its heading is where W - v opposes s.
 """
 
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
 from wire.config.baseline_controllers import BacksteppingConfig
 
 
 class Backstepping:
-    """Without memory: the disturbance is the estimator's."""
+    """The law, without memory: the disturbance is the estimator's."""
 
     def __init__(self, axes: Axes, config: BacksteppingConfig) -> None:
         self._axes = axes
         self._gains = tuple(zip(config.error_per_s, config.velocity_per_s, config.coupling_per_s2, strict=True))
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         swing = (now.swing_mps, 0.0, 0.0)
         feedback = [
@@ -26,7 +26,7 @@ class Backstepping:
         ]
         return self._axes.wrench(now, feedback)
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """See `FeedbackLaw`."""
 
     def reset(self) -> None:

@@ -1,11 +1,11 @@
-"""READ FIRST (baselines): a feedback law in the place of the MPC: same estimate, same reference, same limits afterwards.
+"""READ FIRST (baselines): a feedback law in the place of the MPC, with the same estimate, reference and limits.
 
-    wanted = law.wrench(situation)      as the law's equations have it: it knows nothing of limits
-    wrench = wanted, limited            magnitude and rate (39, 40), as the thrusters must have it
-    plan   = the model under the law    so that the others' formation and collision terms have something to work with
+    wanted = law.wrench(errors)         by the law's equations, without limits
+    wrench = wanted, limited            magnitude and rate (39, 40), as for the thrusters
+    plan   = the model under the law    for the others' formation and collision terms
 
-The plan is the shared model flown with the limited law over the horizon, its memory (integrals, network) as it is now.
-Half-spaces that keep robots apart (36) are constraints of the MPC: a feedback law has no place for them, and stays clear of
+The plan is the shared model flown with the limited law over the horizon; its memory (integrals, network) stays as it is now.
+Half-spaces that keep robots apart (36) are constraints of the MPC. A feedback law has no place for them, and stays clear of
 the others only as far as its reference does.
 """
 
@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from robot_agent.control.baselines.tracking_errors import Situation, Three, situation
+from robot_agent.control.baselines.tracking_errors import PerAxis, TrackingErrors, tracking_errors
 from robot_agent.control.mpc import MpcPlan
 from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
@@ -28,18 +28,18 @@ ABSURD = 1e6  # m, rad: no reference; NaN is none either
 class FeedbackLaw(Protocol):
     """One law with its memory."""
 
-    def wrench(self, now: Situation) -> Three:
-        """What it wants, limits or not. Leaves its memory as it is."""
+    def wrench(self, now: TrackingErrors) -> PerAxis:
+        """Wrench by the law's equations, without limits. Does not change its memory."""
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
-        """Once per control step: bring the memory up to date. `short` is wanted minus applied: not 0 on an axis at a limit."""
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
+        """Update the memory, once per control step. `short` is wanted minus applied: not 0 on an axis at a limit."""
 
     def reset(self) -> None:
-        """Forget what was learnt."""
+        """Clear the memory."""
 
 
 class Feedback:
-    """Puts a feedback law behind the interface of law.py."""
+    """Adapter from a feedback law to the interface of law.py."""
 
     def __init__(self, law: FeedbackLaw, vehicle: Vehicle, model: Model, period_s: float, horizon: int) -> None:
         self._law, self._model, self._period_s = law, model, period_s
@@ -52,8 +52,9 @@ class Feedback:
         self._fresh = True
         self._law.reset()
 
-    def expected(self, state: State) -> Array:
-        """The last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
+    def predicted_path(self, state: State) -> Array:
+        """Return the last plan moved on by one step, or `state`: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1,
+        2)."""
         if self._fresh:
             self._eta[0], self._eta[1] = state[:2], state[2:4]
             self._fresh = False
@@ -70,12 +71,12 @@ class Feedback:
         current: complex = 0j,
         delivered: Array | None = None,
     ) -> MpcPlan:
-        """One step of the law, see law.py. Weights and half-spaces are the MPC's business."""
+        """Compute one step of the law, see `Law.plan`. Weights and half-spaces are not used."""
         if not np.abs(reference).max() < ABSURD:
             return self._give_up(state)
         unknown = disturbance.tolist()
         goal, speed, change = (rows.tolist() for rows in _derivatives(reference, self._period_s, current))
-        now = situation(self._model, state, unknown, goal[0], speed[0], change[0])
+        now = tracking_errors(self._model, state, unknown, goal[0], speed[0], change[0])
         wanted = self._law.wrench(now)
         if not math.isfinite(sum(wanted)):
             return self._give_up(state)
@@ -86,7 +87,7 @@ class Feedback:
             x, y, *rest = self._model.advance(state, unknown, thrust, self._period_s)
             state = (x + self._period_s * current.real, y + self._period_s * current.imag, *rest)
             eta.append(state[:4])
-            there = situation(self._model, state, unknown, goal[k], speed[k], change[k])
+            there = tracking_errors(self._model, state, unknown, goal[k], speed[k], change[k])
             thrust = self._limited(self._law.wrench(there), thrust)
         self._law.learn(now, short, self._period_s)
         poses = np.array(eta)
@@ -95,11 +96,11 @@ class Feedback:
         return MpcPlan(np.array(applied), poses, Solve.SOLVED, 0, 0.0, np.array(wanted))
 
     def _give_up(self, state: State) -> MpcPlan:
-        """No wrench, and the memory that led to it is forgotten."""
+        """Return no wrench and FAILED, and clear the memory that led to it."""
         self.reset()
         return MpcPlan(np.zeros(3), np.tile(state[:4], (self._eta.shape[1], 1)), Solve.FAILED, 0, 0.0)
 
-    def _limited(self, wanted: Three, before: Three) -> Three:
+    def _limited(self, wanted: PerAxis, before: PerAxis) -> PerAxis:
         surge, heave, yaw = (
             min(max(w, b - step, -limit), b + step, limit)
             for w, b, step, limit in zip(wanted, before, self._step_limit, self._limit, strict=True)
@@ -108,7 +109,7 @@ class Feedback:
 
 
 def _derivatives(reference: Array, period_s: float, current: complex) -> tuple[Array, Array, Array]:
-    """A reference (n, 4), its velocity through the water and its acceleration, by differences of second order."""
+    """Return a reference (n, 4), its velocity through the water and its acceleration, by differences of second order."""
     speed = np.gradient(reference, period_s, axis=0, edge_order=2)
     speed[:, :2] -= current.real, current.imag
     change = np.empty_like(reference)

@@ -1,12 +1,12 @@
-"""Fuzzy control that knows no model: rules on error and velocity error (Mac Vicar-Whelan's table), and an integral of their
-verdict (fuzzy PID, Woo, Chung and Lin 2000), per axis.
+"""Fuzzy control without a model: rules on error and velocity error (Mac Vicar-Whelan's table), and an integral of their output
+(fuzzy PID, Woo, Chung and Lin 2000), per axis.
 
-Five triangular sets per input, products for "and", singletons weighted by how true they are for the verdict.
+Five triangular sets per input, products for "and", singletons weighted by the truth of their rules for the output.
 """
 
 from bisect import bisect_right
 
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
 from wire.config.baseline_controllers import FuzzyConfig
 
 PEAKS = (-1.0, -0.4, 0.0, 0.4, 1.0)  # negative big, negative small, zero, positive small, positive big: inputs and verdicts
@@ -15,7 +15,7 @@ RULES = ((0, 0, 0, 1, 2), (0, 0, 1, 2, 3), (0, 1, 2, 3, 4), (1, 2, 3, 4, 4), (2,
 
 
 class Fuzzy:
-    """Its integrals, as shares of the limits, are what it learns."""
+    """The law; its integrals, as shares of the limits, are its memory."""
 
     def __init__(self, axes: Axes, config: FuzzyConfig) -> None:
         self._limit = axes.limit
@@ -23,7 +23,7 @@ class Fuzzy:
         self._proportional, self._rate = config.proportional, config.integral
         self._integral = [0.0, 0.0, 0.0]
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         surge, heave, yaw = (
             limit * (gain * push + held)
@@ -33,7 +33,7 @@ class Fuzzy:
         )
         return surge, heave, yaw
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """See `FeedbackLaw`. Conditional integration, as in pid.py."""
         for axis, push in enumerate(self._verdicts(now)):
             if short[axis] * push <= 0.0:
@@ -44,7 +44,7 @@ class Fuzzy:
         """See `FeedbackLaw`."""
         self._integral = [0.0, 0.0, 0.0]
 
-    def _verdicts(self, now: Situation) -> list[float]:
+    def _verdicts(self, now: TrackingErrors) -> list[float]:
         return [
             verdict(e / big, rate / fast)
             for (big, fast), e, rate in zip(self._scales, now.error, now.speed_error, strict=True)
@@ -52,7 +52,7 @@ class Fuzzy:
 
 
 def verdict(error: float, rate: float) -> float:
-    """All rules on inputs in units of "big", -1 to 1."""
+    """Output of all rules for inputs in units of "big", -1 to 1."""
     row, high = _sets(error)
     column, fast = _sets(rate)
     near = (1.0 - fast) * PEAKS[RULES[row][column]] + fast * PEAKS[RULES[row][column + 1]]
@@ -61,7 +61,7 @@ def verdict(error: float, rate: float) -> float:
 
 
 def _sets(value: float) -> tuple[int, float]:
-    """Of neighbouring sets that add up to one: the lower one that is true, and how true the one above it is."""
+    """Of neighbouring sets that add up to one: the index of the lower one, and the truth of the upper one."""
     value = min(max(value, -1.0), 1.0)
     low = min(bisect_right(PEAKS, value), len(PEAKS) - 1) - 1
     return low, (value - PEAKS[low]) / (PEAKS[low + 1] - PEAKS[low])

@@ -1,7 +1,7 @@
 """Linear-quadratic regulator, discrete in time (Anderson and Moore, Optimal Control, 1990), per axis.
 
-The model takes care of the load and of the reference's acceleration (inverse dynamics); what is left is a double integrator
-behind the thrusters' lag T, x = [e, e', f], where f is the part of the thrust beyond that, and c the part of the command:
+Inverse dynamics compensates the load and the reference's acceleration. What remains is a double integrator behind the
+thrusters' lag T, x = [e, e', f], with f the thrust beyond that, and c the command beyond that:
 
     e'' = -f / m        T f' = c - f        c = -K x minimises   sum q_e e^2 + q_v e'^2 + (c / limit)^2
 """
@@ -9,15 +9,15 @@ behind the thrusters' lag T, x = [e, e', f], where f is the part of the thrust b
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
 from wire.config.baseline_controllers import LqrConfig
 from wire.frames import Array
 
-NOTHING: Three = (0.0, 0.0, 0.0)
+NOTHING: PerAxis = (0.0, 0.0, 0.0)
 
 
 class Lqr:
-    """Without memory: gains are computed once, the disturbance is the estimator's."""
+    """The law, without memory: gains are computed once, the disturbance is the estimator's."""
 
     def __init__(self, axes: Axes, config: LqrConfig, lag_s: float, period_s: float) -> None:
         self._axes = axes
@@ -27,7 +27,7 @@ class Lqr:
             for mass, error, velocity, limit in zip(axes.mass, config.error, config.velocity, axes.limit, strict=True)
         ]
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         known = self._axes.wrench(now, NOTHING)
         surge, heave, yaw = (
@@ -36,7 +36,7 @@ class Lqr:
         )
         return surge, heave, yaw
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """See `FeedbackLaw`."""
 
     def reset(self) -> None:

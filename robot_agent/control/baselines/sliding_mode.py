@@ -2,21 +2,21 @@
 
     s = e' + lambda e        wrench such that s' = -reach sat(s / layer)        sat(x) = x within -1..1, else its sign
 
-Whatever disturbs by less than `reach` cannot keep s out of the layer; a thin layer holds it closer, and chatters.
+A disturbance below `reach` cannot keep s out of the layer; a thin layer holds it closer, and chatters.
 """
 
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, Three
+from robot_agent.control.baselines.tracking_errors import Axes, PerAxis, TrackingErrors
 from wire.config.baseline_controllers import SlidingModeConfig
 
 
 class SlidingMode:
-    """Without memory: the disturbance is the estimator's, the switching term takes what that misses."""
+    """The law, without memory: the disturbance is the estimator's, and the switching term takes its error."""
 
     def __init__(self, axes: Axes, config: SlidingModeConfig) -> None:
         self._axes = axes
         self._gains = tuple(zip(config.slope_per_s, config.reach, config.layer, strict=True))
 
-    def wrench(self, now: Situation) -> Three:
+    def wrench(self, now: TrackingErrors) -> PerAxis:
         """See `FeedbackLaw`."""
         feedback = [
             slope * rate + reach * min(max((rate + slope * e) / layer, -1.0), 1.0)
@@ -24,7 +24,7 @@ class SlidingMode:
         ]
         return self._axes.wrench(now, feedback)
 
-    def learn(self, now: Situation, short: Three, period_s: float) -> None:
+    def learn(self, now: TrackingErrors, short: PerAxis, period_s: float) -> None:
         """See `FeedbackLaw`."""
 
     def reset(self) -> None:

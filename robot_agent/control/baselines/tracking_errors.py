@@ -1,14 +1,15 @@
-"""What a feedback law looks at: errors along the three axes that the robot can push, and what the model knows about them.
+"""Inputs of a feedback law: errors along the three axes that the robot can push, and the model's terms for them.
 
-The robot has no side force. Guidance turns lateral errors into heading, for every law alike; what is left to the law is the
-error along the robot's own x axis, in depth and in heading. With the reference p moving at p', body axes i (ahead), j (aside):
+The robot has no side force. The reference heading turns lateral errors into heading, for every law alike. Left to the law is
+the error along the robot's own x axis, in depth and in heading. With the reference p moving at p', body axes i (ahead), j
+(aside):
 
     e = i . (p - position)    e' = V - u + r s    V = i . p'    s = j . (p - position)    s' = W - v - r e    W = j . p'
 
-Velocities are through the water, the reference's too: where it streams steadily, nothing else changes.
+Velocities are through the water, the reference's too: in an even current nothing else changes.
 
-r s only swings the error from one axis to the other: it drops out of (e^2 + s^2)' = 2 e (V - u) + 2 s (W - v). Laws that push
-against it (taking e' for V - u) made robots 0.1 m off the path of `pool` shake themselves away from it.
+r s only moves the error from one axis to the other: it drops out of (e^2 + s^2)' = 2 e (V - u) + 2 s (W - v). Laws that push
+against it (with e' in the place of V - u) made robots 0.1 m off the path of `pool` shake themselves away from it.
 """
 
 import math
@@ -18,35 +19,36 @@ from typing import NamedTuple
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import wrap
 
-Three = tuple[float, float, float]  # surge, heave, yaw
+PerAxis = tuple[float, float, float]  # surge, heave, yaw
 
 
-class Situation(NamedTuple):
-    """Errors are reference minus robot. Everything in m, s, N; rad and N m for yaw."""
+class TrackingErrors(NamedTuple):
+    """Errors, reference minus robot, and model terms. Units m, s, N; rad and N m for yaw."""
 
-    error: Three
-    speed_error: Three  # V - u, and the same in depth and heading, where it is the error's derivative
+    error: PerAxis
+    speed_error: PerAxis  # V - u, and the same in depth and heading, where it is the error's derivative
     swing_mps: float  # r s
-    velocity: Three  # u, w, r
-    acceleration: Three  # of the velocity at which the speed error is zero: V', and the same in depth and heading
-    load: Three  # wrench at which the velocity stays as it is: drag, Coriolis force, disturbance
-    thrust: Three  # that acts now
+    velocity: PerAxis  # u, w, r
+    acceleration: PerAxis  # of the velocity at which the speed error is zero: V', and the same in depth and heading
+    load: PerAxis  # wrench at which the velocity stays as it is: drag, Coriolis force, disturbance
+    thrust: PerAxis  # that acts now
 
 
-def situation(
+def tracking_errors(
     model: Model,
     state: State,
     disturbance: Sequence[float],
     goal: Sequence[float],
     speed: Sequence[float],
     change: Sequence[float],
-) -> Situation:
-    """`goal`, `speed` and `change` (4,) are the reference's pose, velocity and acceleration; Gamma (4,) the estimator's."""
+) -> TrackingErrors:
+    """Compute the errors. `goal`, `speed` and `change` (4,) are the reference's pose, velocity and acceleration; Gamma (4,) is
+    the estimator's."""
     x, y, z, yaw, u, v, w, r, *thrust = state
     c, s = math.cos(yaw), math.sin(yaw)
     away_x, away_y = goal[0] - x, goal[1] - y
     along, across = c * speed[0] + s * speed[1], c * speed[1] - s * speed[0]
-    return Situation(
+    return TrackingErrors(
         error=(c * away_x + s * away_y, goal[2] - z, wrap(goal[3] - yaw)),
         speed_error=(along - u, speed[2] - w, speed[3] - r),
         swing_mps=r * (c * away_y - s * away_x),
@@ -57,8 +59,8 @@ def situation(
     )
 
 
-def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> Three:
-    """The model's equations (dynamics.py) solved for the wrench, at constant velocity."""
+def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> PerAxis:
+    """Solve the model's equations (dynamics.py) for the wrench at constant velocity."""
     u, v, w, r = nu
     mass_u, _, mass_w, mass_r = model.mass
     linear_u, _, linear_w, linear_r = model.linear
@@ -73,11 +75,11 @@ def _load(model: Model, nu: Sequence[float], disturbance: Sequence[float]) -> Th
 class Axes:
     """Mass and limits of the three axes."""
 
-    def __init__(self, model: Model, limit: Three) -> None:
-        self.mass: Three = (model.mass[0], model.mass[2], model.mass[3])
+    def __init__(self, model: Model, limit: PerAxis) -> None:
+        self.mass: PerAxis = (model.mass[0], model.mass[2], model.mass[3])
         self.limit = limit
 
-    def wrench(self, now: Situation, feedback: Sequence[float]) -> Three:
+    def wrench(self, now: TrackingErrors, feedback: Sequence[float]) -> PerAxis:
         """Inverse dynamics: the wrench at which the speed errors fall by `feedback` (3,), m/s^2 and rad/s^2."""
         surge, heave, yaw = (
             mass * (acceleration + more) + load

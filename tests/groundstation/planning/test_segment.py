@@ -11,7 +11,7 @@ from groundstation.planning.replanning import detour
 from groundstation.planning.rest_to_rest import assigned, gathered, homeward
 from groundstation.planning.segment import NOTHING, Leg, at, continued, first_contact, first_leg
 from groundstation.telemetry import RobotView
-from robot_agent.guidance.reference import Follow, Sampler, seam_trouble, spliced
+from robot_agent.guidance.reference import Follow, ReferenceSampler, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
@@ -66,13 +66,13 @@ def test_going_over_moves_nobodys_reference(scene: str) -> None:
     new = detour(experiment, leg, begin_s, np.array([[*middle, 0.1]]))
     for robot, then in new.trajectories.items():
         old = leg.trajectories[robot]
-        assert seam_trouble(old, then) == ""
-        joined = spliced(old, then, begin_s - 1.0)
+        assert splice_objection(old, then) == ""
+        joined = splice(old, then, begin_s - 1.0)
         seam = round((then.begin_s - joined.begin_s) / PERIOD_S)
         check_smooth(joined, seam - 10, seam + round(10.0 / PERIOD_S))
-        before, after = Sampler(PERIOD_S * np.arange(51.0)), Sampler(PERIOD_S * np.arange(51.0))
+        before, after = ReferenceSampler(PERIOD_S * np.arange(51.0)), ReferenceSampler(PERIOD_S * np.arange(51.0))
         now = begin_s - 2.6  # all of the horizon lies before the seam: nothing may change
-        a, b = before.path(Follow(old, now)), after.path(Follow(spliced(old, then, now), now))
+        a, b = before.sample(Follow(old, now)), after.sample(Follow(splice(old, then, now), now))
         np.testing.assert_allclose(a.eta, b.eta, atol=1e-12)
         np.testing.assert_allclose(a.acceleration, b.acceleration, atol=1e-12)
         own = np.unwrap(np.arctan2(then.velocity[:200, 1], then.velocity[:200, 0]))
@@ -85,20 +85,20 @@ def test_a_seam_that_jumps_is_refused_by_the_robot() -> None:
     new = detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
     beside = new.eta + np.array([0.0, 1e-3, 0.0, 0.0])
     aside = Trajectory("x", new.period_s, beside, new.velocity, new.acceleration, new.begin_s)
-    assert "its pose jumps by 0.001" in seam_trouble(old, aside)
+    assert "its pose jumps by 0.001" in splice_objection(old, aside)
     faster = Trajectory("x", new.period_s, new.eta, new.velocity * 1.1, new.acceleration, new.begin_s)
-    assert "its velocity jumps" in seam_trouble(old, faster)
+    assert "its velocity jumps" in splice_objection(old, faster)
     off = Trajectory("x", new.period_s, new.eta, new.velocity, new.acceleration, new.begin_s + 0.02)
-    assert "not at the instants" in seam_trouble(old, off)
+    assert "not at the instants" in splice_objection(old, off)
     late = Trajectory("x", new.period_s, new.eta, new.velocity, new.acceleration, 1e4)
-    assert "outside" in seam_trouble(old, late)
+    assert "outside" in splice_objection(old, late)
 
 
 def test_two_detours_one_after_the_other_and_a_place_that_a_person_asks_for() -> None:
     leg = first_leg(BLOCKED)
     first = detour(BLOCKED, leg, 10.0, BALL)
     second = detour(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
-    assert all(seam_trouble(first.trajectories[r], second.trajectories[r]) == "" for r in (1, 2, 3))
+    assert all(splice_objection(first.trajectories[r], second.trajectories[r]) == "" for r in (1, 2, 3))
     assert clearance(second, BALL[0], 16.0) > 0.3 and clearance(second, np.array([2.5, 1.0, 0.2]), 16.0) > 0.3
     asked = detour(BLOCKED, leg, 10.0, NOTHING, [(1.0, 1.5)])
     assert np.hypot(*(asked.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01
@@ -268,7 +268,7 @@ def replanned(seed: int) -> str:
     assert clearance(new, thing[0], begin_s) >= experiment.safety.radius_m - 1e-6, seed
     limits = experiment.vehicle.limits
     for robot, t in new.trajectories.items():
-        assert seam_trouble(leg.trajectories[robot], t) == "", seed
+        assert splice_objection(leg.trajectories[robot], t) == "", seed
         flown = slice(0, round((new.end_s - begin_s) / PERIOD_S))
         for island in experiment.islands:
             shore = np.hypot(*(t.eta[flown, :2] - island.position_m).T).min() - island.radius_m

@@ -113,7 +113,7 @@ def test_nothing_that_moves_a_robot_ever_leaves(tmp_path: Path) -> None:
     # and with all that goes out a robot still hears no station: it refuses to be armed
     agent = Agent(experiment, 1)
     agent.step(Inputs(), SECOND)
-    assert "does not come from the station" in agent.order(Header(9, 1, 0), command, Inputs().station, SECOND).reason
+    assert "does not come from the station" in agent.handle_command(Header(9, 1, 0), command, Inputs().station, SECOND).reason
 
 
 def test_what_a_topic_is_decides_and_every_topic_is_decided() -> None:

@@ -6,7 +6,10 @@ import math
 import numpy as np
 from hypothesis import strategies as st
 
-from robot_agent.control.controller import ControlOutput, Follow, Measurement, Neighbour, Sighting
+from robot_agent.control.controller import ControlOutput
+from robot_agent.guidance.formation import Neighbour
+from robot_agent.guidance.reference import Follow
+from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
 from tests.robot_agent.paths import circle
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Plan, Solve, Trajectory
@@ -36,15 +39,15 @@ def pool_circle(x: float) -> Trajectory:
     return dataclasses.replace(path, eta=path.eta + np.array([x, 0.0, 0.0, 0.0]))
 
 
-def at(k: int, x: float = 0.625, y: float = 0.0, yaw: float = math.pi / 2) -> Measurement:
-    return Measurement(Sighting(k * STEP_NS - 40_000_000, x, y, yaw), 0.3, 0.0)
+def at(k: int, x: float = 0.625, y: float = 0.0, yaw: float = math.pi / 2) -> StateMeasurement:
+    return StateMeasurement(PoseMeasurement(k * STEP_NS - 40_000_000, x, y, yaw), 0.3, 0.0)
 
 
 GOAL = Follow(pool_circle(0.4), 0.0)
 numbers = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-3, 3)
-sightings = st.builds(Sighting, st.integers(-(10**9), 3 * 10**9), numbers, numbers, numbers)
+sightings = st.builds(PoseMeasurement, st.integers(-(10**9), 3 * 10**9), numbers, numbers, numbers)
 measurements = st.builds(
-    Measurement,
+    StateMeasurement,
     st.none() | sightings,
     st.none() | numbers,
     st.none() | numbers,

@@ -15,11 +15,13 @@ from robot_agent.control.baselines.feedback import FeedbackLaw
 from robot_agent.control.baselines.fuzzy import PEAKS, verdict
 from robot_agent.control.baselines.pid import Pid
 from robot_agent.control.baselines.sliding_mode import SlidingMode
-from robot_agent.control.baselines.tracking_errors import Axes, Situation, situation
-from robot_agent.control.controller import Controller, ControlOutput, Follow, Goal, Hold, Measurement, Neighbour, Sighting
+from robot_agent.control.baselines.tracking_errors import Axes, TrackingErrors, tracking_errors
+from robot_agent.control.controller import Controller, ControlOutput
 from robot_agent.control.law import Law, make_law
-from robot_agent.guidance.formation import NOWHERE
+from robot_agent.guidance.formation import NOWHERE, Neighbour
+from robot_agent.guidance.reference import Follow, Goal, Hold
 from robot_agent.vehicle.dynamics import Model
+from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
 from tests.robot_agent.control.drawn_inputs import GOAL, STEP_NS, at, check, goals, measurements, neighbours
 from tests.robot_agent.water import integrate
 from wire.config import baseline_controllers
@@ -47,8 +49,8 @@ def straight(t: float) -> Array:
     return SPEED * t
 
 
-def look(state: Array, t: float, disturbance: tuple[float, ...] = STILL) -> Situation:
-    return situation(MODEL, tuple(state.tolist()), disturbance, straight(t).tolist(), SPEED.tolist(), [0.0] * 4)
+def look(state: Array, t: float, disturbance: tuple[float, ...] = STILL) -> TrackingErrors:
+    return tracking_errors(MODEL, tuple(state.tolist()), disturbance, straight(t).tolist(), SPEED.tolist(), [0.0] * 4)
 
 
 def rate(state: Array, wrench: Array, disturbance: Array) -> Array:
@@ -65,7 +67,7 @@ def rate(state: Array, wrench: Array, disturbance: Array) -> Array:
 
 def flown(
     law: FeedbackLaw, state: Array, seconds: float, disturbance: tuple[float, ...] = STILL, dt: float = DT
-) -> list[Situation]:
+) -> list[TrackingErrors]:
     """What the law saw, every `dt`. It is not told of the disturbance."""
     seen = []
     for k in range(round(seconds / dt)):
@@ -86,7 +88,7 @@ def off(ahead: float = 0.0, below: float = 0.0, turned: float = 0.0) -> Array:
 def test_the_load_keeps_the_velocity() -> None:
     nu, unknown = (0.2, -0.05, 0.1, 0.3), (0.02, 0.0, -0.01, 0.1)
     model = Model(VEHICLE, sway=True, lag=False)
-    load = situation(model, (0.0,) * 4 + nu + (0.0,) * 3, unknown, STILL, STILL, STILL).load
+    load = tracking_errors(model, (0.0,) * 4 + nu + (0.0,) * 3, unknown, STILL, STILL, STILL).load
     after = integrate(
         VEHICLE, np.array((0.0,) * 4 + nu + (0.0,) * 3), lambda t: load, 1e-4, unknown, lag=False, steps_per_s=100_000
     )
@@ -100,13 +102,15 @@ def test_errors_move_as_the_situation_says(values: list[float]) -> None:
     state, speed = np.array([*values[:4], values[4], 0.0, values[5], values[6], 0.0, 0.0, 0.0]), np.array(values[7:11])
     h, change = 1e-5, np.array([values[11], -values[11], 0.1, 0.2])
 
-    def seen(t: float) -> Situation:
+    def seen(t: float) -> TrackingErrors:
         there = state.copy()
         yaw, u, r = state[3], state[4], state[7]
         turn = yaw + r * t / 2  # a short arc
         there[:4] += [u * math.cos(turn) * t, u * math.sin(turn) * t, state[6] * t, r * t]
         goal = speed * t + change * t * t / 2
-        return situation(MODEL, tuple(there.tolist()), STILL, goal.tolist(), (speed + change * t).tolist(), change.tolist())
+        return tracking_errors(
+            MODEL, tuple(there.tolist()), STILL, goal.tolist(), (speed + change * t).tolist(), change.tolist()
+        )
 
     before, now, after = seen(-h), seen(0.0), seen(h)
     moved = (np.array(after.error) - before.error) / (2 * h)
@@ -283,7 +287,7 @@ def controller(name: str) -> Controller:
 @settings(max_examples=25, deadline=None)
 @given(rows=st.lists(st.tuples(measurements, goals, neighbours, st.integers(0, 3)), min_size=1, max_size=10))
 def test_no_input_makes_a_law_put_out_nonsense(
-    name: str, rows: list[tuple[Measurement, Goal | None, list[Neighbour], int]]
+    name: str, rows: list[tuple[StateMeasurement, Goal | None, list[Neighbour], int]]
 ) -> None:
     """NaN, gaps, duplicates, reordering, plans of other sizes: finite, within limits, neutral when there is no goal."""
     one, k = controller(name), 0
@@ -324,8 +328,8 @@ class Wanderer:
             self.goal = (hold, None, GOAL, GOAL)[int(random.integers(4))]
         goal = Follow(self.goal.trajectory, 0.05 * self.k) if isinstance(self.goal, Follow) else self.goal
         late_ns = int(random.integers(2, 6)) * 10_000_000
-        sighting = Sighting(now_ns - late_ns, self.pose[0], self.pose[1], wrap(self.pose[2]))
-        measurement = Measurement(
+        sighting = PoseMeasurement(now_ns - late_ns, self.pose[0], self.pose[1], wrap(self.pose[2]))
+        measurement = StateMeasurement(
             None if random.random() < 0.1 else sighting, 0.3 + 0.01 * random.normal(), 0.1 * random.normal()
         )
         return self.one.step(measurement, goal, self.company(now_ns), now_ns)

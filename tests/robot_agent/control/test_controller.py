@@ -8,7 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.control.controller import Controller, ControlOutput, Follow, Goal, Hold, Measurement, Neighbour, Sighting
+from robot_agent.control.controller import Controller, ControlOutput
+from robot_agent.guidance.formation import Neighbour
+from robot_agent.guidance.reference import Follow, Goal, Hold
+from robot_agent.vehicle.eso import PoseMeasurement, StateMeasurement
 from sim_bridge.plant.fleet import Plant
 from tests.robot_agent.control.drawn_inputs import (
     GOAL,
@@ -46,12 +49,12 @@ class Pool:
         self.plans: list[Plan | None] = [None] * len(self.paths)
         self.k = 0
 
-    def measure(self, i: int) -> Measurement:
+    def measure(self, i: int) -> StateMeasurement:
         back = min(int(self.random.integers(6, 11)), len(self.past) - 1)  # 30 to 50 ms in steps of 5
         noise = self.random.normal(size=5) * [0.0015, 0.0015, 0.009, 0.002, 0.003]
         x, y, _, yaw = self.past[-1 - back][i]
-        sighting = Sighting(self.k * STEP_NS - back * 5_000_000, x + noise[0], y + noise[1], wrap(yaw + noise[2]))
-        return Measurement(sighting, self.state.eta[i, 2] + noise[3], self.state.nu[i, 3] + noise[4])
+        sighting = PoseMeasurement(self.k * STEP_NS - back * 5_000_000, x + noise[0], y + noise[1], wrap(yaw + noise[2]))
+        return StateMeasurement(sighting, self.state.eta[i, 2] + noise[3], self.state.nu[i, 3] + noise[4])
 
     def step(self, goals: list[Goal]) -> list[ControlOutput]:
         outputs = []
@@ -151,7 +154,7 @@ def test_head_on_they_keep_their_distance() -> None:
 
 
 def test_without_a_pose_there_is_no_thrust() -> None:
-    output = controller().step(Measurement(), GOAL, (), STEP_NS)
+    output = controller().step(StateMeasurement(), GOAL, (), STEP_NS)
     check(output)
     assert output.solve is Solve.NONE and not output.estimated
 
@@ -246,7 +249,7 @@ def test_gains_are_adopted_beside_another_robot_too() -> None:
         one = controller()
         for k in range(1, 12):
             if adopts and k == 11:
-                one.adopt(one.make_ready(POOL.controller))
+                one.adopt_gains(one.prepare_gains(POOL.controller))
             output = one.step(at(k), GOAL, [Neighbour(2, k * STEP_NS, Plan(0.05, near, near), True)], k * STEP_NS)
             check(output)
         assert output.solve is Solve.SOLVED and output.slack_m > 0.05
@@ -257,7 +260,7 @@ def test_gains_are_adopted_beside_another_robot_too() -> None:
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(measurements, goals, neighbours, st.integers(0, 3)), min_size=1, max_size=15))
-def test_no_input_makes_it_put_out_nonsense(rows: list[tuple[Measurement, Goal | None, list[Neighbour], int]]) -> None:
+def test_no_input_makes_it_put_out_nonsense(rows: list[tuple[StateMeasurement, Goal | None, list[Neighbour], int]]) -> None:
     """NaN, gaps, duplicates, reordering, plans of other sizes: finite, within limits, neutral when not solved."""
     one, k = controller(), 0
     for measurement, goal, others, gap in rows:
@@ -275,8 +278,8 @@ def test_ten_thousand_random_steps_stay_within_limits() -> None:
         pose = pose + random.normal(size=3) * [0.02, 0.02, 0.05] * (random.random() < 0.3)
         pose[:2] = np.clip(pose[:2], -1.5, 1.5)
         lost, late_ns = random.random() < 0.1, int(random.integers(2, 6)) * 10_000_000
-        sighting = None if lost else Sighting(k * STEP_NS - late_ns, pose[0], pose[1], wrap(pose[2]))
-        measurement = Measurement(sighting, 0.3 + 0.01 * random.normal(), 0.1 * random.normal())
+        sighting = None if lost else PoseMeasurement(k * STEP_NS - late_ns, pose[0], pose[1], wrap(pose[2]))
+        measurement = StateMeasurement(sighting, 0.3 + 0.01 * random.normal(), 0.1 * random.normal())
         output = one.step(measurement, Follow(path, 0.05 * k), (), k * STEP_NS)
         check(output)
         solved += output.solve is Solve.SOLVED

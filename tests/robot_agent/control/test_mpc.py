@@ -6,7 +6,7 @@ from scipy.optimize import Bounds, LinearConstraint, minimize
 
 from robot_agent.control.mpc import Mpc, bridged_steps
 from robot_agent.control.qp import Solution
-from robot_agent.guidance.formation import NOWHERE, Formation, HalfSpaces, Neighbour, Rank
+from robot_agent.guidance.formation import NOWHERE, Formation, HalfSpaces, Neighbour, Priority
 from robot_agent.vehicle.dynamics import Model, State
 from wire.config.controller import MpcConfig, Safety
 from wire.config.vehicle import load_vehicle
@@ -125,11 +125,11 @@ class Refusing:
     """A solver that gives up when told to."""
 
     def __init__(self, controller: Mpc) -> None:
-        self._real, self.refuse = controller._alone, False
-        controller._alone = self
+        self._real, self.refuse = controller._plain_solver, False
+        controller._plain_solver = self
 
-    def start_from(self, x: Array) -> None:
-        self._real.start_from(x)
+    def warm_start(self, x: Array) -> None:
+        self._real.warm_start(x)
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         return Solution(np.zeros(len(q)), False, 100) if self.refuse else self._real.solve(p, q, a, lower, upper)
@@ -191,7 +191,7 @@ def test_after_a_reset_it_expects_to_stay_where_it_is_now() -> None:
     controller.plan(START, np.zeros(4), np.zeros(3), ahead(0.5), WEIGHT, NOWHERE)
     controller.reset()
     elsewhere: State = (1.0, 2.0, 0.3, 0.5, *([0.0] * 7))
-    expected = controller.expected(elsewhere)
+    expected = controller.predicted_path(elsewhere)
     assert np.array_equal(expected[0], np.tile([1.0, 2.0], (51, 1))) and np.array_equal(
         expected[1], np.tile([0.3, 0.5], (51, 1))
     )
@@ -230,8 +230,8 @@ def test_a_neighbour_does_not_push_a_robot_into_a_wall() -> None:
         controller, model, wrench, state = mpc(), Model(VEHICLE), np.zeros(3), (1.5, *START[1:])
         for k in range(60):
             eta = np.tile([0.95 + 0.0025 * k, 0.0, 0.0, 0.0], (51, 1))
-            company = near.company([Neighbour(2, 0, Plan(PERIOD_S, eta, eta), True)], 0)
-            lines = near.half_spaces(company, controller.expected(state), Rank(False, 0.0), 0)
+            predictions = near.predict_neighbours([Neighbour(2, 0, Plan(PERIOD_S, eta, eta), True)], 0)
+            lines = near.half_spaces(predictions, controller.predicted_path(state), Priority(False, 0.0), 0)
             wrench = controller.plan(state, np.zeros(4), wrench, ahead(1.5), WEIGHT, lines).wrench
             state = model.advance(state, (0.0,) * 4, tuple(wrench), PERIOD_S)
         pushed[walls] = state[0] + VEHICLE.radius_m - 1.75

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Rank
+from robot_agent.guidance.formation import MEANT_S, NEAREST, NOWHERE, Formation, HalfSpaces, Neighbour, Priority
 from tests.robot_agent.guidance.expectations import CONFIG, NS, PERIOD_S, SAFETY, STEPS, expecting
 from wire.frames import Array
 from wire.messages.messages import Plan
 
-EQUAL = Rank(False, 0.0)
+EQUAL = Priority(False, 0.0)
 
 
 def plan(
@@ -38,56 +38,56 @@ def formation() -> Formation:
 def test_pull_is_the_sum_of_weighted_deviations() -> None:
     """argmin of ||e||_Q^2 + sum ||e - dev_j||_Qij^2 is sum Qij dev_j / (Q + sum Qij): what the reference is moved by."""
     both = [neighbour(plan((1, 0), off=(0.1, 0.2, 0.3, 0.4))), neighbour(plan((2, 0), off=(-0.3, 0, 0, 0)), robot=3)]
-    company = formation().company(both, 0)
-    assert company.pull[10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]))
-    assert company.weight == pytest.approx(np.full(4, 0.3)) and company.heard == 2
+    predictions = formation().predict_neighbours(both, 0)
+    assert predictions.weighted_deviation[10] == pytest.approx(0.15 * np.array([-0.2, 0.2, 0.3, 0.4]))
+    assert predictions.weight == pytest.approx(np.full(4, 0.3)) and predictions.fresh_count == 2
 
 
 def test_plans_are_read_at_our_instants() -> None:
-    company = formation().company([neighbour(plan((0, 0), (0.2, 0.1)), stamp_ns=0)], 7 * NS // 40)
-    assert company.place[0, 0] == pytest.approx((0.2 + 0.1j) * 0.675)  # node 10 of ours, 13.5 of theirs
-    assert company.place[0, -1] == pytest.approx((0.2 + 0.1j) * 2.5)  # the plan's end stands
+    predictions = formation().predict_neighbours([neighbour(plan((0, 0), (0.2, 0.1)), stamp_ns=0)], 7 * NS // 40)
+    assert predictions.position[0, 0] == pytest.approx((0.2 + 0.1j) * 0.675)  # node 10 of ours, 13.5 of theirs
+    assert predictions.position[0, -1] == pytest.approx((0.2 + 0.1j) * 2.5)  # the plan's end stands
 
 
 def test_plans_with_steps_of_another_length_are_read_at_our_instants() -> None:
     slow = plan((0, 0), (0.2, 0.1), off=(0.1, 0, 0, 0))
     slow = dataclasses.replace(slow, period_s=0.08, eta=slow.eta[:40], eta_reference=slow.eta_reference[:40])
-    company = formation().company([neighbour(slow), neighbour(plan((0, 0)))], NS // 10)
-    assert company.place[0, 0] == pytest.approx((0.2 + 0.1j) * 0.05 * 0.6 / 0.08)
-    assert company.place[0, -1] == pytest.approx((0.2 + 0.1j) * 0.05 * 2.6 / 0.08)
-    assert company.pull[:, 0] == pytest.approx(np.full(STEPS, 0.015))
+    predictions = formation().predict_neighbours([neighbour(slow), neighbour(plan((0, 0)))], NS // 10)
+    assert predictions.position[0, 0] == pytest.approx((0.2 + 0.1j) * 0.05 * 0.6 / 0.08)
+    assert predictions.position[0, -1] == pytest.approx((0.2 + 0.1j) * 0.05 * 2.6 / 0.08)
+    assert predictions.weighted_deviation[:, 0] == pytest.approx(np.full(STEPS, 0.015))
 
 
 def test_yaw_deviation_is_wrapped() -> None:
-    company = formation().company([neighbour(plan((1, 0), off=(0, 0, 0, 6.2)))], 0)
-    assert company.pull[0, 3] == pytest.approx(0.15 * (6.2 - 2 * np.pi))
+    predictions = formation().predict_neighbours([neighbour(plan((1, 0), off=(0, 0, 0, 6.2)))], 0)
+    assert predictions.weighted_deviation[0, 3] == pytest.approx(0.15 * (6.2 - 2 * np.pi))
 
 
 def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() -> None:
     silent = neighbour(plan((1, 0), off=(0.1, 0, 0, 0)), fresh=False)
-    sizes = [formation().distance_m(silent, EQUAL, now) for now in (NS, 3 * NS, 60 * NS)]
+    sizes = [formation().required_clearance_m(silent, EQUAL, now) for now in (NS, 3 * NS, 60 * NS)]
     assert sizes == pytest.approx([0.7, 0.9, 1.1])  # 2R + 0.1 m/s, at most 0.5 m more
-    company = formation().company([silent], NS)
-    assert not company.pull.any() and not company.weight.any() and company.heard == 0
+    predictions = formation().predict_neighbours([silent], NS)
+    assert not predictions.weighted_deviation.any() and not predictions.weight.any() and predictions.fresh_count == 0
 
 
 @pytest.mark.parametrize(
     ("high", "low"),
     [
-        (Rank(True, 1.0), Rank(False, 0.0)),
-        (Rank(False, 0.1), Rank(False, 0.2)),
+        (Priority(True, 1.0), Priority(False, 0.0)),
+        (Priority(False, 0.1), Priority(False, 0.2)),
     ],
 )
-def test_ranks(high: Rank, low: Rank) -> None:
-    assert high.above(low) and not low.above(high) and not high.above(high)
+def test_ranks(high: Priority, low: Priority) -> None:
+    assert high.goes_before(low) and not low.goes_before(high) and not high.goes_before(high)
 
 
-@pytest.mark.parametrize("own", [Rank(True, 0.0), Rank(False, 0.0)])
-def test_a_robot_that_does_not_hear_us_is_not_taken_to_yield(own: Rank) -> None:
+@pytest.mark.parametrize("own", [Priority(True, 0.0), Priority(False, 0.0)])
+def test_a_robot_that_does_not_hear_us_is_not_taken_to_yield(own: Priority) -> None:
     """It may hear others: a number of neighbours would not tell."""
     deaf = neighbour(plan((1, 0), tracking_error_m=9.0, heard=(3, 4)), hears_us=False)
-    assert formation().distance_m(deaf, own, 0) == pytest.approx(0.6)
-    assert formation().distance_m(dataclasses.replace(deaf, hears_us=True), own, 0) is None
+    assert formation().required_clearance_m(deaf, own, 0) == pytest.approx(0.6)
+    assert formation().required_clearance_m(dataclasses.replace(deaf, hears_us=True), own, 0) is None
 
 
 @settings(max_examples=300)
@@ -98,29 +98,29 @@ def test_two_robots_are_never_both_above_one_another(seed: int, age_a_s: float, 
     step_s = 0.01
     errors = np.abs(np.cumsum(random.choice([-1.0, 1.0], (2, 100)) * 0.5 * step_s, axis=1) + random.uniform(0.0, 0.2, (2, 1)))
 
-    def rank(robot: int, age_s: float) -> Rank:
-        return Rank(False, float(errors[robot, 99 - int(age_s / step_s)]))
+    def rank(robot: int, age_s: float) -> Priority:
+        return Priority(False, float(errors[robot, 99 - int(age_s / step_s)]))
 
-    a_first = rank(0, 0.0).above(rank(1, age_b_s), age_b_s)
-    b_first = rank(1, 0.0).above(rank(0, age_a_s), age_a_s)
+    a_first = rank(0, 0.0).goes_before(rank(1, age_b_s), age_b_s)
+    b_first = rank(1, 0.0).goes_before(rank(0, age_a_s), age_a_s)
     assert not (a_first and b_first)
 
 
 def test_the_higher_ignores_the_lower_which_yields_and_equals_both_act() -> None:
     here = neighbour(plan((1, 0), tracking_error_m=0.2))
-    assert formation().distance_m(here, Rank(False, 0.05), 0) is None
-    assert formation().distance_m(here, Rank(False, 0.5), 0) == pytest.approx(0.6)
-    assert formation().distance_m(here, Rank(False, 0.2), 0) == pytest.approx(0.6)
+    assert formation().required_clearance_m(here, Priority(False, 0.05), 0) is None
+    assert formation().required_clearance_m(here, Priority(False, 0.5), 0) == pytest.approx(0.6)
+    assert formation().required_clearance_m(here, Priority(False, 0.2), 0) == pytest.approx(0.6)
 
 
 def test_nobody_is_above_a_silent_robot() -> None:
     silent = neighbour(plan((1, 0), tracking_error_m=9.0), fresh=False)
-    assert formation().distance_m(silent, Rank(True, 0.0), 0) == pytest.approx(0.6)
+    assert formation().required_clearance_m(silent, Priority(True, 0.0), 0) == pytest.approx(0.6)
 
 
-def half_spaces(others: list[Neighbour], own: Array, rank: Rank = EQUAL, now_ns: int = 0) -> HalfSpaces:
+def half_spaces(others: list[Neighbour], own: Array, rank: Priority = EQUAL, now_ns: int = 0) -> HalfSpaces:
     f = formation()
-    return f.half_spaces(f.company(others, now_ns), own, rank, now_ns)
+    return f.half_spaces(f.predict_neighbours(others, now_ns), own, rank, now_ns)
 
 
 def test_half_spaces_only_when_it_gets_close() -> None:
@@ -137,7 +137,7 @@ def test_of_a_silent_robot_half_spaces_come_sooner() -> None:
 
 def test_who_ranks_higher_sees_no_half_spaces() -> None:
     here = [neighbour(plan((0, 0), tracking_error_m=0.2)), neighbour(plan((0.5, 1.0), tracking_error_m=0.0), robot=3)]
-    rows = half_spaces(here, expecting(0.5, 0.5), Rank(False, 0.1))
+    rows = half_spaces(here, expecting(0.5, 0.5), Priority(False, 0.1))
     assert rows.offset == pytest.approx(np.full(5, -1.0 + 0.6)) and np.allclose(rows.normal, -1j)  # of the second one alone
 
 
@@ -173,9 +173,9 @@ def test_a_plan_with_nonsense_is_no_plan(poison: float) -> None:
     bad = plan((0, 0))
     bad.eta[3, 1] = poison
     good = neighbour(plan((1, 0), off=(0.1, 0, 0, 0)), robot=3)
-    company = formation().company([neighbour(bad), neighbour(Plan(PERIOD_S)), good], 0)
-    assert company.heard == 1 and company.others == [good]
-    assert company.pull[:, 0] == pytest.approx(np.full(STEPS, 0.015))
+    predictions = formation().predict_neighbours([neighbour(bad), neighbour(Plan(PERIOD_S)), good], 0)
+    assert predictions.fresh_count == 1 and predictions.neighbours == [good]
+    assert predictions.weighted_deviation[:, 0] == pytest.approx(np.full(STEPS, 0.015))
 
 
 @pytest.mark.parametrize("laps", [300, 30_000])
@@ -183,7 +183,9 @@ def test_a_robot_that_has_flown_many_laps_is_still_there(laps: int) -> None:
     p = plan((0, 0), off=(0.1, 0.2, 0.3, 0.4))
     turned = np.array([0.0, 0.0, 0.0, 2.0 * np.pi * laps])
     later = dataclasses.replace(p, eta=p.eta + turned, eta_reference=p.eta_reference + turned)
-    assert formation().company([neighbour(later)], 0).pull == pytest.approx(formation().company([neighbour(p)], 0).pull)
+    assert formation().predict_neighbours([neighbour(later)], 0).weighted_deviation == pytest.approx(
+        formation().predict_neighbours([neighbour(p)], 0).weighted_deviation
+    )
     assert len(half_spaces([neighbour(later)], expecting(0.64)).node) == 5
 
 
@@ -194,22 +196,22 @@ def test_where_each_is_now_and_means_to_go_read_from_each_plan_alone() -> None:
     for robot, length in enumerate((3, 26, 51), 2):
         eta, reference = random.uniform(-1.0, 1.0, (2, length, 4))
         others.append(Neighbour(robot, int(random.integers(-3 * NS, NS // 2)), Plan(PERIOD_S, eta, reference), True))
-    company = formation().company(others, NS // 2)
+    predictions = formation().predict_neighbours(others, NS // 2)
     for i, other in enumerate(others):
         last = len(other.plan.eta) - 1
         now = min(max(round((NS // 2 - other.stamp_ns) / NS / PERIOD_S), 0), last)
         then = min(now + round(MEANT_S / PERIOD_S), last)
         moved = other.plan.eta_reference[then] - other.plan.eta_reference[now]
-        assert company.now[i] == pytest.approx(other.plan.eta[now])
-        assert company.meant[i] == pytest.approx(complex(moved[0], moved[1]) / (PERIOD_S * max(then - now, 1)))
+        assert predictions.pose_now[i] == pytest.approx(other.plan.eta[now])
+        assert predictions.intended_velocity[i] == pytest.approx(complex(moved[0], moved[1]) / (PERIOD_S * max(then - now, 1)))
 
 
 @pytest.mark.parametrize(("x_m", "leans"), [(0.7, False), (0.53, False), (0.51, True), (0.3, True)])
 def test_a_plan_leans_against_a_half_space_that_it_is_close_to_or_in(x_m: float, leans: bool) -> None:
     eta = np.zeros((4, 4))
     eta[2, :2] = x_m, 9.0
-    assert HalfSpaces(np.array([2]), np.array([1 + 0j]), np.array([0.5])).bind(eta) is leans
-    assert not NOWHERE.bind(eta)
+    assert HalfSpaces(np.array([2]), np.array([1 + 0j]), np.array([0.5])).binds(eta) is leans
+    assert not NOWHERE.binds(eta)
 
 
 # --- walls
@@ -217,7 +219,7 @@ def test_a_plan_leans_against_a_half_space_that_it_is_close_to_or_in(x_m: float,
 
 def beside_a_wall(other: tuple[float, float], own: tuple[float, float]) -> HalfSpaces:
     f = Formation(CONFIG, SAFETY, PERIOD_S, 0.0, (3.5, 2.5), 0.15)
-    return f.half_spaces(f.company([neighbour(plan(other))], 0), expecting(*own), EQUAL, 0)
+    return f.half_spaces(f.predict_neighbours([neighbour(plan(other))], 0), expecting(*own), EQUAL, 0)
 
 
 def test_next_to_a_wall_a_neighbours_lines_come_with_the_walls() -> None:

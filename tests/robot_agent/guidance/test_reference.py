@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from robot_agent.control.heading import HOLD_RADPS, Guidance
-from robot_agent.guidance.reference import Follow, Hold, Path, Sampler
+from robot_agent.control.heading import HOLD_RADPS, HeadingReference
+from robot_agent.guidance.reference import Follow, Hold, Reference, ReferenceSampler
 from tests.robot_agent.paths import PERIOD_S, ROWS, circle
 from wire.config.controller import GuidanceConfig
 from wire.config.vehicle import load_vehicle
@@ -16,18 +16,18 @@ OFFSETS = 0.05 + PERIOD_S * np.arange(51, dtype=np.float64)
 REST = np.zeros(4)
 
 
-def line(speed_mps: float, yaw_rad: float = 0.0) -> Path:
+def line(speed_mps: float, yaw_rad: float = 0.0) -> Reference:
     """A path's rows along a heading, at constant speed through the origin."""
     t = np.concatenate([[0.0], OFFSETS])
     direction = np.array([np.cos(yaw_rad), np.sin(yaw_rad)])
     eta, velocity = np.zeros((ROWS, 4)), np.zeros((ROWS, 4))
     eta[:, :2], eta[:, 3] = speed_mps * t[:, None] * direction, yaw_rad
     velocity[:, :2] = speed_mps * direction
-    return Path(eta, velocity, np.zeros((ROWS, 4)))
+    return Reference(eta, velocity, np.zeros((ROWS, 4)))
 
 
-def guidance(sway: bool = True, **changes: float) -> Guidance:
-    return Guidance(VEHICLE, GuidanceConfig().model_copy(update=changes), PERIOD_S, sway)
+def guidance(sway: bool = True, **changes: float) -> HeadingReference:
+    return HeadingReference(VEHICLE, GuidanceConfig().model_copy(update=changes), PERIOD_S, sway)
 
 
 # --- sampling
@@ -35,7 +35,7 @@ def guidance(sway: bool = True, **changes: float) -> Guidance:
 
 @pytest.mark.parametrize("period_s", [0.05, 0.02, 0.13])
 def test_samples_are_the_path_itself(period_s: float) -> None:
-    rows = Sampler(OFFSETS).path(Follow(circle(0.5, 20.0, period_s), 7.013))
+    rows = ReferenceSampler(OFFSETS).sample(Follow(circle(0.5, 20.0, period_s), 7.013))
     t = 7.013 + np.concatenate([[0.0], OFFSETS])
     angle = 2 * np.pi / 20.0 * t
     assert rows.eta[:, 0] == pytest.approx(0.5 * np.cos(angle), abs=2e-4)
@@ -45,7 +45,7 @@ def test_samples_are_the_path_itself(period_s: float) -> None:
 
 def test_before_the_start_it_waits_at_the_first_pose() -> None:
     path = circle(0.5, 20.0)
-    rows = Sampler(OFFSETS).path(Follow(path, -1.0))
+    rows = ReferenceSampler(OFFSETS).sample(Follow(path, -1.0))
     assert np.array_equal(rows.eta[0], path.eta[0]) and not rows.velocity[:19].any()
     assert rows.velocity[-1].any()  # the horizon sees the start coming
 
@@ -53,30 +53,30 @@ def test_before_the_start_it_waits_at_the_first_pose() -> None:
 def test_after_the_end_it_rests_at_the_last_pose() -> None:
     path = circle(0.5, 20.0)
     end_s = (len(path.eta) - 1) * PERIOD_S
-    rows = Sampler(OFFSETS).path(Follow(path, end_s - 1.0))
+    rows = ReferenceSampler(OFFSETS).sample(Follow(path, end_s - 1.0))
     assert rows.velocity[0].any()
     assert rows.eta[-1] == pytest.approx(path.eta[-1]) and not rows.velocity[-1].any() and not rows.acceleration[-1].any()
-    late = Sampler(OFFSETS).path(Follow(path, 1e6))
+    late = ReferenceSampler(OFFSETS).sample(Follow(path, 1e6))
     assert np.ptp(late.eta, axis=0) == pytest.approx(np.zeros(4)) and not late.velocity.any()
 
 
 def test_a_trajectory_of_one_sample_is_a_point() -> None:
     point = Trajectory("p", 0.05, np.array([[1.0, 2.0, 0.3, 0.4]]), np.zeros((1, 4)), np.zeros((1, 4)))
-    assert Sampler(OFFSETS).path(Follow(point, 3.0)).eta[-1] == pytest.approx([1.0, 2.0, 0.3, 0.4])
+    assert ReferenceSampler(OFFSETS).sample(Follow(point, 3.0)).eta[-1] == pytest.approx([1.0, 2.0, 0.3, 0.4])
 
 
 def test_another_trajectory_replaces_the_last_one() -> None:
-    sampler = Sampler(OFFSETS)
-    sampler.path(Follow(circle(0.5, 20.0), 0.0))
-    assert sampler.path(Follow(circle(1.0, 20.0), 0.0)).eta[0, 0] == pytest.approx(1.0)
+    sampler = ReferenceSampler(OFFSETS)
+    sampler.sample(Follow(circle(0.5, 20.0), 0.0))
+    assert sampler.sample(Follow(circle(1.0, 20.0), 0.0)).eta[0, 0] == pytest.approx(1.0)
 
 
 def test_time_moves_the_horizon_smoothly() -> None:
     """The same instant seen from two control steps is the same pose, yaw beyond half a turn included."""
-    sampler, path = Sampler(OFFSETS), circle(0.5, 20.0)
-    before = sampler.path(Follow(path, 0.0)).eta[1:]
+    sampler, path = ReferenceSampler(OFFSETS), circle(0.5, 20.0)
+    before = sampler.sample(Follow(path, 0.0)).eta[1:]
     for k in range(1, 900):
-        now = sampler.path(Follow(path, k * PERIOD_S)).eta[1:]
+        now = sampler.sample(Follow(path, k * PERIOD_S)).eta[1:]
         if k * PERIOD_S < 47.0:
             assert now[:-1] == pytest.approx(before[1:], abs=1e-9)
         before = now
@@ -86,11 +86,11 @@ def test_time_moves_the_horizon_smoothly() -> None:
 
 
 def settled(
-    g: Guidance, path: Path, eta: Array, nu: Array, gamma: Array = REST, steps: int = 200, current: complex = 0j
+    g: HeadingReference, path: Reference, eta: Array, nu: Array, gamma: Array = REST, steps: int = 200, current: complex = 0j
 ) -> Array:
     out = np.zeros(ROWS)
     for _ in range(steps):
-        out = g.follow(path, eta, nu, gamma, current)
+        out = g.heading_along(path, eta, nu, gamma, current)
     return out
 
 
@@ -103,7 +103,7 @@ def test_in_a_current_it_points_where_thrust_alone_keeps_the_robot_on_its_line(c
 
 def test_in_a_current_it_turns_ahead_of_the_bend() -> None:
     """A circle in a current, node by node against the force balance of the plant's equations."""
-    path = Sampler(OFFSETS).path(Follow(circle(0.5, 20.0), 3.0))
+    path = ReferenceSampler(OFFSETS).sample(Follow(circle(0.5, 20.0), 3.0))
     current = 0.04 + 0.05j
     headings = settled(guidance(), path, path.eta[0], np.array([np.pi * 0.05, 0, 0, 0]), current=current)
     velocity = path.velocity[:, 0] + 1j * path.velocity[:, 1] - current
@@ -113,9 +113,9 @@ def test_in_a_current_it_turns_ahead_of_the_bend() -> None:
 
 
 def test_holding_station_in_a_current_it_turns_into_it() -> None:
-    g, path = guidance(), Sampler(OFFSETS).path(Hold(REST))
+    g, path = guidance(), ReferenceSampler(OFFSETS).sample(Hold(REST))
     for _ in range(400):
-        out = g.hold(path, REST, REST, REST, 0.05j)
+        out = g.heading_on_hold(path, REST, REST, REST, 0.05j)
     assert abs(np.sin(out[0])) == pytest.approx(1.0, abs=0.01)  # ahead or astern
 
 
@@ -127,7 +127,7 @@ def test_on_a_straight_path_it_is_the_tangent() -> None:
 def test_on_a_circle_it_holds_the_crab_angle_of_the_plant() -> None:
     """Steady turn: m u r = d(V) v, so tan b = m r / d(V) with the nose turned inwards. At 0.014 m/s that is 0.25 rad."""
     speed, rate = 0.225 * 0.02 * np.pi, 0.02 * np.pi
-    path = Sampler(OFFSETS).path(Follow(circle(0.225, 100.0), 10.0))
+    path = ReferenceSampler(OFFSETS).sample(Follow(circle(0.225, 100.0), 10.0))
     crab = np.arctan(12.0 * rate / (3.0 + 20.0 * speed))
     yaw = path.eta[0, 3] + crab
     eta = np.array([*path.eta[0, :3], yaw])
@@ -168,7 +168,7 @@ def test_no_force_keeps_the_tangent() -> None:
     """Standing still on a resting path with a millimetre of noise: no turn worth the name."""
     random, g = np.random.default_rng(1), guidance()
     headings = [
-        g.follow(
+        g.heading_along(
             line(0.0, 0.4),
             np.array([*random.normal(0, 0.001, 2), 0, 0.4]),
             np.array([*random.normal(0, 0.002, 2), 0, 0]),
@@ -185,13 +185,13 @@ def test_heading_never_jumps() -> None:
     for k in range(3000):
         angle = 0.004 * k
         eta = np.array([0.2 * np.cos(angle), 0.2 * np.sin(angle), 0, 0.0])
-        heading = g.follow(line(0.014), eta, np.array([0.014, 0, 0, 0]), REST)
+        heading = g.heading_along(line(0.014), eta, np.array([0.014, 0, 0, 0]), REST)
         assert before is None or abs(heading[0] - before) < 0.15
         before = float(heading[0])
 
 
 def test_without_sway_in_the_model_it_points_where_it_should_go() -> None:
-    path = Sampler(OFFSETS).path(Follow(circle(0.5, 20.0), 3.0))
+    path = ReferenceSampler(OFFSETS).sample(Follow(circle(0.5, 20.0), 3.0))
     eta = np.array([*path.eta[0, :3], path.eta[0, 3]])
     assert settled(guidance(sway=False), path, eta, np.array([0.157, 0, 0, 0.31])) == pytest.approx(path.eta[:, 3])
     aside = path.eta[0, 3] + np.pi / 2
@@ -202,14 +202,14 @@ def test_without_sway_in_the_model_it_points_where_it_should_go() -> None:
 # --- station keeping
 
 
-def at_rest(point: Array) -> Path:
-    return Path(np.tile(point, (ROWS, 1)), np.zeros((ROWS, 4)), np.zeros((ROWS, 4)))
+def at_rest(point: Array) -> Reference:
+    return Reference(np.tile(point, (ROWS, 1)), np.zeros((ROWS, 4)), np.zeros((ROWS, 4)))
 
 
 def test_hold_keeps_the_heading_while_near() -> None:
     g = guidance()
     for _ in range(400):
-        heading = g.hold(at_rest(np.array([0, 0, 0.3, 2.0])), np.array([0.02, 0.02, 0.3, 1.1]), REST, REST)
+        heading = g.heading_on_hold(at_rest(np.array([0, 0, 0.3, 2.0])), np.array([0.02, 0.02, 0.3, 1.1]), REST, REST)
     assert heading == pytest.approx(np.full(ROWS, 1.1))
 
 
@@ -218,19 +218,19 @@ def test_hold_turns_to_the_line_either_way_round(bearing: float, line_rad: float
     """Far off, nose at 0: ahead to a point in front, astern to one behind; never more than a quarter turn."""
     g, eta = guidance(), np.array([0, 0, 0.3, 0.0])
     for _ in range(1500):
-        heading = g.hold(at_rest(np.array([0.3 * np.cos(bearing), 0.3 * np.sin(bearing), 0.3, 0])), eta, REST, REST)
+        heading = g.heading_on_hold(at_rest(np.array([0.3 * np.cos(bearing), 0.3 * np.sin(bearing), 0.3, 0])), eta, REST, REST)
     assert heading[0] == pytest.approx(line_rad, abs=0.02)
 
 
 def test_hold_turns_into_line_with_a_current_and_slowly() -> None:
     g, before, heading = guidance(), 0.0, np.zeros(1)
     for _ in range(1500):
-        heading = g.hold(at_rest(np.zeros(4)), np.zeros(4), REST, np.array([0.0, 0.01, 0.0, 0.0]))
+        heading = g.heading_on_hold(at_rest(np.zeros(4)), np.zeros(4), REST, np.array([0.0, 0.01, 0.0, 0.0]))
         assert abs(heading[0] - before) <= HOLD_RADPS * PERIOD_S + 1e-12
         before = float(heading[0])
     assert abs(heading[0]) == pytest.approx(np.pi / 2, abs=0.02)
 
 
 def test_hold_samples_the_point() -> None:
-    rows = Sampler(OFFSETS).path(Hold(np.array([1.0, 2.0, 0.3, 0.4])))
+    rows = ReferenceSampler(OFFSETS).sample(Hold(np.array([1.0, 2.0, 0.3, 0.4])))
     assert np.array_equal(rows.eta, np.tile([1.0, 2.0, 0.3, 0.4], (ROWS, 1))) and not rows.velocity.any()

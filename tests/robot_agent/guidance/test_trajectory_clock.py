@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from groundstation.planning import planner
-from robot_agent.command_check import StationView
 from robot_agent.guidance.reference import pose_at
 from robot_agent.guidance.trajectory_check import unflyable
-from robot_agent.guidance.trajectory_clock import FASTER, Course
+from robot_agent.guidance.trajectory_clock import FASTER, TrajectoryClock
+from robot_agent.inputs import StationView
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.messages.messages import Command, Order, Trajectory
@@ -49,10 +49,10 @@ def moving(velocity: tuple[float, float, float, float], acceleration: tuple[floa
 
 
 class Robot:
-    """A course with the clocks around it: the station's is AHEAD_NS behind ours."""
+    """A clock with the clocks around it: the station's is AHEAD_NS behind ours."""
 
     def __init__(self, loaded: Trajectory | None = None) -> None:
-        self.course, self.now_ns = Course(EXPERIMENT, ME), 100 * NS
+        self.clock, self.now_ns = TrajectoryClock(EXPERIMENT, ME), 100 * NS
         self.lag_s = self.slowing = 0.0
         self.eta: Array | None = np.array([-0.5, 0.0, 0.5, 0.0])
         if loaded is not None:
@@ -64,9 +64,9 @@ class Robot:
 
     def give(self, command: Command, under_way: bool = False) -> str:
         begins_ns = command.start_ns + AHEAD_NS
-        reason = self.course.objection(command, under_way, self.station, begins_ns, self.now_ns, self.eta)
+        reason = self.clock.objection(command, under_way, self.station, begins_ns, self.now_ns, self.eta)
         if not reason:
-            self.course.follow(command, under_way, self.station, begins_ns)
+            self.clock.apply(command, under_way, self.station, begins_ns)
         return reason
 
     def start(self, in_s: float = 0.0, at_s: float = 0.0, path: str = "straight", order: Order = Order.START) -> str:
@@ -77,8 +77,8 @@ class Robot:
         """How far along its path it is to be after so long."""
         for _ in range(max(round(seconds * NS / STEP_NS), 1)):
             self.now_ns += STEP_NS if seconds else 0
-            assert self.course.goal(self.station, self.now_ns) is not None
-        return self.course.reached_s
+            assert self.clock.goal(self.station, self.now_ns) is not None
+        return self.clock.reached_s
 
 
 # --- LOAD: what is flown at all
@@ -121,7 +121,7 @@ class Robot:
 def test_a_trajectory_that_cannot_be_flown_is_refused(loaded: Trajectory | None, says: str) -> None:
     robot = Robot()
     assert says in robot.give(Command(Order.LOAD, ME, trajectory=loaded))
-    assert robot.course.trajectory is None
+    assert robot.clock.trajectory is None
 
 
 @pytest.mark.parametrize("scene", ["pool", "figure-eight", "straight", "islands", "numeric", "swap", "blocked-path"])
@@ -147,10 +147,10 @@ def test_a_switch_names_the_trajectory_that_is_loaded() -> None:
     switch = Command(Order.SWITCH, ME, trajectory_id="b")
     assert robot.give(switch, under_way=True) == "trajectory b is not loaded"
     assert robot.give(Command(Order.LOAD, ME, trajectory=straight(2.0, path="b")), under_way=True) == ""
-    assert robot.course.id == "straight"
+    assert robot.clock.id == "straight"
     assert robot.give(replace(switch, trajectory_id="c"), under_way=True) == "trajectory c is not loaded"
     assert robot.give(switch, under_way=True) == ""
-    assert robot.course.id == "b"
+    assert robot.clock.id == "b"
     assert robot.give(switch, under_way=True) == "trajectory b is not loaded"  # once
 
 
@@ -164,14 +164,14 @@ def test_a_trajectory_that_begins_in_the_past_is_not_gone_over_to() -> None:
     robot.reaches(1.5)
     switch = Command(Order.SWITCH, ME, trajectory_id="b")
     assert robot.give(switch, under_way=True) == "too late: it begins at 2.00 s, 2.50 s have gone by"
-    assert robot.course.id == "straight"
+    assert robot.clock.id == "straight"
 
 
 def test_a_robot_that_stops_flying_forgets_the_next_trajectory() -> None:
     robot = Robot(straight())
     assert robot.start() == ""
     assert robot.give(Command(Order.LOAD, ME, trajectory=straight(2.0, path="b")), under_way=True) == ""
-    robot.course.drop_next()
+    robot.clock.drop_next()
     assert "not loaded" in robot.give(Command(Order.SWITCH, ME, trajectory_id="b"), under_way=True)
 
 
@@ -224,12 +224,12 @@ def test_a_robot_whose_experiment_puts_it_far_from_its_path_starts_there() -> No
     trajectories = planner.plan(experiment)
     starts = planner.start_poses(experiment, trajectories)
     for robot, trajectory in trajectories.items():
-        course, view = Course(experiment, robot), StationView(STATION, NS, 0.0)
-        course.follow(Command(Order.LOAD, robot, trajectory=trajectory), False, view, NS)
+        clock, view = TrajectoryClock(experiment, robot), StationView(STATION, NS, 0.0)
+        clock.apply(Command(Order.LOAD, robot, trajectory=trajectory), False, view, NS)
         start = Command(Order.START, robot, trajectory_id=trajectory.id)
         away = np.array([5.0, 5.0, 5.0, 0.0])
-        assert course.objection(start, False, view, NS, NS, starts[robot]) == ""
-        assert "from where its path is" in course.objection(start, False, view, NS, NS, starts[robot] + away)
+        assert clock.objection(start, False, view, NS, NS, starts[robot]) == ""
+        assert "from where its path is" in clock.objection(start, False, view, NS, NS, starts[robot] + away)
 
 
 def test_a_start_taken_late_keeps_the_timetable() -> None:
@@ -285,14 +285,14 @@ def test_a_later_trajectory_is_not_begun_from_as_far_as_the_runs_own() -> None:
     start = planner.start_poses(experiment, {1: trajectory, 2: trajectory, 3: trajectory})[robot]
     far_m = float(np.linalg.norm(start[:3] - trajectory.eta[0, :3]))
     assert far_m > 1.1
-    course, view = Course(experiment, robot), StationView(STATION, NS, 0.0)
-    course.follow(Command(Order.LOAD, robot, trajectory=trajectory), False, view, NS)
+    clock, view = TrajectoryClock(experiment, robot), StationView(STATION, NS, 0.0)
+    clock.apply(Command(Order.LOAD, robot, trajectory=trajectory), False, view, NS)
     later = replace(trajectory, id="later", begin_s=30.0, eta=trajectory.eta + (start - trajectory.eta[0]) * [1, 1, 1, 0])
-    course.follow(Command(Order.LOAD, robot, trajectory=later), False, view, NS)
+    clock.apply(Command(Order.LOAD, robot, trajectory=later), False, view, NS)
     begin = Command(Order.START, robot, trajectory_id="later", trajectory_s=30.0)
-    assert course.objection(begin, False, view, NS, NS, start) == ""
+    assert clock.objection(begin, False, view, NS, NS, start) == ""
     beside = start + np.array([0.0, 1.1, 0.0, 0.0])
-    assert "allowed are 1.00 m (safety.join_within_m)" in course.objection(begin, False, view, NS, NS, beside)
+    assert "allowed are 1.00 m (safety.join_within_m)" in clock.objection(begin, False, view, NS, NS, beside)
 
 
 # --- heartbeats that cannot be true
@@ -324,7 +324,7 @@ def test_a_heartbeat_moves_no_reference_at_once(lag_s: float, slowing: float, lo
     steps = np.diff(along)
     assert steps.min() >= -1e-9 and steps.max() <= 0.05 * (1.0 + FASTER) + 1e-9
     assert low_s - 1e-9 <= along[-1] - before_s <= high_s + 1e-9
-    goal = robot.course.goal(robot.station, robot.now_ns)
+    goal = robot.clock.goal(robot.station, robot.now_ns)
     assert goal is not None and 0.0 <= goal.rate <= 1.0
 
 
@@ -343,7 +343,7 @@ def test_the_lag_of_another_station_does_not_count() -> None:
     robot = under_way()
     before_s = robot.reaches()
     robot.now_ns += NS
-    goal = robot.course.goal(StationView(STATION + 1, robot.now_ns, 0.0, 1e6, 1.0), robot.now_ns)
+    goal = robot.clock.goal(StationView(STATION + 1, robot.now_ns, 0.0, 1e6, 1.0), robot.now_ns)
     assert goal is not None
     assert goal.time_s == pytest.approx(before_s + 1.0)
     assert goal.rate == 1.0

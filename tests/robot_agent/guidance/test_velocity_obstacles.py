@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.guidance.formation import Formation, Neighbour
-from robot_agent.guidance.reference import Path
-from robot_agent.guidance.velocity_obstacles import NOBODY, ROOM_M, SURE_S, Passing, Traffic, robots
+from robot_agent.guidance.reference import Reference
+from robot_agent.guidance.velocity_obstacles import NOBODY, ROOM_M, SURE_S, GiveWay, Traffic, robot_traffic
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Plan
 
@@ -29,23 +29,23 @@ class Point:
 
     def __init__(self, start: complex, end: complex, speed_mps: float, room_m: tuple[float, float] | None = None) -> None:
         self.place, self.start, self.end, self.speed_mps = start, start, end, speed_mps
-        self.passing = Passing(VEHICLE, TIMES_S, PERIOD_S, room_m)
+        self.give_way = GiveWay(VEHICLE, TIMES_S, PERIOD_S, room_m)
         self.told = NOBODY
         self.velocity = 0j
 
-    def path(self, time_s: float) -> Path:
+    def path(self, time_s: float) -> Reference:
         along, length = (self.end - self.start) / abs(self.end - self.start), abs(self.end - self.start)
         way = self.speed_mps * (time_s + TIMES_S)
         place = self.start + along * np.minimum(way, length)
         velocity = self.speed_mps * along * (way < length)
         zero = np.zeros_like(way)
         eta = np.stack([place.real, place.imag, zero, zero + math.atan2(along.imag, along.real)], axis=1)
-        return Path(eta, np.stack([velocity.real, velocity.imag, zero, zero], axis=1), np.zeros_like(eta))
+        return Reference(eta, np.stack([velocity.real, velocity.imag, zero, zero], axis=1), np.zeros_like(eta))
 
     def step(self, time_s: float, traffic: Traffic) -> bool:
         """One period. Returns whether it leaves its path."""
         path = self.path(time_s)
-        led = self.passing.lead(path, self.place, traffic)
+        led = self.give_way.avoidance_path(path, self.place, traffic)
         self.velocity = complex(led.velocity[1, 0], led.velocity[1, 1]) + 0.5 * (
             complex(led.eta[1, 0], led.eta[1, 1]) - self.place
         )
@@ -77,12 +77,12 @@ def test_whoever_is_in_the_way_is_seen_whatever_the_horizon(seconds: float) -> N
     times_s = TIMES_S[: np.searchsorted(TIMES_S, seconds)]
     for ahead_m, leaves in ((1.0, True), (-1.0, False)):
         point = Point(0j, 5.0 + 0j, 0.1)
-        point.passing = Passing(VEHICLE, times_s, PERIOD_S)
+        point.give_way = GiveWay(VEHICLE, times_s, PERIOD_S)
         left = []
         for k in range(6):
             whole = point.path(k * PERIOD_S)
-            path = Path(whole.eta[: len(times_s)], whole.velocity[: len(times_s)], whole.acceleration[: len(times_s)])
-            left.append(point.passing.lead(path, 0j, one(ahead_m + 0j, -0.1 + 0j, KEEP_M, True)) is not path)
+            path = Reference(whole.eta[: len(times_s)], whole.velocity[: len(times_s)], whole.acceleration[: len(times_s)])
+            left.append(point.give_way.avoidance_path(path, 0j, one(ahead_m + 0j, -0.1 + 0j, KEEP_M, True)) is not path)
         assert left == [leaves and k >= round(SURE_S / PERIOD_S) - 1 for k in range(6)]
 
 
@@ -178,8 +178,8 @@ def plan(urgent: bool = False, depth_m: float = 0.3) -> Plan:
 def met(neighbour: Neighbour, now_ns: int = 0, urgent: bool = False) -> Traffic:
     """Seen by a robot at 0.3 m."""
     formation = Formation(EXPERIMENT.controller.mpc, EXPERIMENT.safety, 0.05, 0.05)
-    company = formation.company([neighbour], now_ns)
-    return robots(company, formation.keeps_m(company, now_ns), 0.3, urgent)
+    predictions = formation.predict_neighbours([neighbour], now_ns)
+    return robot_traffic(predictions, formation.clearances_m(predictions, now_ns), 0.3, urgent)
 
 
 def test_a_robot_is_where_its_plan_says_it_is_now_and_goes_where_it_means_to() -> None:

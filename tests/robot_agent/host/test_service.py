@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from robot_agent.commands import UNIT_NAME, unit_text
 from robot_agent.host import realtime
-from robot_agent.host.config import Realtime
-from robot_agent.host.sd_notify import TIMES_A_WATCH, Watchdog
-from robot_agent.host.unit import NAME, unit
+from robot_agent.host.config import RealtimeConfig
+from robot_agent.host.sd_notify import TIMES_A_WATCH, ServiceNotifier
 from sim_bridge.sil.ports import free_port
 from wire.toml_loader import ConfigError
 from wire.transport.endpoint import Endpoint
@@ -29,8 +29,8 @@ def test_systemd_accepts_the_unit_and_finds_it_shut_in(tmp_path: Path) -> None:
     program = tmp_path / "venv" / "bin" / "robot-agent"
     program.parent.mkdir(parents=True)
     program.symlink_to(sys.executable)
-    file = tmp_path / NAME
-    file.write_text(unit(str(tmp_path), "root"), encoding="utf-8")
+    file = tmp_path / UNIT_NAME
+    file.write_text(unit_text(str(tmp_path), "root"), encoding="utf-8")
     assert SYSTEMD is not None
     verified = subprocess.run([SYSTEMD, "verify", str(file)], capture_output=True, text=True, check=False)
     assert (verified.returncode, verified.stderr) == (0, "")
@@ -41,7 +41,7 @@ def test_systemd_accepts_the_unit_and_finds_it_shut_in(tmp_path: Path) -> None:
 
 
 def test_the_unit_says_what_was_decided() -> None:
-    lines = unit("/opt/shoal/", "pi").splitlines()
+    lines = unit_text("/opt/shoal/", "pi").splitlines()
     for line in (
         "Type=notify",
         "WatchdogSec=2",
@@ -60,7 +60,7 @@ def test_the_unit_says_what_was_decided() -> None:
 )
 def test_what_systemd_would_misread_is_refused(home: str, user: str) -> None:
     with pytest.raises(ConfigError):
-        unit(home, user)
+        unit_text(home, user)
 
 
 def ear(path: Path) -> socket.socket:
@@ -74,7 +74,7 @@ def ear(path: Path) -> socket.socket:
 @pytest.mark.parametrize("name", ["notify", "robot@pool"])
 def test_the_watchdog_is_fed_as_often_as_asked_and_never_by_itself(tmp_path: Path, name: str) -> None:
     with ear(tmp_path / name) as heard:
-        watchdog = Watchdog({"NOTIFY_SOCKET": str(tmp_path / name), "WATCHDOG_USEC": "2000000"})
+        watchdog = ServiceNotifier({"NOTIFY_SOCKET": str(tmp_path / name), "WATCHDOG_USEC": "2000000"})
         watchdog.ready("flying")
         watchdog.mode("FAULT", "no pose")
         for now_ns in range(0, 2_000_000_000, 50_000_000):  # a watchdog period of control steps
@@ -104,7 +104,7 @@ def _next(heard: socket.socket) -> str | None:
     ],
 )
 def test_without_a_service_manager_nothing_happens(environment: dict[str, str]) -> None:
-    watchdog = Watchdog(environment)
+    watchdog = ServiceNotifier(environment)
     watchdog.ready("flying")
     watchdog.alive(1)
     watchdog.stopping()
@@ -112,14 +112,14 @@ def test_without_a_service_manager_nothing_happens(environment: dict[str, str]) 
 
 
 def test_what_the_robot_does_stands_in_a_file_until_the_agent_ends(tmp_path: Path) -> None:
-    watchdog = Watchdog({"RUNTIME_DIRECTORY": str(tmp_path)})
+    watchdog = ServiceNotifier({"RUNTIME_DIRECTORY": str(tmp_path)})
     watchdog.mode("DISARMED")
     watchdog.mode("TRACKING")
     assert (tmp_path / "status").read_text() == f"TRACKING {os.getpid()}\n"
     assert [file.name for file in tmp_path.iterdir()] == ["status"]
     watchdog.stopping()
     assert not list(tmp_path.iterdir())
-    lost = Watchdog({"RUNTIME_DIRECTORY": str(tmp_path / "gone")})
+    lost = ServiceNotifier({"RUNTIME_DIRECTORY": str(tmp_path / "gone")})
     lost.mode("TRACKING")
     lost.stopping()
 
@@ -154,11 +154,10 @@ def test_a_real_agent_tells_systemd_when_it_is_ready_and_that_its_loop_goes_roun
                 router.close()
 
 
-def in_a_child(wanted: Realtime) -> str:
+def in_a_child(wanted: RealtimeConfig) -> str:
     """What `apply` could not do, in a process of its own: the rest must not run with a real-time priority."""
-    script = (
-        f"from robot_agent import realtime; from robot_agent.host.config import Realtime; print(realtime.apply({wanted!r}))"
-    )
+    imports = "from robot_agent.host import realtime; from robot_agent.host.config import RealtimeConfig"
+    script = f"{imports}; print(realtime.apply({wanted!r}))"
     limit = (resource.RLIMIT_RTPRIO, (0, 0))
     done = subprocess.run(
         [sys.executable, "-c", f"import resource; resource.setrlimit(*{limit}); {script}"],
@@ -171,9 +170,9 @@ def in_a_child(wanted: Realtime) -> str:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="real-time options are Linux's")
 def test_what_the_system_refuses_is_said_and_not_fatal() -> None:
-    assert realtime.apply(Realtime()) == []
-    assert "cores [4000]" in in_a_child(Realtime(cores=(4000,)))
-    assert in_a_child(Realtime(cores=tuple(os.sched_getaffinity(0)))) == "[]"
+    assert realtime.apply(RealtimeConfig()) == []
+    assert "cores [4000]" in in_a_child(RealtimeConfig(cores=(4000,)))
+    assert in_a_child(RealtimeConfig(cores=tuple(os.sched_getaffinity(0)))) == "[]"
     assert "SCHED_FIFO priority" in realtime.permitted()
 
 
@@ -181,9 +180,9 @@ def test_what_the_system_refuses_is_said_and_not_fatal() -> None:
 def test_what_the_system_allows_is_done_for_this_thread_only() -> None:
     script = """
 import os, threading
-from robot_agent import realtime
-from robot_agent.host.config import Realtime
-refused = realtime.apply(Realtime(priority=5, lock_memory=True))
+from robot_agent.host import realtime
+from robot_agent.host.config import RealtimeConfig
+refused = realtime.apply(RealtimeConfig(priority=5, lock_memory=True))
 here = (os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, os.sched_getparam(0).sched_priority)
 there = []
 thread = threading.Thread(target=lambda: there.append(os.sched_getscheduler(0)))
@@ -201,15 +200,15 @@ print(refused, here == (os.SCHED_FIFO, 5), there == [os.SCHED_OTHER])
 def test_every_thread_is_pinned_those_from_before_and_those_to_come() -> None:
     script = """
 import os, threading
-from robot_agent import realtime
-from robot_agent.host.config import Realtime
+from robot_agent.host import realtime
+from robot_agent.host.config import RealtimeConfig
 core, found, go = min(os.sched_getaffinity(0)), [], threading.Event()
 def look():
     go.wait()
     found.append(os.sched_getaffinity(0))
 before = threading.Thread(target=look)
 before.start()
-print(realtime.apply(Realtime(cores=(core,))))
+print(realtime.apply(RealtimeConfig(cores=(core,))))
 go.set(); before.join()
 after = threading.Thread(target=look)
 after.start(); after.join()
@@ -222,7 +221,7 @@ print(found == [{core}, {core}])
 def test_the_collector_leaves_alone_what_there_was_when_the_program_began() -> None:
     script = """
 import gc
-from robot_agent import realtime
+from robot_agent.host import realtime
 from robot_agent.agent import Agent
 from wire.config.experiment import load_experiment
 agent = Agent(load_experiment("pool"), 1)
@@ -237,10 +236,10 @@ print(before > 50_000 and len(gc.get_objects()) < before // 20)
 def test_locked_memory_is_what_is_used_and_no_more() -> None:
     script = """
 import mmap, pathlib
-from robot_agent import realtime
-from robot_agent.host.config import Realtime
+from robot_agent.host import realtime
+from robot_agent.host.config import RealtimeConfig
 before = mmap.mmap(-1, 1 << 29)
-refused = realtime.apply(Realtime(lock_memory=True))
+refused = realtime.apply(RealtimeConfig(lock_memory=True))
 after = mmap.mmap(-1, 1 << 29)
 said = dict(line.split(":", 1) for line in pathlib.Path("/proc/self/status").read_text().splitlines() if ":" in line)
 print(refused, int(said["VmLck"].split()[0]) > 2**20, int(said["VmRSS"].split()[0]) < 2**19)

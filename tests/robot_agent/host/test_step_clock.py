@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 import pytest
 
-from robot_agent.host.step_clock import Pace
+from robot_agent.host.step_clock import StepClock
 from robot_agent.safety.modes import LATE_S
 
 PERIOD_S = 0.05
@@ -15,7 +15,7 @@ LONG_S = 60.0
 
 def steps(arrivals_s: Iterable[float], until_s: float = LONG_S) -> Iterator[tuple[float, float]]:
     """When a loop steps that does nothing but wait for poses which come at these instants: now, and the age of its pose."""
-    pace, coming, newest_s, taken_s = Pace(PERIOD_S, 0.0), iter(arrivals_s), None, None
+    pace, coming, newest_s, taken_s = StepClock(PERIOD_S, 0.0), iter(arrivals_s), None, None
     next_s = next(coming, float("inf"))
     while True:
         due_s = pace.due_s(newest_s if newest_s != taken_s else None)
@@ -62,9 +62,9 @@ def test_without_any_pose_the_loop_goes_on_at_its_period() -> None:
     assert np.diff(instants_s) == pytest.approx(PERIOD_S)
 
 
-def loop(takes_s: Iterable[float]) -> Pace:
+def loop(takes_s: Iterable[float]) -> StepClock:
     """A loop whose steps take so long; there is a new pose whenever it looks."""
-    pace, now_s = Pace(PERIOD_S, 0.0), 0.0
+    pace, now_s = StepClock(PERIOD_S, 0.0), 0.0
     for took_s in takes_s:
         due_s = pace.due_s(0.0)
         now_s = max(now_s, due_s)
@@ -95,7 +95,7 @@ def test_a_hiccup_now_and_then_is_not_too_slow(hiccup_s: float) -> None:
 
 def test_a_loop_that_was_slow_for_a_minute_is_quick_again_within_a_second() -> None:
     """Before the robot flies nothing stops a slow loop; once it flies, only how it runs now may."""
-    pace = Pace(PERIOD_S, 0.0)
+    pace = StepClock(PERIOD_S, 0.0)
     for _ in range(1200):
         pace.put_out(0.1)
     assert pace.late_steps * PERIOD_S >= LATE_S
@@ -105,7 +105,7 @@ def test_a_loop_that_was_slow_for_a_minute_is_quick_again_within_a_second() -> N
 
 
 def test_places_that_were_missed_are_left_out_and_the_grid_stays_where_it_was() -> None:
-    pace = Pace(PERIOD_S, 0.0)
+    pace = StepClock(PERIOD_S, 0.0)
     pace.stepped(0.0, None)
     pace.stepped(0.323, None)  # a step that was due at 0.05
     assert pace.due_s(0.0) == pytest.approx(0.35)

@@ -17,12 +17,12 @@ from typer.testing import CliRunner, Result
 
 from groundstation.deploy import key_ring
 from robot_agent.__main__ import cli
-from robot_agent.host.config import Board, Realtime, choose, load_board
+from robot_agent.host.config import AgentConfig, RealtimeConfig, load_agent_config, merge_config
 from robot_agent.preflight import board as check_shell
 from robot_agent.preflight import findings, network
-from robot_agent.preflight.findings import Finding, Verdict
+from robot_agent.preflight.findings import CheckFinding, CheckVerdict
 from robot_agent.preflight.rehearsal import rehearse
-from robot_agent.preflight.thruster_selftest import judge
+from robot_agent.preflight.thrusters import judge
 from sim_bridge.sil.ports import free_base_port, free_port
 from tests.robot_agent import obedient_board
 from wire.config.experiment import Experiment, load_experiment
@@ -52,10 +52,10 @@ def test_init_writes_what_run_reads(tmp_path: Path) -> None:
     file = tmp_path / "agent.toml"
     wanted = ["--robot", "2", "--station", "tls/192.168.1.10:7447", "--keys", "keys", "--out", str(file)]
     assert invoke("init", *wanted).exit_code == 0
-    board = load_board(file)
+    board = load_agent_config(file)
     assert (board.robot, board.experiment, board.station) == (2, "pool", "tls/192.168.1.10:7447")
     assert board.keys == str(tmp_path / "keys")
-    assert board.realtime == Realtime(priority=20, cores=(), lock_memory=True)
+    assert board.realtime == RealtimeConfig(priority=20, cores=(), lock_memory=True)
     assert sum(line.lstrip().startswith("#") or "#" in line for line in file.read_text().splitlines()) > 8
     again = invoke("init", *wanted)
     assert isinstance(again.exception, ConfigError)
@@ -66,7 +66,7 @@ def test_init_writes_any_path_so_that_toml_reads_it(tmp_path: Path) -> None:
     file, odd = tmp_path / "agent.toml", 'a "b" \\c.key'
     options = ["--robot", "1", "--station", "tcp/127.0.0.1:7447", "--link-key", odd, "--experiment", "later.toml"]
     assert invoke("init", *options, "--out", str(file)).exit_code == 0
-    board = load_board(file)
+    board = load_agent_config(file)
     assert (board.link_key, board.experiment) == (str(tmp_path / odd), str(tmp_path / "later.toml"))
 
 
@@ -106,7 +106,7 @@ def test_a_bad_file_says_which_key(tmp_path: Path, text: str, says: str) -> None
     file = tmp_path / "agent.toml"
     file.write_text(f'experiment = "pool"\nstation = "tcp/127.0.0.1:7447"\n{text}\n')
     with pytest.raises(ConfigError) as refused:
-        load_board(file)
+        load_agent_config(file)
     assert says in str(refused.value)
     assert str(file) in str(refused.value)
 
@@ -114,11 +114,13 @@ def test_a_bad_file_says_which_key(tmp_path: Path, text: str, says: str) -> None
 def test_options_go_before_the_file_and_the_file_before_defaults(tmp_path: Path) -> None:
     file = tmp_path / "agent.toml"
     file.write_text('experiment = "pool"\nstation = "tcp/127.0.0.1:1"\nrobot = 2\nlink = "udp:10.0.0.2:5"\n')
-    board = choose({"station": "tcp/127.0.0.1:2", "robot": None}, file)
+    board = merge_config({"station": "tcp/127.0.0.1:2", "robot": None}, file)
     assert (board.robot, board.station, board.link) == (2, "tcp/127.0.0.1:2", "udp:10.0.0.2:5")
-    assert choose({"experiment": "pool", "robot": 1}, None) == Board(experiment="pool", robot=1, station="tcp/127.0.0.1:7447")
+    assert merge_config({"experiment": "pool", "robot": 1}, None) == AgentConfig(
+        experiment="pool", robot=1, station="tcp/127.0.0.1:7447"
+    )
     with pytest.raises(ConfigError, match="which robot"):
-        choose({"experiment": "pool"}, None)
+        merge_config({"experiment": "pool"}, None)
 
 
 # --- judgement
@@ -126,26 +128,26 @@ def test_options_go_before_the_file_and_the_file_before_defaults(tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("starts", "expires", "verdict"),
-    [(-1, 397, Verdict.OK), (-1, 10, Verdict.WARN), (-9, -1, Verdict.FAIL), (1, 397, Verdict.FAIL)],
+    [(-1, 397, CheckVerdict.OK), (-1, 10, CheckVerdict.WARN), (-9, -1, CheckVerdict.FAIL), (1, 397, CheckVerdict.FAIL)],
 )
-def test_a_certificate_must_be_valid(starts: int, expires: int, verdict: Verdict) -> None:
+def test_a_certificate_must_be_valid(starts: int, expires: int, verdict: CheckVerdict) -> None:
     days = timedelta(days=1)
     assert findings.certificate("agent-1.0a", NOW + starts * days, NOW + expires * days, NOW).verdict is verdict
 
 
 def test_clocks_and_times_are_judged_by_their_limits() -> None:
-    assert [findings.clock(s).verdict for s in (0.9, -0.9, 1.1, -3600)] == [Verdict.OK] * 2 + [Verdict.WARN] * 2
+    assert [findings.clock(s).verdict for s in (0.9, -0.9, 1.1, -3600)] == [CheckVerdict.OK] * 2 + [CheckVerdict.WARN] * 2
     verdicts = [findings.timing(p50, p99, 0.05, 1).verdict for p50, p99 in ((1, 24), (1, 26), (26, 30))]
-    assert verdicts == [Verdict.OK, Verdict.WARN, Verdict.FAIL]
-    assert findings.exit_code([Finding("a", Verdict.WARN, ""), Finding("b", Verdict.SKIPPED, "")]) == 0
-    assert findings.exit_code([Finding("a", Verdict.OK, ""), Finding("b", Verdict.FAIL, "")]) == 1
+    assert verdicts == [CheckVerdict.OK, CheckVerdict.WARN, CheckVerdict.FAIL]
+    assert findings.exit_code([CheckFinding("a", CheckVerdict.WARN, ""), CheckFinding("b", CheckVerdict.SKIPPED, "")]) == 0
+    assert findings.exit_code([CheckFinding("a", CheckVerdict.OK, ""), CheckFinding("b", CheckVerdict.FAIL, "")]) == 1
 
 
 def test_an_echo_tells_which_thruster_turned() -> None:
     rest, wanted = (1500, 1500, 1500, 1500), (1500, 1540, 1500, 1500)
-    assert judge(1, wanted, [rest, (1500, 1520, 1500, 1500), (1500, 1540, 1500, 1500)]).verdict is Verdict.OK
-    assert judge(1, wanted, [rest]).verdict is Verdict.FAIL
-    assert judge(1, wanted, [()]).verdict is Verdict.FAIL
+    assert judge(1, wanted, [rest, (1500, 1520, 1500, 1500), (1500, 1540, 1500, 1500)]).verdict is CheckVerdict.OK
+    assert judge(1, wanted, [rest]).verdict is CheckVerdict.FAIL
+    assert judge(1, wanted, [()]).verdict is CheckVerdict.FAIL
     assert "thruster 3 turned as well" in judge(1, wanted, [(1500, 1540, 1540, 1500)]).detail
 
 
@@ -173,7 +175,7 @@ def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> 
 def test_a_rehearsal_that_does_not_fly_tells_no_time() -> None:
     """The steps of a robot that lies disarmed are in time on any CPU."""
     finding = check_shell._timing(load_experiment("pool", ["pool.size_m=[1.5, 0.9, 1.0]"]), 1)
-    assert (finding.what, finding.verdict) == ("control step", Verdict.WARN)
+    assert (finding.what, finding.verdict) == ("control step", CheckVerdict.WARN)
     assert "not timed" in finding.detail and "LOAD is refused: trajectory.eta leaves the pool" in finding.detail
     assert "p50" not in finding.detail
 
@@ -204,19 +206,19 @@ def test_thrusters_are_turned_only_on_a_board_that_says_it_is_disarmed(
     armed: bool, late: int, says: str, turns: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Somebody else may fly the robot: an agent of another fleet's name, or one whose station is off."""
-    monkeypatch.setattr(check_shell, "open_board", lambda board: (Told(armed, late), None))
+    monkeypatch.setattr(check_shell, "open_board_link", lambda board: (Told(armed, late), None))
     monkeypatch.setattr(check_shell, "BOARD_WITHIN_S", 0.05)
     monkeypatch.setattr(check_shell, "REHEARSED", check_shell.WARM_UP + 1)
     turned: list[str] = []
 
-    def turn(experiment: Experiment) -> Iterator[Finding]:
+    def turn(experiment: Experiment) -> Iterator[CheckFinding]:
         turned.append(experiment.name)
-        yield Finding("thruster 1", Verdict.OK, "turned")
+        yield CheckFinding("thruster 1", CheckVerdict.OK, "turned")
 
-    board = Board(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
-    found = {finding.what: finding for finding in check_shell.look_over(board, turn)}
+    board = AgentConfig(robot=1, experiment="pool", station=f"tcp/127.0.0.1:{free_port()}", link="udp:127.0.0.1:9")
+    found = {finding.what: finding for finding in check_shell.run_preflight(board, turn)}
     assert says in found["thruster board"].detail
-    assert found["thruster board"].verdict is (Verdict.OK if turns else Verdict.WARN)
+    assert found["thruster board"].verdict is (CheckVerdict.OK if turns else CheckVerdict.WARN)
     assert turned == (["pool"] if turns else [])
     assert ("thrusters" in found) is not turns
 
@@ -243,7 +245,7 @@ def test_an_agent_whose_presence_is_told_late_is_found(monkeypatch: pytest.Monke
     monkeypatch.setattr(network, "PRESENT_WITHIN_S", 20.0)
     beating = threading.Thread(target=beat)
     beating.start()
-    look = network.look_at_network(Board(robot=1, experiment="pool", station="tcp/127.0.0.1:9"))
+    look = network.check_network(AgentConfig(robot=1, experiment="pool", station="tcp/127.0.0.1:9"))
     try:
         while True:
             next(look)
@@ -307,7 +309,7 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
     assert [found[f"thruster {i}"][0] for i in (1, 2, 3, 4)] == ["ok"] * 4
     assert checked(site)[1]["thrusters"][0] == "skipped"
     assert "disarmed" in checked(site)[1]["thruster board"][1]  # as it was left
-    board = load_board(site / "agent.toml")
+    board = load_agent_config(site / "agent.toml")
     agent = Bus(ZenohTransport(endpoint(board.station, "agent-1", site / "keys"), patience_s=5.0))
     try:
         agent.announce("agent-1")  # it flies: hands off its thrusters

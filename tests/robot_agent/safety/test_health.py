@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from robot_agent.command_check import StationView
-from robot_agent.control.controller import Controller, ControlOutput, Measurement
-from robot_agent.inputs import Inputs, Seen
-from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, Vitals
+from robot_agent.control.controller import Controller, ControlOutput
+from robot_agent.inputs import Inputs, StampedPose, StationView
+from robot_agent.safety.health import ARM_AGAIN_S, DISARM_S, HealthMonitor
+from robot_agent.vehicle.eso import StateMeasurement
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import Telemetry
 from wire.messages.messages import Mode, Pose, Track
@@ -18,15 +18,15 @@ NOW_NS, MS = 10_000_000_000, 1_000_000
 POSE = Pose(0.0, 0.0, 0.0, 1e-6 * np.eye(3), Track.MARKER, True, 0.9, 0.3)
 BOARD = Telemetry(board_ms=10_000, arrival_ns=NOW_NS - 20 * MS, battery_v=12.4, battery_reports=1, echo_us=(1500,) * 8)
 STATION = StationView(7, NOW_NS, 0.03)
-WELL = Inputs(Seen(POSE, NOW_NS - 40 * MS), BOARD, STATION)
-OUTPUT = Controller(POOL.vehicle, POOL.controller, POOL.safety).step(Measurement(), None, (), NOW_NS)
+WELL = Inputs(StampedPose(POSE, NOW_NS - 40 * MS), BOARD, STATION)
+OUTPUT = Controller(POOL.vehicle, POOL.controller, POOL.safety).step(StateMeasurement(), None, (), NOW_NS)
 
 
 def unfit(inputs: Inputs, station: StationView = STATION) -> str:
-    vitals = Vitals(POOL)
-    vitals.note(inputs, Mode.DISARMED, NOW_NS)
-    vitals.flew(replace(OUTPUT, depth_age_s=0.02), Mode.DISARMED, NOW_NS)
-    return vitals.unfit(inputs, station, NOW_NS)
+    monitor = HealthMonitor(POOL)
+    monitor.note_inputs(inputs, Mode.DISARMED, NOW_NS)
+    monitor.note_output(replace(OUTPUT, depth_age_s=0.02), Mode.DISARMED, NOW_NS)
+    return monitor.arming_refusal(inputs, station, NOW_NS)
 
 
 def test_a_robot_that_is_well_arms() -> None:
@@ -44,9 +44,9 @@ def test_a_robot_that_is_well_arms() -> None:
          "the thruster board was last heard 0.20 s ago"),
         (replace(WELL, telemetry=replace(BOARD, armed=True)), STATION, "the thruster board is still armed"),
         (replace(WELL, pose=None), STATION, "the last pose is inf s old"),
-        (replace(WELL, pose=Seen(POSE, NOW_NS - 200 * MS)), STATION, "the last pose is 0.20 s old"),
-        (replace(WELL, pose=Seen(replace(POSE, track=Track.COAST), NOW_NS)), STATION, "the last pose is inf s old"),
-        (replace(WELL, pose=Seen(replace(POSE, identity_verified=False), NOW_NS)), STATION,
+        (replace(WELL, pose=StampedPose(POSE, NOW_NS - 200 * MS)), STATION, "the last pose is 0.20 s old"),
+        (replace(WELL, pose=StampedPose(replace(POSE, track=Track.COAST), NOW_NS)), STATION, "the last pose is inf s old"),
+        (replace(WELL, pose=StampedPose(replace(POSE, identity_verified=False), NOW_NS)), STATION,
          "its identity is not verified: no marker was read"),
         (replace(WELL, telemetry=replace(BOARD, battery_v=0.0, battery_reports=0)), STATION,
          "the battery's voltage has not been told by the thruster board yet"),
@@ -61,15 +61,15 @@ def test_what_keeps_a_robot_from_arming_is_said(inputs: Inputs, station: Station
 
 
 def test_to_ask_how_a_robot_is_changes_nothing() -> None:
-    vitals = Vitals(POOL)
+    monitor = HealthMonitor(POOL)
     wrong = replace(WELL, telemetry=replace(BOARD, armed=True, echo_us=(1700,) * 8))
-    vitals.told((1500,) * 8, NOW_NS - 1000 * MS)
+    monitor.note_pulses((1500,) * 8, NOW_NS - 1000 * MS)
     for k in range(3):
-        vitals.note(wrong, Mode.TRACKING, NOW_NS + 50 * k * MS)
+        monitor.note_inputs(wrong, Mode.TRACKING, NOW_NS + 50 * k * MS)
     later_ns = NOW_NS + 140 * MS
-    asked = [vitals.health(wrong, False, later_ns) for _ in range(20)]
+    asked = [monitor.health(wrong, False, later_ns) for _ in range(20)]
     assert asked == asked[:1] * 20 and asked[0].echo_wrong_s > 0.0
-    assert vitals.unfit(wrong, STATION, later_ns) == vitals.unfit(wrong, STATION, later_ns)
+    assert monitor.arming_refusal(wrong, STATION, later_ns) == monitor.arming_refusal(wrong, STATION, later_ns)
 
 
 def off_the_path(aside_m: float) -> ControlOutput:
@@ -77,30 +77,30 @@ def off_the_path(aside_m: float) -> ControlOutput:
 
 
 def test_a_robot_that_was_off_its_path_is_not_so_for_ever() -> None:
-    vitals, now_ns = Vitals(POOL), NOW_NS
+    monitor, now_ns = HealthMonitor(POOL), NOW_NS
 
     def fly(mode: Mode, seconds: float, aside_m: float) -> bool:
         nonlocal now_ns
         for _ in range(round(seconds / 0.05)):
             now_ns += 50 * MS
-            vitals.note(WELL, mode, now_ns)
-            vitals.flew(off_the_path(aside_m), mode, now_ns)
-        return vitals.health(WELL, False, now_ns).off_path
+            monitor.note_inputs(WELL, mode, now_ns)
+            monitor.note_output(off_the_path(aside_m), mode, now_ns)
+        return monitor.health(WELL, False, now_ns).off_path
 
     assert not fly(Mode.TRACKING, 1.0, 0.0)
     assert fly(Mode.TRACKING, 2.0, 1.0)
-    vitals.note(WELL, Mode.FAULT, now_ns)
-    assert not vitals.health(WELL, False, now_ns).off_path
+    monitor.note_inputs(WELL, Mode.FAULT, now_ns)
+    assert not monitor.health(WELL, False, now_ns).off_path
     assert not fly(Mode.TRACKING, 1.0, 0.0)
 
 
 def test_an_estimate_that_ends_under_power_is_remembered_until_the_power_is_gone() -> None:
-    vitals = Vitals(POOL)
+    monitor = HealthMonitor(POOL)
 
     def fly(mode: Mode, estimated: bool) -> bool:
-        vitals.note(WELL, mode, NOW_NS)
-        vitals.flew(replace(OUTPUT, estimated=estimated), mode, NOW_NS)
-        return vitals.health(WELL, False, NOW_NS).estimate_ended
+        monitor.note_inputs(WELL, mode, NOW_NS)
+        monitor.note_output(replace(OUTPUT, estimated=estimated), mode, NOW_NS)
+        return monitor.health(WELL, False, NOW_NS).estimate_ended
 
     assert not fly(Mode.HOLDING, False)  # there was none yet
     assert not fly(Mode.HOLDING, True)
@@ -111,9 +111,9 @@ def test_an_estimate_that_ends_under_power_is_remembered_until_the_power_is_gone
 
 
 def asked(modes: list[Mode], armed: list[bool], period_s: float = 0.05) -> list[bool | None]:
-    vitals = Vitals(POOL)
+    monitor = HealthMonitor(POOL)
     found = zip(modes, armed, strict=True)
-    return [vitals.arming(is_armed, mode, round(k * period_s * 1e9)) for k, (mode, is_armed) in enumerate(found)]
+    return [monitor.arming_command(is_armed, mode, round(k * period_s * 1e9)) for k, (mode, is_armed) in enumerate(found)]
 
 
 def test_every_step_disarms_for_half_a_second_when_the_power_is_taken_away() -> None:

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import robot_agent.safety.likelihood_ratio
-from robot_agent.safety.likelihood_ratio import FADES_S, SPANS_S, SUSPECTED, Habit
+from robot_agent.safety.likelihood_ratio import FADES_S, SPANS_S, SUSPECTED, LikelihoodRatioTest
 from wire.frames import Array
 
 NS = 1_000_000_000
@@ -31,14 +31,14 @@ def samples(theta: Array, seconds: float, seed: int) -> tuple[Array, Array]:
     return x, x @ theta + NOISE * random.standard_normal(len(t))
 
 
-def teach(habit: Habit, x: Array, y: Array, begin: int = 0, rough: float = 0.0) -> Habit:
+def teach(test: LikelihoodRatioTest, x: Array, y: Array, begin: int = 0, rough: float = 0.0) -> LikelihoodRatioTest:
     for k in range(len(x)):
-        habit.note(x[k], float(y[k]), rough, STEP_S, round((begin + k) * STEP_S * NS))
-    return habit
+        test.note_sample(x[k], float(y[k]), rough, STEP_S, round((begin + k) * STEP_S * NS))
+    return test
 
 
-def fresh() -> Habit:
-    return Habit(PRIOR, NOISE, NOISE / 10.0, STEP_S, 2, SHARES)
+def fresh() -> LikelihoodRatioTest:
+    return LikelihoodRatioTest(PRIOR, NOISE, NOISE / 10.0, STEP_S, 2, SHARES)
 
 
 def likelier(x: Array, y: Array, noise: float, mean: Array, covariance: Array) -> float:
@@ -79,8 +79,8 @@ def test_it_learns_what_a_batch_fit_of_all_samples_finds(missing: float, monkeyp
 def test_what_is_always_missing_is_a_habit() -> None:
     """A quarter of both parts and a little more of one, from the beginning: never evidence worth the name."""
     x, y = samples(np.array([-0.4, -0.25, 0.0, 0.0]), 40.0, 2)
-    habit = fresh()
-    assert max(teach(habit, x[k : k + 1], y[k : k + 1], k).evidence for k in range(len(x))) < SUSPECTED
+    test = fresh()
+    assert max(teach(test, x[k : k + 1], y[k : k + 1], k).evidence for k in range(len(x))) < SUSPECTED
 
 
 def test_what_is_suspected_does_not_become_a_habit() -> None:
@@ -88,9 +88,9 @@ def test_what_is_suspected_does_not_become_a_habit() -> None:
     x, y = samples(np.zeros(4), 60.0, 4)
     begin = round(20.0 / STEP_S)
     y[begin:] -= x[begin:, 0]
-    habit = teach(fresh(), x[:begin], y[:begin])
-    assert habit.evidence < SUSPECTED
-    late = [teach(habit, x[k : k + 1], y[k : k + 1], k).evidence for k in range(begin, len(x))][-round(20.0 / STEP_S) :]
+    test = teach(fresh(), x[:begin], y[:begin])
+    assert test.evidence < SUSPECTED
+    late = [teach(test, x[k : k + 1], y[k : k + 1], k).evidence for k in range(begin, len(x))][-round(20.0 / STEP_S) :]
     assert np.median(late) > 20.0
 
 
@@ -98,9 +98,9 @@ def test_what_is_not_seen_any_more_is_doubted_again() -> None:
     x, y = samples(np.zeros(4), 30.0, 5)
     broken = y[-20:] - 0.8 * x[-20:, 0]
     known = teach(teach(fresh(), x[:-20], y[:-20]), x[-20:], broken, len(x) - 20).evidence
-    habit, idle = teach(fresh(), x[:-20], y[:-20]), round(FADES_S / STEP_S)
-    teach(habit, np.tile([0.0, 0.0, 0.0, 1.0], (idle, 1)), np.zeros(idle), len(x))
-    doubted = teach(habit, x[-20:], broken, len(x) + idle).evidence
+    test, idle = teach(fresh(), x[:-20], y[:-20]), round(FADES_S / STEP_S)
+    teach(test, np.tile([0.0, 0.0, 0.0, 1.0], (idle, 1)), np.zeros(idle), len(x))
+    doubted = teach(test, x[-20:], broken, len(x) + idle).evidence
     assert 1.0 < doubted < 0.5 * known
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.flights import flew
 from benchmarks.thrusters import STILL
-from robot_agent.safety.path_deviation import PathWatch
+from robot_agent.safety.path_deviation import PathDeviationMonitor
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode
 
@@ -16,7 +16,7 @@ STEP_NS = 50_000_000
 
 def left(off_m: Sequence[float], is_free: Sequence[bool] | None = None) -> int | None:
     """The step at which a robot that was so far off its path says so."""
-    watch = PathWatch(0.3)
+    watch = PathDeviationMonitor(0.3)
     for k, off in enumerate(off_m):
         watch.step(complex(off), 0j, is_free is None or is_free[k], k * STEP_NS)
         if watch.left:
@@ -46,7 +46,7 @@ def test_who_drifts_off_and_comes_near_to_others_has_none() -> None:
 
 
 def test_where_a_path_sets_off_at_once_all_arrive_anew() -> None:
-    watch, place_m, worst_m = PathWatch(0.3), 0.0, 0.0
+    watch, place_m, worst_m = PathDeviationMonitor(0.3), 0.0, 0.0
     for k in range(600):
         flown_s = max(k - 20, 0) * 0.05  # the path waits for a second
         path_m, speed_mps = 0.4 * flown_s, min(0.1 * flown_s, 0.5)
@@ -68,7 +68,7 @@ def test_who_starts_from_rest_on_a_fast_path_flies_it(speed_mps: float) -> None:
 
 
 def test_once_said_it_stays_so_until_the_goal_is_another() -> None:
-    watch = PathWatch(0.3)
+    watch = PathDeviationMonitor(0.3)
     for k, off in enumerate([0.0] * 2 + [1.0] * 40 + [0.0] * 10):
         watch.step(complex(off), 0j, True, k * STEP_NS)
     assert watch.left

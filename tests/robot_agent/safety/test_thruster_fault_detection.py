@@ -1,4 +1,4 @@
-"""What the watch finds in flights of the plant, which knows nothing of it: what is broken, and nothing where nothing is."""
+"""What the detector finds in flights of the plant, which knows nothing of it: what is broken, and nothing where nothing is."""
 
 import math
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.flights import flew, rough_water
-from robot_agent.safety.thruster_fault_detection import ThrusterWatch
+from robot_agent.safety.thruster_fault_detection import ThrusterFaultDetector
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.messages.messages import Mode
@@ -92,17 +92,17 @@ def watched(
     deaf: range = range(0),
     late: range = range(0),
     watch_late_ns: int = 0,
-) -> ThrusterWatch:
-    """A watch on a body that these moments (n,) turn, by an integration of its own in steps of 1 ms; it is told of the legs'
-    (n, 4). In some steps it hears nothing of the gyroscope, in some it hears 0.1 s late, and what was 0.1 s ago; in all of
-    them what it hears may be older than it thinks."""
+) -> ThrusterFaultDetector:
+    """Detector on a body that the moments (n,) turn, integrated independently in steps of 1 ms; the detector is given the
+    moments of the legs (n, 4). In some steps no gyroscope sample arrives, in others one that is 0.1 s old; in all steps
+    the samples may be older than stated."""
     vehicle = load_experiment("pool").vehicle
-    watch, rate, acting = ThrusterWatch(vehicle), 0.0, 0.0
+    detector, rate, acting = ThrusterFaultDetector(vehicle), 0.0, 0.0
     drag, mass, thruster = vehicle.drag, vehicle.mass.yaw_kg_m2, vehicle.thruster
     noise = np.random.default_rng(1).normal(0.0, GYRO_RADPS, len(told_nm))
     line, rates = [0.0] * round(thruster.dead_time_s / 0.001), [0.0, 0.0]
     for k, (torque, told) in enumerate(zip(torque_nm, told_nm, strict=True)):
-        watch.told(told, k * STEP_NS)
+        detector.note_moments(told, k * STEP_NS)
         for _ in range(50):
             line.append(torque)
             acting += 0.001 / thruster.lag_s * (line.pop(0) - acting)
@@ -110,10 +110,10 @@ def watched(
         rates.append(rate + gyro_error + noise[k])
         at_ns = (k + 1) * STEP_NS + watch_late_ns
         if k in late and k % 4 < 2:
-            watch.step(rates[-3], at_ns, at_ns - 2 * STEP_NS)
+            detector.step(rates[-3], at_ns, at_ns - 2 * STEP_NS)
         elif k not in deaf:
-            watch.step(rates[-1], at_ns, at_ns)
-    return watch
+            detector.step(rates[-1], at_ns, at_ns)
+    return detector
 
 
 def test_an_obeyed_moment_is_no_alarm_and_its_opposite_is() -> None:
@@ -195,19 +195,19 @@ def test_water_that_turns_the_robot_is_no_alarm(seed: int) -> None:
 def test_a_flight_begins_with_thrusters_at_rest() -> None:
     """However they pushed when the last one ended."""
     told = legs(10.0, largest_nm=0.4)
-    watch = watched(told.sum(axis=1), told)
-    watch.reset()
+    detector = watched(told.sum(axis=1), told)
+    detector.reset()
     begin_ns, still = 1000 * STEP_NS, np.zeros(4)
     for k in range(40):
-        watch.told(still, begin_ns + k * STEP_NS)
-        watch.step(0.0, begin_ns + k * STEP_NS, begin_ns + k * STEP_NS)
-    assert abs(watch._habit.evidence) < 1e-9
+        detector.note_moments(still, begin_ns + k * STEP_NS)
+        detector.step(0.0, begin_ns + k * STEP_NS, begin_ns + k * STEP_NS)
+    assert abs(detector._test.evidence) < 1e-9
 
 
 def test_numbers_that_cannot_be_and_gaps_begin_anew() -> None:
-    watch = watched(np.zeros(100), np.zeros((100, 4)))
+    detector = watched(np.zeros(100), np.zeros((100, 4)))
     for at_ns in (10**12, 10**12, 10**12 - STEP_NS):  # after a gap the rate may be any
-        watch.step(3.0, at_ns, at_ns)
-    assert not watch.broken
-    watch.reset()
-    assert not watch.broken
+        detector.step(3.0, at_ns, at_ns)
+    assert not detector.broken
+    detector.reset()
+    assert not detector.broken

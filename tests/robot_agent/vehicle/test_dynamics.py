@@ -118,7 +118,7 @@ def settled(vehicle: Vehicle, start: Array, before: Array, gamma: Array, lag: bo
     prediction.restart(tuple(start))
     for _ in range(8):
         prediction.linearise(tuple(start), before, gamma)
-        prediction.follow(np.zeros(2 * len(BLOCKS)), np.zeros(len(BLOCKS)))
+        prediction.set_nominal(np.zeros(2 * len(BLOCKS)), np.zeros(len(BLOCKS)))
     return prediction
 
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, Measurement, Sighting, gains, gains_with_rate
+from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, PoseMeasurement, StateMeasurement, gains, gains_with_rate
 from tests.robot_agent.water import integrate
 from wire.config.controller import EstimatorConfig
 from wire.config.vehicle import load_vehicle
@@ -62,16 +62,16 @@ def fly(
 ) -> tuple[list[Estimate | None], Flight]:
     """A control loop without control: poses arrive late, the board is fresh, wrenches act after the dead time."""
     flight, estimates = Flight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
-    sighting: Sighting | None = None
+    sighting: PoseMeasurement | None = None
     for k in range(round(seconds / STEP_S)):
         now_s, now_ns = k * STEP_S, k * STEP_NS
         late = latency_s(k)
         if seen(k) and now_s >= late:
             x, y, _, yaw = flight.true(now_s - late)[:4]
-            sighting = Sighting(now_ns - (round(late * 1e9) if told_age else 0), x, y, wrap(yaw))
+            sighting = PoseMeasurement(now_ns - (round(late * 1e9) if told_age else 0), x, y, wrap(yaw))
         here = flight.states[-1]
-        estimates.append(observer.update(Measurement(sighting, here[2], here[7] if gyro else None), now_ns))
-        observer.applied(command(now_s), now_ns)
+        estimates.append(observer.update(StateMeasurement(sighting, here[2], here[7] if gyro else None), now_ns))
+        observer.note_wrench(command(now_s), now_ns)
         for i in range(10):
             acts = now_s + 0.005 * i - DEAD_S
             held = command(math.floor(acts / STEP_S + 1e-9) * STEP_S) if acts > -1e-9 else (0.0, 0.0, 0.0)
@@ -142,7 +142,7 @@ def test_constant_disturbances_are_found(gyro: bool) -> None:
     last = estimates[-1]
     assert last is not None
     assert last.disturbance == pytest.approx(gamma, abs=1.5e-3)
-    assert np.array_equal(last.lumped, last.disturbance) and last.current == 0j
+    assert np.array_equal(last.gamma_still_water, last.disturbance) and last.current == 0j
 
 
 # --- currents
@@ -173,15 +173,15 @@ def test_what_a_current_does_is_told_as_the_disturbance_that_still_water_would_n
         assert estimate is not None
         before, here, after = (flight.true(t + shift) for shift in (-0.025, 0.0, 0.025))
         still = integrate(VEHICLE, before, constant(circling(t)), 0.05)  # its thrust is steady by now
-        assert estimate.lumped[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
+        assert estimate.gamma_still_water[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
 
 
 def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> None:
     observer = estimator()
     observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0), [0.0, 0.01, 0.0, 0.0]
-    observer.applied((0.0, 0.0, 0.0), 0)
+    observer.note_wrench((0.0, 0.0, 0.0), 0)
     before = np.array(observer._propagate(observer._state, 0, 100_000_000))
-    v = observer._put_down_to_current(0.15, 0.02, 0.01, 0.7, 0.05)
+    v = observer._split_side_force_and_current(0.15, 0.02, 0.01, 0.7, 0.05)
     after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
     assert observer._disturbance[1] < 0.01 and abs(observer._current) > 1e-4
     assert after[:2] == pytest.approx(
@@ -202,7 +202,7 @@ def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> Non
         observer._current = 0.05 * np.exp(1j * (0.7 + 0.5 * math.pi - turned + 0.5 * math.pi))
         observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, *(0.0,) * 3), [0.0, 0.4, 0.0, 0.0]
         before = np.array(observer._propagate(observer._state, 0, 100_000_000))
-        v = observer._put_down_to_current(0.15, 0.02, 0.4, 0.7, 0.05)
+        v = observer._split_side_force_and_current(0.15, 0.02, 0.4, 0.7, 0.05)
         after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
         assert abs(observer._current) <= 0.05 + 1e-12
         assert after[:2] == pytest.approx(before[:2], abs=0.05 * 0.1 * 0.02)
@@ -239,25 +239,25 @@ def test_old_and_repeated_poses_change_nothing() -> None:
     plain, twice = estimator(), estimator()
     for k in range(1, 40):
         now = k * STEP_NS
-        sighting = Sighting(now - 40_000_000, 0.01 * k, 0.0, 0.02 * k)
-        a = plain.update(Measurement(sighting), now)
-        twice.update(Measurement(sighting), now)
+        sighting = PoseMeasurement(now - 40_000_000, 0.01 * k, 0.0, 0.02 * k)
+        a = plain.update(StateMeasurement(sighting), now)
+        twice.update(StateMeasurement(sighting), now)
         stale = dataclasses.replace(sighting, stamp_ns=sighting.stamp_ns - 30_000_000, x_m=0.2)
-        twice.update(Measurement(stale), now)
-        b = twice.update(Measurement(sighting), now)
+        twice.update(StateMeasurement(stale), now)
+        b = twice.update(StateMeasurement(sighting), now)
         assert a is not None and b is not None
         assert np.array_equal(a.eta, b.eta) and np.array_equal(a.nu, b.nu)
 
 
 def test_a_pose_from_the_future_is_not_believed() -> None:
     observer = estimator()
-    assert observer.update(Measurement(Sighting(STEP_NS + 1, 0.0, 0.0, 0.0)), STEP_NS) is None
+    assert observer.update(StateMeasurement(PoseMeasurement(STEP_NS + 1, 0.0, 0.0, 0.0)), STEP_NS) is None
 
 
 def test_yaw_is_continuous_across_half_a_turn() -> None:
     observer, yaws = estimator(), []
     for k in range(1, 200):
-        estimate = observer.update(Measurement(Sighting(k * STEP_NS, 0.0, 0.0, wrap(0.05 * k))), k * STEP_NS)
+        estimate = observer.update(StateMeasurement(PoseMeasurement(k * STEP_NS, 0.0, 0.0, wrap(0.05 * k))), k * STEP_NS)
         assert estimate is not None
         yaws.append(estimate.eta[3])
     assert np.abs(np.diff(yaws)).max() < 0.3 and yaws[-1] > 9.0
@@ -268,8 +268,8 @@ def test_yaw_stays_continuous_through_a_leap_that_is_believed() -> None:
     observer, x = estimator(), 0.0
     for k in range(1, 420):
         leap, turned = (0.0 if k < 400 else 0.5), 0.05 * min(k, 400)
-        pose = Sighting(k * STEP_NS, leap, 0.0, wrap(turned))
-        estimate = observer.update(Measurement(pose, yaw_rate_radps=1.0), k * STEP_NS)
+        pose = PoseMeasurement(k * STEP_NS, leap, 0.0, wrap(turned))
+        estimate = observer.update(StateMeasurement(pose, yaw_rate_radps=1.0), k * STEP_NS)
         assert estimate is not None and abs(estimate.eta[3] - turned) < 0.5
         x = estimate.eta[0]
     assert x == pytest.approx(0.5, abs=0.01)
@@ -279,7 +279,7 @@ def test_a_single_leap_is_ignored_and_a_lasting_one_believed() -> None:
     observer, x = estimator(), 0.0
     for k in range(1, 60):
         leap = 1.0 if k == 30 or k >= 45 else 0.0
-        estimate = observer.update(Measurement(Sighting(k * STEP_NS, leap, 0.0, 0.0)), k * STEP_NS)
+        estimate = observer.update(StateMeasurement(PoseMeasurement(k * STEP_NS, leap, 0.0, 0.0)), k * STEP_NS)
         assert estimate is not None
         x = estimate.eta[0]
         assert k >= 45 or abs(x) < 1e-9
@@ -290,8 +290,8 @@ def test_a_single_leap_is_ignored_however_often_it_is_handed_in() -> None:
     """Poses that stop with a leap: the newest there is comes with every step."""
     observer = estimator()
     for k in range(1, 40):
-        pose = Sighting(k * STEP_NS, 0.0, 0.0, 0.0) if k < 30 else Sighting(30 * STEP_NS, 1.0, 0.0, 0.0)
-        estimate = observer.update(Measurement(pose), k * STEP_NS)
+        pose = PoseMeasurement(k * STEP_NS, 0.0, 0.0, 0.0) if k < 30 else PoseMeasurement(30 * STEP_NS, 1.0, 0.0, 0.0)
+        estimate = observer.update(StateMeasurement(pose), k * STEP_NS)
         assert estimate is not None and abs(estimate.eta[0]) < 1e-9
 
 
@@ -300,7 +300,7 @@ def test_single_leaps_are_ignored_however_many_there_are() -> None:
     observer = estimator()
     for k in range(1, 80):
         leap = 1.0 if k % 4 == 0 else 0.0
-        estimate = observer.update(Measurement(Sighting(k * STEP_NS, leap, 0.0, 0.0)), k * STEP_NS)
+        estimate = observer.update(StateMeasurement(PoseMeasurement(k * STEP_NS, leap, 0.0, 0.0)), k * STEP_NS)
         assert estimate is not None and abs(estimate.eta[0]) < 1e-9 and not estimate.leap
 
 
@@ -308,15 +308,15 @@ def test_poses_that_contradict_the_estimate_and_one_another_are_not_believed() -
     observer, random = estimator(), np.random.default_rng(2)
     for k in range(1, 60):
         x, y = (0.0, 0.0) if k < 45 else (3.0 * k, float(random.uniform(-1.0, 1.0)))
-        estimate = observer.update(Measurement(Sighting(k * STEP_NS, x, y, 0.0)), k * STEP_NS)
+        estimate = observer.update(StateMeasurement(PoseMeasurement(k * STEP_NS, x, y, 0.0)), k * STEP_NS)
         assert estimate is not None and abs(estimate.eta[0]) < 1e-9 and not estimate.leap
 
 
 def test_a_leap_that_is_believed_says_what_was_told_and_what_was_believed() -> None:
     observer, said = estimator(), []
     for k in range(1, 60):
-        pose = Sighting(k * STEP_NS, 1.0 if k >= 40 else 0.0, 0.0, 0.0)
-        estimate = observer.update(Measurement(pose, depth_m=0.3), k * STEP_NS)
+        pose = PoseMeasurement(k * STEP_NS, 1.0 if k >= 40 else 0.0, 0.0, 0.0)
+        estimate = observer.update(StateMeasurement(pose, depth_m=0.3), k * STEP_NS)
         assert estimate is not None and estimate.eta[2] == pytest.approx(0.3, abs=1e-6)  # no pose tells of the depth
         said += [(k, estimate.leap)] if estimate.leap else []
     assert said == [(44, "poses say (1.00 m, 0.00 m, 0.00 rad), (0.00 m, 0.00 m, 0.00 rad) was believed")]
@@ -330,8 +330,8 @@ def sensing(told: Callable[[int], tuple[float | None, float | None]], steps: int
     observer, found = estimator(), []
     for k in range(1, steps + 1):
         depth_m, rate = told(k)
-        late = Sighting(k * STEP_NS - 40_000_000, 0.0, 0.0, 0.0)
-        estimate = observer.update(Measurement(late, depth_m, rate, k * STEP_NS), k * STEP_NS)
+        late = PoseMeasurement(k * STEP_NS - 40_000_000, 0.0, 0.0, 0.0)
+        estimate = observer.update(StateMeasurement(late, depth_m, rate, k * STEP_NS), k * STEP_NS)
         assert estimate is not None
         found.append(estimate)
     return found
@@ -410,8 +410,8 @@ times = st.integers(-STEP_NS, 30 * STEP_NS)
 def test_no_input_makes_it_lose_its_numbers(rows: list[Row]) -> None:
     observer = estimator()
     for k, (stamp, x, y, yaw, depth, rate, board) in enumerate(rows):
-        estimate = observer.update(Measurement(Sighting(stamp, x, y, yaw), depth, rate, board), k * STEP_NS)
-        observer.applied((0.1, 0.0, 0.0), k * STEP_NS)
+        estimate = observer.update(StateMeasurement(PoseMeasurement(stamp, x, y, yaw), depth, rate, board), k * STEP_NS)
+        observer.note_wrench((0.1, 0.0, 0.0), k * STEP_NS)
         if estimate is not None:
             numbers = np.concatenate([estimate.eta, estimate.nu, estimate.disturbance, estimate.action])
             assert np.isfinite(numbers).all() and np.abs(numbers[4:12]).max() < 1e3

@@ -7,10 +7,9 @@ from dataclasses import replace
 import pytest
 
 from robot_agent.agent import Outputs
-from robot_agent.command_check import StationView
-from robot_agent.inputs import Inputs
+from robot_agent.inputs import Inputs, StationView
 from robot_agent.preflight.rehearsal import ARM_AFTER, DEPTH_M, STATION, rehearse
-from robot_agent.safety.pulse_selftest import ThrusterTest
+from robot_agent.safety.thruster_selftest import ThrusterSelftest
 from wire.config.experiment import load_experiment
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order
@@ -86,7 +85,7 @@ def test_a_robot_does_not_arm_on_a_depth_outside_the_pool(depth_m: float, why: s
     for agent, inputs, now_ns in itertools.islice(rehearse(POOL, 1), ARM_AFTER - 2):
         outputs = agent.step(depth(inputs, depth_m), now_ns)
     command = Command(Order.ARM, 1, 1.0, outputs.state.experiment_hash)
-    reply = agent.order(Header(STATION, 1, now_ns), command, StationView(STATION, now_ns, 0.0), now_ns)
+    reply = agent.handle_command(Header(STATION, 1, now_ns), command, StationView(STATION, now_ns, 0.0), now_ns)
     assert not reply.accepted and why in reply.reason
 
 
@@ -110,8 +109,8 @@ def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_i
     steps = rehearse(POOL, 1)
     for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 1):
         agent.step(inputs, now_ns)
-    agent._test = ThrusterTest(POOL.vehicle, agent.neutral_us)
-    agent._test.result = "passed"
+    agent._selftest = ThrusterSelftest(POOL.vehicle, agent.neutral_us)
+    agent._selftest.result = "passed"
     for agent, inputs, now_ns in itertools.islice(steps, 20):
         state = agent.step(inputs, now_ns).state
     assert (state.mode, state.thruster_test) == (Mode.TRACKING, "passed")
@@ -130,7 +129,7 @@ def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: boo
     assert agent is not None
     agent.mode = Mode.ARMED
     if testing:
-        agent._test = ThrusterTest(POOL.vehicle, agent.neutral_us)
+        agent._selftest = ThrusterSelftest(POOL.vehicle, agent.neutral_us)
     seen = []
     for k in range(20):
         at_ns = now_ns + (k + 1) * 50_000_000

@@ -1,7 +1,7 @@
-"""A short push of each thruster in turn, and whether the board says that it put it out. Pure.
+"""Self-test of the thrusters in the water: a short push of each in turn, compared with the board's echo. Pure.
 
-What the board echoes is what it sent to the speed controllers: this finds a board that does not listen, wrong limits, crossed
-channels. That a propeller turns, and which way, a person sees; in flight it shows in the estimated disturbance.
+The echo is what the board sent to the speed controllers. So the test finds a board that does not obey, wrong limits, and
+crossed channels. A person sees whether a propeller turns, and which way; in flight it shows in the estimated disturbance.
 """
 
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ TOLERANCE_US = 5
 NS = 1_000_000_000
 
 
-class ThrusterTest:
+class ThrusterSelftest:
     """One test, from the instant at which the board is armed."""
 
     def __init__(self, vehicle: Vehicle, neutral_us: Sequence[int]) -> None:
         self.result = "running"
         self._neutral_us = tuple(neutral_us)
-        self._push_us = round(float(vehicle.thruster.pulse_us(np.array(PUSH_N))))
+        self._push_us = push_pulse_us(vehicle, PUSH_N)
         self._begin_ns: int | None = None
         self._confirmed: set[int] = set()
         self._seen: dict[int, int] = {}
 
     def step(self, armed: bool, echo_us: Sequence[int], now_ns: int) -> tuple[int, ...]:
-        """Pulses for now; neutral when it is over."""
+        """Return the pulses for now; neutral when the test is over."""
         if self._begin_ns is None and armed:
             self._begin_ns = now_ns
         if self._begin_ns is None or self.result != "running":
@@ -42,8 +42,7 @@ class ThrusterTest:
             return self._neutral_us
         if since_s >= PUSH_S:
             return self._neutral_us
-        asked = list(self._neutral_us)
-        asked[thruster] = self._push_us
+        asked = one_pushed(self._neutral_us, thruster, self._push_us)
         if since_s >= SETTLED_S and len(echo_us) >= THRUSTERS:
             wild = self._wild(asked, echo_us)
             if wild:  # it may run at full thrust: the sooner the board is disarmed the better
@@ -52,10 +51,10 @@ class ThrusterTest:
             self._seen[thruster] = echo_us[thruster]
             if all(abs(echo_us[k] - asked[k]) <= TOLERANCE_US for k in range(THRUSTERS)):
                 self._confirmed.add(thruster)
-        return tuple(asked)
+        return asked
 
     def _wild(self, asked_us: Sequence[int], echo_us: Sequence[int]) -> str:
-        """Which thrusters turn that should not, or faster than asked, or the other way; empty if none does."""
+        """Text about thrusters that turn though they should not, or faster than asked, or in reverse; empty if none does."""
         told = zip(asked_us, self._neutral_us, echo_us, strict=False)
         return "; ".join(
             f"thruster {k + 1} was asked for {asked} us, the board says {echo}"
@@ -70,3 +69,13 @@ class ThrusterTest:
             if k not in self._confirmed
         ]
         return "; ".join(wrong) or "passed"
+
+
+def push_pulse_us(vehicle: Vehicle, thrust_n: float) -> int:
+    """Pulse width (us) of a thrust by the vehicle's nominal curve."""
+    return round(float(vehicle.thruster.pulse_us(np.array(thrust_n))))
+
+
+def one_pushed(neutral_us: Sequence[int], thruster: int, push_us: int) -> tuple[int, ...]:
+    """Neutral pulses with one thruster (from 0) at `push_us`."""
+    return (*neutral_us[:thruster], push_us, *neutral_us[thruster + 1 :])

@@ -1,11 +1,11 @@
 """SHELL: one robot's process around its core: read, step, publish.
 
 By the wall clock a step comes once a period, on a grid that follows the camera slowly (step_clock.py), and no later than the
-instant at which the last pose gets too old. An order that takes the power away does not wait for it: it brings a step of its
-own. In lockstep a step comes when the simulator says so and every input it names is here.
+instant at which the last pose becomes too old. A command that takes the power away brings a step of its own at once. In
+lockstep a step comes when the simulator's tick names it and all inputs of that tick have arrived.
 
-However the loop ends, asked to or by an exception, the first thing that happens is that the thruster board is told to be
-neutral and to disarm. It would do so by itself, but only 0.25 s later.
+When the loop ends, by request or by an exception, the thruster board is first told to go neutral and to disarm. It would do so
+by itself, but only 0.25 s later.
 """
 
 import logging
@@ -16,10 +16,10 @@ from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.control.live_tuning import Prepared
-from robot_agent.host.sd_notify import Watchdog
-from robot_agent.host.step_clock import Pace
+from robot_agent.host.sd_notify import ServiceNotifier
+from robot_agent.host.step_clock import StepClock
 from robot_agent.safety.modes import LIVE
-from robot_agent.step_record import answered, inputs_of, noted, order_noted, station_view
+from robot_agent.step_record import inputs_of, record_command, record_step, station_view, with_reply
 from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import ACCEPTED, ARM_DISARM
 from wire.mavlink.board_port import Link
@@ -52,7 +52,7 @@ LEAVE_AGAIN_S = 0.01  # how often it is told meanwhile
 LEAVE_TIMES = 3  # at the least: one datagram of ten may be lost
 
 
-class Shell:
+class AgentNode:
     """Inboxes, link and clock of one robot."""
 
     def __init__(
@@ -63,13 +63,13 @@ class Shell:
         link: Link,
         lockstep: bool,
         stop: Stop,
-        watchdog: Watchdog | None = None,
+        watchdog: ServiceNotifier | None = None,
         signing: Signing | None = None,
     ) -> None:
-        """With `signing` what goes to the board is signed, and so must be what it says."""
+        """With `signing`, frames to the board are signed, and unsigned frames from it are dropped."""
         self.agent = Agent(experiment, robot)
         self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
-        self._watchdog = watchdog or Watchdog({})
+        self._watchdog = watchdog or ServiceNotifier({})
         self._clock: Clock = LockstepClock() if lockstep else WallClock()
         self._lockstep = Lockstep(bus, stop, self._clock) if isinstance(self._clock, LockstepClock) else None
         self._signing = signing
@@ -86,7 +86,7 @@ class Shell:
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._dropped = 0  # frames of the board, for their signature
         self._trouble = ""  # that the link was last said to have
-        self._pace = Pace(experiment.controller.period_s, time.monotonic())
+        self._pace = StepClock(experiment.controller.period_s, time.monotonic())
         self._failure: BaseException | None = None  # of an order, on a network thread: the loop ends with it
         self._leaving = False
         self._steps = self._orders = 0  # of this agent, as the log counts them
@@ -94,7 +94,8 @@ class Shell:
         self._told = (Mode.DISARMED, "")
 
     def run(self) -> None:
-        """Fly until told to stop. Raises what ended the control loop otherwise. Either way the board is disarmed first."""
+        """Run the control loop until told to stop. Raises the exception that ended it otherwise. Either way the board is
+        disarmed first."""
         log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
         self._stop.on_request(self._awake)
         try:
@@ -124,13 +125,14 @@ class Shell:
             self._compare_clocks()
 
     def _awake(self) -> None:
-        """Let the loop look at once at what has happened, wherever it sleeps."""
+        """Wake the loop at once, wherever it sleeps."""
         self._hurry.set()
         with self._bus.arrival:
             self._bus.arrival.notify_all()
 
     def _leave(self, why: str, level: int = logging.INFO) -> None:
-        """Tell the board to be neutral and to disarm, until it says that it has. Nothing else is told to it any more."""
+        """Send neutral and disarm to the board until it confirms, at most LEAVE_S long. No other pulses are sent
+        afterwards."""
         self._leaving = True
         before, until_s = self._mavlink.telemetry.acknowledgements, time.monotonic() + LEAVE_S
         told, disarmed = 0, False
@@ -149,7 +151,7 @@ class Shell:
         )  # fmt: skip
 
     def _greet(self) -> None:
-        """Let a board behind UDP learn where we are; it may not be there yet."""
+        """Send a heartbeat, so that a board behind UDP learns our address; renew the kept times of signatures."""
         self._link.send(self._mavlink.heartbeat())
         if self._signing is not None:
             try:
@@ -158,14 +160,14 @@ class Shell:
                 log.warning("the times of signatures cannot be kept: %s", error)
 
     def _tell_of_link(self) -> None:
-        """Say why nothing gets through to the board, when that changes: a device that is not there, or that another has."""
+        """Log why nothing gets through to the board (no device, or a device in use), once per change."""
         trouble = self._link.trouble
         if trouble and trouble != self._trouble:
             log.warning("thruster board: %s", trouble)
         self._trouble = trouble
 
     def _tell_of_strangers(self) -> None:
-        """Say that frames were dropped for their signature, once a second at most."""
+        """Log frames dropped for their signature, at most once a second."""
         seen = self._mavlink.telemetry
         dropped = seen.unsigned_frames + seen.forged_frames + seen.replayed_frames
         if dropped > self._dropped:
@@ -176,8 +178,8 @@ class Shell:
             self._dropped = dropped
 
     def _compare_clocks(self) -> None:
-        """Once a second ask the board's time, and wait for the answer no longer than what is left of the period surely allows.
-        In lockstep time waits for the step, and there is nothing to measure."""
+        """Ask for the board's time once a second, and wait for the answer no longer than the rest of the period surely allows.
+        In lockstep time waits for the step: nothing is measured."""
         deadline_s = time.monotonic() + CLOCK_WAIT_S
         if self._lockstep or deadline_s - self._clocks_compared_s < CLOCK_PERIOD_S:
             return
@@ -209,34 +211,34 @@ class Shell:
         # In lockstep the station may have taken up a tick that we have not: an order of that tick is given in it.
         now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
         heartbeat = self._station()
-        record = order_noted(self._steps, self._orders, self._clock, header, command, heartbeat)
+        record = record_command(self._steps, self._orders, self._clock, header, command, heartbeat)
         live = self.agent.mode in LIVE  # a thruster test runs in ARMED
-        reply = self.agent.order(header, command, station_view(record, now_ns), now_ns, prepared)
+        reply = self.agent.handle_command(header, command, station_view(record, now_ns), now_ns, prepared)
         self._orders += 1
         if live and self.agent.mode not in LIVE:
             self._awake()
-        self._bus.publish(topics.ORDERS, answered(record, reply), now_ns, self._robot)
+        self._bus.publish(topics.ORDERS, with_reply(record, reply), now_ns, self._robot)
         return reply
 
     # --- inputs
 
     def _step(self, now_ns: int, up_to_ns: int | None) -> tuple[StepInputs, Outputs]:
-        """Note what there is to go by, and step on it."""
+        """Make the record of a step, and step on it."""
         self._mavlink.receive(self._link.read(), now_ns)
         heartbeat, obstacles = self._station(), self._obstacles.newest(self._obstacles_up_to_ns)
         heard = {robot: inbox.newest(up_to_ns) for robot, inbox in self._plans.items()}
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
         telemetry = self._mavlink.telemetry
         pose = self._poses.newest()
-        record = noted(self._steps, self._pace.late_steps, self._clock, pose, heartbeat, telemetry, plans, obstacles)
+        record = record_step(self._steps, self._pace.late_steps, self._clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
         messages = {robot: plan.message for robot, plan in plans.items()}
         seen = obstacles.message if obstacles is not None else None
         return record, self.agent.step(inputs_of(record, messages, seen, now_ns), now_ns)
 
     def _station(self) -> Received[StationHeartbeat] | None:
-        """The station as heard last. With one that it meets for the first time a robot that is disarmed begins anew: the log
-        that the station writes then has all that the agent remembers."""
+        """Return the last heartbeat. At a new station a disarmed robot starts with a new agent, so that the station's log
+        holds everything that the agent remembers."""
         heartbeat = self._heartbeats.newest()
         if heartbeat is not None and heartbeat.header.session != self._station_session:
             self._station_session = heartbeat.header.session
@@ -248,7 +250,7 @@ class Shell:
     # --- pace: when a step is due, and up to which stamp neighbours' plans count
 
     def _wall_pace(self) -> Iterator[tuple[int, None]]:
-        pace = self._pace = Pace(self._experiment.controller.period_s, time.monotonic())
+        pace = self._pace = StepClock(self._experiment.controller.period_s, time.monotonic())
         taken: Received[Pose] | None = None
         while not self._stop.requested:
             due_s = self._await_step(pace, taken)
@@ -260,8 +262,9 @@ class Shell:
             taken = pose
             yield self._clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9), None
 
-    def _await_step(self, pace: Pace, taken: Received[Pose] | None) -> float:
-        """Sleep until the next step. Returns when it was due, on the monotonic clock. `taken` is the last step's pose."""
+    def _await_step(self, pace: StepClock, taken: Received[Pose] | None) -> float:
+        """Sleep until the next step. Returns the instant (s, monotonic) at which it was due. `taken` is the last step's
+        pose."""
         react_by_s = self._react_by_s()
         # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
         self._hurry.wait(max(min(pace.opens_s, react_by_s) - time.monotonic(), 0.0))
@@ -280,7 +283,7 @@ class Shell:
         return time.monotonic()
 
     def _react_by_s(self) -> float:
-        """When the pose gets too old, on the monotonic clock; infinity if it does not, or is so already."""
+        """Instant (s, monotonic) at which the pose becomes too old; infinity if it does not, or is too old already."""
         react_by_ns, now_ns = self.agent.react_by_ns, self._clock.now_ns()
         if react_by_ns is None or react_by_ns <= now_ns:
             return float("inf")
@@ -294,7 +297,7 @@ class Shell:
             tick = lockstep.next()
 
     def _await_inputs(self, lockstep: Lockstep, tick: Tick) -> bool:
-        """Wait for all that counts at a tick. False when told to stop."""
+        """Wait for all inputs of a tick. False when told to stop."""
         assert self._localizer is not None
         up_to_ns = lockstep.await_sight(tick, self._localizer, {self._robot: self._poses}, self._obstacles)
         if up_to_ns is None or not lockstep.await_all([(self._heartbeats, tick.now_ns)]):
@@ -306,7 +309,7 @@ class Shell:
         return lockstep.await_all(plans) and self._await_board(tick)
 
     def _await_board(self, tick: Tick) -> bool:
-        """Wait for the board's burst that counts at this tick. False when told to stop."""
+        """Wait for the board's burst that belongs to this tick. False when told to stop."""
         wanted = dict(zip(tick.robots, tick.board_ms, strict=True)).get(self._robot, 0)
         reminder = Reminder()
         while not self._stop.requested:
@@ -321,7 +324,7 @@ class Shell:
     # --- outputs
 
     def _write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
-        """Board first: everything else can wait."""
+        """Send pulses to the board first, then publish plan and state."""
         step_ns = time.perf_counter_ns() - started_ns
         if outputs.arm is not None:
             self._link.send(self._mavlink.arm(outputs.arm))
@@ -355,5 +358,5 @@ class Shell:
 
 
 def _arrived_s(pose: Received[Pose] | None, taken: Received[Pose] | None) -> float | None:
-    """When a pose came, on the monotonic clock; None if there is none, or it is the one that has been taken."""
+    """Arrival (s, monotonic) of a pose; None if there is none or a step has taken it."""
     return None if pose is None or pose is taken else pose.arrived_ns * 1e-9

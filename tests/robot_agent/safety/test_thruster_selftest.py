@@ -2,7 +2,7 @@
 
 import pytest
 
-from robot_agent.safety.pulse_selftest import PUSH_S, REST_S, THRUSTERS, ThrusterTest
+from robot_agent.safety.thruster_selftest import PUSH_S, REST_S, THRUSTERS, ThrusterSelftest
 from wire.config.experiment import load_experiment
 
 VEHICLE = load_experiment("pool").vehicle
@@ -14,7 +14,7 @@ def run(
     echo: "dict[int, int] | None" = None, armed_from_ns: int = 0, silent: bool = False
 ) -> tuple[str, list[tuple[int, ...]]]:
     """Result and all pulses; the board echoes the last pulses, with `echo` {thruster: what it puts out instead}."""
-    test, sent = ThrusterTest(VEHICLE, NEUTRAL), [NEUTRAL]
+    test, sent = ThrusterSelftest(VEHICLE, NEUTRAL), [NEUTRAL]
     for step in range(round(THRUSTERS * (PUSH_S + REST_S) / 0.05) + 20):
         said = list(sent[-1])
         for thruster, pulse in (echo or {}).items():

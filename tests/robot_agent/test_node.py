@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from robot_agent import process
+from robot_agent import node
 from robot_agent.agent import Agent
 from robot_agent.control.controller import Controller
-from robot_agent.host.step_clock import Pace
+from robot_agent.host.step_clock import StepClock
 from sim_bridge.sil.ports import free_port
 from tests.robot_agent.obedient_board import Board
 from wire.config.experiment import load_experiment
@@ -36,11 +36,11 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     order: Order, mode: Mode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nor one that ends a thruster test, which is made in ARMED."""
-    monkeypatch.setattr(Pace, "due_s", lambda *_: time.monotonic() + NEVER_S)
+    monkeypatch.setattr(StepClock, "due_s", lambda *_: time.monotonic() + NEVER_S)
     hub, stop, link = MemoryHub(), Stop(install=False), open_link(f"udp:127.0.0.1:{free_port(SOCK_DGRAM)}")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     heard = station.inbox(topics.STATE, RobotState, 1)
-    robot = process.Shell(load_experiment("pool"), 1, bus, link, False, stop)
+    robot = node.AgentNode(load_experiment("pool"), 1, bus, link, False, stop)
     robot.agent.mode = mode
     thread = threading.Thread(target=robot.run)
     thread.start()
@@ -61,11 +61,11 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
 def test_a_board_that_is_not_there_is_named_and_once_is_enough(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(process, "LINK_HEARTBEAT_S", 0.0)
+    monkeypatch.setattr(node, "LINK_HEARTBEAT_S", 0.0)
     hub, stop, link = MemoryHub(), Stop(install=False), open_link("serial:/dev/none")
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     heard = station.inbox(topics.STATE, RobotState, 1)
-    thread = threading.Thread(target=process.Shell(load_experiment("pool"), 1, bus, link, False, stop).run)
+    thread = threading.Thread(target=node.AgentNode(load_experiment("pool"), 1, bus, link, False, stop).run)
     thread.start()
     try:
         assert wait(station, stop, lambda: (header := heard.newest_header()) is not None and header.sequence > 3, PATIENCE_S)
@@ -82,7 +82,7 @@ def test_a_board_that_is_not_there_is_named_and_once_is_enough(
 class Running:
     """A robot's program on a thread, with a station that beats, poses, and a board that does as it is told."""
 
-    robot: process.Shell
+    robot: node.AgentNode
     station: Bus
     states: Inbox[RobotState]
     ended: list[BaseException | None] = field(default_factory=list)
@@ -113,7 +113,7 @@ class Running:
 def running() -> Iterator[Running]:
     hub, stop = MemoryHub(), Stop(install=False)
     bus, station = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    robot = process.Shell(POOL, 1, bus, Board(), False, stop)
+    robot = node.AgentNode(POOL, 1, bus, Board(), False, stop)
     found = Running(robot, station, station.inbox(topics.STATE, RobotState, 1))
 
     def run() -> None:
@@ -149,14 +149,14 @@ def test_a_step_that_waits_is_as_late_as_one_that_computes(running: Running, mon
 
 
 def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    real, building, built = Controller.make_ready, threading.Event(), threading.Event()
+    real, building, built = Controller.prepare_gains, threading.Event(), threading.Event()
 
     def slowly(*arguments: Any) -> Any:
         building.set()
         assert built.wait(PATIENCE_S)
         return real(*arguments)
 
-    monkeypatch.setattr(Controller, "make_ready", slowly)
+    monkeypatch.setattr(Controller, "prepare_gains", slowly)
     replies: list[Reply] = []
     asked = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
     asked.start()
@@ -169,7 +169,7 @@ def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: py
 
 
 def test_an_order_that_breaks_the_program_ends_it_and_says_why(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Agent, "_follow", lambda *arguments: 1 / 0)
+    monkeypatch.setattr(Agent, "_apply", lambda *arguments: 1 / 0)
     reply = running.order(Order.LOAD)
     assert (reply.accepted, reply.reason) == (False, "carries no trajectory")
     reply = running.order(Order.HOLD)

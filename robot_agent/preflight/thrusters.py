@@ -1,7 +1,7 @@
-"""SHELL: turn each thruster a little, one after the other, and see that the board did. The robot must be free to move.
+"""SHELL: turn each thruster a little, one after another, and compare with the board's echo. The robot must be free to move.
 
-Pulses go out at the control rate, as in flight, so the board's own rules (arming, rate, age) hold all the time. Whatever
-happens, also when it is told to end or its terminal is closed, the last things sent are neutral pulses and a disarm.
+Pulses go out at the control rate, as in flight, so the board's own rules (arming, rate, age) hold all the time. However it
+ends, also by a signal or a closed terminal, the last things sent are neutral pulses and a disarm.
 """
 
 import signal
@@ -9,10 +9,9 @@ import time
 from collections.abc import Iterator
 from types import FrameType
 
-import numpy as np
-
-from robot_agent.host.config import Board, open_board
-from robot_agent.preflight.findings import Finding, Verdict
+from robot_agent.host.config import AgentConfig, open_board_link
+from robot_agent.preflight.findings import CheckFinding, CheckVerdict
+from robot_agent.safety.thruster_selftest import THRUSTERS, TOLERANCE_US, one_pushed, push_pulse_us
 from robot_agent.vehicle.allocation import Allocator
 from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import AgentLink
@@ -22,19 +21,16 @@ from wire.mavlink.signing_key import agent_end
 TURN_S, REST_S = 0.6, 0.4  # long enough for a person to see which one it is
 ARM_WITHIN_S = 2.0
 THRUST_SHARE = 0.15  # of the largest thrust: turns, and tips nothing over
-ECHO_WITHIN_US = 5
-THRUSTERS = 4
 
 
 class _Bench:
-    """The link to the board, kept supplied with pulses."""
+    """Link to the board, with pulses sent at the control rate."""
 
     def __init__(self, experiment: Experiment, link: Link, mavlink: AgentLink) -> None:
         self._link, self._mavlink = link, mavlink
         self._period_s = experiment.controller.period_s
         self.neutral_us = Allocator(experiment.vehicle).neutral_us
-        force_n = THRUST_SHARE * experiment.vehicle.thruster.max_thrust_n
-        self.turn_us = round(float(experiment.vehicle.thruster.pulse_us(np.array(force_n))))
+        self.turn_us = push_pulse_us(experiment.vehicle, THRUST_SHARE * experiment.vehicle.thruster.max_thrust_n)
 
     @property
     def armed(self) -> bool:
@@ -42,12 +38,12 @@ class _Bench:
 
     @property
     def said(self) -> str:
-        """The board's last words."""
+        """The board's last text."""
         texts = self._mavlink.telemetry.texts
         return texts[-1][1] if texts else "it does not say why"
 
     def hold(self, pulse_us: tuple[int, ...], seconds: float, arm: bool | None = None) -> list[tuple[int, ...]]:
-        """Send pulses for a while, asking the board to arm or disarm as well if told so. Returns the echoes."""
+        """Send pulses for a while; with `arm` also ask the board to arm or disarm, until it has. Returns the echoes."""
         echoes: list[tuple[int, ...]] = []
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
@@ -62,18 +58,18 @@ class _Bench:
         return echoes
 
 
-def turn_thrusters(experiment: Experiment, board: Board) -> Iterator[Finding]:
-    """One finding per thruster. The caller has made sure that nobody's fingers are near."""
-    link, signing = open_board(board)
+def turn_thrusters(experiment: Experiment, config: AgentConfig) -> Iterator[CheckFinding]:
+    """Yield one finding per thruster. The caller has made sure that no hand is near."""
+    link, signing = open_board_link(config)
     before = {number: signal.signal(number, _end) for number in (signal.SIGTERM, signal.SIGHUP)}
-    bench = _Bench(experiment, link, agent_end(board.robot, signing))
+    bench = _Bench(experiment, link, agent_end(config.robot, signing))
     try:
         bench.hold(bench.neutral_us, ARM_WITHIN_S, arm=True)
         if not bench.armed:
-            yield Finding("thrusters", Verdict.FAIL, f"the board does not arm: {bench.said}")
+            yield CheckFinding("thrusters", CheckVerdict.FAIL, f"the board does not arm: {bench.said}")
             return
         for i in range(THRUSTERS):
-            wanted = (*bench.neutral_us[:i], bench.turn_us, *bench.neutral_us[i + 1 :])
+            wanted = one_pushed(bench.neutral_us, i, bench.turn_us)
             echoes = bench.hold(wanted, TURN_S)
             bench.hold(bench.neutral_us, REST_S)
             yield judge(i, wanted, echoes)
@@ -85,20 +81,22 @@ def turn_thrusters(experiment: Experiment, board: Board) -> Iterator[Finding]:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
-    """As Ctrl-C does: what is under way ends in its `finally`."""
+    """Signal handler: end as Ctrl-C does, through the `finally` blocks."""
     raise SystemExit(128 + number)
 
 
-def judge(i: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> Finding:
-    """Whether the board put out what thruster i (from 0) was told, and turned no other."""
+def judge(i: int, wanted: tuple[int, ...], echoes: list[tuple[int, ...]]) -> CheckFinding:
+    """Compare echoes with the pulses for thruster i (from 0); no other one may turn."""
     what = f"thruster {i + 1}"
     full = [echo[:THRUSTERS] for echo in echoes if len(echo) >= THRUSTERS]
     if not full:
-        return Finding(what, Verdict.FAIL, "the board does not say what it puts out")
+        return CheckFinding(what, CheckVerdict.FAIL, "the board does not say what it puts out")
     nearest = min(full, key=lambda echo: abs(echo[i] - wanted[i]))
-    if abs(nearest[i] - wanted[i]) > ECHO_WITHIN_US:
-        return Finding(what, Verdict.FAIL, f"told {wanted[i]} us, put out {nearest[i]} us")
-    others = [k + 1 for k in range(THRUSTERS) if k != i and abs(nearest[k] - wanted[k]) > ECHO_WITHIN_US]
+    if abs(nearest[i] - wanted[i]) > TOLERANCE_US:
+        return CheckFinding(what, CheckVerdict.FAIL, f"told {wanted[i]} us, put out {nearest[i]} us")
+    others = [k + 1 for k in range(THRUSTERS) if k != i and abs(nearest[k] - wanted[k]) > TOLERANCE_US]
     if others:
-        return Finding(what, Verdict.FAIL, f"thruster {others[0]} turned as well")
-    return Finding(what, Verdict.OK, f"{wanted[i]} us, as the board says too; did the right one turn, pushing ahead?")
+        return CheckFinding(what, CheckVerdict.FAIL, f"thruster {others[0]} turned as well")
+    return CheckFinding(
+        what, CheckVerdict.OK, f"{wanted[i]} us, as the board says too; did the right one turn, pushing ahead?"
+    )
