@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from localizer.calibration.intrinsics import Lens
-from localizer.calibration.survey_points import FEWEST_POINTS, PoolPoint, is_line
-from localizer.camera_model import PoolView
+from localizer.calibration.survey_points import FEWEST_POINTS, SurveyPoint, is_line
+from localizer.camera_model import Intrinsics, RefractiveCamera
 from wire.config.perception import Camera
 from wire.frames import Array
 from wire.toml_loader import ConfigError
@@ -48,7 +47,7 @@ class PoseFit:
         at = _parameters(self.camera)
 
         def place(step: Array) -> Array:
-            return PoolView(_moved(self.camera, at + step)).pool(pixels, depth_m)
+            return RefractiveCamera(_moved(self.camera, at + step)).pixel_to_pool(pixels, depth_m)
 
         steps = _STEP * np.eye(6)
         jacobian = np.stack([(place(step) - place(-step)) / (2 * _STEP) for step in steps], axis=-1)  # (n, 2, 6)
@@ -56,15 +55,15 @@ class PoseFit:
         return np.asarray(np.sqrt(np.linalg.eigvalsh(spread)[:, 1]))
 
 
-def fit_pose(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> PoseFit:
+def fit_pose(camera: Camera, points: Sequence[SurveyPoint], pixels: Array) -> PoseFit:
     """The pose of `camera` (its lens and water_index are taken, its pose is not) that puts `points` at pixels (n, 2).
 
     Raises ConfigError when the pixels cannot be used or no pose explains them.
     """
     places = np.array([point.pool_m for point in points])
     _check_pixels(camera, points, pixels)
-    best = _best(camera, places, pixels)
-    fit = _judged(best, places, pixels)
+    best = _best_pose(camera, places, pixels)
+    fit = _assessed(best, places, pixels)
     if fit.rms_px > _UNUSABLE_PX * max(camera.size_px) / 1280.0:
         worst = points[int(np.argmax(np.linalg.norm(fit.residuals_px, axis=1)) if fit.suspect is None else fit.suspect)].name
         raise ConfigError(
@@ -74,7 +73,7 @@ def fit_pose(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> Pose
     return fit
 
 
-def _check_pixels(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> None:
+def _check_pixels(camera: Camera, points: Sequence[SurveyPoint], pixels: Array) -> None:
     width, height = camera.size_px
     for point, (u, v) in zip(points, pixels, strict=True):
         if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
@@ -84,7 +83,7 @@ def _check_pixels(camera: Camera, points: Sequence[PoolPoint], pixels: Array) ->
         raise ConfigError("points: their pixels lie on one line; take some beside it")
 
 
-def _best(camera: Camera, places: Array, pixels: Array) -> Camera:
+def _best_pose(camera: Camera, places: Array, pixels: Array) -> Camera:
     """The pose with the least squared error, from each start in turn."""
     fits = [
         least_squares(_errors, start, args=(camera, places, pixels), x_scale="jac")
@@ -105,7 +104,7 @@ def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:
     at depth / n, straight."""
     apparent = places.copy()
     apparent[:, 2] = np.where(places[:, 2] > 0, places[:, 2] / camera.water_index, places[:, 2])
-    lens = Lens.of(camera)
+    lens = Intrinsics.of(camera)
     _, turns, moves, _ = cv2.solvePnPGeneric(
         apparent, pixels, lens.matrix, np.array(lens.distortion), flags=cv2.SOLVEPNP_SQPNP
     )
@@ -116,7 +115,7 @@ def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:
     return starts
 
 
-def _judged(camera: Camera, places: Array, pixels: Array) -> PoseFit:
+def _assessed(camera: Camera, places: Array, pixels: Array) -> PoseFit:
     """Residuals, covariance, and the point that does not belong."""
     at = _parameters(camera)
     residuals = -_errors(at, camera, places, pixels)
@@ -146,7 +145,7 @@ def _suspect(camera: Camera, residuals: Array, places: Array, pixels: Array) -> 
 
 def _errors(parameters: Array, camera: Camera, places: Array, pixels: Array) -> Array:
     """Predicted less seen, (2 n,)."""
-    return (PoolView(_moved(camera, parameters)).pixel(places) - pixels).ravel()
+    return (RefractiveCamera(_moved(camera, parameters)).pool_to_pixel(places) - pixels).ravel()
 
 
 def _moved(camera: Camera, parameters: Array) -> Camera:

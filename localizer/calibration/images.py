@@ -8,6 +8,7 @@ import numpy as np
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, as_colour
+from localizer.sources.files import picture_files, video_frames
 from wire.process.output_files import replacing
 from wire.toml_loader import ConfigError
 
@@ -56,7 +57,7 @@ def pictures(sources: Sequence[Path], every: int, grey: bool = False) -> Iterato
 def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str, Pixels]]:
     for source in sources:
         if source.is_dir():
-            files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES)
+            files = picture_files(source)
             if not files:
                 raise ConfigError(f"{source}: no pictures in this folder (looked for: {', '.join(SUFFIXES)})")
             yield from ((str(path), read_picture(path, grey)) for path in files)
@@ -68,23 +69,13 @@ def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str,
 
 def _sharp_frames(path: Path, every: int) -> Iterator[tuple[str, Pixels]]:
     """Of each `every` frames of a video the one with the most contrast between neighbours."""
-    video = cv2.VideoCapture(str(path))
-    try:
-        if not video.isOpened():
-            raise ConfigError(f"{path}: neither a picture nor a video that OpenCV reads")
-        index, sharpest, best = 0, -1.0, None
-        while (frame := video.read())[0]:
-            picture = np.asarray(frame[1], dtype=np.uint8)
-            sharpness = float(np.var(cv2.Laplacian(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.CV_32F)))
-            if sharpness > sharpest:
-                sharpest, best = sharpness, (f"{path}:{index}", picture)
-            index += 1
-            if best is not None and index % every == 0:
-                yield best
-                sharpest, best = -1.0, None
-        if best is not None:
+    sharpest, best = -1.0, None
+    for index, picture in enumerate(video_frames(path), start=1):
+        sharpness = float(np.var(cv2.Laplacian(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.CV_32F)))
+        if sharpness > sharpest:
+            sharpest, best = sharpness, (f"{path}:{index - 1}", picture)
+        if best is not None and index % every == 0:
             yield best
-        if index == 0:
-            raise ConfigError(f"{path}: a video without a readable frame")
-    finally:
-        video.release()
+            sharpest, best = -1.0, None
+    if best is not None:
+        yield best

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from localizer.calibration.targets import BoardView
-from wire.config.perception import Camera
+from localizer.calibration.targets import TargetView
+from localizer.camera_model import Intrinsics
 from wire.frames import Array
-from wire.toml_loader import ConfigError, Section
+from wire.toml_loader import ConfigError
 
 FEWEST_VIEWS = 5  # nine numbers need three; five leave something to judge a bad view by
 ADVISED_VIEWS = 12
@@ -28,40 +28,19 @@ _REACHED = 0.7  # of the way from the centre to each of the picture's corners
 _LOOSE_FOCAL, _LOOSE_CENTRE_PX = 0.002, 2.0  # standard deviations worth a warning: 0.2 % is 2 mm at 1 m from the foot
 _POOR_RMS_PX = 1.0
 _FOLD_PX = 0.1
-_UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)  # as in camera_model.py
-
-
-class Lens(Section):
-    """The part of wire.config.experiment.Camera that belongs to lens and sensor, wherever they hang."""
-
-    size_px: tuple[int, int]
-    focal_px: tuple[float, float]
-    centre_px: tuple[float, float]
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-    @classmethod
-    def of(cls, camera: Camera) -> "Lens":
-        """The lens of a camera."""
-        return cls(**{key: getattr(camera, key) for key in cls.model_fields})
-
-    @property
-    def matrix(self) -> Array:
-        """Camera matrix (3, 3)."""
-        (fx, fy), (cx, cy) = self.focal_px, self.centre_px
-        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
 @dataclass(frozen=True, eq=False)
-class LensFit:
+class IntrinsicsFit:
     """A lens with what it was found from. `deviations` (9,): one standard deviation of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
 
-    lens: Lens
+    lens: Intrinsics
     deviations: Array
     rms_px: float
-    views: tuple[BoardView, ...]
+    views: tuple[TargetView, ...]
     view_rms_px: Array  # (views,)
     residuals_px: tuple[Array, ...]  # found less predicted, (corners, 2) per view
-    rejected: tuple[tuple[BoardView, float], ...] = ()  # with the RMS they had when they went
+    rejected: tuple[tuple[TargetView, float], ...] = ()  # with the RMS they had when they went
 
     @property
     def corners_px(self) -> Array:
@@ -77,12 +56,12 @@ class LensFit:
         return np.asarray(counts)
 
 
-def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
+def fit_intrinsics(views: Sequence[TargetView], size_px: tuple[int, int]) -> IntrinsicsFit:
     """The lens that explains the views, bad ones left out. Raises ConfigError if there are too few."""
     if len(views) < FEWEST_VIEWS:
         names = ", ".join(view.name for view in views) or "none"
         raise ConfigError(f"the board was found in {len(views)} pictures ({names}), at least {FEWEST_VIEWS} are needed")
-    kept, rejected = list(views), list[tuple[BoardView, float]]()
+    kept, rejected = list(views), list[tuple[TargetView, float]]()
     fit = _fit(kept, size_px)
     while len(kept) > FEWEST_VIEWS and len(rejected) < int(len(views) * _BAD_SHARE):
         worst = int(np.argmax(fit.view_rms_px))
@@ -93,14 +72,14 @@ def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
     return replace(fit, rejected=tuple(rejected))
 
 
-def _fit(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
+def _fit(views: Sequence[TargetView], size_px: tuple[int, int]) -> IntrinsicsFit:
     """With k3 only if it is significant, and matters: views of a video repeat one another, and so do their errors."""
     plain, with_k3 = _solve(views, size_px, cv2.CALIB_FIX_K3), _solve(views, size_px, 0)
     is_sure = abs(with_k3.lens.distortion[4]) > _SIGNIFICANT * with_k3.deviations[8]
     return with_k3 if is_sure and with_k3.rms_px < _MATTERS * plain.rms_px else plain
 
 
-def _solve(views: Sequence[BoardView], size_px: tuple[int, int], flags: int) -> LensFit:
+def _solve(views: Sequence[TargetView], size_px: tuple[int, int], flags: int) -> IntrinsicsFit:
     boards = [view.board_m.astype(np.float32)[:, None] for view in views]
     pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
     try:
@@ -117,12 +96,12 @@ def _solve(views: Sequence[BoardView], size_px: tuple[int, int], flags: int) -> 
     ]
     residuals = tuple(view.pixels - place for view, place in zip(views, predicted, strict=True))
     fx, fy, cx, cy, *ks = (float(value) for value in found)
-    lens = Lens(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
+    lens = Intrinsics(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
     sigma, view_rms = (np.asarray(values, dtype=np.float64).ravel() for values in (deviations, errors))
-    return LensFit(lens, sigma[:9], float(rms), tuple(views), view_rms, residuals)
+    return IntrinsicsFit(lens, sigma[:9], float(rms), tuple(views), view_rms, residuals)
 
 
-def lens_warnings(fit: LensFit) -> list[str]:
+def intrinsics_warnings(fit: IntrinsicsFit) -> list[str]:
     """What a person should mend before trusting the lens."""
     said = []
     if len(fit.views) < ADVISED_VIEWS:
@@ -141,7 +120,7 @@ def lens_warnings(fit: LensFit) -> list[str]:
     return said
 
 
-def _least_reach(fit: LensFit) -> float:
+def _least_reach(fit: IntrinsicsFit) -> float:
     """How far towards each of the picture's corners the board's corners went, of the whole way; the least of the four."""
     width, height = fit.lens.size_px
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
@@ -150,14 +129,12 @@ def _least_reach(fit: LensFit) -> float:
     return float(went.max(axis=0).min())
 
 
-def fold_px(lens: Lens) -> float:
+def fold_px(lens: Intrinsics) -> float:
     """How far undistorting and distorting the picture's edge misses it: more than nothing where the polynomial turns back."""
     width, height = lens.size_px
     x, y = np.linspace(0.0, width - 1.0, 33), np.linspace(0.0, height - 1.0, 25)
     edge = np.concatenate([np.stack(np.broadcast_arrays(x, v), axis=-1) for v in (y[0], y[-1])])
     edge = np.concatenate([edge, *(np.stack(np.broadcast_arrays(u, y), axis=-1) for u in (x[0], x[-1]))])
-    distortion = np.array(lens.distortion)
-    rays = cv2.undistortPoints(edge[:, None], lens.matrix, distortion, criteria=_UNDISTORT)[:, 0]
-    ahead = np.column_stack([rays, np.ones(len(rays))])
-    back, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), lens.matrix, distortion)
+    rays = lens.rays(edge)
+    back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))
     return float(np.abs(np.asarray(back)[:, 0] - edge).max())

@@ -7,7 +7,7 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from localizer.calibration.targets import marker_centres
+from localizer.detection.fiducials import marker_centres
 from localizer.detection.image_regions import Pixels
 from wire.config.scene import Pool, Vec2, Vec3
 from wire.frames import Array
@@ -19,7 +19,7 @@ _HIGHEST_M = -1.5  # a point so far above the water is a sign that got lost: z p
 _LINE_SHARE = 0.05  # width over length of the cloud of points, below which the pose may turn around the line
 
 
-class PoolPoint(Section):
+class SurveyPoint(Section):
     """A point of known place in the pool frame: seen at `pixel_px`, or the centre of the ArUco marker `marker_id`
     (DICT_4X4_50), which is then looked for in the picture."""
 
@@ -35,12 +35,12 @@ class PoolPoint(Section):
         return self
 
 
-class PoolPoints(Section):
+class SurveyFile(Section):
     """The file of `--pool-points`. `image`: the picture they were seen in, beside the file."""
 
     pool: Pool  # as in the experiment
     image: str | None = None
-    points: tuple[PoolPoint, ...]
+    points: tuple[SurveyPoint, ...]
 
     @model_validator(mode="after")
     def _usable(self) -> Self:
@@ -64,7 +64,7 @@ class PoolPoints(Section):
         return self
 
 
-def seen_pixels(points: Sequence[PoolPoint], picture: Pixels | None) -> Array:
+def seen_pixels(points: Sequence[SurveyPoint], picture: Pixels | None) -> Array:
     """Where the points are in the picture, (n, 2): as written, or as their markers are found. Raises ConfigError."""
     markers = {} if picture is None else marker_centres(picture)
     pixels = []

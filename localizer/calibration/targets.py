@@ -26,7 +26,7 @@ _REFINE_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
-class BoardView:
+class TargetView:
     """The board in one picture: corners on the board (n, 3) in m, and in the picture (n, 2) in px."""
 
     name: str
@@ -34,10 +34,10 @@ class BoardView:
     pixels: Array
 
 
-class Board(Protocol):
+class CalibrationTarget(Protocol):
     """Something flat with corners whose places on it are known."""
 
-    def find(self, grey: Pixels, name: str) -> BoardView | None:
+    def find(self, grey: Pixels, name: str) -> TargetView | None:
         """The board in a grey picture (height, width), or None if it is not there."""
         ...
 
@@ -51,7 +51,7 @@ class Chessboard:
         places = np.column_stack([across.ravel(), down.ravel(), np.zeros(columns * rows)])
         self._corners_m: Array = np.asarray(square_m * places, dtype=np.float64)
 
-    def find(self, grey: Pixels, name: str) -> BoardView | None:
+    def find(self, grey: Pixels, name: str) -> TargetView | None:
         found, corners = cv2.findChessboardCornersSB(grey, self._count, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not found:
             return None
@@ -60,7 +60,7 @@ class Chessboard:
         rough = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
         reach = int(np.clip(_REFINE_SHARE * self._nearest_px(rough), *_REFINE_PX))
         pixels = cv2.cornerSubPix(grey, rough, (reach, reach), (-1, -1), _REFINE_UNTIL)
-        return BoardView(name, self._corners_m, np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
+        return TargetView(name, self._corners_m, np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
 
     def _nearest_px(self, corners: NDArray[np.float32]) -> float:
         """Shortest side of a square in the picture."""
@@ -78,32 +78,17 @@ class Charuco:
         self._corners_m = np.asarray(board.getChessboardCorners(), dtype=np.float64).reshape(-1, 3)
         self._detector = cv2.aruco.CharucoDetector(board)
 
-    def find(self, grey: Pixels, name: str) -> BoardView | None:
+    def find(self, grey: Pixels, name: str) -> TargetView | None:
         corners, ids, _, _ = self._detector.detectBoard(grey)
         if ids is None or len(ids) < FEWEST_CORNERS:
             return None
         pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
         if np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] < _LEAST_PX * np.sqrt(len(pixels)):
             return None
-        return BoardView(name, self._corners_m[np.asarray(ids).ravel()], pixels)
+        return TargetView(name, self._corners_m[np.asarray(ids).ravel()], pixels)
 
 
-def marker_centres(grey: Pixels) -> dict[int, list[Array]]:
-    """Centres (2,) in px of the DICT_4X4_50 markers in a grey picture, by id: where their diagonals cross, which tilt does
-    not move."""
-    settings = cv2.aruco.DetectorParameters()
-    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), settings)
-    corners, ids, _ = detector.detectMarkers(grey)
-    found: dict[int, list[Array]] = {}
-    for quad, number in zip(corners, () if ids is None else ids.ravel(), strict=True):
-        a, b, c, d = np.asarray(quad, dtype=np.float64).reshape(4, 2)
-        along, _ = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)
-        found.setdefault(int(number), []).append(a + along * (c - a))
-    return found
-
-
-def parse_board(text: str) -> Board:
+def parse_target(text: str) -> CalibrationTarget:
     """The board that `--board` describes. Raises ConfigError saying what is wrong with it."""
     kind, *parts = text.split(":")
     if kind == "chessboard" and len(parts) == 2:

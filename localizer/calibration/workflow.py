@@ -15,10 +15,10 @@ import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose
 from localizer.calibration.images import pictures, read_picture, write_picture
-from localizer.calibration.intrinsics import LensFit, fit_lens
-from localizer.calibration.report import lens_lines, lens_picture, pose_lines, pose_picture
-from localizer.calibration.survey_points import PoolPoints, seen_pixels
-from localizer.calibration.targets import EXAMPLES, BoardView, parse_board
+from localizer.calibration.intrinsics import IntrinsicsFit, fit_intrinsics
+from localizer.calibration.report import intrinsics_lines, intrinsics_picture, pose_lines, pose_picture
+from localizer.calibration.survey_points import SurveyFile, seen_pixels
+from localizer.calibration.targets import EXAMPLES, TargetView, parse_target
 from localizer.detection.image_regions import Pixels
 from wire.config.perception import Camera, CameraFile
 from wire.process.output_files import check_output, replace_text
@@ -32,7 +32,7 @@ _DIGITS = {"focal_px": 3, "centre_px": 3, "distortion": 7, "position_m": 5, "rot
 
 
 @dataclass(frozen=True)
-class Request:
+class CalibrationRequest:
     """What `localizer calibrate` was asked for; the file formats are those of docs/calibration.md."""
 
     sources: tuple[Path, ...]
@@ -48,11 +48,11 @@ class Request:
     grey: bool = False  # pictures of one channel are grey, not raw Bayer RGGB
 
 
-def calibrate(request: Request) -> list[str]:
+def calibrate(request: CalibrationRequest) -> list[str]:
     """Find the lens from pictures of a board (or take it from a file), then the pose from points of the pool. Writes the
     camera file and a picture beside it; returns the report's lines. Raises ConfigError."""
     _check_request(request)
-    points = None if request.points is None else check(PoolPoints, read_toml(request.points), str(request.points))
+    points = None if request.points is None else check(SurveyFile, read_toml(request.points), str(request.points))
     image, drawn = _points_image(request, points), request.out.with_suffix(".png")
     _check_outputs(request, image, drawn)
     summary, lines, panels = [], [], []
@@ -61,9 +61,9 @@ def calibrate(request: Request) -> list[str]:
         lines.append(f"Lens from {request.lens}")
     else:
         fit, missing, spare, backdrop = _fit_lens(request)
-        camera = _not_hung_up(fit.lens.model_dump(), "the camera found", request)
-        lines += lens_lines(fit, missing, spare)
-        panels.append(lens_picture(backdrop, fit))
+        camera = _without_pose(fit.lens.model_dump(), "the camera found", request)
+        lines += intrinsics_lines(fit, missing, spare)
+        panels.append(intrinsics_picture(backdrop, fit))
         summary.append(f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px")
     if points is not None:
         pose, backdrop = _fit_pose(camera, points, request)
@@ -76,7 +76,7 @@ def calibrate(request: Request) -> list[str]:
     return [*lines, *([] if points else [_NO_POSE.format(out=request.out)])]
 
 
-def _check_request(request: Request) -> None:
+def _check_request(request: CalibrationRequest) -> None:
     """What can be refused before minutes of work."""
     if (request.lens is None) == (not request.sources):
         raise ConfigError("give either pictures of a board (files, folders, videos), or --lens FILE with a lens found earlier")
@@ -88,7 +88,7 @@ def _check_request(request: Request) -> None:
         raise ConfigError(f"--out {request.out}: must end in .toml, in a folder that exists")
 
 
-def _check_outputs(request: Request, image: Path | None, drawn: Path) -> None:
+def _check_outputs(request: CalibrationRequest, image: Path | None, drawn: Path) -> None:
     """Neither file may be one that is read. The lens' file may be given again as --out: its lens goes into the new one."""
     read = [*request.sources, *(file for source in request.sources if source.is_dir() for file in source.iterdir())]
     read += [path for path in (request.points, image) if path is not None]
@@ -99,12 +99,12 @@ def _check_outputs(request: Request, image: Path | None, drawn: Path) -> None:
             raise ConfigError(f"--out {request.out}: {error}") from None
 
 
-def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
+def _fit_lens(request: CalibrationRequest) -> tuple[IntrinsicsFit, list[str], int, Pixels]:
     """The lens, the names of pictures without the board, how many views were not needed, and a picture to draw on."""
     if request.board is None:
         raise ConfigError(f"--board: which board do the pictures show? (allowed: {EXAMPLES})")
-    board = parse_board(request.board)
-    views, missing, backdrop = list[BoardView](), list[str](), np.empty((0, 0, 3), np.uint8)
+    board = parse_target(request.board)
+    views, missing, backdrop = list[TargetView](), list[str](), np.empty((0, 0, 3), np.uint8)
     for name, picture in pictures(request.sources, request.every, request.grey):
         view = board.find(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8), name)
         if view is None:
@@ -116,10 +116,10 @@ def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
         raise ConfigError(f"--board {request.board}: found in none of {len(missing)} pictures; are counts and kind right?")
     used = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int))]
     height, width, _ = backdrop.shape
-    return fit_lens(used, (width, height)), missing, len(views) - len(used), backdrop
+    return fit_intrinsics(used, (width, height)), missing, len(views) - len(used), backdrop
 
 
-def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[PoseFit, Pixels]:
+def _fit_pose(camera: Camera, points: SurveyFile, request: CalibrationRequest) -> tuple[PoseFit, Pixels]:
     """The pose, and the picture it was found in, black if there was none."""
     image = _points_image(request, points)
     width, height = camera.size_px
@@ -134,22 +134,22 @@ def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[Pos
     return pose, np.zeros((height, width, 3), np.uint8) if picture is None else picture
 
 
-def _points_image(request: Request, points: PoolPoints | None) -> Path | None:
+def _points_image(request: CalibrationRequest, points: SurveyFile | None) -> Path | None:
     """The picture that the points were seen in, if there is one."""
     if request.image is not None or points is None or points.image is None or request.points is None:
         return request.image
     return request.points.parent / points.image
 
 
-def _read_lens(request: Request) -> Camera:
+def _read_lens(request: CalibrationRequest) -> Camera:
     assert request.lens is not None
     camera = read_toml(request.lens).get("camera", {})
     if not isinstance(camera, dict):
         raise ConfigError(f"{request.lens}: camera = {camera!r}: must be a table")
-    return _not_hung_up(camera, str(request.lens), request)
+    return _without_pose(camera, str(request.lens), request)
 
 
-def _not_hung_up(table: dict[str, Any], source: str, request: Request) -> Camera:
+def _without_pose(table: dict[str, Any], source: str, request: CalibrationRequest) -> Camera:
     """A camera with the lens of `table`, some pose, and what was asked for."""
     asked = {key: getattr(request, key) for key in ("rate_hz", "exposure_s", "water_index")}
     asked = {key: value for key, value in asked.items() if value is not None}

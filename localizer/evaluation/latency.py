@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from localizer.node import Shell
-from localizer.sources.base import Shot, Source
+from localizer.node import LocalizerNode
+from localizer.sources.base import CapturedFrame, FrameSource
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -44,7 +44,7 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class Quantiles:
+class LatencyQuantiles:
     """Of a duration, in ms."""
 
     p50: float
@@ -59,10 +59,10 @@ class Latency:
     pictures: int
     dropped: int
     unstamped: int
-    exposure_to_arrival_ms: Quantiles
-    arrival_to_pose_ms: Quantiles
-    exposure_to_pose_ms: Quantiles
-    interval_ms: Quantiles
+    exposure_to_arrival_ms: LatencyQuantiles
+    arrival_to_pose_ms: LatencyQuantiles
+    exposure_to_pose_ms: LatencyQuantiles
+    interval_ms: LatencyQuantiles
     warnings: tuple[str, ...]
 
     def to_json(self) -> str:
@@ -83,14 +83,14 @@ class Latency:
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
-Told = Callable[[int, str], None]  # the picture with this stamp is done: its poses are out, or why there are none
+OnLocalized = Callable[[int, str], None]  # the picture with this stamp is done: its poses are out, or why there are none
 
 
-class _Watched:
+class _TimedSource:
     """A source that notes its pictures, and ends after `seconds`."""
 
-    def __init__(self, source: Source, clock: Clock, seconds: float) -> None:
-        self.pictures: list[Shot] = []
+    def __init__(self, source: FrameSource, clock: Clock, seconds: float) -> None:
+        self.pictures: list[CapturedFrame] = []
         self.done: dict[int, tuple[int, str]] = {}  # by stamp: when, and why there were no poses
         self._source, self._clock, self._seconds = source, clock, seconds
 
@@ -102,11 +102,11 @@ class _Watched:
     def trouble(self) -> str:
         return self._source.trouble
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         end_ns = self._clock.now_ns() + round(self._seconds * 1e9)
-        for shot in self._source.shots(stop):
-            self.pictures += [shot] if shot is not None else []
-            yield shot
+        for captured in self._source.frames(stop):
+            self.pictures += [captured] if captured is not None else []
+            yield captured
             if self._clock.now_ns() >= end_ns:
                 return
 
@@ -118,23 +118,25 @@ class _Watched:
 
 
 def measure(
-    source: Source, localize: Callable[[Source, Told], None], clock: Clock, seconds: float
+    source: FrameSource, localize: Callable[[FrameSource, OnLocalized], None], clock: Clock, seconds: float
 ) -> tuple[list[Timing], int]:
     """Localize for a while. Returns the pictures after WARM_UP and how many were dropped meanwhile.
 
     `localize` works through a source until it ends, and tells when the poses of a picture are out, or that there are none."""
-    watched = _Watched(source, clock, seconds)
+    watched = _TimedSource(source, clock, seconds)
     localize(watched, watched.told)
     before, counted = watched.pictures[:WARM_UP], watched.pictures[WARM_UP:]
-    done = [(shot, *watched.done[shot.stamp_ns]) for shot in counted if shot.stamp_ns in watched.done]
-    timings = [Timing(shot.instant_ns, shot.arrived_ns, ready_ns, shot.stamped, why) for shot, ready_ns, why in done]
+    done = [(captured, *watched.done[captured.stamp_ns]) for captured in counted if captured.stamp_ns in watched.done]
+    timings = [
+        Timing(captured.instant_ns, captured.arrived_ns, ready_ns, captured.stamped, why) for captured, ready_ns, why in done
+    ]
     return timings, counted[-1].dropped - before[-1].dropped if counted else 0
 
 
-def in_this_process(experiment: Experiment, clock: Clock, stop: Stop, source: Source, told: Told) -> None:
+def localize_in_process(experiment: Experiment, clock: Clock, stop: Stop, source: FrameSource, told: OnLocalized) -> None:
     """Run the localizer on a source, with a bus that nobody else is on."""
     hub = MemoryHub()
-    witness, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    observer, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     failed = 0  # pictures
 
     def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -148,12 +150,12 @@ def in_this_process(experiment: Experiment, clock: Clock, stop: Stop, source: So
         failed = status.failed
         told(header.stamp_ns, "" if localized else status.message)
 
-    witness.subscribe(topics.LOCALIZER, None, hear)
-    Shell(experiment, own, stop, clock, source).run()
+    observer.subscribe(topics.LOCALIZER, None, hear)
+    LocalizerNode(experiment, own, stop, clock, source).run()
     stop.raise_failure()
 
 
-def judge(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | None:
+def assess(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | None:
     """The distributions, and what is not as it should be at `rate_hz`; None if there were not even two pictures."""
     if len(timings) < 2:
         return None
@@ -185,5 +187,5 @@ def judge(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | 
     )  # fmt: skip
 
 
-def _quantiles(values_ms: Array) -> Quantiles:
-    return Quantiles(float(np.median(values_ms)), float(np.quantile(values_ms, 0.99)), float(np.max(values_ms)))
+def _quantiles(values_ms: Array) -> LatencyQuantiles:
+    return LatencyQuantiles(float(np.median(values_ms)), float(np.quantile(values_ms, 0.99)), float(np.max(values_ms)))

@@ -51,7 +51,7 @@ class PoseRow:
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class GroundTruthTrajectory:
     """A robot's true way: instants (n,) in ns, rising, and [x, y, yaw] (n, 3)."""
 
     stamp_ns: Array
@@ -73,7 +73,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class PublishedPose:
     """A published pose of a robot."""
 
     robot: int
@@ -82,12 +82,12 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
-class _Error:
+class _PoseError:
     """Of one pose: x, y, yaw (3,), its square in units of the covariance, and whose place it really is."""
 
-    found: Found
+    found: PublishedPose
     error: Array
-    surprise: float
+    nees: float
     swapped: bool
 
 
@@ -102,7 +102,7 @@ def pixel_row(subject: str, errors_px: Sequence[float], failures: int, times_ms:
     )  # fmt: skip
 
 
-def pose_rows(found: Sequence[Found], truth: Mapping[int, Way]) -> list[PoseRow]:
+def pose_rows(found: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:
     """Rows for every robot, every state of a track, and all together; lost robots only in the row of their own, as a lost
     robot's pose is where it was last seen. Poses without a truth are left out."""
     errors = [error for error in (_error(f, truth) for f in found) if error is not None]
@@ -113,7 +113,7 @@ def pose_rows(found: Sequence[Found], truth: Mapping[int, Way]) -> list[PoseRow]
     return [_pose_row(subject, group) for subject, group in groups.items() if group]
 
 
-def _error(found: Found, truth: Mapping[int, Way]) -> _Error | None:
+def _error(found: PublishedPose, truth: Mapping[int, GroundTruthTrajectory]) -> _PoseError | None:
     true = truth[found.robot].at(found.stamp_ns) if found.robot in truth else None
     if true is None:
         return None
@@ -123,10 +123,10 @@ def _error(found: Found, truth: Mapping[int, Way]) -> _Error | None:
     place = np.array([pose.x_m, pose.y_m])
     own_m = float(np.linalg.norm(error[:2]))
     swapped = any(float(np.linalg.norm(place - other[:2])) < own_m for other in others if other is not None)
-    return _Error(found, error, _surprise(error, pose.covariance), swapped)
+    return _PoseError(found, error, _nees(error, pose.covariance), swapped)
 
 
-def _surprise(error: Array, covariance: Array) -> float:
+def _nees(error: Array, covariance: Array) -> float:
     """e' P^-1 e; NaN for a matrix that is no covariance."""
     try:
         half = np.linalg.solve(np.linalg.cholesky(covariance), error)
@@ -135,11 +135,11 @@ def _surprise(error: Array, covariance: Array) -> float:
     return float(half @ half)
 
 
-def _pose_row(subject: str, group: Sequence[_Error]) -> PoseRow:
+def _pose_row(subject: str, group: Sequence[_PoseError]) -> PoseRow:
     errors = np.array([e.error for e in group])
     distance_mm, turn_deg = 1e3 * np.linalg.norm(errors[:, :2], axis=1), np.degrees(np.abs(errors[:, 2]))
-    surprises = np.array([e.surprise for e in group])
-    usable = surprises[np.isfinite(surprises)]
+    nees_values = np.array([e.nees for e in group])
+    usable = nees_values[np.isfinite(nees_values)]
     count = max(len(usable), 1)
     low, high = (float(chi2.ppf(share, _COMPONENTS * count)) / count for share in _BAND)
     return PoseRow(

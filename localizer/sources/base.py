@@ -21,7 +21,7 @@ _HICCUP_S = 0.1  # of a busy computer: nobody is absent for so short a time, how
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class CapturedFrame:
     """One picture (height, width) uint8 raw Bayer RGGB, and its times."""
 
     pixels: Pixels
@@ -33,14 +33,14 @@ class Shot:
     inputs_up_to_ns: int | None = None  # lockstep: the newest robots' states that count
 
 
-class Source(Protocol):
+class FrameSource(Protocol):
     """A camera, or what stands in for one."""
 
     @property
     def silent_after_s(self) -> float:
         """Without a picture for so long, it says that there is none."""
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """The newest picture whenever there is a new one; None after each `silent_after_s` without. Ends when told to stop, or
         when no more can come. A source that fails recovers by itself and keeps yielding None meanwhile."""
 

@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Iterator, Mapping
 
-from localizer.sources.base import Shot, silent_after_s
+from localizer.sources.base import CapturedFrame, silent_after_s
 from wire.messages import topics
 from wire.messages.messages import Frame, RobotState
 from wire.process.runtime import Clock, Lockstep, LockstepClock, Stop, wait
@@ -56,7 +56,7 @@ class BusSource:
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence, self._camera = _Sequence(), _OneCamera(self.silent_after_s)
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See Source. Frames that cannot be read are as good as none, and so are those of two cameras in turn."""
         seen = given = self._frames.newest_header()
         bad, silent_since = self._frames.bad, time.monotonic()
@@ -71,21 +71,21 @@ class BusSource:
                 self._camera.note(given.session, time.monotonic())
                 if self._camera.are_two(time.monotonic()):
                     continue
-                yield self._shot(received)
+                yield self._captured(received)
             elif not stop.requested:
-                self.trouble = self._why(bad)
+                self.trouble = self._silence_reason(bad)
                 yield None
             silent_since = time.monotonic()
 
-    def _why(self, bad: int) -> str:
+    def _silence_reason(self, bad: int) -> str:
         """Why no frame comes; `bad` were unreadable when the last one came."""
         if self._camera.are_two(time.monotonic()):
             return "two cameras publish frames: end one of them"
         return self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
 
-    def _shot(self, received: Received[Frame]) -> Shot:
+    def _captured(self, received: Received[Frame]) -> CapturedFrame:
         header, instant_ns = received.header, self._clock.instant_ns(received)
-        return Shot(
+        return CapturedFrame(
             received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns + received.late_ns,
             dropped=self._sequence.note(received), stamped=header.age_ns > 0,
         )  # fmt: skip
@@ -107,7 +107,7 @@ class LockstepSource:
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence = _Sequence()
 
-    def shots(self, stop: Stop) -> Iterator[Shot]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame]:
         """See Source. Without a tick time stands still, so nothing is ever late."""
         done_ns = -1
         while not stop.requested and (tick := self._lockstep.next()) is not None:
@@ -120,7 +120,7 @@ class LockstepSource:
             if received is not None:
                 done_ns = tick.frame_ns
                 stamp_ns, dropped = received.header.stamp_ns, self._sequence.note(received)
-                yield Shot(
+                yield CapturedFrame(
                     received.message.pixels,
                     stamp_ns,
                     stamp_ns,

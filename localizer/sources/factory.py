@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from localizer.sources.base import Source
+from localizer.sources.base import FrameSource
 from localizer.sources.bus import BusSource, LockstepSource
 from localizer.sources.files import FolderSource, VideoSource
 from localizer.sources.v4l2 import V4l2Source, check_device
@@ -19,12 +19,12 @@ ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
 FASTEST = math.inf
 
 
-def open_bus(bus: Bus, clock: Clock, stop: Stop, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> Source:
+def open_bus(bus: Bus, clock: Clock, stop: Stop, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> FrameSource:
     """Frames of the fleet's camera, by the clock that is given."""
     return LockstepSource(bus, clock, stop, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock, rate_hz)
 
 
-def open_own(name: str, camera: Camera, clock: Clock) -> Source:
+def open_own(name: str, camera: Camera, clock: Clock) -> FrameSource:
     """A camera at this machine, or recorded pictures in its place. Raises ConfigError, naming what is allowed."""
     kind, _, where = name.partition(":")
     if isinstance(clock, LockstepClock):

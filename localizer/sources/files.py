@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.sources.base import SUFFIXES, Shot, as_bayer, silent_after_s
+from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_after_s
 from wire.process.runtime import SLICE_S, Clock, Stop, log
 from wire.toml_loader import ConfigError
 
@@ -33,7 +33,7 @@ def sleep_until(clock: Clock, due_ns: int, stop: Stop) -> bool:
     return False
 
 
-class Pace:
+class FramePacer:
     """When pictures are due."""
 
     def __init__(self, clock: Clock, rate_hz: float, as_fast_as_possible: bool) -> None:
@@ -59,6 +59,38 @@ class Pace:
         return due_ns if self._fast or sleep_until(self._clock, due_ns, stop) else None
 
 
+def open_video(path: Path) -> cv2.VideoCapture:
+    """A video file by OpenCV's FFmpeg. Raises ConfigError if it cannot be played."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not path.is_file() or not capture.isOpened():
+        raise ConfigError(f"video {path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
+    return capture
+
+
+def video_frames(path: Path, limit: int | None = None) -> Iterator[Pixels]:
+    """The first `limit` frames of a video, or all, BGR (height, width, 3). Raises ConfigError if there are none."""
+    capture = open_video(path)
+    try:
+        count = 0
+        while (limit is None or count < limit) and (read := capture.read())[0]:
+            count += 1
+            yield np.asarray(read[1], dtype=np.uint8)
+        if count == 0:
+            raise ConfigError(f"video {path}: no frame can be read")
+    finally:
+        capture.release()
+
+
+def picture_files(folder: Path) -> list[Path]:
+    """The picture files of a folder in the order of their names, numbers inside names as numbers. Raises OSError."""
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES), key=_by_number)
+
+
+def _by_number(path: Path) -> tuple[tuple[int, int, str], ...]:
+    parts = re.split(r"(\d+)", path.name)
+    return tuple((1, int(part), part) if part.isdigit() else (0, 0, part) for part in parts)
+
+
 class VideoSource:
     """A video file, once through."""
 
@@ -67,16 +99,14 @@ class VideoSource:
     def __init__(self, path: Path, rate_hz: float | None, clock: Clock, as_fast_as_possible: bool = False) -> None:
         """`rate_hz` None: the file's own. Raises ConfigError if the file cannot be played."""
         self._path, self._clock = path, clock
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-        if not path.is_file() or not self._capture.isOpened():
-            raise ConfigError(f"video {path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
+        self._capture = open_video(path)
         own_hz = self._capture.get(cv2.CAP_PROP_FPS)
         if rate_hz is None and not 0.0 < own_hz < 1e4:
             raise ConfigError(f"video {path}: the file does not say its frame rate; give one, for example video:{path}:25")
-        self._pace = Pace(clock, rate_hz or own_hz, as_fast_as_possible)
+        self._pace = FramePacer(clock, rate_hz or own_hz, as_fast_as_possible)
         self._dropped = 0
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See Source. Ends with the file."""
         while not stop.requested:
             late = self._pace.overdue()
@@ -90,7 +120,7 @@ class VideoSource:
                 return
             due_ns = self._pace.release(late, stop)
             if due_ns is not None:
-                yield Shot(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
+                yield CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
     def close(self) -> None:
         """Close the file."""
@@ -109,33 +139,33 @@ class FolderSource:
             raise ConfigError(f"folder {path}: no such folder")
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._path, self._clock = path, clock
-        self._pace = Pace(clock, rate_hz, as_fast_as_possible)
+        self._pace = FramePacer(clock, rate_hz, as_fast_as_possible)
         self._shown: dict[str, int] = {}  # file name -> time of its last change
-        self._looked_at_ns: int | None = None  # time of the folder's last change, once everything of it was seen
+        self._listed_ns: int | None = None  # time of the folder's last change, once everything of it was seen
         self._dropped = 0
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See Source. Never ends by itself."""
         pending: list[Path] = []
         silent_since = time.monotonic()
         while not stop.requested:
             pending = pending or self._new()
-            shot = self._next(pending, stop) if pending else None
-            if shot is not None:
-                yield shot
+            captured = self._next(pending, stop) if pending else None
+            if captured is not None:
+                yield captured
             elif not pending:
                 self._pace.rest()
                 sleep_until(self._clock, self._clock.now_ns() + _POLL_NS, stop)
-            if shot is None and time.monotonic() - silent_since < self.silent_after_s:
+            if captured is None and time.monotonic() - silent_since < self.silent_after_s:
                 continue
-            if shot is None and not stop.requested:
+            if captured is None and not stop.requested:
                 yield None
             silent_since = time.monotonic()
 
     def close(self) -> None:
         """There is nothing to let go of."""
 
-    def _next(self, pending: list[Path], stop: Stop) -> Shot | None:
+    def _next(self, pending: list[Path], stop: Stop) -> CapturedFrame | None:
         """Take one picture from the front of `pending`, and those it overtakes; None if it is none, or told to stop."""
         late = min(self._pace.overdue(), len(pending) - 1)
         self._dropped += late
@@ -145,7 +175,7 @@ class FolderSource:
         due_ns = self._pace.release(late, stop) if pixels is not None else None
         if pixels is None or due_ns is None:
             return None
-        return Shot(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
+        return CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
     def _read(self, path: Path) -> Pixels | None:
         picture: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -159,20 +189,14 @@ class FolderSource:
         """Images not shown yet, in order. Cheap while the folder does not change."""
         try:
             changed_ns = self._path.stat().st_mtime_ns
-            if changed_ns == self._looked_at_ns:
+            if changed_ns == self._listed_ns:
                 return []
-            found = {p: p.stat().st_mtime_ns for p in self._path.iterdir() if p.suffix.lower() in SUFFIXES}
+            found = {path: path.stat().st_mtime_ns for path in picture_files(self._path)}
         except OSError as error:  # the folder, or a file of it, is being taken away
-            self.trouble, self._looked_at_ns = str(error), None
+            self.trouble, self._listed_ns = str(error), None
             return []
-        self._looked_at_ns = changed_ns if time.time_ns() - changed_ns > _SETTLED_NS else None
+        self._listed_ns = changed_ns if time.time_ns() - changed_ns > _SETTLED_NS else None
         new = [path for path, when_ns in found.items() if self._shown.get(path.name) != when_ns]
         self._shown = {path.name: when_ns for path, when_ns in found.items()}
         self.trouble = "" if new else f"nothing new in {self._path}"
-        return sorted(new, key=_natural)
-
-
-def _natural(path: Path) -> tuple[tuple[int, int, str], ...]:
-    """Sorts numbers inside names as numbers."""
-    parts = re.split(r"(\d+)", path.name)
-    return tuple((1, int(part), part) if part.isdigit() else (0, 0, part) for part in parts)
+        return new

@@ -11,7 +11,7 @@ _STRIDE = 7
 _BLACK_LEVEL = 8.0  # mean of 255: a covered lens shows 0-4, a pool by emergency light more than 20
 
 
-class CameraWatch:
+class FrameHealthMonitor:
     """Judges each picture by itself and against the one before."""
 
     def __init__(self, size_px: tuple[int, int], frozen_frames: int) -> None:
@@ -25,7 +25,7 @@ class CameraWatch:
         """The newest picture is the one before over again: it holds no news, whether frozen already or not."""
         return self._same > 1
 
-    def judge(self, frame: NDArray[np.uint8]) -> CameraHealth:
+    def assess(self, frame: NDArray[np.uint8]) -> CameraHealth:
         """The camera's state after this picture, (height, width) uint8. `frozen_frames` identical ones in a row are FROZEN."""
         if frame.shape != self._shape or frame.dtype != np.uint8:
             self._last, self._same = None, 0

@@ -6,7 +6,7 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Latest(Generic[T]):
+class LatestValue(Generic[T]):
     """Never a queue: a slow taker gets the newest item, not the oldest."""
 
     def __init__(self) -> None:

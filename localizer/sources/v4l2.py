@@ -20,8 +20,8 @@ from typing import Any, Literal, Protocol
 
 import cv2
 
-from localizer.sources.base import Shot, as_bayer, silent_after_s
-from localizer.sources.latest_value import Latest
+from localizer.sources.base import CapturedFrame, as_bayer, silent_after_s
+from localizer.sources.latest_value import LatestValue
 from wire.config.perception import Camera
 from wire.process.runtime import SLICE_S, Clock, Stop, guarded_thread, log
 from wire.toml_loader import ConfigError
@@ -122,13 +122,13 @@ class V4l2Source:
         self._device, self._camera, self._clock = device, camera, clock
         self._open, self._monotonic_ns = open_device, monotonic_ns
         self._exposure_ns = round(camera.exposure_s * 1e9)
-        self._newest: Latest[Shot] = Latest()
+        self._newest: LatestValue[CapturedFrame] = LatestValue()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         if camera.exposure_s > LONGEST_EXPOSURE_S:
             log.warning("camera.exposure_s = %g: more than %g s smears moving robots", camera.exposure_s, LONGEST_EXPOSURE_S)
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         """See Source."""
         # a daemon: `grab` on a camera that hangs returns late, and must not keep the process
         self._thread = guarded_thread(stop, "camera", self._keep_grabbing, daemon=True)
@@ -136,9 +136,9 @@ class V4l2Source:
         silent_since = time.monotonic()
         while not stop.requested:
             left_s = self.silent_after_s - (time.monotonic() - silent_since)
-            shot = self._newest.take(min(max(left_s, 0.0), SLICE_S))
-            if shot is not None:
-                yield replace(shot, dropped=self._newest.overtaken)
+            captured = self._newest.take(min(max(left_s, 0.0), SLICE_S))
+            if captured is not None:
+                yield replace(captured, dropped=self._newest.overtaken)
             elif left_s > 0.0:
                 continue
             elif not stop.requested:
@@ -158,7 +158,7 @@ class V4l2Source:
             try:
                 self._attempt()
             except Exception as error:  # a driver's surprise must cost one attempt, not the camera
-                self._tell(f"failed: {type(error).__name__}: {error}")
+                self._report(f"failed: {type(error).__name__}: {error}")
             self._closing.wait(RETRY_S)
 
     def _attempt(self) -> None:
@@ -169,34 +169,34 @@ class V4l2Source:
                 self._configure(capture)
                 self._stream(capture)
             else:
-                self._tell("cannot be opened")
+                self._report("cannot be opened")
         finally:
             capture.release()
 
     def _stream(self, capture: Capture) -> None:
         while not self._closing.is_set():
             if not capture.grab():
-                self._tell("stopped delivering")
+                self._report("stopped delivering")
                 return
             arrived_ns = self._monotonic_ns()
             driver_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             good, picture = capture.retrieve()
             pixels = as_bayer(picture) if good else None
             if pixels is None:
-                self._tell("delivers what is no 8-bit picture")
+                self._report("delivers what is no 8-bit picture")
                 continue
             if self.trouble:
                 self.trouble = ""
                 log.info("camera %s delivers", self._device)
-            self._newest.put(self._shot(pixels, driver_ns, arrived_ns))
+            self._newest.put(self._captured(pixels, driver_ns, arrived_ns))
 
-    def _shot(self, pixels: Any, driver_ns: int, arrived_ns: int) -> Shot:
+    def _captured(self, pixels: Any, driver_ns: int, arrived_ns: int) -> CapturedFrame:
         middle_ns, stamped = middle_of_exposure_ns(driver_ns, arrived_ns, self._exposure_ns, self._camera.stamp_marks)
         now_ns, now_monotonic_ns = self._clock.now_ns(), self._monotonic_ns()
         instant_ns = now_ns - (now_monotonic_ns - middle_ns)
-        return Shot(pixels, instant_ns, instant_ns, now_ns - (now_monotonic_ns - arrived_ns), stamped=stamped)
+        return CapturedFrame(pixels, instant_ns, instant_ns, now_ns - (now_monotonic_ns - arrived_ns), stamped=stamped)
 
-    def _tell(self, trouble: str) -> None:
+    def _report(self, trouble: str) -> None:
         said, self.trouble = self.trouble, f"{self._device} {trouble}"
         if said != self.trouble:
             log.error("camera %s; trying again", self.trouble)

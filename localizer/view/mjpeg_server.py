@@ -24,7 +24,7 @@ _HTML = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>localize
 <img src="/stream" alt="no picture">"""
 
 
-class Page:
+class MjpegServer:
     """Serves what `show` was given last, from http://127.0.0.1:port/."""
 
     def __init__(self, port: int, stop: Stop) -> None:
@@ -61,11 +61,11 @@ class Page:
             self._news.wait_for(lambda: self._closed or self._number != seen, _WAIT_S)
             return None if self._closed else (self._number, self._jpeg)
 
-    def take_place(self) -> bool:
+    def acquire_viewer(self) -> bool:
         """A place for one more viewer, if there is one. To be given back."""
         return self._places.acquire(blocking=False)
 
-    def give_place(self) -> None:
+    def release_viewer(self) -> None:
         """The viewer is gone."""
         self._places.release()
 
@@ -80,7 +80,7 @@ class Page:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    page: Page
+    page: MjpegServer
     timeout = _TIMEOUT_S
 
     def do_GET(self) -> None:
@@ -91,7 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_page()
         elif self.path != "/stream":
             self.send_error(HTTPStatus.NOT_FOUND)
-        elif not self.page.take_place():
+        elif not self.page.acquire_viewer():
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_VIEWERS} viewers already")
         else:
             try:
@@ -99,7 +99,7 @@ class _Handler(BaseHTTPRequestHandler):
             except OSError:  # the viewer left, or stopped reading
                 self.close_connection = True
             finally:
-                self.page.give_place()
+                self.page.release_viewer()
 
     def _send_page(self) -> None:
         self.send_response(HTTPStatus.OK)

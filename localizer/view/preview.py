@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.sources.base import Shot
-from localizer.tracking.fleet_localizer import Located
-from localizer.view.mjpeg_server import Page
-from localizer.view.worker import Worker
+from localizer.sources.base import CapturedFrame
+from localizer.tracking.fleet_localizer import LocalizationResult
+from localizer.view.mjpeg_server import MjpegServer
+from localizer.view.worker import LatestItemWorker
 from wire.messages import topics
 from wire.messages.messages import Frame, Obstacles, Preview
 from wire.process.runtime import Clock, Stop
@@ -24,7 +24,7 @@ _BLANK_PX = (480, 640)
 _RED = (60, 60, 220)
 
 
-class Rate:
+class RateLimiter:
     """Lets one through each period, by stamps: the nearest, as a camera is early by a little as often as late, and its own
     rate need be no multiple. A clock that was set back does not silence it."""
 
@@ -43,71 +43,71 @@ class Rate:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
+class _PreviewItem:
     """What was seen (None: nothing), and the word to say about it."""
 
-    shot: Shot | None
-    located: Located | None
+    captured: CapturedFrame | None
+    result: LocalizationResult | None
     stamp_ns: int
     obstacles: Obstacles
     message: str = ""
 
 
-class Previews:
+class PreviewPublisher:
     """The thread, and what it feeds."""
 
     def __init__(
         self,
-        draw: Callable[[Pixels, Located, Obstacles], Pixels],
+        draw: Callable[[Pixels, LocalizationResult, Obstacles], Pixels],
         bus: Bus,
         clock: Clock,
         stop: Stop,
         preview_rate_hz: float,
-        page: Page | None = None,
+        page: MjpegServer | None = None,
         publish_frames: bool = False,
     ) -> None:
         self._draw, self._bus, self._clock, self._page, self._publish_frames = draw, bus, clock, page, publish_frames
-        self._preview, self._paging = Rate(preview_rate_hz), Rate(PAGE_RATE_HZ if page is not None else 0.0)
-        self._worker: Worker[_Sight] = Worker("previews", self._make, stop)
+        self._preview, self._paging = RateLimiter(preview_rate_hz), RateLimiter(PAGE_RATE_HZ if page is not None else 0.0)
+        self._worker: LatestItemWorker[_PreviewItem] = LatestItemWorker("previews", self._make, stop)
 
-    def offer(self, shot: Shot, located: Located, obstacles: Obstacles) -> None:
+    def offer(self, captured: CapturedFrame, result: LocalizationResult, obstacles: Obstacles) -> None:
         """A picture and what was found in it. Never waits."""
-        self._worker.offer(_Sight(shot, located, shot.stamp_ns, obstacles))
+        self._worker.offer(_PreviewItem(captured, result, captured.stamp_ns, obstacles))
 
     def offer_nothing(self, message: str, stamp_ns: int) -> None:
         """There is no picture: what people see must not look as if there were."""
-        self._worker.offer(_Sight(None, None, stamp_ns, Obstacles(), message))
+        self._worker.offer(_PreviewItem(None, None, stamp_ns, Obstacles(), message))
 
     def close(self) -> None:
         """Finish the last one."""
         self._worker.close()
 
-    def _make(self, sight: _Sight) -> None:
+    def _make(self, item: _PreviewItem) -> None:
         try:
-            self._publish_raw(sight)
+            self._publish_raw(item)
         finally:
-            on_bus, on_page = self._preview.due(sight.stamp_ns), self._paging.due(sight.stamp_ns)
+            on_bus, on_page = self._preview.due(item.stamp_ns), self._paging.due(item.stamp_ns)
             if on_bus or on_page:
-                self._draw_and_show(sight, on_bus, on_page)
+                self._draw_and_show(item, on_bus, on_page)
 
-    def _publish_raw(self, sight: _Sight) -> None:
-        shot = sight.shot
-        if shot is not None and self._publish_frames:
-            age_ns = max(self._clock.now_ns() - shot.instant_ns, 0)
-            self._bus.publish(topics.FRAME, Frame(shot.pixels), shot.stamp_ns, age_ns=age_ns)
+    def _publish_raw(self, item: _PreviewItem) -> None:
+        captured = item.captured
+        if captured is not None and self._publish_frames:
+            age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
+            self._bus.publish(topics.FRAME, Frame(captured.pixels), captured.stamp_ns, age_ns=age_ns)
 
-    def _draw_and_show(self, sight: _Sight, on_bus: bool, on_page: bool) -> None:
+    def _draw_and_show(self, item: _PreviewItem, on_bus: bool, on_page: bool) -> None:
         try:
-            picture = self._picture(sight)
+            picture = self._picture(item)
         except Exception as error:
-            self._show(_blank(f"no preview: {error}"), sight.stamp_ns, on_bus, on_page)  # the picture before would look live
+            self._show(_blank(f"no preview: {error}"), item.stamp_ns, on_bus, on_page)  # the picture before would look live
             raise
-        self._show(picture, sight.stamp_ns, on_bus, on_page)
+        self._show(picture, item.stamp_ns, on_bus, on_page)
 
-    def _picture(self, sight: _Sight) -> Pixels:
-        if sight.shot is not None and sight.located is not None:
-            return self._draw(sight.shot.pixels, sight.located, sight.obstacles)
-        return _blank(sight.message)
+    def _picture(self, item: _PreviewItem) -> Pixels:
+        if item.captured is not None and item.result is not None:
+            return self._draw(item.captured.pixels, item.result, item.obstacles)
+        return _blank(item.message)
 
     def _show(self, picture: Pixels, stamp_ns: int, on_bus: bool, on_page: bool) -> None:
         _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])

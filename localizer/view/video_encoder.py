@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from localizer.sources.base import Shot
-from localizer.view.preview import Rate
-from localizer.view.worker import Worker
+from localizer.sources.base import CapturedFrame
+from localizer.view.preview import RateLimiter
+from localizer.view.worker import LatestItemWorker
 from wire.config.experiment import Experiment
 from wire.config.recording import Recording
 from wire.messages import topics
@@ -30,35 +30,35 @@ KEY_EVERY_S = 1.0  # a picture that needs no other: where a viewer that jumps ca
 CLOCK_HZ = 1000  # of the film's own time stamps
 
 
-class VideoMaker:
+class VideoEncoder:
     """The thread. Closed by `close`. A picture that cannot be packed is left out, and the packer is made anew."""
 
     def __init__(self, experiment: Experiment, bus: Bus, stop: Stop) -> None:
         """Raises ConfigError if what it takes is not installed."""
         self._recording, self._size_px = experiment.recording, experiment.camera.size_px
         self._pack = packer(self._recording, self._size_px)
-        self._due, self._bus = Rate(experiment.recording.video_rate_hz), bus
+        self._due, self._bus = RateLimiter(experiment.recording.video_rate_hz), bus
         self._topic = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
-        self._worker: Worker[Shot] = Worker("video", self._send, stop, _give_way)
+        self._worker: LatestItemWorker[CapturedFrame] = LatestItemWorker("video", self._send, stop, _give_way)
 
-    def offer(self, shot: Shot) -> None:
+    def offer(self, captured: CapturedFrame) -> None:
         """A picture. Never waits."""
-        if self._due.due(shot.stamp_ns):
-            self._worker.offer(shot)
+        if self._due.due(captured.stamp_ns):
+            self._worker.offer(captured)
 
     def close(self) -> None:
         """Finish the last one."""
         self._worker.close()
 
-    def _send(self, shot: Shot) -> None:
+    def _send(self, captured: CapturedFrame) -> None:
         try:
-            packed = self._pack(shot.pixels, shot.stamp_ns)
+            packed = self._pack(captured.pixels, captured.stamp_ns)
         except Exception:
             self._pack = packer(self._recording, self._size_px)  # a codec that has failed is in no known state
             raise
         if packed:
             message = Video(packed) if self._topic is topics.VIDEO else Picture(packed)
-            self._bus.publish(self._topic, message, shot.stamp_ns)
+            self._bus.publish(self._topic, message, captured.stamp_ns)
 
 
 def _give_way() -> None:

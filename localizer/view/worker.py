@@ -4,13 +4,13 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from localizer.sources.latest_value import Latest
+from localizer.sources.latest_value import LatestValue
 from wire.process.runtime import SLICE_S, Stop, guarded_thread, log
 
 T = TypeVar("T")
 
 
-class Worker(Generic[T]):
+class LatestItemWorker(Generic[T]):
     """Calls `handle` with the newest item, in a thread of its own, until it is closed.
 
     An exception of `handle` costs that item, not the thread: the poses go on without a film or a preview. The first of a row
@@ -19,7 +19,7 @@ class Worker(Generic[T]):
     def __init__(self, name: str, handle: Callable[[T], None], stop: Stop, begin: Callable[[], None] = lambda: None) -> None:
         """`begin` is called once, in the thread."""
         self._name, self._handle, self._begin = name, handle, begin
-        self._newest: Latest[T] = Latest()
+        self._newest: LatestValue[T] = LatestValue()
         self._closing = threading.Event()
         self.failed = 0  # items that `handle` raised for, in a row
         self._thread = guarded_thread(stop, name, self._work)

@@ -103,7 +103,7 @@ class Slow(MemoryTransport):
 
 
 @dataclass
-class Told:
+class OnLocalized:
     """All that was published, by key: what every message was about, and what it said but for what must differ."""
 
     messages: dict[str, list[tuple[int, Any]]] = field(default_factory=dict)
@@ -112,7 +112,7 @@ class Told:
         said = _plain(decode(topic.type, payload, "test", topic.name))
         self.messages.setdefault(key, []).append((header.stamp_ns, said))
 
-    def differs(self, other: "Told") -> str:
+    def differs(self, other: "OnLocalized") -> str:
         """The first message, by its stamp, that is not the same; empty if all are, as far as both go."""
         found = []
         for key in sorted(self.messages.keys() | other.messages.keys()):
@@ -132,9 +132,9 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = True) -> Told:
+def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = True) -> OnLocalized:
     """Fly an experiment to its end, everything held up as `seed` says (None: nothing); with `poses` without the camera."""
-    hub, told, stop = MemoryHub(), Told(), Stop(install=False)
+    hub, told, stop = MemoryHub(), OnLocalized(), Stop(install=False)
     handlers = log.handlers[:]
     folder.mkdir()
     toml = dump_experiment(experiment)
@@ -153,9 +153,9 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
             closing.callback(link.close)
-            shells.append(agent_shell.Shell(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
+            shells.append(agent_shell.LocalizerNode(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
         if not poses:
-            shells.append(localizer_shell.Shell(experiment, bus("localizer"), stop, LockstepClock()).run)
+            shells.append(localizer_shell.LocalizerNode(experiment, bus("localizer"), stop, LockstepClock()).run)
         threads = [threading.Thread(target=run, daemon=True) for run in shells]
         closing.callback(log.handlers.__setitem__, slice(None), handlers)
         try:

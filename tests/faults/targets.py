@@ -22,7 +22,7 @@ from groundstation.planning.planner import plan
 from groundstation.planning.segment import Leg
 from groundstation.telemetry import RobotView
 from groundstation.web.protocol import BadRequest, read_request
-from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer
 from robot_agent.agent import Agent
 from robot_agent.command_check import StationView
 from robot_agent.inputs import Heard, Inputs, Seen, Watched
@@ -176,7 +176,7 @@ def orders(data: bytes) -> None:
 def locator(data: bytes) -> None:
     """Any pictures at any instants."""
     experiment, bites = _pool(*SMALL), Bites(data)
-    eyes, now_ns = Locator(experiment), 0
+    eyes, now_ns = FleetLocalizer(experiment), 0
     width, height = experiment.camera.size_px
     while bites.left:
         shape = ((height, width), (height, width), (height, width), (width, height))[bites.byte(4)]

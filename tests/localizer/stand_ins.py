@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.sources.base import Shot
+from localizer.sources.base import CapturedFrame
 from wire.transport.bus import Received
 
 MS = 1_000_000
@@ -39,10 +39,10 @@ def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
     return False
 
 
-def level(shot: Shot | None) -> int:
+def level(captured: CapturedFrame | None) -> int:
     """Which picture it was: its brightness."""
-    assert shot is not None
-    return round(float(shot.pixels.mean()))
+    assert captured is not None
+    return round(float(captured.pixels.mean()))
 
 
 def flat(value: int, height: int = 48, width: int = 64) -> Pixels:

@@ -6,7 +6,7 @@ Never may a pose that claims a verified identity belong to the other robot.
 import numpy as np
 import pytest
 
-from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer
 from tests.localizer.scene import Scene
 from wire.config.experiment import load_experiment
 from wire.frames import Array, wrap
@@ -28,17 +28,17 @@ class Encounter:
         random = np.random.default_rng(seed)
         self._miss_m = random.uniform(0.0, 0.45)
         self._speeds = random.uniform(0.1, 0.45, 2)
-        self._courses = random.uniform(0.0, 2.0 * np.pi, 2)
+        self._motions = random.uniform(0.0, 2.0 * np.pi, 2)
         self._yaws = random.uniform(-np.pi, np.pi, 2)
         self._rates = random.uniform(-1.0, 1.0, 2)
         self.blinded = (frozenset({1, 2}), frozenset({1}), frozenset({2}), frozenset[int]())[seed % 4]
 
     def eta(self, t_s: float) -> dict[int, Array]:
         """Poses by robot id."""
-        across = np.array([-np.sin(self._courses[0]), np.cos(self._courses[0])])
+        across = np.array([-np.sin(self._motions[0]), np.cos(self._motions[0])])
         poses = {}
         for i, side in enumerate((0.5, -0.5)):
-            ahead = np.array([np.cos(self._courses[i]), np.sin(self._courses[i])])
+            ahead = np.array([np.cos(self._motions[i]), np.sin(self._motions[i])])
             place = ahead * self._speeds[i] * (t_s - 1.6) + side * self._miss_m * across
             poses[i + 1] = np.array([*place, DEPTH_M, wrap(float(self._yaws[i] + self._rates[i] * t_s))])
         return poses
@@ -46,7 +46,7 @@ class Encounter:
 
 def check_encounter(seed: int) -> None:
     """Raises AssertionError if a swap goes unnoticed."""
-    encounter, locator = Encounter(seed), Locator(EXPERIMENT)
+    encounter, locator = Encounter(seed), FleetLocalizer(EXPERIMENT)
     for k in range(FRAMES):
         truth = encounter.eta(k * STEP_S)
         frame = SCENE.frame(truth, encounter.blinded if k in BLIND else frozenset())
