@@ -24,7 +24,7 @@ from localizer.detection.correlation_filter import CorrelationFilter, FilterShap
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.in_process.fleet import AgentFleet, BareWater
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from wire.config.experiment import Experiment, load_experiment
 from wire.config.scene import Robot
 from wire.frames import Array, pool_to_body, wrap
@@ -159,7 +159,7 @@ def _consistency(case: str, nees: Array) -> Iterator[Row]:
 class _SeenFleet(AgentFleet):
     """A flight of the plant, and what two localizers make of it: one sees the robots as they lean, the other one level."""
 
-    def __init__(self, experiment: Experiment, trajectories: Mapping[int, Trajectory], water: BareWater, seed: int) -> None:
+    def __init__(self, experiment: Experiment, trajectories: Mapping[int, Trajectory], water: DirectPlant, seed: int) -> None:
         super().__init__(experiment, trajectories, water, seed)
         self.runs = {"leaning": Run(), "level": Run()}
         self.lean_rad: list[float] = []
@@ -192,7 +192,7 @@ def _leaning(case: str, name: str, settings: Sequence[str]) -> Iterator[Row]:
         experiment = load_experiment(name, [*settings, f"seed={seed}"])
         trajectories = planner.plan(experiment)
         starts = planner.start_poses(experiment, trajectories)
-        water = BareWater(experiment, seed, np.array([starts[i] for i in experiment.robot_ids]))
+        water = DirectPlant(experiment, seed, np.array([starts[i] for i in experiment.robot_ids]))
         fleet = _SeenFleet(experiment, trajectories, water, seed)
         fleet.start()
         while fleet.time_s < FLIGHT_S:

@@ -1,6 +1,6 @@
-"""The pool's grid as a camera should see it, drawn over a picture of what it does see; and what a pixel is worth there.
+"""The pool's grid drawn over a picture by the calibration, and the scale and field of view at a depth.
 
-Straight lines of the pool are curves in the picture: lens and water bend them, so they are drawn in short pieces.
+Lens and water bend straight lines of the pool into curves of the picture, so they are drawn in short pieces.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,19 +18,19 @@ from wire.frames import Array
 
 GRID_M = 0.25
 _NAMED_M = 0.5
-GRID: Bgr = (235, 120, 235)  # BGR; no pool is pink
+GRID: Bgr = (235, 120, 235)  # pink, which no pool is
 SURFACE: Bgr = (80, 220, 255)
 FLOOR: Bgr = (80, 160, 80)
 MARK: Bgr = (60, 60, 230)
-_PIECE_M = 0.02  # a piece bends by less than 0.01 px
-_MARK_M = 0.15  # arms of the origin's mark
-_TRUE_M = 1e-3  # a lens's polynomial folds over outside the picture; points that do not map back are not drawn
-_SAMPLES = 41  # per axis, of the pool, to see how much of it is in the picture
+_PIECE_M = 0.02  # m, length of a straight piece, which bends by less than 0.01 px
+_MARK_M = 0.15  # m, arms of the origin's mark
+_TRUE_M = 1e-3  # m; a point that maps back with a larger error lies where the lens's polynomial folds over: not drawn
+_SAMPLES = 41  # per axis of the pool, to measure the share of it that is in the picture
 
 
 @dataclass(frozen=True)
 class ViewFigures:
-    """What the camera sees at one depth."""
+    """Field of view and scale of a camera at one depth."""
 
     field_m: tuple[float, float]  # width through the picture's middle, height
     seen_share: float  # of the pool's area at that depth
@@ -61,8 +61,8 @@ def view_figures(camera: Camera, pool: Pool, depth_m: float) -> ViewFigures:
 
 
 def draw_grid(picture: Pixels, camera: Camera, pool: Pool, depth_m: float) -> None:
-    """Draw into a BGR picture (height, width, 3): a grid at `depth_m`, the pool's outline at surface and floor, its upright
-    edges, and the origin's mark with the axes' names."""
+    """Draw into a BGR picture (height, width, 3): a grid at `depth_m`, the pool's outline at surface and floor, its
+    upright edges, and the origin's mark with the axes' names."""
     view = RefractiveCamera(camera)
     for line in _grid_lines(pool, depth_m):
         _curve(picture, view, line, GRID, 1)
@@ -89,7 +89,7 @@ def _grid_lines(pool: Pool, depth_m: float) -> Iterator[Array]:
 
 
 def _steps(half_m: float, step_m: float = GRID_M) -> Array:
-    """Multiples of a step within the walls: the origin is one."""
+    """Multiples of a step within the walls, the origin included."""
     count = int(half_m / step_m + 1e-9)
     return np.arange(-count, count + 1, dtype=np.float64) * step_m
 

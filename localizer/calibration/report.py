@@ -1,4 +1,4 @@
-"""What `localizer calibrate` and `localizer check` tell a person: lines of text, and a picture."""
+"""Report of `localizer calibrate` and `localizer check`: lines of text, and a picture."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ from localizer.view.drawing import cross, dot, polyline, write
 from wire.config.scene import Pool
 from wire.frames import Array
 
-MAGNIFIED = 20.0  # how much longer arrows are than the errors they show
+MAGNIFIED = 20.0  # length of arrows over the errors that they show
 _SHADES = "·-+*#"  # corners in a cell: 0, 1 or more, and more
 _SHADE_FROM = (1, 5, 15, 40)
 _FEW_POINTS = 6
@@ -22,8 +22,10 @@ _SEEN, _PREDICTED, _ARROW, _BAD, _INK = (80, 220, 80), (60, 160, 255), (60, 60, 
 
 
 def intrinsics_lines(fit: IntrinsicsFit, missing: Sequence[str], spare: int) -> list[str]:
-    """The lens: every view's error, coverage, the numbers with one standard deviation, warnings. `missing`: pictures
-    without the board; `spare`: views that were not used."""
+    """Lines about the intrinsics: every view's error, coverage, values with one standard deviation, warnings.
+
+    `missing`: pictures without the target; `spare`: number of views that were not used.
+    """
     lens, sigma = fit.lens, fit.deviations
     lines = [f"Lens, from {len(fit.views)} views of the board", "", "  picture                        corners   RMS px"]
     lines += [
@@ -53,8 +55,8 @@ def intrinsics_lines(fit: IntrinsicsFit, missing: Sequence[str], spare: int) -> 
 
 
 def pose_lines(fit: PoseFit, points: Sequence[SurveyPoint], pool: Pool) -> list[str]:
-    """The pose: every point's error, position and rotation with one standard deviation, what that means for places in the
-    pool, warnings."""
+    """Lines about the pose: every point's error, position and rotation with one standard deviation, the resulting error of
+    places in the pool, warnings."""
     lines = [
         f"Pose, from {len(points)} points of the pool",
         "",
@@ -79,7 +81,7 @@ def pose_lines(fit: PoseFit, points: Sequence[SurveyPoint], pool: Pool) -> list[
 
 
 def view_lines(camera_figures: ViewFigures, depth_m: float) -> list[str]:
-    """What the camera sees at a depth."""
+    """Lines about field of view and scale at a depth."""
     f = camera_figures
     middle_mm, corner_mm = f.mm_per_cm_depth
     return [

@@ -1,7 +1,7 @@
-"""Calibration boards, and their corners in a picture.
+"""Calibration targets (chessboard, ChArUco), and their corners in a picture.
 
-Pictures of a board in air determine the lens. A corner's place on the board is exact (in m, z = 0); its pixel is found to
-some 0.03 px in a sharp picture. Pixel (0, 0) is the CENTRE of the first pixel, as in OpenCV.
+Pictures of a target in air determine the intrinsics. A corner's place on the target is exact (in m, z = 0); its pixel is
+found to some 0.03 px in a sharp picture. Pixel (0, 0) is the CENTRE of the first pixel, as in OpenCV.
 """
 
 from collections.abc import Sequence
@@ -18,16 +18,16 @@ from wire.toml_loader import ConfigError
 
 EXAMPLES = "chessboard:9x6:0.03 (inner corners, side of a square in m), charuco:7x5:0.04:0.03:DICT_4X4_50 (squares, side of a \
 square, side of a marker, dictionary; :legacy at the end for boards drawn by OpenCV before 4.6)"
-FEWEST_CORNERS = 8  # of a partly hidden board: fewer hardly constrain more than the board's own pose
-_LEAST_PX = 3.0  # a row of corners less apart than that cannot be told from a line
+FEWEST_CORNERS = 8  # of a partly hidden target; fewer hardly constrain more than its own pose
+_LEAST_PX = 3.0  # px, width of the corners' cloud; narrower ones cannot be told from a line
 _LARGEST_COUNT = 50
-_REFINE_SHARE, _REFINE_PX = 0.4, (2, 11)  # window's half side over a square's: it must not reach the next corner
+_REFINE_SHARE, _REFINE_PX = 0.4, (2, 11)  # half side of the refinement window over a square's side, and its limits in px
 _REFINE_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
 class TargetView:
-    """The board in one picture: corners on the board (n, 3) in m, and in the picture (n, 2) in px."""
+    """The target in one picture: corners on the target (n, 3) in m, and in the picture (n, 2) in px."""
 
     name: str
     board_m: Array
@@ -35,10 +35,10 @@ class TargetView:
 
 
 class CalibrationTarget(Protocol):
-    """Something flat with corners whose places on it are known."""
+    """A flat target with corners at known places."""
 
     def find(self, grey: Pixels, name: str) -> TargetView | None:
-        """The board in a grey picture (height, width), or None if it is not there."""
+        """The target in a grey picture (height, width), or None if it is not found."""
         ...
 
 
@@ -55,8 +55,8 @@ class Chessboard:
         found, corners = cv2.findChessboardCornersSB(grey, self._count, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not found:
             return None
-        # The sector method finds boards that the older one misses; its corners gain by refinement: 0.09 px to 0.03 px over
-        # 16 rendered boards with noise 2 of 255, 0.09 to 0.05 blurred by 2 px.
+        # The sector method finds boards that the older one misses. Refinement improves its corners from 0.09 px to 0.03 px (16
+        # rendered boards with noise 2 of 255), and to 0.05 px when blurred by 2 px.
         rough = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
         reach = int(np.clip(_REFINE_SHARE * self._nearest_px(rough), *_REFINE_PX))
         pixels = cv2.cornerSubPix(grey, rough, (reach, reach), (-1, -1), _REFINE_UNTIL)
@@ -70,7 +70,7 @@ class Chessboard:
 
 
 class Charuco:
-    """A chessboard with markers in its white squares: parts of it are enough, so it reaches the picture's edges."""
+    """A chessboard with markers in its white squares. A part of it suffices, so it can reach the picture's edges."""
 
     def __init__(self, squares: tuple[int, int], square_m: float, marker_m: float, dictionary: int, legacy: bool) -> None:
         board = cv2.aruco.CharucoBoard(squares, square_m, marker_m, cv2.aruco.getPredefinedDictionary(dictionary))
@@ -89,7 +89,7 @@ class Charuco:
 
 
 def parse_target(text: str) -> CalibrationTarget:
-    """The board that `--board` describes. Raises ConfigError saying what is wrong with it."""
+    """The target that `--board` describes. Raises ConfigError naming the error."""
     kind, *parts = text.split(":")
     if kind == "chessboard" and len(parts) == 2:
         columns, rows = _counts(text, parts[0])

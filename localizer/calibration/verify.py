@@ -1,4 +1,4 @@
-"""SHELL: `localizer check`: the pool's grid where the calibration puts it, over a picture or over what the camera sees now."""
+"""SHELL: `localizer check`: the pool's grid by the calibration, drawn over a picture or over live frames."""
 
 from pathlib import Path
 
@@ -43,7 +43,7 @@ class LivePictures:
         self._seen: Header | None = None
 
     def next(self, stop: Stop) -> Pixels | None:
-        """A picture as soon as there is a new one; None when told to stop. Raises ConfigError when none comes."""
+        """The next new picture; None when told to stop. Raises ConfigError when none comes."""
         frames = self._frames
         new = wait(self._bus, stop, lambda: frames.newest_header() is not self._seen, LIVE_PATIENCE_S)
         self._seen = frames.newest_header()
@@ -57,8 +57,8 @@ class LivePictures:
 
 
 def show_live(experiment: Experiment, pictures: LivePictures, page: MjpegServer, depth_m: float, stop: Stop) -> None:
-    """Every new frame under the grid, to a browser, until told to stop: for whoever turns the camera on its mast. Raises
-    ConfigError when none comes, or one of another size."""
+    """Show every new frame under the grid in a browser, until told to stop, for aiming the camera. Raises ConfigError when
+    no frame comes, or one of another size."""
     while (picture := pictures.next(stop)) is not None:
         _check_size(experiment, picture, "the newest frame")
         draw_grid(picture, experiment.camera, experiment.pool, depth_m)

@@ -1,7 +1,7 @@
-"""SHELL: `localizer calibrate`: files in, files and lines out.
+"""SHELL: `localizer calibrate`: from files to a camera file, a picture and a report.
 
-pictures -> board's corners -> lens --+
-points file (+ picture) --------------+-> pose over the pool -> camera.toml, picture, lines
+pictures -> target's corners -> intrinsics --+ points file (+ picture) ---------------------+-> pose over the pool ->
+camera.toml, picture, lines
 """
 
 import json
@@ -27,13 +27,13 @@ from wire.toml_loader import ConfigError, check, read_toml
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
 _DEFAULTS = {"rate_hz": 20.0, "exposure_s": 0.008}
 _ANY_POSE = {"position_m": (0.0, 0.0, -1.0), "rotation_rad": (0.0, 0.0, 0.0)}
-_MOST_VIEWS = 60  # 200 with bad ones among them take five minutes, and know little more
-_DIGITS = {"focal_px": 3, "centre_px": 3, "distortion": 7, "position_m": 5, "rotation_rad": 6}  # 0.01 px and 0.01 mm
+_MOST_VIEWS = 60  # views that are used, evenly taken; 200 with bad ones take five minutes and add little
+_DIGITS = {"focal_px": 3, "centre_px": 3, "distortion": 7, "position_m": 5, "rotation_rad": 6}  # for 0.01 px and 0.01 mm
 
 
 @dataclass(frozen=True)
 class CalibrationRequest:
-    """What `localizer calibrate` was asked for; the file formats are those of docs/calibration.md."""
+    """Options of `localizer calibrate`; the file formats are those of docs/calibration.md."""
 
     sources: tuple[Path, ...]
     board: str | None
@@ -42,15 +42,17 @@ class CalibrationRequest:
     points: Path | None
     image: Path | None
     out: Path
-    rate_hz: float | None = None  # these three cannot be found: asked for, or as in `lens`, or default
+    rate_hz: float | None = None  # these three cannot be measured: given, or as in `lens`, or default
     exposure_s: float | None = None
     water_index: float | None = None
     grey: bool = False  # pictures of one channel are grey, not raw Bayer RGGB
 
 
 def calibrate(request: CalibrationRequest) -> list[str]:
-    """Find the lens from pictures of a board (or take it from a file), then the pose from points of the pool. Writes the
-    camera file and a picture beside it; returns the report's lines. Raises ConfigError."""
+    """Find the intrinsics from pictures of a target (or take them from a file), then the pose from points of the pool.
+
+    Writes the camera file and a picture beside it; returns the report's lines. Raises ConfigError.
+    """
     _check_request(request)
     points = None if request.points is None else check(SurveyFile, read_toml(request.points), str(request.points))
     image, drawn = _points_image(request, points), request.out.with_suffix(".png")
@@ -77,7 +79,7 @@ def calibrate(request: CalibrationRequest) -> list[str]:
 
 
 def _check_request(request: CalibrationRequest) -> None:
-    """What can be refused before minutes of work."""
+    """Refuse bad combinations of options before minutes of work."""
     if (request.lens is None) == (not request.sources):
         raise ConfigError("give either pictures of a board (files, folders, videos), or --lens FILE with a lens found earlier")
     if request.lens is not None and request.points is None:
@@ -89,7 +91,8 @@ def _check_request(request: CalibrationRequest) -> None:
 
 
 def _check_outputs(request: CalibrationRequest, image: Path | None, drawn: Path) -> None:
-    """Neither file may be one that is read. The lens' file may be given again as --out: its lens goes into the new one."""
+    """Refuse outputs that are read as inputs. The lens file may be given again as --out: its intrinsics go into the new
+    one."""
     read = [*request.sources, *(file for source in request.sources if source.is_dir() for file in source.iterdir())]
     read += [path for path in (request.points, image) if path is not None]
     for path in (request.out, drawn):
@@ -100,7 +103,7 @@ def _check_outputs(request: CalibrationRequest, image: Path | None, drawn: Path)
 
 
 def _fit_lens(request: CalibrationRequest) -> tuple[IntrinsicsFit, list[str], int, Pixels]:
-    """The lens, the names of pictures without the board, how many views were not needed, and a picture to draw on."""
+    """The intrinsics, the names of pictures without the target, the number of unused views, and a picture to draw on."""
     if request.board is None:
         raise ConfigError(f"--board: which board do the pictures show? (allowed: {EXAMPLES})")
     board = parse_target(request.board)
@@ -150,14 +153,14 @@ def _read_lens(request: CalibrationRequest) -> Camera:
 
 
 def _without_pose(table: dict[str, Any], source: str, request: CalibrationRequest) -> Camera:
-    """A camera with the lens of `table`, some pose, and what was asked for."""
+    """A camera with the intrinsics of `table`, an arbitrary pose, and the requested values."""
     asked = {key: getattr(request, key) for key in ("rate_hz", "exposure_s", "water_index")}
     asked = {key: value for key, value in asked.items() if value is not None}
     return check(CameraFile, {"camera": _DEFAULTS | table | asked | _ANY_POSE}, source).camera
 
 
 def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels]) -> list[str]:
-    """The camera file, no more digits than mean something, and the picture."""
+    """Write the camera file, with significant digits only, and the picture."""
     table = {k: [round(v, _DIGITS[k]) for v in value] if k in _DIGITS else value for k, value in table.items()}
     text = f"# Found by `localizer calibrate`, {time.strftime('%Y-%m-%d %H:%M')}: {summary}.\n"
     text += f'# In an experiment: camera = "{out.name}", or this table.\n\n[camera]\n'

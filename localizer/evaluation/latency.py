@@ -1,10 +1,10 @@
-"""SHELL: how old a pose is when it is out, and how even the pictures come: a self-test of camera and computer.
+"""SHELL: `localizer latency`: age of published poses and regularity of frames, a self-test of camera and computer.
 
-What is measured is the localizer as `run` runs it, with its obstacles, previews and film, on a bus of this process alone:
-nobody else hears the poses. Left out is what Zenoh needs to send them, the page of `--show`, and what robots report.
+The localizer is measured as `run` runs it, with obstacles, previews and video, on a bus of this process alone. Left out are
+Zenoh's transmission, the page of `--show`, and the robots' reports.
 
-What it cannot see is how far a driver's stamp is from the light: a constant of the camera, some milliseconds with USB
-cameras, that only a clock in the picture would show.
+The offset of a driver's stamp from the light cannot be seen here. It is a constant of the camera, some milliseconds with
+USB cameras; only a clock in the picture would show it.
 """
 
 import json
@@ -25,27 +25,27 @@ from wire.process.runtime import Clock, Stop
 from wire.transport.bus import Bus
 from wire.transport.transport import MemoryHub, MemoryTransport
 
-WARM_UP = 5  # pictures: caches, exposure control, a backlog from before
-_LARGEST_JITTER = 0.25  # of a period, p99: more, and the motion between pictures is no longer what the filter thinks
-_LARGEST_AGE_PERIODS = 1.5  # p99: one to expose, send and decode a picture, half of one to look at it
-_LARGEST_LOSS = 0.01
+WARM_UP = 5  # frames that are not counted: caches, exposure control, a backlog
+_LARGEST_JITTER = 0.25  # of a period, p99; with more, the motion between frames differs from the Kalman filter's prediction
+_LARGEST_AGE_PERIODS = 1.5  # periods, p99: one to expose, send and decode a frame, half of one to localize in it
+_LARGEST_LOSS = 0.01  # share of frames
 _LARGEST_DRIFT = 0.1  # of the period, median
 
 
 @dataclass(frozen=True)
 class Timing:
-    """One picture: middle of the exposure, arrival, poses ready, by the localizer's clock."""
+    """One frame: middle of the exposure, arrival, poses published, by the localizer's clock."""
 
     instant_ns: int
     arrived_ns: int
     ready_ns: int
     stamped: bool
-    trouble: str = ""  # why there were no poses of it
+    trouble: str = ""  # reason for a frame without poses
 
 
 @dataclass(frozen=True)
 class LatencyQuantiles:
-    """Of a duration, in ms."""
+    """Quantiles of a duration, ms."""
 
     p50: float
     p99: float
@@ -54,7 +54,7 @@ class LatencyQuantiles:
 
 @dataclass(frozen=True)
 class Latency:
-    """The result."""
+    """The result of `localizer latency`."""
 
     pictures: int
     dropped: int
@@ -66,11 +66,11 @@ class Latency:
     warnings: tuple[str, ...]
 
     def to_json(self) -> str:
-        """All of it."""
+        """All fields as JSON."""
         return json.dumps(asdict(self), indent=1) + "\n"
 
     def to_text(self) -> str:
-        """A table for people, then the warnings."""
+        """A table, then the warnings."""
         rows = {
             "exposure to arrival": self.exposure_to_arrival_ms,
             "arrival to pose": self.arrival_to_pose_ms,
@@ -83,15 +83,15 @@ class Latency:
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
-OnLocalized = Callable[[int, str], None]  # the picture with this stamp is done: its poses are out, or why there are none
+OnLocalized = Callable[[int, str], None]  # called with a frame's stamp, and the reason if it has no poses
 
 
 class _TimedSource:
-    """A source that notes its pictures, and ends after `seconds`."""
+    """A source that notes its frames, and ends after `seconds`."""
 
     def __init__(self, source: FrameSource, clock: Clock, seconds: float) -> None:
         self.pictures: list[CapturedFrame] = []
-        self.done: dict[int, tuple[int, str]] = {}  # by stamp: when, and why there were no poses
+        self.done: dict[int, tuple[int, str]] = {}  # by stamp: time of publication, and the reason if there are no poses
         self._source, self._clock, self._seconds = source, clock, seconds
 
     @property
@@ -114,15 +114,17 @@ class _TimedSource:
         self.done.setdefault(stamp_ns, (self._clock.now_ns(), trouble))
 
     def close(self) -> None:
-        """The source is the caller's."""
+        """Do nothing: the source is the caller's."""
 
 
 def measure(
     source: FrameSource, localize: Callable[[FrameSource, OnLocalized], None], clock: Clock, seconds: float
 ) -> tuple[list[Timing], int]:
-    """Localize for a while. Returns the pictures after WARM_UP and how many were dropped meanwhile.
+    """Localize for a while. Returns the frames after WARM_UP and the number that were dropped meanwhile.
 
-    `localize` works through a source until it ends, and tells when the poses of a picture are out, or that there are none."""
+    `localize` works through a source until it ends, and calls back when the poses of a frame are out, or that there are
+    none.
+    """
     watched = _TimedSource(source, clock, seconds)
     localize(watched, watched.told)
     before, counted = watched.pictures[:WARM_UP], watched.pictures[WARM_UP:]
@@ -134,7 +136,7 @@ def measure(
 
 
 def localize_in_process(experiment: Experiment, clock: Clock, stop: Stop, source: FrameSource, told: OnLocalized) -> None:
-    """Run the localizer on a source, with a bus that nobody else is on."""
+    """Run the localizer on a source, with a bus of its own."""
     hub = MemoryHub()
     observer, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     failed = 0  # pictures
@@ -156,7 +158,7 @@ def localize_in_process(experiment: Experiment, clock: Clock, stop: Stop, source
 
 
 def assess(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | None:
-    """The distributions, and what is not as it should be at `rate_hz`; None if there were not even two pictures."""
+    """The distributions, with warnings about deviations at `rate_hz`; None for fewer than two frames."""
     if len(timings) < 2:
         return None
     instants, arrivals, ready = (

@@ -1,7 +1,7 @@
-"""SHELL: `localizer evaluate`: a recording, and the truth about it, into tables of errors.
+"""SHELL: `localizer evaluate`: tables of errors from a recording and its truth.
 
-Three kinds of recordings. A run's log has poses and the plant's truth in it. A video of an experiment's pool is localized
-again, with all of the localizer. A plain video, of which nobody knows the camera, is followed in pixels.
+Three kinds of recordings. A run's log holds poses and the plant's truth. A video of an experiment's pool is localized
+again, with all of the localizer. A plain video of an unknown camera is followed in pixels.
 """
 
 import dataclasses
@@ -34,7 +34,7 @@ Rows = Sequence[PixelRow] | Sequence[PoseRow]
 
 
 def table(rows: Rows) -> str:
-    """Rows for people: one line each, a column per field."""
+    """Rows as text: one line each, a column per field."""
     fields = [field.name for field in dataclasses.fields(rows[0])]
     cells = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(fields))]
@@ -46,7 +46,7 @@ def table(rows: Rows) -> str:
 
 
 def to_json(rows: Rows) -> str:
-    """Rows for programs; what is not a number is null."""
+    """Rows as JSON; NaN is null."""
     plain = [{k: None if v != v else v for k, v in dataclasses.asdict(row).items()} for row in rows]
     return json.dumps(plain, indent=1, allow_nan=False) + "\n"
 
@@ -59,8 +59,8 @@ def _cell(value: Any) -> str:
 
 
 def read_idtracker(path: Path) -> list[Array]:
-    """Places (frames, 2) in pixels of each target of idTracker's text: a line of names, then X, Y and a probability per target
-    and frame. Its first pixel is 1; ours is 0. Unknown places are NaN."""
+    """Places (frames, 2) in pixels of each target of idTracker's text: a line of names, then X, Y and a probability per
+    target and frame. Its first pixel is 1; ours is 0. Unknown places are NaN."""
     try:
         columns = np.loadtxt(path, skiprows=1, ndmin=2)
     except (OSError, ValueError) as error:
@@ -71,8 +71,10 @@ def read_idtracker(path: Path) -> list[Array]:
 
 
 def read_poses(path: Path, experiment: Experiment) -> tuple[dict[int, GroundTruthTrajectory], dict[int, dict[int, float]]]:
-    """Ways by robot, and known depths by frame and robot, from comma-separated values: a line of names, then a line per frame
-    (from 0) and robot. COLUMNS are needed, in any order; `depth_m` may be there. Instants are by the experiment's frame rate.
+    """Trajectories by robot, and known depths by frame and robot, from comma-separated values: a line of names, then a line
+    per frame (from 0) and robot.
+
+    COLUMNS are needed, in any order; `depth_m` may be there. Instants are by the experiment's frame rate.
     """
     try:
         with path.open(encoding="utf-8") as file:
@@ -98,7 +100,7 @@ def read_poses(path: Path, experiment: Experiment) -> tuple[dict[int, GroundTrut
 
 
 def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
-    """From (instant in ns, [x, y, yaw]) in any order."""
+    """A trajectory from (instant in ns, [x, y, yaw]) in any order."""
     ordered = sorted(samples, key=lambda sample: sample[0])
     return GroundTruthTrajectory(np.array([stamp for stamp, _ in ordered]), np.array([pose for _, pose in ordered]))
 
@@ -128,7 +130,7 @@ def evaluate_log(path: Path) -> list[PoseRow]:
 
 
 def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, stamp and bytes of the poses and truths of a log, up to where it was cut or damaged."""
+    """Topic, stamp and bytes of the poses and truths of a log, up to a cut or damaged record."""
     names: dict[int, str] = {}
     try:
         with path.open("rb") as file:
@@ -152,7 +154,7 @@ def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
 
 
 class _Target:
-    """One target of a plain video, with its true places (frames, 2) px, and what came of following it."""
+    """One target of a plain video, with its true places (frames, 2) px, and the errors of following it."""
 
     def __init__(self, number: int, places_px: Array, box_px: float) -> None:
         self.number = number
@@ -163,7 +165,8 @@ class _Target:
         self._failures = 0
 
     def step(self, frame: int, picture: Pixels) -> None:
-        """Follow it into the next picture. Farther off than half the box it is shown again, and that is a failure."""
+        """Follow the target into the next picture. Farther off than half the box is a failure: the tracker starts anew at
+        the truth."""
         place = self._places_px[frame]
         known = bool(np.all(np.isfinite(place)))
         if self._follower is None:
@@ -180,7 +183,7 @@ class _Target:
             self._follower = SingleObjectTracker(picture, place, self._box_px)
 
     def row(self, truth: Path) -> PixelRow:
-        """The figures. Raises ConfigError if it was never seen twice."""
+        """The figures. Raises ConfigError if the target was never seen twice."""
         if not self._errors_px:
             raise ConfigError(f"{truth}: target {self.number} is nowhere in the video")
         return pixel_row(f"target {self.number}", self._errors_px, self._failures, self._times_ms)

@@ -1,4 +1,4 @@
-"""SHELL: frames from the fleet's bus: of a camera process, or of the simulated pool."""
+"""SHELL: frames from the fleet's bus, from a camera process or the simulated pool."""
 
 import math
 import time
@@ -12,7 +12,7 @@ from wire.transport.bus import Bus, Inbox, Received
 
 
 class _Sequence:
-    """Counts frames of a session that never came here."""
+    """Counter of the frames of a session that never arrived."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -27,19 +27,19 @@ class _Sequence:
 
 
 class _OneCamera:
-    """Notices that two cameras publish: a session that another one has taken the place of is heard again."""
+    """Detector of two cameras on the bus: a session that another one has replaced is heard again."""
 
     def __init__(self, apart_s: float) -> None:
-        self.apart_s = apart_s  # one of them has gone when it was not heard for so long
+        self.apart_s = apart_s  # s of silence after which one of them is taken to be gone
         self._session, self._replaced = 0, set[int]()
-        self._two_s = -math.inf  # when both were heard last
+        self._two_s = -math.inf  # time at which both were heard last
 
     def are_two(self, now_s: float) -> bool:
-        """Whether frames may be of either."""
+        """True if frames may come from either of two cameras."""
         return now_s - self._two_s < self.apart_s
 
     def note(self, session: int, now_s: float) -> None:
-        """A frame has come."""
+        """Note that a frame has come."""
         if session in self._replaced:
             self._two_s = now_s
         if session != self._session:
@@ -48,7 +48,7 @@ class _OneCamera:
 
 
 class BusSource:
-    """Frames that another process publishes, in real time. The newest wins; the sender's clock may be anything."""
+    """Frames that another process publishes, in real time. The newest wins; the sender's clock may be any."""
 
     def __init__(self, bus: Bus, clock: Clock, rate_hz: float) -> None:
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
@@ -57,7 +57,7 @@ class BusSource:
         self._sequence, self._camera = _Sequence(), _OneCamera(self.silent_after_s)
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
-        """See Source. Frames that cannot be read are as good as none, and so are those of two cameras in turn."""
+        """See FrameSource. Unreadable frames count as none, and so do those of two cameras in turn."""
         seen = given = self._frames.newest_header()
         bad, silent_since = self._frames.bad, time.monotonic()
         while not stop.requested:
@@ -78,7 +78,7 @@ class BusSource:
             silent_since = time.monotonic()
 
     def _silence_reason(self, bad: int) -> str:
-        """Why no frame comes; `bad` were unreadable when the last one came."""
+        """The reason for missing frames; `bad` were unreadable when the last one came."""
         if self._camera.are_two(time.monotonic()):
             return "two cameras publish frames: end one of them"
         return self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
@@ -91,13 +91,15 @@ class BusSource:
         )  # fmt: skip
 
     def close(self) -> None:
-        """The bus is the caller's."""
+        """Do nothing: the bus is the caller's."""
 
 
 class LockstepSource:
-    """Frames of the simulator that owns the clock: each step waits for the frame and the robots' states that its tick
-    names, and the instants are the simulator's. All that counts at a tick is settled when its picture is taken, so poses are
-    made while the simulator moves on to the tick."""
+    """Frames of the simulator that owns the clock.
+
+    Each step waits for the frame and the robots' states that its tick names, and the instants are the simulator's. The
+    inputs of a tick are settled when its frame is taken, so poses are made while the simulator moves on to the tick.
+    """
 
     trouble, silent_after_s = "", math.inf
 
@@ -108,7 +110,7 @@ class LockstepSource:
         self._sequence = _Sequence()
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame]:
-        """See Source. Without a tick time stands still, so nothing is ever late."""
+        """See FrameSource. Without a tick time stands still, so no frame is ever late."""
         done_ns = -1
         while not stop.requested and (tick := self._lockstep.next()) is not None:
             if tick.frame_ns <= done_ns:
@@ -130,4 +132,4 @@ class LockstepSource:
                 )
 
     def close(self) -> None:
-        """The bus is the caller's."""
+        """Do nothing: the bus is the caller's."""

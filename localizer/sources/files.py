@@ -1,7 +1,7 @@
-"""SHELL: recorded pictures as a camera: a video file, or a folder of images that may still be growing.
+"""SHELL: recorded pictures: reading videos and folders, and playing them as a camera. A folder may still be growing.
 
-Paced, they behave like a live camera: a picture is exposed when it is due, and whoever is slow gets the newest, the rest is
-counted as dropped. As fast as possible (`max`), every picture comes and the stamps are one frame period apart.
+At a rate they behave like a live camera: a picture is exposed when it is due, a slow reader gets the newest, and the rest
+is counted as dropped. As fast as possible (`max`), every picture comes and the stamps are one frame period apart.
 """
 
 import math
@@ -19,8 +19,8 @@ from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_aft
 from wire.process.runtime import SLICE_S, Clock, Stop, log
 from wire.toml_loader import ConfigError
 
-_POLL_NS = 10_000_000  # how often a folder is looked at for new images
-_SETTLED_NS = 100_000_000  # file systems stamp in steps of 4 ms (or more): a change this young may not be the last of its step
+_POLL_NS = 10_000_000  # ns between checks of a folder for new images
+_SETTLED_NS = 100_000_000  # ns; file systems stamp in steps of 4 ms or more, so a younger change may not be the last
 
 
 def sleep_until(clock: Clock, due_ns: int, stop: Stop) -> bool:
@@ -34,7 +34,7 @@ def sleep_until(clock: Clock, due_ns: int, stop: Stop) -> bool:
 
 
 class FramePacer:
-    """When pictures are due."""
+    """Schedule of a recording's frames."""
 
     def __init__(self, clock: Clock, rate_hz: float, as_fast_as_possible: bool) -> None:
         self.period_ns = round(1e9 / rate_hz)
@@ -42,18 +42,18 @@ class FramePacer:
         self._next_ns: int | None = None
 
     def rest(self) -> None:
-        """There was nothing to show: what comes next is new, not late."""
+        """Note that there is nothing to show: the next picture is new, not late."""
         if not self._fast:
             self._next_ns = None
 
     def overdue(self) -> int:
-        """How many pictures to leave out, because a newer one is due already."""
+        """Number of pictures to skip, because a newer one is due already."""
         if self._fast or self._next_ns is None:
             return 0
         return max((self._clock.now_ns() - self._next_ns) // self.period_ns, 0)
 
     def release(self, left_out: int, stop: Stop) -> int | None:
-        """Wait until the picture after the ones left out is due; its instant. None if told to stop."""
+        """Wait until the picture after the skipped ones is due. Returns its instant, None if told to stop."""
         due_ns = self._clock.now_ns() if self._next_ns is None else self._next_ns + left_out * self.period_ns
         self._next_ns = due_ns + self.period_ns
         return due_ns if self._fast or sleep_until(self._clock, due_ns, stop) else None
@@ -107,7 +107,7 @@ class VideoSource:
         self._dropped = 0
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
-        """See Source. Ends with the file."""
+        """See FrameSource. Ends with the file."""
         while not stop.requested:
             late = self._pace.overdue()
             for _ in range(late):
@@ -128,9 +128,9 @@ class VideoSource:
 
 
 class FolderSource:
-    """Images of a folder in the order of their names (frame2 before frame10), then whatever is added or replaced.
+    """Images of a folder in the order of their names (frame2 before frame10), then the ones that are added or replaced.
 
-    Who adds pictures writes them under another name (`.part`) and renames them, so that none is read half written.
+    A writer adds pictures under another name (`.part`) and renames them, so that none is read half written.
     """
 
     def __init__(self, path: Path, rate_hz: float, clock: Clock, as_fast_as_possible: bool = False) -> None:
@@ -141,11 +141,11 @@ class FolderSource:
         self._path, self._clock = path, clock
         self._pace = FramePacer(clock, rate_hz, as_fast_as_possible)
         self._shown: dict[str, int] = {}  # file name -> time of its last change
-        self._listed_ns: int | None = None  # time of the folder's last change, once everything of it was seen
+        self._listed_ns: int | None = None  # time of the folder's last change, once all of it was listed
         self._dropped = 0
 
     def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
-        """See Source. Never ends by itself."""
+        """See FrameSource. Never ends by itself."""
         pending: list[Path] = []
         silent_since = time.monotonic()
         while not stop.requested:
@@ -163,10 +163,10 @@ class FolderSource:
             silent_since = time.monotonic()
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: no resource is held."""
 
     def _next(self, pending: list[Path], stop: Stop) -> CapturedFrame | None:
-        """Take one picture from the front of `pending`, and those it overtakes; None if it is none, or told to stop."""
+        """Take one picture from the front of `pending`, and those it overtakes; None if it is unreadable, or told to stop."""
         late = min(self._pace.overdue(), len(pending) - 1)
         self._dropped += late
         path = pending[late]

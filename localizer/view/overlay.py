@@ -1,4 +1,4 @@
-"""The preview picture for people: what the camera sees at half scale, and what the localizer makes of it."""
+"""The preview picture: the camera's frame at half scale, with the localizer's results drawn over it."""
 
 from collections.abc import Callable
 
@@ -22,15 +22,17 @@ _COLOURS = {  # BGR
     Track.MARKER: (90, 220, 90),
 }
 _OBSTACLE = (200, 60, 230)
-_AHEAD_S = 1.0  # of an obstacle's way that is shown
+_AHEAD_S = 1.0  # s of an obstacle's motion that its arrow shows
 _ELLIPSE_SIGMAS = 3.0
 _ELLIPSE_POINTS = 24
 
 
 def draw(locator: FleetLocalizer, frame: Pixels, result: LocalizationResult, obstacles: Obstacles) -> Pixels:
-    """A BGR picture (480, 640, 3) of a Bayer `frame` (height, width) uint8 of any size: each robot's outline, heading,
-    three-sigma ellipse, id and correlation peak; each obstacle's outline, number and way in a second. A doubted identity is a
-    question mark; trouble is a line at the top."""
+    """Draw a BGR picture (480, 640, 3) of a Bayer `frame` (height, width) uint8 of any size.
+
+    It shows each robot's outline, heading, three-sigma ellipse, id and correlation peak, and each obstacle's outline,
+    number and motion in a second. A question mark is an unverified identity; the status message is a line at the top.
+    """
     height, width = frame.shape[:2]
     colour = cv2.cvtColor(frame, BAYER_TO_BGR)
     picture = np.asarray(cv2.resize(colour, _SIZE_PX, interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -73,7 +75,7 @@ def _draw_obstacle(picture: Pixels, to_px: ToPx, number: int, outline_m: Array, 
 
 
 def _at(view: RefractiveCamera, depth_m: float, scale: Array) -> ToPx:
-    """From points (n, 2) of the pool, all as deep, to the preview's pixels (n, 2)."""
+    """The mapping from points (n, 2) of the pool at one depth to the preview's pixels (n, 2)."""
 
     def nearby_px(points_m: Array) -> Array:
         pixels = view.pool_to_pixel(np.column_stack([points_m, np.full(len(points_m), depth_m)]))

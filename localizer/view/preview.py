@@ -1,5 +1,7 @@
-"""SHELL: pictures for people, made in a thread of their own after the poses are out: the preview on the bus, the page of
-`--show`, and for a camera at this machine the raw frames on the bus. The newest wins; who looks on never slows the poses.
+"""SHELL: previews, made in a thread of their own after the poses are out.
+
+They go to the bus and to the page of `--show`; for a camera at this machine the raw frames go to the bus too. The newest
+wins: a slow viewer never slows the poses.
 """
 
 from collections.abc import Callable
@@ -18,22 +20,24 @@ from wire.messages.messages import Frame, Obstacles, Preview
 from wire.process.runtime import Clock, Stop
 from wire.transport.bus import Bus
 
-PAGE_RATE_HZ = 15.0  # smooth enough to wave at; a picture takes 5 ms of one core
+PAGE_RATE_HZ = 15.0  # Hz of the page's pictures, each of which takes 5 ms of one core
 _JPEG_QUALITY = 70  # about 40 kB at 640 x 480
 _BLANK_PX = (480, 640)
 _RED = (60, 60, 220)
 
 
 class RateLimiter:
-    """Lets one through each period, by stamps: the nearest, as a camera is early by a little as often as late, and its own
-    rate need be no multiple. A clock that was set back does not silence it."""
+    """Selects one stamp per period: the nearest, as a camera is as often early as late, and its rate need be no multiple.
+
+    A clock that was set back does not stop it.
+    """
 
     def __init__(self, rate_hz: float) -> None:
         self._period_ns = round(1e9 / rate_hz) if rate_hz > 0 else None
         self._next_ns = self._last_ns = 0
 
     def due(self, stamp_ns: int) -> bool:
-        """Whether it is time again."""
+        """True if the next period has begun."""
         since_ns, self._last_ns = stamp_ns - self._last_ns, stamp_ns
         if self._period_ns is None or 0 <= since_ns < 2 * (self._next_ns - stamp_ns):  # the next one will be nearer
             return False
@@ -44,7 +48,7 @@ class RateLimiter:
 
 @dataclass(frozen=True, eq=False)
 class _PreviewItem:
-    """What was seen (None: nothing), and the word to say about it."""
+    """A frame with its result (None: no frame), and a message for pictures without one."""
 
     captured: CapturedFrame | None
     result: LocalizationResult | None
@@ -54,7 +58,7 @@ class _PreviewItem:
 
 
 class PreviewPublisher:
-    """The thread, and what it feeds."""
+    """The thread, and the outputs that it feeds."""
 
     def __init__(
         self,
@@ -71,11 +75,11 @@ class PreviewPublisher:
         self._worker: LatestItemWorker[_PreviewItem] = LatestItemWorker("previews", self._make, stop)
 
     def offer(self, captured: CapturedFrame, result: LocalizationResult, obstacles: Obstacles) -> None:
-        """A picture and what was found in it. Never waits."""
+        """Offer a frame and its result. Never waits."""
         self._worker.offer(_PreviewItem(captured, result, captured.stamp_ns, obstacles))
 
     def offer_nothing(self, message: str, stamp_ns: int) -> None:
-        """There is no picture: what people see must not look as if there were."""
+        """Offer a blank picture with a message: the last frame would look live."""
         self._worker.offer(_PreviewItem(None, None, stamp_ns, Obstacles(), message))
 
     def close(self) -> None:

@@ -11,10 +11,11 @@ T = TypeVar("T")
 
 
 class LatestItemWorker(Generic[T]):
-    """Calls `handle` with the newest item, in a thread of its own, until it is closed.
+    """A thread that calls `handle` with the newest item, until it is closed.
 
-    An exception of `handle` costs that item, not the thread: the poses go on without a film or a preview. The first of a row
-    is an error in the log. If the thread itself ends, the process ends with the reason."""
+    An exception of `handle` costs that item, not the thread: the poses go on without video or preview. The first of a row
+    is an error in the log. If the thread itself ends, the process ends with the reason.
+    """
 
     def __init__(self, name: str, handle: Callable[[T], None], stop: Stop, begin: Callable[[], None] = lambda: None) -> None:
         """`begin` is called once, in the thread."""
@@ -26,7 +27,7 @@ class LatestItemWorker(Generic[T]):
         self._thread.start()
 
     def offer(self, item: T) -> None:
-        """Work on this one next. Never waits."""
+        """Work on this item next. Never waits."""
         self._newest.put(item)
 
     def close(self) -> None:

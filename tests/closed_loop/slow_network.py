@@ -19,8 +19,8 @@ import numpy as np
 from groundstation.station import process as station_process
 from localizer import node as localizer_shell
 from robot_agent import process as agent_shell
-from sim_bridge.node.pool import Pool
-from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.node.pool import PoolNode
+from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.sil.ports import free_base_port
 from wire.config.experiment import Experiment, dump_experiment
 from wire.mavlink.board_port import UdpLink
@@ -148,8 +148,8 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for topic in COMPARED:
             witness.subscribe(topic, None, told.note)
         ports = free_base_port(experiment.robot_ids)
-        sockets = Sockets(ports, experiment.robot_ids, experiment.seed)
-        shells = [Pool(experiment, bus("sim-bridge"), sockets, stop, True, poses).run]
+        sockets = BoardPorts(ports, experiment.robot_ids, experiment.seed)
+        shells = [PoolNode(experiment, bus("sim-bridge"), sockets, stop, True, poses).run]
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
             closing.callback(link.close)

@@ -27,7 +27,7 @@ from robot_agent.agent import Agent
 from robot_agent.command_check import StationView
 from robot_agent.inputs import Heard, Inputs, Seen, Watched
 from robot_agent.safety.modes import POWERED
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.faults.bites import Bites
 from tests.wire.strategies import CLASSES, example
 from wire.config.experiment import Experiment, load_experiment
@@ -189,7 +189,7 @@ def locator(data: bytes) -> None:
 def board(data: bytes) -> None:
     """Any bytes on its wire: never a pulse beyond its range, never thrust without arming."""
     bites, now_ns = Bites(data), 0
-    thrusters = Board(_pool(), 1, 1)
+    thrusters = ThrusterBoard(_pool(), 1, 1)
     agent_end, still = AgentLink(1), np.zeros(4)
     while bites.left:
         kind = bites.byte(4)

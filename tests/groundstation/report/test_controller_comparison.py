@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
 from groundstation.report.controller_comparison import Mean, cells, mean, ratio
-from tests.sim_bridge.studies.test_evolution_strategy import GOOD
+from tests.sim_bridge.studies.test_gain_tuning import GOOD
 from wire.config.controller_benchmark import Comparison, Flight, Traces, Variant
 from wire.toml_loader import ConfigError
 

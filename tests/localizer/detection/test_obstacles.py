@@ -20,10 +20,10 @@ from localizer.detection.background_model import BackgroundModel, TemporalSmooth
 from localizer.detection.blob_tracker import Blob, BlobTracker, convex_outline
 from localizer.detection.obstacles import ObstacleDetector
 from sim_bridge.camera import scene, static_background, water_optics
-from sim_bridge.camera.faults import CameraTrouble
+from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.camera.scenery import water_colour
+from sim_bridge.camera.scene import water_colour
 from tests.localizer.scene import Pixels, bayer
 from wire.config.experiment import load_experiment
 from wire.config.fault_injection import read_what
@@ -212,7 +212,7 @@ def test_what_is_small_is_no_obstacle() -> None:
 
 def disturbed(fault: str, fault_s: float, seconds: float, *intruders: Intruder) -> list[Obstacles]:
     """What is told, ten times a second, of intruders that appear at LEARNT_S and a camera that something happens to."""
-    renderer, watcher, trouble = _renderer(), ObstacleDetector(EXPERIMENT), CameraTrouble()
+    renderer, watcher, trouble = _renderer(), ObstacleDetector(EXPERIMENT), CameraFaults()
     random, broken, told = np.random.default_rng(1), read_what(f"camera {fault}"), []
     for k in range(round(seconds / LOOK_S)):
         t_s = k * LOOK_S
