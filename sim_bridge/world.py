@@ -134,7 +134,7 @@ class World:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
         actuators = self.faults.actuators
         self._state = state = self._next_state(self.faults.pulses(self._pulses()), actuators)
-        measures = self._boards[0].measures(self.now_ns)  # else nobody looks
+        measures = self._boards[0].measures(self.now_ns)  # otherwise the values are not used
         acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
         supply_v = self._plant.rest_v(state, actuators).tolist() if measures else self._no_voltage
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9

@@ -72,7 +72,7 @@ class FleetLocalizer:
         hull = RobotShape(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
         self._appearance = AppearanceModel(len(self._ids), hull, settings.template_px)
         self._landmark_ids = {landmark.id for landmark in landmarks}
-        self._foreign_scans: dict[int, int] = {}  # markers of nobody here -> in how many scans running
+        self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.at_start(s[[0, 1, 3]]) for s in self._start]
         self._motions: list[MotionEstimate | None] = [None] * len(self._ids)  # of the tracks, as far as they were measured
         self._tilt = TiltModel.of(vehicle, settings.tilt_sigma_rad, settings.tilt_rad_per_n)

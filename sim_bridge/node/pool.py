@@ -293,7 +293,7 @@ class PoolNode:
         """Add the exposure of this instant, publish what is due, and publish the truth."""
         self._pending.append(self._exposure(world, world.now_ns))
         self._publish_due(world, tick_ns, previous_ns)
-        self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)  # nobody waits for it
+        self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)  # no process waits for it
 
     def _publish_due(self, world: World, tick_ns: int, previous_ns: int) -> None:
         """Publish the frames that will be old enough at the coming tick. When the last of them is out, tell the localizer

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -48,8 +49,8 @@ def distribution(values: Sequence[float]) -> Distribution:
 def quantile(ranked: np.ndarray[tuple[int], np.dtype[np.float64]], share: float) -> Interval:
     """A quantile of sorted values. The interval is between order statistics, for any distribution (scipy's quantile test).
     A bound is None if no value lies beyond it with that confidence."""
-    found = stats.quantile_test(ranked, p=share).confidence_interval(CONFIDENCE)
-    low, high = (None if np.isnan(end) else float(end) for end in found)
+    found: Any = stats.quantile_test(ranked, p=share).confidence_interval(CONFIDENCE)
+    low, high = (None if np.isnan(end) else float(end) for end in (found.low, found.high))
     return Interval(float(np.quantile(ranked, share)), low, high)
 
 

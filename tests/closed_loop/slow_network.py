@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from groundstation.station import process as station_process
-from localizer import node as localizer_shell
+from localizer import node as localizer_node
 from robot_agent import process as agent_shell
 from sim_bridge.node.pool import PoolNode
 from sim_bridge.node.udp_ports import BoardPorts
@@ -153,9 +153,9 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
             closing.callback(link.close)
-            shells.append(agent_shell.LocalizerNode(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
+            shells.append(agent_shell.Shell(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
         if not poses:
-            shells.append(localizer_shell.LocalizerNode(experiment, bus("localizer"), stop, LockstepClock()).run)
+            shells.append(localizer_node.LocalizerNode(experiment, bus("localizer"), stop, LockstepClock()).run)
         threads = [threading.Thread(target=run, daemon=True) for run in shells]
         closing.callback(log.handlers.__setitem__, slice(None), handlers)
         try:

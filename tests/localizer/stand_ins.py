@@ -1,4 +1,4 @@
-"""What the tests of sources share: a clock moved by hand, and pictures that are told apart by their brightness."""
+"""Stand-ins for the tests of sources: a clock moved by hand, and pictures that differ in brightness."""
 
 import time
 from collections.abc import Callable
@@ -30,7 +30,7 @@ class HandClock:
 
 
 def eventually(ready: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    """Whether `ready()` within that time; not asked again once it was."""
+    """True if `ready()` within that time; not called again once it was."""
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
         if ready():

@@ -33,7 +33,7 @@ def test_pixel_to_pool_and_back(camera: Camera, u: float, v: float, depth_m: flo
 
 
 def _crossing_by_fermat(camera: Camera, point: Array) -> Array:
-    """Where light from a point under water crosses the surface: the place of least travel time."""
+    """The point at which light from a point under water crosses the surface: the one of least travel time."""
     lens = np.array(camera.position_m)
 
     def travel(xy: Array) -> float:

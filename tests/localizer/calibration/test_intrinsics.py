@@ -52,7 +52,7 @@ def _assert_near(fit: IntrinsicsFit, truth: Intrinsics, focal: float = 0.003, ce
 
 
 def _bending_px(lens: Intrinsics) -> Array:
-    """How far distortion moves points from the middle to four fifths of the way to the right side, (n,) px."""
+    """Shift by distortion of points from the middle to four fifths of the way to the right side, (n,) px."""
     rays = np.linspace(0.0, 0.8, 9)[:, None] * np.array([[lens.size_px[0] / 2.0 / lens.focal_px[0], 0.0]])
     ahead = np.column_stack([rays, np.ones(len(rays))])
     both = (np.array(lens.distortion), np.zeros(5))
@@ -85,7 +85,7 @@ def test_lens_from_pictures_of_a_chessboard() -> None:
 
 
 def test_lens_from_boards_that_reach_out_of_the_picture() -> None:
-    """What a ChArUco board is for: the picture's edges hold corners too, and each corner is known by its number."""
+    """A ChArUco board may be partly hidden: each corner is known by its number, so the picture's edges hold corners too."""
     board_m = np.array([[x, y, 0.0] for x in (0.0, 0.28) for y in (0.0, 0.2)])
     texture, board = charuco((7, 5), 0.04, 0.03), parse_target("charuco:7x5:0.04:0.03:DICT_4X4_50")
     views = []

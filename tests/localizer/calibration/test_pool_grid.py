@@ -27,7 +27,7 @@ def _drawn(camera: Camera, pool: Pool = EXPERIMENT.pool) -> Array:
 
 
 def _share(picture: Array, camera: Camera, point: tuple[float, float, float], colour: tuple[int, int, int]) -> float:
-    """How much of a colour is at the pixel where the simulator sees a point: 1 all, 0 none."""
+    """Share of a colour at the pixel at which the simulator sees a point: 1 all, 0 none."""
     u, v = np.rint(project(camera, np.array([point]))[0]).astype(int)
     return float(picture[v, u] @ np.array(colour) / np.sum(np.square(colour)))
 

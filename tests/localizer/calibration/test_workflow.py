@@ -91,7 +91,7 @@ def _experiment(folder: Path) -> Path:
 
 
 def _places_off_m(found: Camera, depth_m: float) -> Array:
-    """How far from their true places a calibration puts pixels all over the pool."""
+    """Errors of the places that a calibration gives for pixels all over the pool."""
     grid = np.stack(np.meshgrid(np.linspace(-1.2, 1.2, 7), np.linspace(-0.85, 0.85, 5), [depth_m]), axis=-1).reshape(-1, 3)
     lines = rays(found, project(TRUTH, grid))
     return np.asarray(np.linalg.norm(lines.surface_m + depth_m * lines.water - grid[:, :2], axis=-1))

@@ -211,7 +211,7 @@ def test_what_is_small_is_no_obstacle() -> None:
 
 
 def disturbed(fault: str, fault_s: float, seconds: float, *intruders: Intruder) -> list[Obstacles]:
-    """What is told, ten times a second, of intruders that appear at LEARNT_S and a camera that something happens to."""
+    """Obstacles, ten times a second, with intruders that appear at LEARNT_S and a disturbed camera."""
     renderer, watcher, trouble = _renderer(), ObstacleDetector(EXPERIMENT), CameraFaults()
     random, broken, told = np.random.default_rng(1), read_what(f"camera {fault}"), []
     for k in range(round(seconds / LOOK_S)):

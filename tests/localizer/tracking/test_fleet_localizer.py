@@ -24,7 +24,7 @@ SIDE = Scene(EXPERIMENT, seed=3)  # drawn once: its textures are the slow part
 
 @dataclass(frozen=True)
 class Step:
-    """What was true in a frame, and what the localizer made of it."""
+    """The truth of a frame, and the localizer's result."""
 
     truth: Mapping[int, Array]
     located: LocalizationResult

@@ -44,7 +44,7 @@ def poses(*eta: tuple[float, ...]) -> Array:
 
 
 def corners_px(setup: Experiment, eta: Array, tilt: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Where a marker's corners must be seen: front port, front starboard, rear starboard, rear port. `tilt`: roll, pitch."""
+    """Pixels of a marker's corners: front port, front starboard, rear starboard, rear port. `tilt`: roll, pitch."""
     half, height = setup.vehicle.marker.side_m / 2.0, setup.vehicle.marker.height_m
     body = np.array([[half, -half, -height], [half, half, -height], [-half, half, -height], [-half, -half, -height]])
     roll, pitch = tilt
@@ -316,7 +316,7 @@ def test_ripples_shift_the_floor_as_tilted_water_does() -> None:
 
 
 def _through_tilted_water(surface: Array, air: Array, slope: Array, index: float, depth_m: float) -> Array:
-    """Where rays end at a depth when the surface rises by `slope` (z is down, so its upward normal is (-slope, -1))."""
+    """Ends of rays at a depth when the surface rises by `slope` (z is down, so its upward normal is (-slope, -1))."""
     normal = np.concatenate([-slope.transpose(1, 2, 0), -np.ones((*air.shape[:2], 1))], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     ray = np.concatenate([air, np.ones((*air.shape[:2], 1))], axis=-1)

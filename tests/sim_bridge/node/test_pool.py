@@ -62,7 +62,7 @@ def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: py
 
 
 def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
-    """Whatever arrives between two steps wakes the simulator; the next step waits for its time all the same. The clock stands
+    """A datagram between two steps wakes the simulator; the next step waits for its time all the same. The clock stands
     still but for a millisecond at each look at it."""
     experiment = load_experiment("pool", [ROBOT, "sim.latency_s=0"])
     hub, stop = MemoryHub(), Stop(install=False)

@@ -1,4 +1,4 @@
-"""What can keep a run from being one."""
+"""Checks before a run in software is started."""
 
 import io
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What is compared, from where, and that a flight's figures are those of the flight."""
+"""Comparison of control laws: variants, scattered starts, and figures equal to those of single flights."""
 
 import math
 import subprocess
