@@ -19,12 +19,12 @@ from scipy.stats import chi2
 
 from benchmarks.harness import Row
 from groundstation.planning import planner
-from localizer.camera_model import PoolView
+from localizer.camera_model import RefractiveCamera
 from localizer.detection.correlation_filter import CorrelationFilter, FilterShape
-from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.in_process.fleet import AgentFleet, BareWater
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from wire.config.experiment import Experiment, load_experiment
 from wire.config.scene import RobotConfig
 from wire.frames import Array, pool_to_body, wrap
@@ -96,7 +96,12 @@ def _experiment(seed: int, courses: Courses, settings: Sequence[str]) -> Experim
 
 def _fly(seed: int, courses: Courses, settings: Sequence[str], baselines: dict[str, Baseline], depth_error_m: float) -> Run:
     experiment = _experiment(seed, courses, settings)
-    renderer, locator, random, run = Renderer(experiment, seed), Locator(experiment), np.random.default_rng([seed, 5]), Run()
+    renderer, locator, random, run = (
+        Renderer(experiment, seed),
+        FleetLocalizer(experiment),
+        np.random.default_rng([seed, 5]),
+        Run(),
+    )
     n, height_m = len(experiment.robots), experiment.vehicle.marker.height_m
     bias = random.normal(0.0, SENSOR_BIAS_M, n) + depth_error_m
     for k in range(round(RUN_S / PERIOD_S)):
@@ -154,12 +159,12 @@ def _consistency(case: str, nees: Array) -> Iterator[Row]:
 class _SeenFleet(AgentFleet):
     """A flight of the plant, and what two localizers make of it: one sees the robots as they lean, the other one level."""
 
-    def __init__(self, experiment: Experiment, trajectories: Mapping[int, Trajectory], water: BareWater, seed: int) -> None:
+    def __init__(self, experiment: Experiment, trajectories: Mapping[int, Trajectory], water: DirectPlant, seed: int) -> None:
         super().__init__(experiment, trajectories, water, seed)
         self.runs = {"leaning": Run(), "level": Run()}
         self.lean_rad: list[float] = []
         self._flown, self._renderer, self._frames = water, Renderer(experiment, seed), 0
-        self._locators = {how: Locator(experiment) for how in self.runs}
+        self._locators = {how: FleetLocalizer(experiment) for how in self.runs}
 
     def expose(self, stamp_ns: int) -> None:
         super().expose(stamp_ns)
@@ -187,7 +192,7 @@ def _leaning(case: str, name: str, settings: Sequence[str]) -> Iterator[Row]:
         experiment = load_experiment(name, [*settings, f"seed={seed}"])
         trajectories = planner.plan(experiment)
         starts = planner.start_poses(experiment, trajectories)
-        water = BareWater(experiment, seed, np.array([starts[i] for i in experiment.robot_ids]))
+        water = DirectPlant(experiment, seed, np.array([starts[i] for i in experiment.robot_ids]))
         fleet = _SeenFleet(experiment, trajectories, water, seed)
         fleet.start()
         while fleet.time_s < FLIGHT_S:
@@ -209,7 +214,7 @@ def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), settings)
     robots = {robot.marker: i for i, robot in enumerate(experiment.robots)}
-    camera, view, side_m = experiment.camera, PoolView(experiment.camera), experiment.vehicle.marker.side_m
+    camera, view, side_m = experiment.camera, RefractiveCamera(experiment.camera), experiment.vehicle.marker.side_m
     matrix = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
     square = side_m / 2.0 * np.array([[1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
 
@@ -221,7 +226,7 @@ def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
     def optics(frame: Frame, plates_m: Array) -> Poses:
         poses = {}
         for robot, corners in found(frame).items():
-            at = view.pool(corners, float(plates_m[robot]))
+            at = view.pixel_to_pool(corners, float(plates_m[robot]))
             ahead = at[0] + at[1] - at[2] - at[3]
             poses[robot] = np.append(at.mean(axis=0), np.arctan2(ahead[1], ahead[0]))
         return poses
@@ -241,11 +246,11 @@ def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
 
 def _plain_kcf(experiment: Experiment, courses: Courses) -> dict[str, Baseline]:
     """Henriques' tracker as published: patch in the picture's frame, 2.5 robots wide, learning from every frame."""
-    view, size, n = PoolView(experiment.camera), 64, len(experiment.robots)
+    view, size, n = RefractiveCamera(experiment.camera), 64, len(experiment.robots)
     start = courses.eta(0.0)
     plates = start[:, 2] - experiment.vehicle.marker.height_m
-    places = view.pixel(np.column_stack([start[:, :2], plates]))
-    rim = view.pixel(np.column_stack([start[:, :2] + [experiment.vehicle.radius_m, 0.0], plates]))
+    places = view.pool_to_pixel(np.column_stack([start[:, :2], plates]))
+    rim = view.pool_to_pixel(np.column_stack([start[:, :2] + [experiment.vehicle.radius_m, 0.0], plates]))
     pitch = 2.5 * 2.0 * np.linalg.norm(rim - places, axis=1) / size
     shape = FilterShape(size, size, 3, target_width=2.5, kernel_width=0.5, windowed=True, regularisation=1e-4)
     tracker, everyone = CorrelationFilter(n, shape), np.arange(n)
@@ -268,7 +273,7 @@ def _plain_kcf(experiment: Experiment, courses: Courses) -> dict[str, Baseline]:
         rates = np.full(n, 0.02 if started else 1.0, np.float32)
         tracker.learn(everyone, patches(np.asarray(colour, dtype=np.uint8)), rates)
         started = True
-        return {i: np.append(view.pool(places[i], float(plates_m[i])), np.nan) for i in range(n)}
+        return {i: np.append(view.pixel_to_pool(places[i], float(plates_m[i])), np.nan) for i in range(n)}
 
     return {"KCF, not turned": follow}
 
@@ -291,7 +296,7 @@ def _reacquisition() -> Iterator[Row]:
     for seed in SEEDS:
         courses = Courses(seed, ((0.8, 0.0), (-0.8, 0.0)), (0.65, 0.9), 0.15)
         experiment, random = _experiment(seed, courses, ()), np.random.default_rng([seed, 6])
-        renderer, locator, k = Renderer(experiment, seed), Locator(experiment), 0
+        renderer, locator, k = Renderer(experiment, seed), FleetLocalizer(experiment), 0
         for _ in range(6):
             gone, place = k + int(random.integers(5, 15)), random.uniform([-1.4, -1.0], [1.4, 1.0])
             back, found = gone + 60, False
@@ -321,7 +326,7 @@ def _identity() -> Iterator[Row]:
         courses = Courses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
         pool = load_experiment("pool", [f"seed={seed}", "sim.picture.alike=true"])
         experiment = pool.model_copy(update={"robots": tuple(RobotConfig(id=i + 1, node_m=(0.0, 0.0, 0.0)) for i in range(n))})
-        renderer, locator, random = Renderer(experiment, seed), Locator(experiment), np.random.default_rng([seed, 8])
+        renderer, locator, random = Renderer(experiment, seed), FleetLocalizer(experiment), np.random.default_rng([seed, 8])
         aruco = _aruco_alone(experiment, courses)["ArUco alone"]
         hidden, silent = np.zeros(n, dtype=bool), np.zeros((round(CROWD_S / PERIOD_S), n), dtype=bool)
         for k in range(len(silent)):

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.harness import Row
 from groundstation.planning import planner
-from sim_bridge.in_process.fleet import AgentFleet, BareWater
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages.messages import Trajectory
@@ -57,7 +57,7 @@ def meet(experiment: Experiment, seed: int) -> Encounter:
     starts = np.array([planned[robot] for robot in experiment.robot_ids])
     starts += random.uniform(-1.0, 1.0, starts.shape) * [PLACE_M, PLACE_M, 0.0, YAW_RAD]
     late = {robot: _late(trajectory, random.uniform(0.0, LATE_S)) for robot, trajectory in trajectories.items()}
-    water = BareWater(experiment, seed, starts)
+    water = DirectPlant(experiment, seed, starts)
     fleet = AgentFleet(experiment, late, water, seed)
     fleet.start()
     held = len(fleet.truth) - 1

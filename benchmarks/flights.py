@@ -6,7 +6,7 @@ from itertools import combinations
 import numpy as np
 
 from groundstation.planning import planner
-from sim_bridge.in_process.fleet import AgentFleet, BareWater, fly
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from wire.config.experiment import Experiment
 from wire.frames import Array, pose_error
 from wire.messages.messages import RobotState
@@ -41,11 +41,11 @@ class Flight:
         return float(rms[:, :3].max()), float(rms[:, 3].max())
 
 
-def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
+def prepared(experiment: Experiment) -> tuple[AgentFleet, DirectPlant]:
     """Robots where the experiment puts them, with the trajectories that the station plans, and the water they are in."""
     trajectories = planner.plan(experiment)
     starts = planner.start_poses(experiment, trajectories)
-    water = BareWater(experiment, experiment.seed, np.array([starts[r] for r in experiment.robot_ids]))
+    water = DirectPlant(experiment, experiment.seed, np.array([starts[r] for r in experiment.robot_ids]))
     return AgentFleet(experiment, trajectories, water, experiment.seed), water
 
 

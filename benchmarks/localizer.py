@@ -22,10 +22,10 @@ import numpy as np
 
 from benchmarks.following import Begin, Picture, Place, Step, Task, follow
 from benchmarks.harness import ROOT, Row, run_peer
-from localizer.detection.obstacles import ObstacleWatch
-from localizer.evaluation.ground_truth import read_idtracker
-from localizer.tracking.fleet_localizer import Locator
-from localizer.tracking.single_object import Follower
+from localizer.detection.obstacles import ObstacleDetector
+from localizer.evaluation.runner import read_idtracker
+from localizer.tracking.fleet_localizer import FleetLocalizer
+from localizer.tracking.single_object import SingleObjectTracker
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import Experiment, load_experiment
@@ -80,7 +80,7 @@ def _experiment(count: int, markers: bool) -> Experiment:
 def _fleet(count: int, markers: bool) -> Iterator[Row]:
     """Time per frame, and, so that nobody is fast by not looking, errors of the robots' centres over the same frames."""
     experiment = _experiment(count, markers)
-    renderer, locator = Renderer(experiment, experiment.seed), Locator(experiment)
+    renderer, locator = Renderer(experiment, experiment.seed), FleetLocalizer(experiment)
     depths = dict.fromkeys(experiment.robot_ids, DEPTH_M)
     frames_ms, errors_mm, followed = [], [], 0
     for k in range(WARM_UP + FRAMES):
@@ -106,7 +106,7 @@ def _fleet(count: int, markers: bool) -> Iterator[Row]:
 def _obstacles() -> Iterator[Row]:
     """The obstacle watch beside two robots: it looks at every other frame."""
     experiment = _experiment(2, True)
-    renderer, watch = Renderer(experiment, experiment.seed), ObstacleWatch(experiment)
+    renderer, watch = Renderer(experiment, experiment.seed), ObstacleDetector(experiment)
     frames_ms = []
     for k in range(WARM_UP + FRAMES):
         t_s = k * PERIOD_S
@@ -124,7 +124,7 @@ def _obstacles() -> Iterator[Row]:
 
 def _ours(window_px: float) -> Begin:
     def begin(picture: Picture, place: Place) -> Step:
-        follower = Follower(picture, np.array(place), window_px)
+        follower = SingleObjectTracker(picture, np.array(place), window_px)
 
         def step(picture: Picture) -> Place:
             (x, y), _ = follower.step(picture)

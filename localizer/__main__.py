@@ -1,4 +1,4 @@
-"""SHELL: `localizer`: finds the robots in the overhead camera's pictures."""
+"""SHELL: the command line `localizer`: track robots in an overhead camera's frames, calibrate and check the camera."""
 
 from typing import Annotated
 
@@ -61,11 +61,10 @@ def run(
     from wire.transport.network import endpoint
 
     start_log("localizer", verbose)
-    cv2.setNumThreads(
-        1
-    )  # of this process: regions are small, and with the fleet's others on the machine more threads only fight
+    # Regions are small, and more threads only compete with the other processes of the machine.
+    cv2.setNumThreads(1)
     loaded = load_experiment(experiment, settings or ())
-    options = node.Options(source, publish_frames, show_port if show else None)
+    options = node.NodeOptions(source, publish_frames, show_port if show else None)
     where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure, lossless=lockstep)
     node.run(loaded, where, fleet, Stop(), lockstep, options)
 
@@ -77,7 +76,7 @@ cli.command()(evaluate)
 
 
 def app() -> None:
-    """Entry point."""
+    """Entry point of the installed command."""
     run_role(lambda: run_app(cli), "localizer")
 
 

@@ -1,32 +1,34 @@
-"""The fault timeline at work: what is broken now, and what that means to plant, boards, camera and links. Pure; time is
-seconds along the trajectories, so nothing breaks before the robots start. Processes are killed by sim_bridge/sil/launcher.py.
+"""The fault timeline: the faults that hold now, and their effects on plant, boards, camera and links. Pure.
+
+Time is seconds along the trajectories, so no fault begins before the robots start. Faults of processes are applied by
+sim_bridge/sil/fault_injector.py.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from sim_bridge.plant.fleet import Harm
+from sim_bridge.plant.fleet import ActuatorFaults
 from wire.config.experiment import Experiment
 from wire.config.fault_injection import THRUSTERS, Break, Fault
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
-NUMERIC = ("thruster", "imu", "battery")  # what can break in a numeric flight
-BEFORE_S = -1.0  # any time at which the robots have not started
+NUMERIC = ("thruster", "imu", "battery")  # kinds of faults that a numeric flight can have
+BEFORE_S = -1.0  # a time before the robots' start
 
 
 @dataclass(frozen=True)
-class LinkTrouble:
-    """What happens to datagrams between a robot's computer and its board."""
+class LinkFaults:
+    """Effect of the faults on datagrams between a robot's computer and its board."""
 
     cut: bool = False
-    loss: float = 0.0  # fraction lost; as much again is doubled, and as much overtaken by what comes later
+    loss: float = 0.0  # fraction lost; the same fraction is duplicated, and the same is overtaken by later datagrams
     delay_s: float = 0.0
 
 
-class Faults:
-    """The faults of an experiment."""
+class FaultSchedule:
+    """The faults of an experiment, and their effects at the time of the last `at`."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._faults, self._robots = experiment.sim.faults, experiment.robot_ids
@@ -36,11 +38,11 @@ class Faults:
 
     @property
     def any(self) -> bool:
-        """Whether anything will ever break."""
+        """True if the experiment has any fault."""
         return bool(self._faults)
 
     def at(self, time_s: float) -> list[str]:
-        """Move to a time. Returns what has changed, in words."""
+        """Move to a time. Returns a line of text for each fault that began or ended."""
         if not self._faults:
             return []
         active = tuple(fault for fault in self._faults if fault.holds(time_s))
@@ -53,7 +55,7 @@ class Faults:
         return said
 
     def pulses(self, pulses_us: Array) -> Array:
-        """The pulses (n, 8) that thrusters see, of those on the boards' outputs: one that is stuck sees its last for ever."""
+        """The pulses (n, 8) that thrusters get, from those on the boards' outputs: a stuck one keeps its last."""
         stuck = {(i, b.thruster - 1) for i, b in self._of("thruster") if b.effect == "stuck"}
         self._stuck_us = {where: self._stuck_us.get(where, float(pulses_us[where])) for where in stuck}
         if not stuck:
@@ -69,7 +71,7 @@ class Faults:
         return [(self._robots.index(b.robot) if b.robot else -1, b) for b in broken]
 
     def _derive(self) -> None:
-        """What follows from the faults that hold now."""
+        """Derive the effects of the faults that hold now."""
         n = len(self._robots)
         thrust, sag_v = np.ones((n, THRUSTERS)), np.zeros(n)
         factors = {"dead": 0.0, "reversed": -1.0, "stuck": 1.0}
@@ -77,27 +79,27 @@ class Faults:
             thrust[i, b.thruster - 1] *= factors.get(b.effect, b.value)
         for i, b in self._of("battery"):
             sag_v[i] += b.value
-        self.harm = Harm(thrust, sag_v)
+        self.actuators = ActuatorFaults(thrust, sag_v)
         self.imu_error = np.zeros((n, 2))  # heading rad, yaw rate rad/s
         for i, b in self._of("imu"):
             self.imu_error[i, ("heading", "gyro").index(b.effect)] += b.value
-        self.bare = frozenset(i for i, _ in self._of("marker"))
+        self.unmarked = frozenset(i for i, _ in self._of("marker"))
         self.camera = tuple(b for _, b in self._of("camera"))
-        self.links = [LinkTrouble()] * n
+        self.links = [LinkFaults()] * n
         for i, b in self._of("link"):
             old, is_noisy, is_slow = self.links[i], b.effect == "noisy", b.effect == "slow"
             loss, delay_s = b.value if is_noisy else old.loss, b.value if is_slow else old.delay_s
-            self.links[i] = LinkTrouble(old.cut or b.effect == "cut", loss, delay_s)
+            self.links[i] = LinkFaults(old.cut or b.effect == "cut", loss, delay_s)
 
 
-def only(experiment: Experiment, kinds: tuple[str, ...], why: str) -> None:
-    """Raise ConfigError if the timeline asks for what this way of flying cannot break."""
+def require_kinds(experiment: Experiment, kinds: tuple[str, ...], why: str) -> None:
+    """Raise ConfigError if the timeline has a fault of a kind that this way of flying cannot have."""
     for i, fault in enumerate(experiment.sim.faults):
         if fault.broken.kind not in kinds:
             raise ConfigError(f"sim.faults.{i}.what = {fault.what!r}: {why} (allowed here: {', '.join(kinds)})")
 
 
-def never(experiment: Experiment) -> list[str]:
-    """In words, the faults whose time does not come in a run as long as the experiment's."""
+def faults_after_the_end(experiment: Experiment) -> list[str]:
+    """Lines of text for the faults that begin after the end of the experiment's run."""
     late = [fault for fault in experiment.sim.faults if fault.at_s >= experiment.duration_s]
     return [f"never happens: {f.what} at {f.at_s:g} s, for the run ends after {experiment.duration_s:g} s" for f in late]

@@ -3,7 +3,7 @@
     bytes from the robots' computers -> boards (board.py) -> pulses -> thrusters -> dynamics -> next state
                                                                        sensors -> boards -> bytes to the computers
 
-`step` moves everything by one plant step. sim_bridge/node/pool.py puts it on the wires; time here is only the plant's.
+`step` moves everything by one plant step. sim_bridge/node/pool.py connects it to the wires; time here is the plant's.
 """
 
 from collections import deque
@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sim_bridge.fault_schedule import BEFORE_S, Faults
-from sim_bridge.plant.fleet import Harm, Plant, PlantState
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.fault_schedule import BEFORE_S, FaultSchedule
+from sim_bridge.plant.fleet import ActuatorFaults, Plant, PlantState
+from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Truth
@@ -28,23 +28,23 @@ class World:
         experiment: Experiment,
         seed: int,
         starts: Array,
-        make: Callable[[Experiment, int, int], Board] = Board,
+        board_factory: Callable[[Experiment, int, int], ThrusterBoard] = ThrusterBoard,
         held: bool = False,
     ) -> None:
-        """With `held` somebody holds the robots where they are until the first of them is armed."""
+        """With `held` the robots are kept in place until the first of them is armed."""
         self._held = held
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
-        self._boards = [make(experiment, robot, seed) for robot in experiment.robot_ids]
+        self._boards = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
         self._frames = 1  # the first is at time 0
-        self.faults = Faults(experiment)
-        self.start_ns: int | None = None  # plant time at which the trajectories begin; whoever knows sets it
+        self.faults = FaultSchedule(experiment)
+        self.start_ns: int | None = None  # plant time at which the trajectories begin; set by the process
         self._ahead: deque[PlantState] = deque()  # what the next steps come to, as long as the same is broken
-        self._ahead_harm: Harm | None = None
-        self.exposed = False  # whether the last step reached the middle of an exposure
+        self._ahead_faults: ActuatorFaults | None = None
+        self.exposed = False  # the last step reached the middle of an exposure
 
     @property
     def now_ns(self) -> int:
@@ -73,19 +73,19 @@ class World:
         return self._state.tilt
 
     def truth(self) -> Truth:
-        """The state now, for the log and for nobody who controls."""
+        """The state now, for the log; no controller may read it."""
         return self._plant.truth(self._state)
 
     def receive(self, i: int, data: bytes) -> bool:
-        """Bytes from the computer of the i-th robot reach its board. Returns whether the board took a frame of them."""
+        """Give bytes from the i-th robot's computer to its board. Returns True if the board took a frame of them."""
         return self._boards[i].receive(data, self.now_ns)
 
     def board_ms(self, i: int) -> int:
-        """Time of the i-th board's last burst."""
+        """Board time of the i-th board's last burst."""
         return max(self._boards[i].burst_ms, 0)
 
     def neutral(self, i: int) -> bool:
-        """Whether the i-th board's thruster outputs are all at neutral."""
+        """True if the i-th board's thruster outputs are all at neutral."""
         return self._boards[i].neutral
 
     @property
@@ -93,48 +93,50 @@ class World:
         """Time along the trajectories."""
         return BEFORE_S if self.start_ns is None else (self.now_ns - self.start_ns) * 1e-9
 
-    def break_things(self) -> list[str]:
-        """Let the timeline of faults catch up. Returns what broke or is whole again, in words."""
+    def apply_faults(self) -> list[str]:
+        """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
         changes = self.faults.at(self.flown_s)
         for board, error in zip(self._boards, self.faults.imu_error.tolist() if changes else (), strict=False):
             board.sensors.error = (error[0], error[1])
         return changes
 
     def next_exposure(self) -> tuple[Array, Array, Array] | None:
-        """Poses, velocities and tilts (n, 4) at the next exposure, if it is so near that no pulse sent from now on can change
-        them. What breaks meanwhile can: compare before use."""
+        """Poses, velocities and tilts (n, 4) at the next exposure, if no pulse sent from now on can change them; else None.
+
+        Faults that begin meanwhile can change them: compare before use.
+        """
         steps = (self.exposure_ns - self.now_ns) // self._step_ns
         if self._held or not 0 < steps <= self._plant.dead_steps:
             return None
-        state, pulses, harm = self._state, self.faults.pulses(self._pulses()), self.faults.harm
+        state, pulses, actuators = self._state, self.faults.pulses(self._pulses()), self.faults.actuators
         self._ahead.clear()
-        self._ahead_harm = harm
+        self._ahead_faults = actuators
         for _ in range(steps):
-            state = self._plant.step(state, pulses, harm)
+            state = self._plant.step(state, pulses, actuators)
             self._ahead.append(state)
         return state.eta, state.nu, state.tilt
 
     def _pulses(self) -> Array:
-        """On the boards' outputs, (n, 8)."""
+        """Pulses on the boards' outputs, (n, 8)."""
         return np.array([board.pulses for board in self._boards], dtype=np.float64)
 
-    def _moved(self, pulses_us: Array, harm: Harm) -> PlantState:
-        """The plant one step on, which may have been looked at before."""
+    def _next_state(self, pulses_us: Array, actuators: ActuatorFaults) -> PlantState:
+        """The plant one step on, from the states computed ahead where they hold."""
         self._held = self._held and not any(board.armed for board in self._boards)
         if self._held:
             return replace(self._state, steps=self._state.steps + 1)
-        if self._ahead and self._ahead_harm is harm:
-            return self._plant.retold(self._ahead.popleft(), self._state, pulses_us)
+        if self._ahead and self._ahead_faults is actuators:
+            return self._plant.with_command_history(self._ahead.popleft(), self._state, pulses_us)
         self._ahead.clear()
-        return self._plant.step(self._state, pulses_us, harm)
+        return self._plant.step(self._state, pulses_us, actuators)
 
     def step(self) -> list[tuple[int, bytes]]:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
-        harm = self.faults.harm
-        self._state = state = self._moved(self.faults.pulses(self._pulses()), harm)
-        measures = self._boards[0].measures(self.now_ns)  # else nobody looks
+        actuators = self.faults.actuators
+        self._state = state = self._next_state(self.faults.pulses(self._pulses()), actuators)
+        measures = self._boards[0].measures(self.now_ns)  # otherwise the values are not used
         acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
-        supply_v = self._plant.rest_v(state, harm).tolist() if measures else self._no_voltage
+        supply_v = self._plant.rest_v(state, actuators).tolist() if measures else self._no_voltage
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
         if self.exposed:  # of a camera faster than the plant's steps, what falls between two of them is left out
             self._frames = int((self.now_ns * 1e-9 + 1e-9) / self._frame_period_s) + 1

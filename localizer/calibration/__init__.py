@@ -1,5 +1,6 @@
-"""From pictures of boards and of surveyed points to a camera file: lens, then place over the pool.
+"""Camera calibration: from pictures of targets and of surveyed points to a camera file.
 
-Pictures (images.py) -> corners (targets.py) -> lens (intrinsics.py); surveyed points (survey_points.py) -> pose of the camera
-through the water's surface (extrinsics.py). workflow.py leads, report.py and pool_grid.py show how good it is.
+Pictures (images.py) -> corners (targets.py) -> intrinsics (intrinsics.py); surveyed points (survey_points.py) -> pose of
+the camera through the water's surface (extrinsics.py). workflow.py runs `localizer calibrate`, verify.py `localizer
+check`; report.py and pool_grid.py show the accuracy.
 """

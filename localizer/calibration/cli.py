@@ -56,11 +56,11 @@ def calibrate(
     Examples:  localizer calibrate board/ --board chessboard:9x6:0.03 --pool-points points.toml
     localizer calibrate --lens camera.toml --pool-points points.toml --out moved.toml
     """
-    from localizer.calibration.workflow import Request
+    from localizer.calibration.workflow import CalibrationRequest
     from localizer.calibration.workflow import calibrate as run
 
     files = tuple(sources or ())
-    request = Request(
+    request = CalibrationRequest(
         files, board, every, lens, pool_points, pool_points_image, out,
         rate_hz=rate, exposure_s=exposure, water_index=water_index, grey=grey,
     )  # fmt: skip
@@ -88,7 +88,7 @@ def check(
     """
     from localizer.calibration.images import read_picture
     from localizer.calibration.verify import LivePictures, check_camera, show_live
-    from localizer.view.mjpeg_server import Page
+    from localizer.view.mjpeg_server import MjpegServer
     from wire.messages.topics import Role, process_name
     from wire.process.runtime import Stop, start_log
     from wire.transport.bus import Bus
@@ -106,7 +106,7 @@ def check(
     start_log("localizer", False)
     stop = Stop()
     with ExitStack() as stack:
-        page = stack.enter_context(closing(Page(show_port, stop))) if show else None
+        page = stack.enter_context(closing(MjpegServer(show_port, stop))) if show else None
         typer.echo(f"Waiting for a frame through the station at {station} ...", err=True)
         where = endpoint(station, process_name(Role.LOCALIZER), keys, insecure=insecure)
         pictures = LivePictures(stack.enter_context(Bus(ZenohTransport(where, stop), fleet)))

@@ -1,7 +1,7 @@
-"""Points of the pool in one picture -> where the camera hangs, looking through the water's surface.
+"""Extrinsic calibration: the camera's pose from surveyed points in one picture, through the water's surface. Pure.
 
-The rim's points are seen straight, the floor's through refraction; both go into one least squares fit of the pixels.
-Ignoring refraction puts a floor 1 m deep at 0.75 m, and the camera centimetres off. Pure.
+Points on the rim are seen straight, those on the floor through refraction; both enter one least-squares fit of the pixels.
+Without refraction a floor 1 m deep would appear at 0.75 m, and the camera would be centimetres off.
 """
 
 from collections.abc import Sequence
@@ -11,25 +11,24 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from localizer.calibration.intrinsics import Lens
-from localizer.calibration.survey_points import FEWEST_POINTS, PoolPoint, is_line
-from localizer.camera_model import PoolView
+from localizer.calibration.survey_points import FEWEST_POINTS, SurveyPoint, is_line
+from localizer.camera_model import Intrinsics, RefractiveCamera
 from wire.config.perception import Camera
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
-_LEAST_SIGMA_PX = 0.2  # residuals of four points may be small by luck
-_SUSPECT_RATIO, _SUSPECT_PX = 3.0, 1.0
-_SUSPECT_STEPS = 20  # a start from the fit to all points needs five; points beyond hope would take hundreds
-_UNUSABLE_PX = 10.0  # of 1280: two places confused, not a careless click
-_LOWEST_CAMERA_M = -0.05
-_STEP = 1e-5  # m and rad, for derivatives: 0.01 px, far above rounding, far below curvature
+_LEAST_SIGMA_PX = 0.2  # px, least standard deviation of a pixel: residuals of four points may be small by chance
+_SUSPECT_RATIO, _SUSPECT_PX = 3.0, 1.0  # improvement without a point, and RMS in px, from which that point is suspect
+_SUSPECT_STEPS = 20  # most evaluations of a fit without one point; five are needed from the fit to all points
+_UNUSABLE_PX = 10.0  # px of a picture 1280 wide; a larger RMS means confused points, not careless clicks
+_LOWEST_CAMERA_M = -0.05  # m, largest z of a camera above the water
+_STEP = 1e-5  # m and rad, step of derivatives: 0.01 px, far above rounding and far below curvature
 
 
 @dataclass(frozen=True, eq=False)
 class PoseFit:
     """The camera over the pool. `seen_px` (points, 2) as given, `residuals_px` (points, 2): seen less predicted.
-    `covariance` (6, 6) of rotation_rad and position_m, from the points' scatter; `suspect`: the point without which the
+    `covariance` (6, 6) of rotation_rad and position_m, from the points' scatter. `suspect`: the point without which the
     others agree."""
 
     camera: Camera
@@ -40,15 +39,15 @@ class PoseFit:
 
     @property
     def rms_px(self) -> float:
-        """Over points, of the distance."""
+        """RMS over the points of the distance in px."""
         return _rms(self.residuals_px)
 
     def place_sigma_m(self, pixels: Array, depth_m: float) -> Array:
-        """One standard deviation (n,) of where pixels (n, 2) lie at a depth, in the worse direction."""
+        """One standard deviation (n,) of the places of pixels (n, 2) at a depth, in the worse direction."""
         at = _parameters(self.camera)
 
         def place(step: Array) -> Array:
-            return PoolView(_moved(self.camera, at + step)).pool(pixels, depth_m)
+            return RefractiveCamera(_moved(self.camera, at + step)).pixel_to_pool(pixels, depth_m)
 
         steps = _STEP * np.eye(6)
         jacobian = np.stack([(place(step) - place(-step)) / (2 * _STEP) for step in steps], axis=-1)  # (n, 2, 6)
@@ -56,15 +55,15 @@ class PoseFit:
         return np.asarray(np.sqrt(np.linalg.eigvalsh(spread)[:, 1]))
 
 
-def fit_pose(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> PoseFit:
-    """The pose of `camera` (its lens and water_index are taken, its pose is not) that puts `points` at pixels (n, 2).
+def fit_pose(camera: Camera, points: Sequence[SurveyPoint], pixels: Array) -> PoseFit:
+    """The pose of `camera` that puts `points` at pixels (n, 2). Its lens and water_index are used, its pose is not.
 
     Raises ConfigError when the pixels cannot be used or no pose explains them.
     """
     places = np.array([point.pool_m for point in points])
     _check_pixels(camera, points, pixels)
-    best = _best(camera, places, pixels)
-    fit = _judged(best, places, pixels)
+    best = _best_pose(camera, places, pixels)
+    fit = _assessed(best, places, pixels)
     if fit.rms_px > _UNUSABLE_PX * max(camera.size_px) / 1280.0:
         worst = points[int(np.argmax(np.linalg.norm(fit.residuals_px, axis=1)) if fit.suspect is None else fit.suspect)].name
         raise ConfigError(
@@ -74,7 +73,7 @@ def fit_pose(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> Pose
     return fit
 
 
-def _check_pixels(camera: Camera, points: Sequence[PoolPoint], pixels: Array) -> None:
+def _check_pixels(camera: Camera, points: Sequence[SurveyPoint], pixels: Array) -> None:
     width, height = camera.size_px
     for point, (u, v) in zip(points, pixels, strict=True):
         if not (-0.5 <= u <= width - 0.5 and -0.5 <= v <= height - 0.5):
@@ -84,7 +83,7 @@ def _check_pixels(camera: Camera, points: Sequence[PoolPoint], pixels: Array) ->
         raise ConfigError("points: their pixels lie on one line; take some beside it")
 
 
-def _best(camera: Camera, places: Array, pixels: Array) -> Camera:
+def _best_pose(camera: Camera, places: Array, pixels: Array) -> Camera:
     """The pose with the least squared error, from each start in turn."""
     fits = [
         least_squares(_errors, start, args=(camera, places, pixels), x_scale="jac")
@@ -101,11 +100,10 @@ def _best(camera: Camera, places: Array, pixels: Array) -> Camera:
 
 
 def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:
-    """Poses to refine: those that explain the points if each one under water is seen where it appears from right above,
-    at depth / n, straight."""
+    """Initial poses: those that explain the points if each one under water is seen at its apparent depth / n, straight."""
     apparent = places.copy()
     apparent[:, 2] = np.where(places[:, 2] > 0, places[:, 2] / camera.water_index, places[:, 2])
-    lens = Lens.of(camera)
+    lens = Intrinsics.of(camera)
     _, turns, moves, _ = cv2.solvePnPGeneric(
         apparent, pixels, lens.matrix, np.array(lens.distortion), flags=cv2.SOLVEPNP_SQPNP
     )
@@ -116,8 +114,8 @@ def _starts(camera: Camera, places: Array, pixels: Array) -> list[Array]:
     return starts
 
 
-def _judged(camera: Camera, places: Array, pixels: Array) -> PoseFit:
-    """Residuals, covariance, and the point that does not belong."""
+def _assessed(camera: Camera, places: Array, pixels: Array) -> PoseFit:
+    """The fit with residuals, covariance, and the point that does not fit."""
     at = _parameters(camera)
     residuals = -_errors(at, camera, places, pixels)
     steps = _STEP * np.eye(6)
@@ -132,7 +130,7 @@ def _judged(camera: Camera, places: Array, pixels: Array) -> PoseFit:
 
 
 def _suspect(camera: Camera, residuals: Array, places: Array, pixels: Array) -> int | None:
-    """The point without which the rest fit at least three times better. Four points leave nothing to tell it from."""
+    """The point without which the rest fit at least three times better. With four points there is none."""
     if len(places) <= FEWEST_POINTS or _rms(residuals) < _SUSPECT_PX:
         return None
     without = []
@@ -145,8 +143,8 @@ def _suspect(camera: Camera, residuals: Array, places: Array, pixels: Array) -> 
 
 
 def _errors(parameters: Array, camera: Camera, places: Array, pixels: Array) -> Array:
-    """Predicted less seen, (2 n,)."""
-    return (PoolView(_moved(camera, parameters)).pixel(places) - pixels).ravel()
+    """Predicted less seen pixels, (2 n,)."""
+    return (RefractiveCamera(_moved(camera, parameters)).pool_to_pixel(places) - pixels).ravel()
 
 
 def _moved(camera: Camera, parameters: Array) -> Camera:

@@ -8,13 +8,13 @@ import numpy as np
 
 from localizer.detection.image_regions import Pixels
 from localizer.sources.base import SUFFIXES, as_colour
+from localizer.sources.files import picture_files, video_frames
 from wire.process.output_files import replacing
 from wire.toml_loader import ConfigError
 
 
 def read_picture(path: Path, grey: bool = False) -> Pixels:
-    """A picture file as BGR (height, width, 3); one channel is raw Bayer RGGB, or (`grey`) grey. Raises
-    ConfigError."""
+    """A picture file as BGR (height, width, 3); one channel is raw Bayer RGGB, or grey with `grey`. Raises ConfigError."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -29,8 +29,7 @@ def read_picture(path: Path, grey: bool = False) -> Pixels:
 
 
 def write_picture(path: Path, picture: Pixels) -> None:
-    """Write a BGR picture (height, width, 3), as the kind of file that its suffix says, whole or not at all. Raises
-    ConfigError."""
+    """Write a BGR picture (height, width, 3) in the format of the suffix, completely or not at all. Raises ConfigError."""
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path}: {path.suffix!r} is no kind of picture (allowed: {', '.join(SUFFIXES)})")
     _, data = cv2.imencode(path.suffix, picture)
@@ -43,7 +42,10 @@ def write_picture(path: Path, picture: Pixels) -> None:
 
 def pictures(sources: Sequence[Path], every: int, grey: bool = False) -> Iterator[tuple[str, Pixels]]:
     """(name, BGR picture) of files, of all picture files in folders (by name), and of videos the sharpest of every `every`
-    frames. Raises ConfigError for what is neither, and for pictures of different sizes."""
+    frames.
+
+    Raises ConfigError for a file that is neither, and for pictures of different sizes.
+    """
     first: tuple[str, Pixels] | None = None
     for name, picture in _all(sources, every, grey):
         first = first or (name, picture)
@@ -56,7 +58,7 @@ def pictures(sources: Sequence[Path], every: int, grey: bool = False) -> Iterato
 def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str, Pixels]]:
     for source in sources:
         if source.is_dir():
-            files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES)
+            files = picture_files(source)
             if not files:
                 raise ConfigError(f"{source}: no pictures in this folder (looked for: {', '.join(SUFFIXES)})")
             yield from ((str(path), read_picture(path, grey)) for path in files)
@@ -67,24 +69,14 @@ def _all(sources: Sequence[Path], every: int, grey: bool) -> Iterator[tuple[str,
 
 
 def _sharp_frames(path: Path, every: int) -> Iterator[tuple[str, Pixels]]:
-    """Of each `every` frames of a video the one with the most contrast between neighbours."""
-    video = cv2.VideoCapture(str(path))
-    try:
-        if not video.isOpened():
-            raise ConfigError(f"{path}: neither a picture nor a video that OpenCV reads")
-        index, sharpest, best = 0, -1.0, None
-        while (frame := video.read())[0]:
-            picture = np.asarray(frame[1], dtype=np.uint8)
-            sharpness = float(np.var(cv2.Laplacian(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.CV_32F)))
-            if sharpness > sharpest:
-                sharpest, best = sharpness, (f"{path}:{index}", picture)
-            index += 1
-            if best is not None and index % every == 0:
-                yield best
-                sharpest, best = -1.0, None
-        if best is not None:
+    """Of each `every` frames of a video the one with the most contrast between neighbouring pixels."""
+    sharpest, best = -1.0, None
+    for index, picture in enumerate(video_frames(path), start=1):
+        sharpness = float(np.var(cv2.Laplacian(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), cv2.CV_32F)))
+        if sharpness > sharpest:
+            sharpest, best = sharpness, (f"{path}:{index - 1}", picture)
+        if best is not None and index % every == 0:
             yield best
-        if index == 0:
-            raise ConfigError(f"{path}: a video without a readable frame")
-    finally:
-        video.release()
+            sharpest, best = -1.0, None
+    if best is not None:
+        yield best

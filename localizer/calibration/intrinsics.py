@@ -1,8 +1,8 @@
-"""Views of a board -> the lens: focal lengths, centre, distortion, and how well they are known.
+"""Intrinsic calibration: focal lengths, centre and distortion from views of a target, with their uncertainty. Pure.
 
-    views -> fit -> worst view out while it is far worse than the rest -> k3 only if the views can tell it from zero
+    views -> fit -> drop the worst view while it is far worse than the rest -> k3 only if the views can tell it from zero
 
-Zhang (2000) by OpenCV. The pose over the pool comes after, from points of the pool (extrinsics.py). Pure.
+Zhang (2000) by OpenCV. The pose over the pool comes after, from points of the pool (extrinsics.py).
 """
 
 from collections.abc import Sequence
@@ -11,57 +11,37 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from localizer.calibration.targets import BoardView
-from wire.config.perception import Camera
+from localizer.calibration.targets import TargetView
+from localizer.camera_model import Intrinsics
 from wire.frames import Array
-from wire.toml_loader import ConfigError, Section
+from wire.toml_loader import ConfigError
 
-FEWEST_VIEWS = 5  # nine numbers need three; five leave something to judge a bad view by
+FEWEST_VIEWS = 5  # nine parameters need three; with five a bad view can be recognised
 ADVISED_VIEWS = 12
-_BAD_RATIO, _BAD_PX = 2.5, 0.3  # a view this many times worse than the median, and worse than this, is blurred or misread
-_BAD_SHARE = 1 / 3  # the most views to throw away: if more are bad, it is not the views
-_SIGNIFICANT = 3.0  # standard deviations; below, k3 fits noise and swings the picture's corners
-_MATTERS = 0.98  # of the RMS without k3
-CELLS = (8, 6)  # columns and rows that coverage is counted in
-_COVERED = 0.6  # share of cells that hold corners, below which distortion is guessed in places
-_REACHED = 0.7  # of the way from the centre to each of the picture's corners
-_LOOSE_FOCAL, _LOOSE_CENTRE_PX = 0.002, 2.0  # standard deviations worth a warning: 0.2 % is 2 mm at 1 m from the foot
-_POOR_RMS_PX = 1.0
-_FOLD_PX = 0.1
-_UNDISTORT = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 50, 1e-12)  # as in camera_model.py
-
-
-class Lens(Section):
-    """The part of wire.config.experiment.Camera that belongs to lens and sensor, wherever they hang."""
-
-    size_px: tuple[int, int]
-    focal_px: tuple[float, float]
-    centre_px: tuple[float, float]
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-
-    @classmethod
-    def of(cls, camera: Camera) -> "Lens":
-        """The lens of a camera."""
-        return cls(**{key: getattr(camera, key) for key in cls.model_fields})
-
-    @property
-    def matrix(self) -> Array:
-        """Camera matrix (3, 3)."""
-        (fx, fy), (cx, cy) = self.focal_px, self.centre_px
-        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+_BAD_RATIO, _BAD_PX = 2.5, 0.3  # RMS over the median, and in px, above which a view is taken for blurred or misread
+_BAD_SHARE = 1 / 3  # largest share of views to drop; if more are bad, the fault is elsewhere
+_SIGNIFICANT = 3.0  # standard deviations of k3; below, it fits noise and distorts the picture's corners
+_MATTERS = 0.98  # of the RMS without k3; k3 must lower it at least to this
+CELLS = (8, 6)  # columns and rows in which coverage is counted
+_COVERED = 0.6  # share of cells with corners; below it, distortion is extrapolated in places
+_REACHED = 0.7  # of the distance from the centre to each of the picture's corners; below it, a warning
+_LOOSE_FOCAL, _LOOSE_CENTRE_PX = 0.002, 2.0  # standard deviations for a warning; 0.2 % is 2 mm at 1 m from the foot
+_POOR_RMS_PX = 1.0  # px, for a warning
+_FOLD_PX = 0.1  # px, for a warning
 
 
 @dataclass(frozen=True, eq=False)
-class LensFit:
-    """A lens with what it was found from. `deviations` (9,): one standard deviation of fx, fy, cx, cy, k1, k2, p1, p2, k3."""
+class IntrinsicsFit:
+    """Intrinsics with the views they were found from. `deviations` (9,): one standard deviation of fx, fy, cx, cy, k1, k2,
+    p1, p2, k3."""
 
-    lens: Lens
+    lens: Intrinsics
     deviations: Array
     rms_px: float
-    views: tuple[BoardView, ...]
+    views: tuple[TargetView, ...]
     view_rms_px: Array  # (views,)
     residuals_px: tuple[Array, ...]  # found less predicted, (corners, 2) per view
-    rejected: tuple[tuple[BoardView, float], ...] = ()  # with the RMS they had when they went
+    rejected: tuple[tuple[TargetView, float], ...] = ()  # with the RMS they had when they went
 
     @property
     def corners_px(self) -> Array:
@@ -70,19 +50,19 @@ class LensFit:
 
     @property
     def coverage(self) -> Array:
-        """How many corners fell into each cell of the picture, (rows, columns)."""
+        """Number of corners in each cell of the picture, (rows, columns)."""
         width, height = self.lens.size_px
         edges_x, edges_y = (np.linspace(-0.5, size - 0.5, n + 1) for size, n in zip((width, height), CELLS, strict=True))
         counts, _, _ = np.histogram2d(self.corners_px[:, 1], self.corners_px[:, 0], bins=(edges_y, edges_x))
         return np.asarray(counts)
 
 
-def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
-    """The lens that explains the views, bad ones left out. Raises ConfigError if there are too few."""
+def fit_intrinsics(views: Sequence[TargetView], size_px: tuple[int, int]) -> IntrinsicsFit:
+    """The intrinsics that explain the views, bad ones dropped. Raises ConfigError if there are too few."""
     if len(views) < FEWEST_VIEWS:
         names = ", ".join(view.name for view in views) or "none"
         raise ConfigError(f"the board was found in {len(views)} pictures ({names}), at least {FEWEST_VIEWS} are needed")
-    kept, rejected = list(views), list[tuple[BoardView, float]]()
+    kept, rejected = list(views), list[tuple[TargetView, float]]()
     fit = _fit(kept, size_px)
     while len(kept) > FEWEST_VIEWS and len(rejected) < int(len(views) * _BAD_SHARE):
         worst = int(np.argmax(fit.view_rms_px))
@@ -93,14 +73,15 @@ def fit_lens(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
     return replace(fit, rejected=tuple(rejected))
 
 
-def _fit(views: Sequence[BoardView], size_px: tuple[int, int]) -> LensFit:
-    """With k3 only if it is significant, and matters: views of a video repeat one another, and so do their errors."""
+def _fit(views: Sequence[TargetView], size_px: tuple[int, int]) -> IntrinsicsFit:
+    """Fit with k3 only if it is significant and lowers the error: views of a video repeat one another, and so do their
+    errors."""
     plain, with_k3 = _solve(views, size_px, cv2.CALIB_FIX_K3), _solve(views, size_px, 0)
     is_sure = abs(with_k3.lens.distortion[4]) > _SIGNIFICANT * with_k3.deviations[8]
     return with_k3 if is_sure and with_k3.rms_px < _MATTERS * plain.rms_px else plain
 
 
-def _solve(views: Sequence[BoardView], size_px: tuple[int, int], flags: int) -> LensFit:
+def _solve(views: Sequence[TargetView], size_px: tuple[int, int], flags: int) -> IntrinsicsFit:
     boards = [view.board_m.astype(np.float32)[:, None] for view in views]
     pixels = [view.pixels.astype(np.float32)[:, None] for view in views]
     try:
@@ -117,13 +98,13 @@ def _solve(views: Sequence[BoardView], size_px: tuple[int, int], flags: int) -> 
     ]
     residuals = tuple(view.pixels - place for view, place in zip(views, predicted, strict=True))
     fx, fy, cx, cy, *ks = (float(value) for value in found)
-    lens = Lens(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
+    lens = Intrinsics(size_px=size_px, focal_px=(fx, fy), centre_px=(cx, cy), distortion=(ks[0], ks[1], ks[2], ks[3], ks[4]))
     sigma, view_rms = (np.asarray(values, dtype=np.float64).ravel() for values in (deviations, errors))
-    return LensFit(lens, sigma[:9], float(rms), tuple(views), view_rms, residuals)
+    return IntrinsicsFit(lens, sigma[:9], float(rms), tuple(views), view_rms, residuals)
 
 
-def lens_warnings(fit: LensFit) -> list[str]:
-    """What a person should mend before trusting the lens."""
+def intrinsics_warnings(fit: IntrinsicsFit) -> list[str]:
+    """Warnings about a fit, with advice."""
     said = []
     if len(fit.views) < ADVISED_VIEWS:
         said.append(f"only {len(fit.views)} views: take {ADVISED_VIEWS} or more")
@@ -141,8 +122,9 @@ def lens_warnings(fit: LensFit) -> list[str]:
     return said
 
 
-def _least_reach(fit: LensFit) -> float:
-    """How far towards each of the picture's corners the board's corners went, of the whole way; the least of the four."""
+def _least_reach(fit: IntrinsicsFit) -> float:
+    """Distance that the corners reach towards each of the picture's corners, over the whole distance; the least of the
+    four."""
     width, height = fit.lens.size_px
     corners = np.array([[0, 0], [width - 1, 0], [width - 1, height - 1], [0, height - 1]], dtype=np.float64)
     way = corners - fit.lens.centre_px
@@ -150,14 +132,12 @@ def _least_reach(fit: LensFit) -> float:
     return float(went.max(axis=0).min())
 
 
-def fold_px(lens: Lens) -> float:
-    """How far undistorting and distorting the picture's edge misses it: more than nothing where the polynomial turns back."""
+def fold_px(lens: Intrinsics) -> float:
+    """Largest error of undistorting and distorting the picture's edge, px; above zero where the polynomial folds over."""
     width, height = lens.size_px
     x, y = np.linspace(0.0, width - 1.0, 33), np.linspace(0.0, height - 1.0, 25)
     edge = np.concatenate([np.stack(np.broadcast_arrays(x, v), axis=-1) for v in (y[0], y[-1])])
     edge = np.concatenate([edge, *(np.stack(np.broadcast_arrays(u, y), axis=-1) for u in (x[0], x[-1]))])
-    distortion = np.array(lens.distortion)
-    rays = cv2.undistortPoints(edge[:, None], lens.matrix, distortion, criteria=_UNDISTORT)[:, 0]
-    ahead = np.column_stack([rays, np.ones(len(rays))])
-    back, _ = cv2.projectPoints(ahead, np.zeros(3), np.zeros(3), lens.matrix, distortion)
+    rays = lens.rays(edge)
+    back, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), lens.matrix, np.array(lens.distortion))
     return float(np.abs(np.asarray(back)[:, 0] - edge).max())

@@ -1,39 +1,36 @@
-"""The pool's grid as a camera should see it, drawn over a picture of what it does see; and what a pixel is worth there.
+"""The pool's grid drawn over a picture by the calibration, and the scale and field of view at a depth.
 
-Straight lines of the pool are curves in the picture: lens and water bend them, so they are drawn in short pieces.
+Lens and water bend straight lines of the pool into curves of the picture, so they are drawn in short pieces.
 """
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localizer.camera_model import PoolView
+from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
+from localizer.view.drawing import Bgr, polyline, write
 from wire.config.perception import Camera
 from wire.config.scene import PoolConfig
 from wire.frames import Array
 
-Colour = tuple[int, int, int]
-
 GRID_M = 0.25
 _NAMED_M = 0.5
-GRID: Colour = (235, 120, 235)  # BGR; no pool is pink
-SURFACE: Colour = (80, 220, 255)
-FLOOR: Colour = (80, 160, 80)
-MARK: Colour = (60, 60, 230)
-_PIECE_M = 0.02  # a piece bends by less than 0.01 px
-_MARK_M = 0.15  # arms of the origin's mark
-_TRUE_M = 1e-3  # a lens's polynomial folds over outside the picture; points that do not map back are not drawn
-_FRACTION_BITS = 4  # OpenCV draws in 16ths of a pixel
-_SAMPLES = 41  # per axis, of the pool, to see how much of it is in the picture
+GRID: Bgr = (235, 120, 235)  # pink, which no pool is
+SURFACE: Bgr = (80, 220, 255)
+FLOOR: Bgr = (80, 160, 80)
+MARK: Bgr = (60, 60, 230)
+_PIECE_M = 0.02  # m, length of a straight piece, which bends by less than 0.01 px
+_MARK_M = 0.15  # m, arms of the origin's mark
+_TRUE_M = 1e-3  # m; a point that maps back with a larger error lies where the lens's polynomial folds over: not drawn
+_SAMPLES = 41  # per axis of the pool, to measure the share of it that is in the picture
 
 
 @dataclass(frozen=True)
-class Figures:
-    """What the camera sees at one depth."""
+class ViewFigures:
+    """Field of view and scale of a camera at one depth."""
 
     field_m: tuple[float, float]  # width through the picture's middle, height
     seen_share: float  # of the pool's area at that depth
@@ -41,21 +38,21 @@ class Figures:
     mm_per_cm_depth: tuple[float, float]  # error of a place per cm of depth error, likewise
 
 
-def figures(camera: Camera, pool: PoolConfig, depth_m: float) -> Figures:
+def view_figures(camera: Camera, pool: PoolConfig, depth_m: float) -> ViewFigures:
     """The figures for one depth."""
-    view = PoolView(camera)
+    view = RefractiveCamera(camera)
     width, height = camera.size_px
     left, right, top, bottom = -0.5, width - 0.5, -0.5, height - 0.5
     middle = np.array([(left + right) / 2, (top + bottom) / 2])
     ends = np.array([[left, middle[1]], [right, middle[1]], [middle[0], top], [middle[0], bottom]])
-    reach = view.pool(ends, depth_m)
+    reach = view.pixel_to_pool(ends, depth_m)
     corners = np.array([[0.0, 0.0], [width - 1.0, 0.0], [width - 1.0, height - 1.0], [0.0, height - 1.0]])
     jacobian = view.jacobian(np.vstack([middle, corners]), depth_m)
     scale = 1e3 * np.linalg.norm(jacobian[:, :, :2], axis=(1, 2), ord=2)
     lean = 10.0 * np.linalg.norm(jacobian[:, :, 2], axis=1)  # mm per cm
     x, y = (np.linspace(-size / 2, size / 2, _SAMPLES) for size in pool.size_m[:2])
     plane = np.stack([*np.meshgrid(x, y), np.full((_SAMPLES, _SAMPLES), depth_m)], axis=-1).reshape(-1, 3)
-    return Figures(
+    return ViewFigures(
         field_m=(float(np.linalg.norm(reach[1] - reach[0])), float(np.linalg.norm(reach[3] - reach[2]))),
         seen_share=float(np.mean(_in_picture(camera, _true_pixels(view, plane)))),
         mm_per_px=(float(scale[0]), float(scale[1:].max())),
@@ -64,9 +61,9 @@ def figures(camera: Camera, pool: PoolConfig, depth_m: float) -> Figures:
 
 
 def draw_grid(picture: Pixels, camera: Camera, pool: PoolConfig, depth_m: float) -> None:
-    """Draw into a BGR picture (height, width, 3): a grid at `depth_m`, the pool's outline at surface and floor, its upright
-    edges, and the origin's mark with the axes' names."""
-    view = PoolView(camera)
+    """Draw into a BGR picture (height, width, 3): a grid at `depth_m`, the pool's outline at surface and floor, its
+    upright edges, and the origin's mark with the axes' names."""
+    view = RefractiveCamera(camera)
     for line in _grid_lines(pool, depth_m):
         _curve(picture, view, line, GRID, 1)
     half_x, half_y, floor = pool.size_m[0] / 2, pool.size_m[1] / 2, pool.size_m[2]
@@ -85,19 +82,6 @@ def draw_grid(picture: Pixels, camera: Camera, pool: PoolConfig, depth_m: float)
             _name(picture, view, f"{y:g}", (0.0, y, depth_m), GRID)
 
 
-def write(picture: Pixels, text: str, at_px: Array, colour: Colour, size: float = 0.45) -> None:
-    """Small text with a shadow, which keeps it readable over anything."""
-    x, y = (round(float(value)) for value in np.clip(at_px, -1e4, 1e4))
-    for ink, shift in (((0, 0, 0), 1), (colour, 0)):
-        cv2.putText(picture, text, (x + shift, y + shift), cv2.FONT_HERSHEY_SIMPLEX, size, ink, 1, cv2.LINE_AA)
-
-
-def polyline(picture: Pixels, pixels: Array, colour: Colour, thickness: int = 1, closed: bool = False) -> None:
-    """A line through pixels (n, 2), to a 16th of a pixel."""
-    fixed = np.round(np.clip(pixels, -1e4, 1e4) * 2**_FRACTION_BITS).astype(np.int32)
-    cv2.polylines(picture, [fixed], closed, colour, thickness, cv2.LINE_AA, _FRACTION_BITS)
-
-
 def _grid_lines(pool: PoolConfig, depth_m: float) -> Iterator[Array]:
     half_x, half_y = pool.size_m[0] / 2, pool.size_m[1] / 2
     yield from (_line((x, -half_y, depth_m), (x, half_y, depth_m)) for x in _steps(half_x))
@@ -105,7 +89,7 @@ def _grid_lines(pool: PoolConfig, depth_m: float) -> Iterator[Array]:
 
 
 def _steps(half_m: float, step_m: float = GRID_M) -> Array:
-    """Multiples of a step within the walls: the origin is one."""
+    """Multiples of a step within the walls, the origin included."""
     count = int(half_m / step_m + 1e-9)
     return np.arange(-count, count + 1, dtype=np.float64) * step_m
 
@@ -117,10 +101,10 @@ def _line(start: Sequence[float], end: Sequence[float]) -> Array:
     return np.asarray(first + np.linspace(0.0, 1.0, pieces + 1)[:, None] * (last - first))
 
 
-def _true_pixels(view: PoolView, points: Array) -> Array:
+def _true_pixels(view: RefractiveCamera, points: Array) -> Array:
     """Pixels (n, 2) of points (n, 3); NaN for those that lie behind the camera or where the lens model folds over."""
-    pixels = view.pixel(points)
-    true = np.linalg.norm(view.pool(pixels, points[:, 2]) - points[:, :2], axis=1) < _TRUE_M
+    pixels = view.pool_to_pixel(points)
+    true = np.linalg.norm(view.pixel_to_pool(pixels, points[:, 2]) - points[:, :2], axis=1) < _TRUE_M
     return np.where(true[:, None], pixels, np.nan)
 
 
@@ -128,7 +112,7 @@ def _in_picture(camera: Camera, pixels: Array) -> NDArray[np.bool_]:
     return np.asarray(np.all((pixels >= -0.5) & (pixels <= np.array(camera.size_px) - 0.5), axis=1))
 
 
-def _curve(picture: Pixels, view: PoolView, points: Array, colour: Colour, thickness: int) -> None:
+def _curve(picture: Pixels, view: RefractiveCamera, points: Array, colour: Bgr, thickness: int) -> None:
     pixels = _true_pixels(view, points)
     good = np.isfinite(pixels[:, 0])
     for run in np.split(np.arange(len(points)), np.flatnonzero(np.diff(good)) + 1):
@@ -136,7 +120,7 @@ def _curve(picture: Pixels, view: PoolView, points: Array, colour: Colour, thick
             polyline(picture, pixels[run], colour, thickness)
 
 
-def _name(picture: Pixels, view: PoolView, text: str, point: tuple[float, float, float], colour: Colour) -> None:
+def _name(picture: Pixels, view: RefractiveCamera, text: str, point: tuple[float, float, float], colour: Bgr) -> None:
     pixel = _true_pixels(view, np.array([point]))[0]
     if np.all(np.isfinite(pixel)):
         write(picture, text, pixel + np.array([3.0, -4.0]), colour)

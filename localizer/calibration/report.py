@@ -1,19 +1,19 @@
-"""What `localizer calibrate` and `localizer check` tell a person: lines of text, and a picture."""
+"""Report of `localizer calibrate` and `localizer check`: lines of text, and a picture."""
 
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit
-from localizer.calibration.intrinsics import LensFit, lens_warnings
-from localizer.calibration.pool_grid import Figures, draw_grid, polyline, write
-from localizer.calibration.survey_points import FEWEST_POINTS, PoolPoint
+from localizer.calibration.intrinsics import IntrinsicsFit, intrinsics_warnings
+from localizer.calibration.pool_grid import ViewFigures, draw_grid
+from localizer.calibration.survey_points import FEWEST_POINTS, SurveyPoint
 from localizer.detection.image_regions import Pixels
+from localizer.view.drawing import cross, dot, polyline, write
 from wire.config.scene import PoolConfig
 from wire.frames import Array
 
-MAGNIFIED = 20.0  # how much longer arrows are than the errors they show
+MAGNIFIED = 20.0  # length of arrows over the errors that they show
 _SHADES = "·-+*#"  # corners in a cell: 0, 1 or more, and more
 _SHADE_FROM = (1, 5, 15, 40)
 _FEW_POINTS = 6
@@ -21,9 +21,11 @@ _POOR_POINT_PX = 2.0
 _SEEN, _PREDICTED, _ARROW, _BAD, _INK = (80, 220, 80), (60, 160, 255), (60, 60, 230), (40, 40, 160), (230, 230, 230)
 
 
-def lens_lines(fit: LensFit, missing: Sequence[str], spare: int) -> list[str]:
-    """The lens: every view's error, coverage, the numbers with one standard deviation, warnings. `missing`: pictures
-    without the board; `spare`: views that were not used."""
+def intrinsics_lines(fit: IntrinsicsFit, missing: Sequence[str], spare: int) -> list[str]:
+    """Lines about the intrinsics: every view's error, coverage, values with one standard deviation, warnings.
+
+    `missing`: pictures without the target; `spare`: number of views that were not used.
+    """
     lens, sigma = fit.lens, fit.deviations
     lines = [f"Lens, from {len(fit.views)} views of the board", "", "  picture                        corners   RMS px"]
     lines += [
@@ -49,12 +51,12 @@ def lens_lines(fit: LensFit, missing: Sequence[str], spare: int) -> list[str]:
     lines += [
         "    " + " ".join(_SHADES[int(np.searchsorted(_SHADE_FROM, count, "right"))] for count in row) for row in fit.coverage
     ]
-    return [*lines, *_warnings(lens_warnings(fit))]
+    return [*lines, *_warnings(intrinsics_warnings(fit))]
 
 
-def pose_lines(fit: PoseFit, points: Sequence[PoolPoint], pool: PoolConfig) -> list[str]:
-    """The pose: every point's error, position and rotation with one standard deviation, what that means for places in the
-    pool, warnings."""
+def pose_lines(fit: PoseFit, points: Sequence[SurveyPoint], pool: PoolConfig) -> list[str]:
+    """Lines about the pose: every point's error, position and rotation with one standard deviation, the resulting error of
+    places in the pool, warnings."""
     lines = [
         f"Pose, from {len(points)} points of the pool",
         "",
@@ -78,8 +80,8 @@ def pose_lines(fit: PoseFit, points: Sequence[PoolPoint], pool: PoolConfig) -> l
     return [*lines, *_warnings(_pose_warnings(fit, points))]
 
 
-def figure_lines(camera_figures: Figures, depth_m: float) -> list[str]:
-    """What the camera sees at a depth."""
+def view_lines(camera_figures: ViewFigures, depth_m: float) -> list[str]:
+    """Lines about field of view and scale at a depth."""
     f = camera_figures
     middle_mm, corner_mm = f.mm_per_cm_depth
     return [
@@ -90,29 +92,29 @@ def figure_lines(camera_figures: Figures, depth_m: float) -> list[str]:
     ]
 
 
-def lens_picture(backdrop: Pixels, fit: LensFit) -> Pixels:
+def intrinsics_picture(backdrop: Pixels, fit: IntrinsicsFit) -> Pixels:
     """All corners over a darkened picture (height, width, 3) BGR, with their errors as arrows; bad views' corners as dots."""
     picture = np.asarray(backdrop // 3, dtype=np.uint8)
     for view, _ in fit.rejected:
         for pixel in view.pixels:
-            _dot(picture, pixel, _BAD)
+            dot(picture, pixel, _BAD)
     for view, residuals in zip(fit.views, fit.residuals_px, strict=True):
         for pixel, error in zip(view.pixels, residuals, strict=True):
-            _dot(picture, pixel, _SEEN)
+            dot(picture, pixel, _SEEN)
             polyline(picture, np.array([pixel, pixel + MAGNIFIED * error]), _ARROW)
     title = f"{len(fit.views)} views, RMS {fit.rms_px:.2f} px; red: errors x{MAGNIFIED:g}, dark red: views left out"
     write(picture, title, np.array([10, 22]), _INK, 0.6)
     return picture
 
 
-def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[PoolPoint], pool: PoolConfig) -> Pixels:
+def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[SurveyPoint], pool: PoolConfig) -> Pixels:
     """The pool's grid half-way down and the points, seen and predicted, over a picture (height, width, 3) BGR."""
     picture = backdrop.copy()
     draw_grid(picture, fit.camera, pool, pool.size_m[2] / 2)
     seen = fit.seen_px
     for i, (point, pixel, error) in enumerate(zip(points, seen, fit.residuals_px, strict=True)):
-        _cross(picture, pixel, _BAD if i == fit.suspect else _SEEN)
-        _dot(picture, pixel - error, _PREDICTED, 4)
+        cross(picture, pixel, _BAD if i == fit.suspect else _SEEN)
+        dot(picture, pixel - error, _PREDICTED, 4)
         polyline(picture, np.array([pixel, pixel + MAGNIFIED * error]), _ARROW, 2)
         write(picture, point.name, pixel + np.array([12.0, -12.0]), _INK)
     title = f"{len(points)} points, RMS {fit.rms_px:.2f} px; green: seen, orange: predicted, red: errors x{MAGNIFIED:g}"
@@ -120,7 +122,7 @@ def pose_picture(backdrop: Pixels, fit: PoseFit, points: Sequence[PoolPoint], po
     return picture
 
 
-def _pose_warnings(fit: PoseFit, points: Sequence[PoolPoint]) -> list[str]:
+def _pose_warnings(fit: PoseFit, points: Sequence[SurveyPoint]) -> list[str]:
     said = []
     if len(points) < _FEW_POINTS:
         told = (
@@ -154,13 +156,3 @@ def _legend() -> str:
 
 def _short(name: str, length: int = 30) -> str:
     return name if len(name) <= length else f"...{name[3 - length :]}"
-
-
-def _dot(picture: Pixels, pixel: Array, colour: tuple[int, int, int], radius: int = 2) -> None:
-    x, y = (round(float(value)) for value in np.clip(pixel, -1e4, 1e4))
-    cv2.circle(picture, (x, y), radius, colour, -1, cv2.LINE_AA)
-
-
-def _cross(picture: Pixels, pixel: Array, colour: tuple[int, int, int]) -> None:
-    for arm in (np.array([9.0, 0.0]), np.array([0.0, 9.0])):
-        polyline(picture, np.array([pixel - arm, pixel + arm]), colour, 2)

@@ -1,5 +1,4 @@
-"""Points of the pool whose places are known, and where a picture shows them: the file of `localizer calibrate
---pool-points`. Pure."""
+"""Surveyed points of the pool and their pixels: the file of `localizer calibrate --pool-points`. Pure."""
 
 from collections.abc import Sequence
 from typing import Annotated, Self
@@ -7,19 +6,19 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from localizer.calibration.targets import marker_centres
+from localizer.detection.fiducials import marker_centres
 from localizer.detection.image_regions import Pixels
 from wire.config.scene import PoolConfig, Vec2, Vec3
 from wire.frames import Array
 from wire.toml_loader import ConfigError, Section
 
 FEWEST_POINTS = 4
-_OUTSIDE_M = 0.5  # a rim may lie this far outside the walls
-_HIGHEST_M = -1.5  # a point so far above the water is a sign that got lost: z points down
-_LINE_SHARE = 0.05  # width over length of the cloud of points, below which the pose may turn around the line
+_OUTSIDE_M = 0.5  # m outside the walls that a rim may lie
+_HIGHEST_M = -1.5  # m, highest point that is accepted; beyond, a sign is probably missing, as z points down
+_LINE_SHARE = 0.05  # width over length of the cloud of points; below it, rotation about the line is not determined
 
 
-class PoolPoint(Section):
+class SurveyPoint(Section):
     """A point of known place in the pool frame: seen at `pixel_px`, or the centre of the ArUco marker `marker_id`
     (DICT_4X4_50), which is then looked for in the picture."""
 
@@ -35,12 +34,12 @@ class PoolPoint(Section):
         return self
 
 
-class PoolPoints(Section):
+class SurveyFile(Section):
     """The file of `--pool-points`. `image`: the picture they were seen in, beside the file."""
 
-    pool: PoolConfig  # as in the experiment
+    pool: PoolConfig  # the experiment's [pool]
     image: str | None = None
-    points: tuple[PoolPoint, ...]
+    points: tuple[SurveyPoint, ...]
 
     @model_validator(mode="after")
     def _usable(self) -> Self:
@@ -64,8 +63,8 @@ class PoolPoints(Section):
         return self
 
 
-def seen_pixels(points: Sequence[PoolPoint], picture: Pixels | None) -> Array:
-    """Where the points are in the picture, (n, 2): as written, or as their markers are found. Raises ConfigError."""
+def seen_pixels(points: Sequence[SurveyPoint], picture: Pixels | None) -> Array:
+    """Pixels (n, 2) of the points: as written, or as their markers are found in the picture. Raises ConfigError."""
     markers = {} if picture is None else marker_centres(picture)
     pixels = []
     for point in points:
@@ -84,6 +83,6 @@ def seen_pixels(points: Sequence[PoolPoint], picture: Pixels | None) -> Array:
 
 
 def is_line(cloud: Array) -> bool:
-    """Whether points (n, 2 or 3) lie so close to one line that turns around it cannot be told."""
+    """True if points (n, 2 or 3) lie so close to one line that rotation about it is not determined."""
     sizes = np.linalg.svd(cloud - cloud.mean(axis=0), compute_uv=False)
     return bool(sizes[1] <= _LINE_SHARE * sizes[0])

@@ -1,7 +1,7 @@
-"""Calibration boards, and their corners in a picture.
+"""Calibration targets (chessboard, ChArUco), and their corners in a picture.
 
-Pictures of a board in air determine the lens. A corner's place on the board is exact (in m, z = 0); its pixel is found to
-some 0.03 px in a sharp picture. Pixel (0, 0) is the CENTRE of the first pixel, as in OpenCV.
+Pictures of a target in air determine the intrinsics. A corner's place on the target is exact (in m, z = 0); its pixel is
+found to some 0.03 px in a sharp picture. Pixel (0, 0) is the CENTRE of the first pixel, as in OpenCV.
 """
 
 from collections.abc import Sequence
@@ -18,27 +18,27 @@ from wire.toml_loader import ConfigError
 
 EXAMPLES = "chessboard:9x6:0.03 (inner corners, side of a square in m), charuco:7x5:0.04:0.03:DICT_4X4_50 (squares, side of a \
 square, side of a marker, dictionary; :legacy at the end for boards drawn by OpenCV before 4.6)"
-FEWEST_CORNERS = 8  # of a partly hidden board: fewer hardly constrain more than the board's own pose
-_LEAST_PX = 3.0  # a row of corners less apart than that cannot be told from a line
+FEWEST_CORNERS = 8  # of a partly hidden target; fewer hardly constrain more than its own pose
+_LEAST_PX = 3.0  # px, width of the corners' cloud; narrower ones cannot be told from a line
 _LARGEST_COUNT = 50
-_REFINE_SHARE, _REFINE_PX = 0.4, (2, 11)  # window's half side over a square's: it must not reach the next corner
+_REFINE_SHARE, _REFINE_PX = 0.4, (2, 11)  # half side of the refinement window over a square's side, and its limits in px
 _REFINE_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-3)
 
 
 @dataclass(frozen=True, eq=False)
-class BoardView:
-    """The board in one picture: corners on the board (n, 3) in m, and in the picture (n, 2) in px."""
+class TargetView:
+    """The target in one picture: corners on the target (n, 3) in m, and in the picture (n, 2) in px."""
 
     name: str
     board_m: Array
     pixels: Array
 
 
-class Board(Protocol):
-    """Something flat with corners whose places on it are known."""
+class CalibrationTarget(Protocol):
+    """A flat target with corners at known places."""
 
-    def find(self, grey: Pixels, name: str) -> BoardView | None:
-        """The board in a grey picture (height, width), or None if it is not there."""
+    def find(self, grey: Pixels, name: str) -> TargetView | None:
+        """The target in a grey picture (height, width), or None if it is not found."""
         ...
 
 
@@ -51,16 +51,16 @@ class Chessboard:
         places = np.column_stack([across.ravel(), down.ravel(), np.zeros(columns * rows)])
         self._corners_m: Array = np.asarray(square_m * places, dtype=np.float64)
 
-    def find(self, grey: Pixels, name: str) -> BoardView | None:
+    def find(self, grey: Pixels, name: str) -> TargetView | None:
         found, corners = cv2.findChessboardCornersSB(grey, self._count, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if not found:
             return None
-        # The sector method finds boards that the older one misses; its corners gain by refinement: 0.09 px to 0.03 px over
-        # 16 rendered boards with noise 2 of 255, 0.09 to 0.05 blurred by 2 px.
+        # The sector method finds boards that the older one misses. Refinement improves its corners from 0.09 px to 0.03 px (16
+        # rendered boards with noise 2 of 255), and to 0.05 px when blurred by 2 px.
         rough = np.asarray(corners, dtype=np.float32).reshape(-1, 1, 2)
         reach = int(np.clip(_REFINE_SHARE * self._nearest_px(rough), *_REFINE_PX))
         pixels = cv2.cornerSubPix(grey, rough, (reach, reach), (-1, -1), _REFINE_UNTIL)
-        return BoardView(name, self._corners_m, np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
+        return TargetView(name, self._corners_m, np.asarray(pixels, dtype=np.float64).reshape(-1, 2))
 
     def _nearest_px(self, corners: NDArray[np.float32]) -> float:
         """Shortest side of a square in the picture."""
@@ -70,7 +70,7 @@ class Chessboard:
 
 
 class Charuco:
-    """A chessboard with markers in its white squares: parts of it are enough, so it reaches the picture's edges."""
+    """A chessboard with markers in its white squares. A part of it suffices, so it can reach the picture's edges."""
 
     def __init__(self, squares: tuple[int, int], square_m: float, marker_m: float, dictionary: int, legacy: bool) -> None:
         board = cv2.aruco.CharucoBoard(squares, square_m, marker_m, cv2.aruco.getPredefinedDictionary(dictionary))
@@ -78,33 +78,18 @@ class Charuco:
         self._corners_m = np.asarray(board.getChessboardCorners(), dtype=np.float64).reshape(-1, 3)
         self._detector = cv2.aruco.CharucoDetector(board)
 
-    def find(self, grey: Pixels, name: str) -> BoardView | None:
+    def find(self, grey: Pixels, name: str) -> TargetView | None:
         corners, ids, _, _ = self._detector.detectBoard(grey)
         if ids is None or len(ids) < FEWEST_CORNERS:
             return None
         pixels = np.asarray(corners, dtype=np.float64).reshape(-1, 2)
         if np.linalg.svd(pixels - pixels.mean(axis=0), compute_uv=False)[1] < _LEAST_PX * np.sqrt(len(pixels)):
             return None
-        return BoardView(name, self._corners_m[np.asarray(ids).ravel()], pixels)
+        return TargetView(name, self._corners_m[np.asarray(ids).ravel()], pixels)
 
 
-def marker_centres(grey: Pixels) -> dict[int, list[Array]]:
-    """Centres (2,) in px of the DICT_4X4_50 markers in a grey picture, by id: where their diagonals cross, which tilt does
-    not move."""
-    settings = cv2.aruco.DetectorParameters()
-    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), settings)
-    corners, ids, _ = detector.detectMarkers(grey)
-    found: dict[int, list[Array]] = {}
-    for quad, number in zip(corners, () if ids is None else ids.ravel(), strict=True):
-        a, b, c, d = np.asarray(quad, dtype=np.float64).reshape(4, 2)
-        along, _ = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)
-        found.setdefault(int(number), []).append(a + along * (c - a))
-    return found
-
-
-def parse_board(text: str) -> Board:
-    """The board that `--board` describes. Raises ConfigError saying what is wrong with it."""
+def parse_target(text: str) -> CalibrationTarget:
+    """The target that `--board` describes. Raises ConfigError naming the error."""
     kind, *parts = text.split(":")
     if kind == "chessboard" and len(parts) == 2:
         columns, rows = _counts(text, parts[0])

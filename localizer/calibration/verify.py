@@ -1,4 +1,4 @@
-"""SHELL: `localizer check`: the pool's grid where the calibration puts it, over a picture or over what the camera sees now."""
+"""SHELL: `localizer check`: the pool's grid by the calibration, drawn over a picture or over live frames."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 
 from localizer.calibration.images import write_picture
-from localizer.calibration.pool_grid import GRID_M, draw_grid, figures
-from localizer.calibration.report import figure_lines
+from localizer.calibration.pool_grid import GRID_M, draw_grid, view_figures
+from localizer.calibration.report import view_lines
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from localizer.view.mjpeg_server import Page
+from localizer.view.mjpeg_server import MjpegServer
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import Header
@@ -28,7 +28,7 @@ def check_camera(experiment: Experiment, picture: Pixels | None, what: str, dept
         width, height = experiment.camera.size_px
         picture = np.zeros((height, width, 3), np.uint8)
     _check_size(experiment, picture, what)
-    lines = figure_lines(figures(experiment.camera, experiment.pool, depth_m), depth_m)
+    lines = view_lines(view_figures(experiment.camera, experiment.pool, depth_m), depth_m)
     drawn = picture.copy()
     draw_grid(drawn, experiment.camera, experiment.pool, depth_m)
     write_picture(out, drawn)
@@ -43,7 +43,7 @@ class LivePictures:
         self._seen: Header | None = None
 
     def next(self, stop: Stop) -> Pixels | None:
-        """A picture as soon as there is a new one; None when told to stop. Raises ConfigError when none comes."""
+        """The next new picture; None when told to stop. Raises ConfigError when none comes."""
         frames = self._frames
         new = wait(self._bus, stop, lambda: frames.newest_header() is not self._seen, LIVE_PATIENCE_S)
         self._seen = frames.newest_header()
@@ -56,9 +56,9 @@ class LivePictures:
         raise ConfigError(f"--live: no frame on {frames.name} within {LIVE_PATIENCE_S:g} s: {why}")
 
 
-def show_live(experiment: Experiment, pictures: LivePictures, page: Page, depth_m: float, stop: Stop) -> None:
-    """Every new frame under the grid, to a browser, until told to stop: for whoever turns the camera on its mast. Raises
-    ConfigError when none comes, or one of another size."""
+def show_live(experiment: Experiment, pictures: LivePictures, page: MjpegServer, depth_m: float, stop: Stop) -> None:
+    """Show every new frame under the grid in a browser, until told to stop, for aiming the camera. Raises ConfigError when
+    no frame comes, or one of another size."""
     while (picture := pictures.next(stop)) is not None:
         _check_size(experiment, picture, "the newest frame")
         draw_grid(picture, experiment.camera, experiment.pool, depth_m)

@@ -1,7 +1,7 @@
-"""SHELL: `localizer calibrate`: files in, files and lines out.
+"""SHELL: `localizer calibrate`: from files to a camera file, a picture and a report.
 
-pictures -> board's corners -> lens --+
-points file (+ picture) --------------+-> pose over the pool -> camera.toml, picture, lines
+pictures -> target's corners -> intrinsics --+ points file (+ picture) ---------------------+-> pose over the pool ->
+camera.toml, picture, lines
 """
 
 import json
@@ -15,10 +15,10 @@ import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose
 from localizer.calibration.images import pictures, read_picture, write_picture
-from localizer.calibration.intrinsics import LensFit, fit_lens
-from localizer.calibration.report import lens_lines, lens_picture, pose_lines, pose_picture
-from localizer.calibration.survey_points import PoolPoints, seen_pixels
-from localizer.calibration.targets import EXAMPLES, BoardView, parse_board
+from localizer.calibration.intrinsics import IntrinsicsFit, fit_intrinsics
+from localizer.calibration.report import intrinsics_lines, intrinsics_picture, pose_lines, pose_picture
+from localizer.calibration.survey_points import SurveyFile, seen_pixels
+from localizer.calibration.targets import EXAMPLES, TargetView, parse_target
 from localizer.detection.image_regions import Pixels
 from wire.config.perception import Camera, CameraFile
 from wire.process.output_files import check_output, replace_text
@@ -27,13 +27,13 @@ from wire.toml_loader import ConfigError, check, read_toml
 _NO_POSE = "Without --pool-points the camera has no pose yet: --lens {out} --pool-points FILE finds it."
 _DEFAULTS = {"rate_hz": 20.0, "exposure_s": 0.008}
 _ANY_POSE = {"position_m": (0.0, 0.0, -1.0), "rotation_rad": (0.0, 0.0, 0.0)}
-_MOST_VIEWS = 60  # 200 with bad ones among them take five minutes, and know little more
-_DIGITS = {"focal_px": 3, "centre_px": 3, "distortion": 7, "position_m": 5, "rotation_rad": 6}  # 0.01 px and 0.01 mm
+_MOST_VIEWS = 60  # views that are used, evenly taken; 200 with bad ones take five minutes and add little
+_DIGITS = {"focal_px": 3, "centre_px": 3, "distortion": 7, "position_m": 5, "rotation_rad": 6}  # for 0.01 px and 0.01 mm
 
 
 @dataclass(frozen=True)
-class Request:
-    """What `localizer calibrate` was asked for; the file formats are those of docs/calibration.md."""
+class CalibrationRequest:
+    """Options of `localizer calibrate`; the file formats are those of docs/calibration.md."""
 
     sources: tuple[Path, ...]
     board: str | None
@@ -42,17 +42,19 @@ class Request:
     points: Path | None
     image: Path | None
     out: Path
-    rate_hz: float | None = None  # these three cannot be found: asked for, or as in `lens`, or default
+    rate_hz: float | None = None  # these three cannot be measured: given, or as in `lens`, or default
     exposure_s: float | None = None
     water_index: float | None = None
     grey: bool = False  # pictures of one channel are grey, not raw Bayer RGGB
 
 
-def calibrate(request: Request) -> list[str]:
-    """Find the lens from pictures of a board (or take it from a file), then the pose from points of the pool. Writes the
-    camera file and a picture beside it; returns the report's lines. Raises ConfigError."""
+def calibrate(request: CalibrationRequest) -> list[str]:
+    """Find the intrinsics from pictures of a target (or take them from a file), then the pose from points of the pool.
+
+    Writes the camera file and a picture beside it; returns the report's lines. Raises ConfigError.
+    """
     _check_request(request)
-    points = None if request.points is None else check(PoolPoints, read_toml(request.points), str(request.points))
+    points = None if request.points is None else check(SurveyFile, read_toml(request.points), str(request.points))
     image, drawn = _points_image(request, points), request.out.with_suffix(".png")
     _check_outputs(request, image, drawn)
     summary, lines, panels = [], [], []
@@ -61,9 +63,9 @@ def calibrate(request: Request) -> list[str]:
         lines.append(f"Lens from {request.lens}")
     else:
         fit, missing, spare, backdrop = _fit_lens(request)
-        camera = _not_hung_up(fit.lens.model_dump(), "the camera found", request)
-        lines += lens_lines(fit, missing, spare)
-        panels.append(lens_picture(backdrop, fit))
+        camera = _without_pose(fit.lens.model_dump(), "the camera found", request)
+        lines += intrinsics_lines(fit, missing, spare)
+        panels.append(intrinsics_picture(backdrop, fit))
         summary.append(f"lens: {len(fit.views)} views, RMS {fit.rms_px:.2f} px")
     if points is not None:
         pose, backdrop = _fit_pose(camera, points, request)
@@ -76,8 +78,8 @@ def calibrate(request: Request) -> list[str]:
     return [*lines, *([] if points else [_NO_POSE.format(out=request.out)])]
 
 
-def _check_request(request: Request) -> None:
-    """What can be refused before minutes of work."""
+def _check_request(request: CalibrationRequest) -> None:
+    """Refuse bad combinations of options before minutes of work."""
     if (request.lens is None) == (not request.sources):
         raise ConfigError("give either pictures of a board (files, folders, videos), or --lens FILE with a lens found earlier")
     if request.lens is not None and request.points is None:
@@ -88,8 +90,9 @@ def _check_request(request: Request) -> None:
         raise ConfigError(f"--out {request.out}: must end in .toml, in a folder that exists")
 
 
-def _check_outputs(request: Request, image: Path | None, drawn: Path) -> None:
-    """Neither file may be one that is read. The lens' file may be given again as --out: its lens goes into the new one."""
+def _check_outputs(request: CalibrationRequest, image: Path | None, drawn: Path) -> None:
+    """Refuse outputs that are read as inputs. The lens file may be given again as --out: its intrinsics go into the new
+    one."""
     read = [*request.sources, *(file for source in request.sources if source.is_dir() for file in source.iterdir())]
     read += [path for path in (request.points, image) if path is not None]
     for path in (request.out, drawn):
@@ -99,12 +102,12 @@ def _check_outputs(request: Request, image: Path | None, drawn: Path) -> None:
             raise ConfigError(f"--out {request.out}: {error}") from None
 
 
-def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
-    """The lens, the names of pictures without the board, how many views were not needed, and a picture to draw on."""
+def _fit_lens(request: CalibrationRequest) -> tuple[IntrinsicsFit, list[str], int, Pixels]:
+    """The intrinsics, the names of pictures without the target, the number of unused views, and a picture to draw on."""
     if request.board is None:
         raise ConfigError(f"--board: which board do the pictures show? (allowed: {EXAMPLES})")
-    board = parse_board(request.board)
-    views, missing, backdrop = list[BoardView](), list[str](), np.empty((0, 0, 3), np.uint8)
+    board = parse_target(request.board)
+    views, missing, backdrop = list[TargetView](), list[str](), np.empty((0, 0, 3), np.uint8)
     for name, picture in pictures(request.sources, request.every, request.grey):
         view = board.find(np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY), dtype=np.uint8), name)
         if view is None:
@@ -116,10 +119,10 @@ def _fit_lens(request: Request) -> tuple[LensFit, list[str], int, Pixels]:
         raise ConfigError(f"--board {request.board}: found in none of {len(missing)} pictures; are counts and kind right?")
     used = [views[i] for i in np.unique(np.linspace(0, len(views) - 1, _MOST_VIEWS).astype(int))]
     height, width, _ = backdrop.shape
-    return fit_lens(used, (width, height)), missing, len(views) - len(used), backdrop
+    return fit_intrinsics(used, (width, height)), missing, len(views) - len(used), backdrop
 
 
-def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[PoseFit, Pixels]:
+def _fit_pose(camera: Camera, points: SurveyFile, request: CalibrationRequest) -> tuple[PoseFit, Pixels]:
     """The pose, and the picture it was found in, black if there was none."""
     image = _points_image(request, points)
     width, height = camera.size_px
@@ -134,30 +137,30 @@ def _fit_pose(camera: Camera, points: PoolPoints, request: Request) -> tuple[Pos
     return pose, np.zeros((height, width, 3), np.uint8) if picture is None else picture
 
 
-def _points_image(request: Request, points: PoolPoints | None) -> Path | None:
+def _points_image(request: CalibrationRequest, points: SurveyFile | None) -> Path | None:
     """The picture that the points were seen in, if there is one."""
     if request.image is not None or points is None or points.image is None or request.points is None:
         return request.image
     return request.points.parent / points.image
 
 
-def _read_lens(request: Request) -> Camera:
+def _read_lens(request: CalibrationRequest) -> Camera:
     assert request.lens is not None
     camera = read_toml(request.lens).get("camera", {})
     if not isinstance(camera, dict):
         raise ConfigError(f"{request.lens}: camera = {camera!r}: must be a table")
-    return _not_hung_up(camera, str(request.lens), request)
+    return _without_pose(camera, str(request.lens), request)
 
 
-def _not_hung_up(table: dict[str, Any], source: str, request: Request) -> Camera:
-    """A camera with the lens of `table`, some pose, and what was asked for."""
+def _without_pose(table: dict[str, Any], source: str, request: CalibrationRequest) -> Camera:
+    """A camera with the intrinsics of `table`, an arbitrary pose, and the requested values."""
     asked = {key: getattr(request, key) for key in ("rate_hz", "exposure_s", "water_index")}
     asked = {key: value for key, value in asked.items() if value is not None}
     return check(CameraFile, {"camera": _DEFAULTS | table | asked | _ANY_POSE}, source).camera
 
 
 def _write(out: Path, table: dict[str, Any], summary: str, panels: list[Pixels]) -> list[str]:
-    """The camera file, no more digits than mean something, and the picture."""
+    """Write the camera file, with significant digits only, and the picture."""
     table = {k: [round(v, _DIGITS[k]) for v in value] if k in _DIGITS else value for k, value in table.items()}
     text = f"# Found by `localizer calibrate`, {time.strftime('%Y-%m-%d %H:%M')}: {summary}.\n"
     text += f'# In an experiment: camera = "{out.name}", or this table.\n\n[camera]\n'

@@ -1,5 +1,6 @@
-"""What one picture shows: markers, patches around robots, filter responses, obstacles.
+"""Detection in one frame: markers, image regions around robots, correlation responses, obstacles.
 
-Regions of the raw picture (image_regions.py) go to the marker reader (fiducials.py) and the correlation filter
-(correlation_filter.py); obstacles.py finds what does not belong to the water (background_model.py) and follows it.
+Regions of the raw picture (image_regions.py) go to the marker reader (fiducials.py) and to the correlation filter
+(correlation_filter.py). obstacles.py compares the picture with a learnt background (background_model.py) and follows the
+foreground over time (blob_tracker.py).
 """

@@ -1,15 +1,15 @@
-"""How the water looks when nothing is in it, and how it flickers there: what does not fit is foreground.
+"""Background model of the water: mean and covariance of each cell's colour; cells that do not fit are foreground.
 
-The picture is reduced to cells (160 x 120 for 1280 x 960), each the logarithm of its mean red, green and blue, averaged with
-its neighbours and over the last quarter of a second. Caustics multiply all three colours alike and glare pulls them towards
-white, so what each cell does by itself lies along a line or two in this space. Every cell learns its own mean and 3 x 3
-covariance; the Mahalanobis distance then forgives exactly these movements, and notices a grey box (redder than the floor, seen
-through more water) or a dark pole that is no stronger than a caustic. It is the same in any basis, so nobody needs to say what
-is hue and what is brightness.
+The picture is reduced to cells (160 x 120 for 1280 x 960). Each is the logarithm of its mean red, green and blue, averaged
+with its neighbours and over the last quarter of a second. Caustics multiply all three colours alike and glare pulls them
+towards white, so a cell of bare water moves along one or two lines in this space. Every cell learns its own mean and 3 x 3
+covariance. The Mahalanobis distance forgives these movements, and reveals a grey box (redder than the floor, seen through
+more water) or a dark pole that is no stronger than a caustic. The distance is the same in any basis, so hue and brightness
+need not be separated.
 
-Measured in the simulated pool with strong caustics, glare and ripples (0.6, 0.8, 3 mm) over five minutes: water stays below a
-distance of 3.2 in 99.999 % of cells and looks, 3.5 at most; a grey box reaches 8, a black pole 11, a red ball 30. Without the
-average over time water reaches 5.3, and the grey box 5.7. In the pool scene's own water the most was 1.9.
+Measured in the simulated pool with strong caustics, glare and ripples (0.6, 0.8, 3 mm) over five minutes: water stays
+below a distance of 3.2 in 99.999 % of cells and steps, 3.5 at most; a grey box reaches 8, a black pole 11, a red ball 30.
+Without the average over time water reaches 5.3, and the grey box 5.7. In the pool scene's own water the maximum was 1.9.
 """
 
 import cv2
@@ -22,25 +22,25 @@ Planes = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _CELLS_ACROSS = 160
-_NEIGHBOURS = 3  # cells a side: 7 cm in the pool, the smallest thing worth a warning
-_DARK_LEVEL = 6.0  # grey levels added before the logarithm: sensor noise in the dark must not look like colour
-_BLUR_S = 0.25  # time constant of the average over time: caustics dance around, obstacles do not
-LAG_S = float(np.log(2.0)) * _BLUR_S  # by so much the place where a thing covers half of the average is behind
+_NEIGHBOURS = 3  # cells, side of the spatial average: 7 cm in the pool, the smallest obstacle to be reported
+_DARK_LEVEL = 6.0  # grey levels, added before the logarithm; without it sensor noise in the dark looks like colour
+_BLUR_S = 0.25  # s, time constant of the average over time; shorter ones let caustics through (see above)
+LAG_S = float(np.log(2.0)) * _BLUR_S  # s, lag of a moving obstacle's edge, which is where half of the average is covered
 _LOGARITHM = np.log(np.arange(256) + _DARK_LEVEL).astype(np.float32)
 
-_SETTLE_S = 4.0  # of undisturbed sight before a cell is judged: several times the period of the slowest ripples
-_MEMORY_S = 20.0  # then the past fades: daylight moves on, and a cloud takes longer than an obstacle
-_NOISE = 0.03  # standard deviation of any colour that is allowed everywhere, however still the water was
-_FLICKER = 0.08  # and of the brightness of all three together
-_SHADE = 0.5  # the same where a robot may cast its shadow: 0.4 to 0.6 of the light are left in its middle
-_POOLED_CELLS = 7  # covariances are half the cell's own, half its surroundings': 4 s of flicker are few independent samples
-_LONGEST_LEAP = 4.0  # a learnt cell takes in a colour further off than this (distance) only so far
+_SETTLE_S = 4.0  # s of unobstructed view before a cell is judged: several periods of the slowest ripples
+_MEMORY_S = 20.0  # s, memory of mean and covariance after that; follows daylight and clouds, which are slower than obstacles
+_NOISE = 0.03  # log units, least standard deviation of each colour, however still the water was while learning
+_FLICKER = 0.08  # log units, least standard deviation of the brightness of all three colours together
+_SHADE = 0.5  # log units, the same where a robot may cast its shadow: 0.4 to 0.6 of the light are left in its middle
+_POOLED_CELLS = 7  # cells, side of the pool: covariances are half the cell's own and half the pool's, as 4 s hold few samples
+_LONGEST_LEAP = 4.0  # Mahalanobis distance; a colour farther from a known cell's mean is learnt as if it lay at this distance
 
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # the six different entries of a symmetric 3 x 3 matrix
 
 
-class Reduction:
-    """From a raw picture to cells."""
+class CellGrid:
+    """The grid of cells, and the reduction of a raw picture to it."""
 
     def __init__(self, size_px: tuple[int, int]) -> None:
         self.cell_px = max(2 * round(size_px[0] / _CELLS_ACROSS / 2), 2)  # even: whole Bayer squares
@@ -50,9 +50,7 @@ class Reduction:
         """Logarithms of red, green, blue, (3, rows, columns), of a Bayer RGGB picture (height, width)."""
         used = frame[: self.rows * self.cell_px, : self.columns * self.cell_px]
         pairs = used.reshape(used.shape[0], used.shape[1] // 2, 2)  # red, green in even rows; green, blue in odd ones
-        rows = (
-            4 if self.cell_px >= 8 else 2
-        )  # every other Bayer row of large cells: half the time, and noise has shrunk enough
+        rows = 4 if self.cell_px >= 8 else 2  # of large cells every other Bayer row: half the time, and noise is small enough
         upper, lower = (self._reduced(pairs[first::rows]) for first in (0, 1))
         return np.stack([upper[..., 0], (upper[..., 1] + lower[..., 0]) * np.float32(0.5), lower[..., 1]])
 
@@ -61,15 +59,15 @@ class Reduction:
         return np.asarray(cv2.blur(cv2.LUT(mean, _LOGARITHM), (_NEIGHBOURS, _NEIGHBOURS)), dtype=np.float32)
 
 
-class Calm:
-    """The picture averaged over the last moments, cell by cell, from when nothing hid the cell."""
+class TemporalSmoother:
+    """Exponential average of each cell's colour over the last quarter of a second, restarted when the cell was hidden."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._colours = np.zeros((3, *shape), np.float32)
         self._seen_s = np.zeros(shape, np.float32)
 
-    def take(self, colours: Planes, hidden: Mask, step_s: float) -> tuple[Planes, Mask]:
-        """The averages (3, rows, columns) with this picture's `colours` in them, and which of them are of long enough."""
+    def update(self, colours: Planes, hidden: Mask, step_s: float) -> tuple[Planes, Mask]:
+        """Take in `colours` (3, rows, columns). Returns the averages, and a mask of those that cover enough time."""
         self._seen_s = np.minimum(self._seen_s + np.float32(step_s), np.float32(1.0)) * ~hidden
         rate = np.maximum(np.float32(step_s) / np.maximum(self._seen_s, np.float32(step_s)), np.float32(_share(step_s)))
         self._colours += rate * (colours - self._colours)
@@ -80,8 +78,8 @@ def _share(step_s: float) -> float:
     return 1.0 - float(np.exp(-step_s / _BLUR_S))
 
 
-class Background:
-    """Mean and covariance of every cell's colour, learnt from what it shows most of the time."""
+class BackgroundModel:
+    """Mean and covariance of every cell's colour, learnt from the colours that it shows most of the time."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self._mean = np.zeros((3, *shape), np.float32)
@@ -91,48 +89,50 @@ class Background:
         self._seen_s = np.zeros(shape, np.float32)
 
     @property
-    def known(self) -> Mask:
-        """Cells seen for long enough to be judged, (rows, columns)."""
+    def is_known(self) -> Mask:
+        """Mask of the cells that were seen for long enough to be judged, (rows, columns)."""
         return np.asarray(self._seen_s >= _SETTLE_S)
 
     def distance(self, colours: Planes, shaded: Mask) -> Planes:
-        """Mahalanobis distance of `colours` (3, rows, columns) from each cell's own; 0 where it is not known yet.
+        """Mahalanobis distance of `colours` (3, rows, columns) from each cell's mean; 0 where the cell is not known yet.
 
-        Where `shaded`, a robot's shadow may fall: brightness counts for hardly anything there. That is another term s^2 1 1'
-        in the covariance, which Sherman and Morrison's formula takes to the distance.
+        `shaded` masks cells on which a robot's shadow may fall: brightness counts for hardly anything there. That is
+        another term s^2 1 1' in the covariance, which the Sherman-Morrison formula takes to the distance.
         """
-        off = colours - self._mean
-        pulled = self._pulled(off)
-        squared = off[0] * pulled[0] + off[1] * pulled[1] + off[2] * pulled[2]
+        deviation = colours - self._mean
+        whitened = self._whitened(deviation)
+        squared = deviation[0] * whitened[0] + deviation[1] * whitened[1] + deviation[2] * whitened[2]
         extra = np.float32(_SHADE**2)
-        brighter = pulled[0] + pulled[1] + pulled[2]
+        brighter = whitened[0] + whitened[1] + whitened[2]
         squared -= shaded * (extra * brighter * brighter / (np.float32(1.0) + extra * self._bright))
-        return np.asarray(np.sqrt(np.maximum(squared, np.float32(0.0))) * self.known)
+        return np.asarray(np.sqrt(np.maximum(squared, np.float32(0.0))) * self.is_known)
 
     def learn(self, colours: Planes, distance: Planes, where: Mask, step_s: float) -> None:
-        """Take in `colours` `where` nothing is in the way. `distance` is what they were found to be."""
-        known = self.known
+        """Take in `colours` at the cells of `where`. `distance` is the one that was found for them."""
+        is_known = self.is_known
         self._seen_s[where] += np.float32(step_s)
         rate = where * (np.float32(step_s) / np.clip(self._seen_s, np.float32(step_s), np.float32(_MEMORY_S)))
         leap = np.float32(_LONGEST_LEAP)
-        off = (colours - self._mean) * np.where(known & (distance > leap), leap / np.maximum(distance, leap), np.float32(1.0))
-        self._mean += rate * off
+        deviation = (colours - self._mean) * np.where(
+            is_known & (distance > leap), leap / np.maximum(distance, leap), np.float32(1.0)
+        )
+        self._mean += rate * deviation
         keep = np.float32(1.0) - rate
         for plane, (i, j) in zip(self._covariance, _PAIRS, strict=True):
-            plane += rate * off[i] * off[j]
+            plane += rate * deviation[i] * deviation[j]
             plane *= keep
         self._invert()
 
     def forget(self, where: Mask) -> None:
-        """These cells start anew: what was learnt there was not the background."""
+        """Start these cells anew, because their history was not background."""
         for planes in (self._mean, self._covariance):
             planes[:, where] = 0.0
         self._seen_s[where] = 0.0
 
-    def _pulled(self, off: Planes) -> tuple[Planes, Planes, Planes]:
-        """C^-1 times `off`."""
+    def _whitened(self, deviation: Planes) -> tuple[Planes, Planes, Planes]:
+        """C^-1 times `deviation`, both (3, rows, columns)."""
         rr, rg, rb, gg, gb, bb = self._inverse
-        red, green, blue = off
+        red, green, blue = deviation
         return (
             rr * red + rg * green + rb * blue,
             rg * red + gg * green + gb * blue,
@@ -140,7 +140,7 @@ class Background:
         )
 
     def _invert(self) -> None:
-        """The inverse of every cell's covariance, by cofactors."""
+        """Invert every cell's covariance by cofactors."""
         spread = []
         for plane, (i, j) in zip(self._covariance, _PAIRS, strict=True):
             around = cv2.blur(plane, (_POOLED_CELLS, _POOLED_CELLS))

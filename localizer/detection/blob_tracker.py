@@ -1,4 +1,4 @@
-"""Following regions of the picture over time: what persists gets a number, a velocity and an outline. Pure."""
+"""Tracking of foreground blobs over time: a blob that persists gets a number, a velocity and an outline. Pure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,95 +6,113 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
 
 from wire.frames import Array
 
 CORNERS = 12  # of every outline
 
-_PERSISTS_S = 0.4  # a thing shows up only after so long, and is gone when unseen for so long
-_MEMORY_S = 1.0  # of places, for the velocity
-_REACH_M = 0.1  # a region is the same thing when its middle is this near to where it was expected,
-_SURPRISE_MPS = 0.5  # or a little further, by the time since
+_PERSISTS_S = 0.4  # s for which a blob must be followed before it is reported, and unseen before it is dropped
+_MEMORY_S = 1.0  # s of positions that the velocity is fitted to
+_REACH_M = 0.1  # m, gate around the expected centroid,
+_REACH_MPS = 0.5  # m/s, and its growth while the blob is unseen
+_FORBIDDEN_M = 1e3  # m, cost of an assignment outside the gate: more than any sum of allowed ones
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
-    """Connected foreground: its cells (rows, columns), and their middle (2,) and convex outline (12, 2) in the pool."""
+class Blob:
+    """Connected foreground: its cells (rows, columns), their centroid (2,) and convex outline (12, 2) in the pool."""
 
     cells: NDArray[np.bool_]
-    middle_m: Array
+    centroid_m: Array
     outline_m: Array
 
 
 @dataclass(frozen=True, eq=False)
-class Thing:
-    """A region followed over time: stamps and middles (n, 2) of the last looks at it, the newest last."""
+class TrackedBlob:
+    """A blob followed over time: stamps and centroids (n, 2) of its last observations, the newest last."""
 
     id: int  # 0 until it has persisted
     since_ns: int
-    region: Region
+    region: Blob
     stamps_ns: tuple[int, ...]
-    middles_m: Array
+    centroids_m: Array
 
     @property
     def velocity_mps(self) -> Array:
-        """Slope of the straight line through the last second, by least squares, (2,)."""
+        """Slope of the least-squares line through the centroids of the last second, (2,)."""
         t = (np.array(self.stamps_ns) - self.stamps_ns[-1]) * 1e-9
         t = t - t.mean()
         spread = float(t @ t)
-        return np.asarray(t @ self.middles_m / spread) if spread > 0.0 else np.zeros(2)
+        return np.asarray(t @ self.centroids_m / spread) if spread > 0.0 else np.zeros(2)
 
     def unseen_s(self, stamp_ns: int) -> float:
-        """Time since the last look at it."""
+        """Time since the last observation."""
         return (stamp_ns - self.stamps_ns[-1]) * 1e-9
 
     def expected_m(self, stamp_ns: int) -> Array:
-        """Where its middle should be, (2,). Two looks make no velocity, so a new thing stays where it is."""
+        """Predicted centroid (2,). Two observations make no velocity, so a blob without id is expected at rest."""
         velocity = self.velocity_mps if self.id else np.zeros(2)
-        return np.asarray(self.middles_m[-1] + velocity * self.unseen_s(stamp_ns))
+        return np.asarray(self.centroids_m[-1] + velocity * self.unseen_s(stamp_ns))
 
-    def seen(self, region: Region, stamp_ns: int) -> "Thing":
-        """Moved on to where it is now."""
+    def seen(self, region: Blob, stamp_ns: int) -> "TrackedBlob":
+        """The blob with one more observation."""
         old = sum(stamp_ns - stamp > _MEMORY_S * 1e9 for stamp in self.stamps_ns[:-1])
-        middles = np.vstack([self.middles_m[old:], region.middle_m])
-        return replace(self, region=region, stamps_ns=(*self.stamps_ns[old:], stamp_ns), middles_m=middles)
+        middles = np.vstack([self.centroids_m[old:], region.centroid_m])
+        return replace(self, region=region, stamps_ns=(*self.stamps_ns[old:], stamp_ns), centroids_m=middles)
 
 
-class ThingTracker:
-    """All things there are, the oldest first. A thing that has persisted has an `id`."""
+class BlobTracker:
+    """All blobs that are followed, the oldest first. One that has persisted has an `id`."""
 
     def __init__(self) -> None:
-        self.things: tuple[Thing, ...] = ()
+        self.blobs: tuple[TrackedBlob, ...] = ()
         self._numbers = 0
 
-    def take(self, regions: Sequence[Region], stamp_ns: int) -> None:
-        """Each thing takes the nearest region that can be it, the oldest thing first; what is left over is new."""
-        free, things = list(regions), []
-        for thing in self.things:
-            unseen_s, expected = thing.unseen_s(stamp_ns), thing.expected_m(stamp_ns)
-            nearest = min(free, key=lambda region: _distance(region.middle_m, expected), default=None)
-            if nearest is not None and _distance(nearest.middle_m, expected) < _REACH_M + _SURPRISE_MPS * unseen_s:
-                free = [region for region in free if region is not nearest]
-                things.append(self._numbered(thing.seen(nearest, stamp_ns)))
-            elif thing.id and unseen_s <= _PERSISTS_S:
-                things.append(thing)
-        new = [Thing(0, stamp_ns, region, (stamp_ns,), region.middle_m[None]) for region in free]
-        self.things = (*things, *new)
+    def update(self, blobs: Sequence[Blob], stamp_ns: int) -> None:
+        """Assign this frame's blobs to the tracked ones so that the summed distance is least, inside the gate; the rest
+        are new."""
+        tracked = []
+        assigned = self._assign(blobs, stamp_ns)
+        for blob, index in zip(self.blobs, assigned, strict=True):
+            if index is not None:
+                tracked.append(self._with_id(blob.seen(blobs[index], stamp_ns)))
+            elif blob.id and blob.unseen_s(stamp_ns) <= _PERSISTS_S:
+                tracked.append(blob)
+        new = [
+            TrackedBlob(0, stamp_ns, blob, (stamp_ns,), blob.centroid_m[None])
+            for i, blob in enumerate(blobs)
+            if i not in assigned
+        ]
+        self.blobs = (*tracked, *new)
+
+    def _assign(self, blobs: Sequence[Blob], stamp_ns: int) -> list[int | None]:
+        """Index of the blob that each tracked one takes, None for none."""
+        if not (self.blobs and blobs):
+            return [None] * len(self.blobs)
+        expected = np.array([blob.expected_m(stamp_ns) for blob in self.blobs])
+        distance_m = np.linalg.norm(expected[:, None] - np.array([blob.centroid_m for blob in blobs]), axis=2)
+        gate_m = np.array([_REACH_M + _REACH_MPS * blob.unseen_s(stamp_ns) for blob in self.blobs])
+        allowed = distance_m < gate_m[:, None]
+        rows, columns = linear_sum_assignment(np.where(allowed, distance_m, _FORBIDDEN_M))
+        taken = {int(row): int(column) for row, column in zip(rows, columns, strict=True) if allowed[row, column]}
+        return [taken.get(row) for row in range(len(self.blobs))]
 
     def clear(self) -> None:
-        """All that was followed is lost."""
-        self.things = ()
+        """Drop all blobs."""
+        self.blobs = ()
 
-    def _numbered(self, thing: Thing) -> Thing:
-        if thing.id or thing.stamps_ns[-1] - thing.since_ns < _PERSISTS_S * 1e9:
-            return thing
+    def _with_id(self, blob: TrackedBlob) -> TrackedBlob:
+        if blob.id or blob.stamps_ns[-1] - blob.since_ns < _PERSISTS_S * 1e9:
+            return blob
         self._numbers += 1
-        return replace(thing, id=self._numbers)
+        return replace(blob, id=self._numbers)
 
 
 def convex_outline(points_m: Array) -> Array:
-    """Twelve corners (12, 2), in order from x to y, of a convex polygon around points (n, 2): the tightest with sides every
-    30 degrees from those of the smallest rectangle around them. Exact for a rectangle, 2 % larger than a disc."""
+    """Corners (12, 2), in order from x to y, of the tightest convex polygon around points (n, 2) whose sides are 30
+    degrees apart, starting from those of the smallest rectangle around them. Exact for a rectangle, 2 % larger than a
+    disc."""
     _, _, angle_deg = cv2.minAreaRect(points_m.astype(np.float32))
     step = 2.0 * np.pi / CORNERS
     angle = np.deg2rad(angle_deg) + step * np.arange(CORNERS)
@@ -102,7 +120,3 @@ def convex_outline(points_m: Array) -> Array:
     reach = (points_m @ normal).max(axis=0)
     along = (np.roll(reach, -1) - reach * np.cos(step)) / np.sin(step)  # from a side's foot to where it meets the next
     return np.asarray((reach * normal + along * np.array([-normal[1], normal[0]])).T)
-
-
-def _distance(a: Array, b: Array) -> float:
-    return float(np.linalg.norm(a - b))

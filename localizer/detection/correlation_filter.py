@@ -1,8 +1,8 @@
 """Kernelized correlation filter (Henriques et al., IEEE TPAMI 37(3), 2015), batched over robots; equation numbers are theirs.
 
-One class serves both filters. Over a picture patch (rows x columns) the peak is a shift of the robot; over rings around its
-centre (1 x angles, the rings stacked as channels) the same circular correlation is a turn, and truly circular, so it needs
-no window. Patches arrive in the body frame, turned by the predicted heading: plain KCF drifts off a turning robot.
+One class serves both filters. Over a picture patch (rows x columns) the peak is a shift of the robot. Over rings around its
+centre (1 x angles, the rings stacked as channels) the same circular correlation is a rotation; it is truly circular and needs
+no window. Patches arrive in the body frame, rotated by the predicted heading: plain KCF drifts off a turning robot.
 
 Colour channels rather than grey: 2.9 px against 4.5 px median error on a real overhead video. float32 throughout, as the
 pictures have 8 bits.
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 Real = NDArray[np.float32]
 Complex = NDArray[np.complex64]
 
-_FLAT = 1.0  # grey levels of 255; a patch with less contrast than this is not stretched to look like one
+_FLAT = 1.0  # grey levels of 255, least divisor of the contrast normalisation; noise of a uniform patch is not amplified
 
 
 @dataclass(frozen=True)
 class FilterShape:
-    """What the filter looks at: (rows, columns) of a patch, channels of a pixel, and how the target is cut and marked."""
+    """Shape of a filter's input (rows, columns, channels), and the widths of its target and kernel."""
 
     rows: int
     columns: int
@@ -34,7 +34,7 @@ class FilterShape:
 
 
 class CorrelationFilter:
-    """One filter per robot; `detect` finds what `learn` was shown."""
+    """One filter per robot; `detect` locates the pattern that `learn` was given."""
 
     def __init__(self, count: int, shape: FilterShape) -> None:
         self._shape = shape
@@ -51,9 +51,9 @@ class CorrelationFilter:
         self._kernel_scale = np.float32(-1.0 / (shape.kernel_width**2 * samples * shape.channels))
 
     def detect(self, robots: NDArray[np.intp], patches: Real) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Where the learnt pattern of `robots` (n,) lies in `patches` (n, channels, rows, columns), grey levels.
+        """Locate the learnt pattern of `robots` (n,) in `patches` (n, channels, rows, columns), grey levels.
 
-        Returns shifts (n, 2) in samples [columns, rows], sub-sample, in +- half a patch, and peaks (n,), 1 for the very
+        Returns shifts (n, 2) in samples [columns, rows], sub-sample, within half a patch, and peaks (n,), 1 for the very
         patch that was learnt.
         """
         spectrum, energy = self._features(patches)
@@ -78,8 +78,8 @@ class CorrelationFilter:
         self._model[robots], self._model_energy[robots] = model, _energy(model, self._shape)
 
     def _features(self, patches: Real) -> tuple[Complex, Real]:
-        """Each patch to zero mean per channel and unit contrast over all (the light changes), windowed: its spectrum, and its
-        squared norm (n,)."""
+        """Normalise patches to zero mean per channel and unit contrast over all, and window them. Returns spectra and
+        squared norms (n,)."""
         count, channels = patches.shape[:2]
         means = patches.reshape(count * channels, -1) @ self._mean
         features = np.subtract(patches, means.reshape(count, channels, 1, 1), order="C")
@@ -90,8 +90,8 @@ class CorrelationFilter:
         return np.asarray(scipy.fft.rfft2(features, overwrite_x=True)), energy
 
     def _kernel(self, products: Complex | Real, energies: Real) -> Complex:
-        """Spectrum of the Gaussian kernel of all circular shifts (equation 31), (n, rows, bins), of two patches: the products
-        of their spectra, one conjugate, summed over channels, and the sum of their squared norms."""
+        """Spectrum (n, rows, bins) of the Gaussian kernel of all circular shifts of two patches (equation 31), from the
+        products of their spectra, one conjugate, summed over channels, and the sums of their squared norms (n,)."""
         exponent = scipy.fft.irfft2(products, s=self._size, overwrite_x=True)
         exponent *= np.float32(-2.0) * self._kernel_scale
         exponent += (energies * self._kernel_scale)[:, None, None]
@@ -125,8 +125,8 @@ def _energy(spectrum: Complex, shape: FilterShape) -> Real:
 class _Peaks:
     """Sub-sample position and height of the maximum of responses (n, rows, columns).
 
-    A parabola through the logarithm of three samples: exact for the Gaussian that the target makes of the response, where a
-    parabola through the samples themselves is pulled towards the middle one. At a maximum it moves half a sample at most.
+    A parabola through the logarithm of three samples: exact for the Gaussian that the target makes of the response. A
+    parabola through the samples themselves is biased towards the middle one. At a maximum it moves half a sample at most.
     """
 
     def __init__(self, rows: int, columns: int) -> None:

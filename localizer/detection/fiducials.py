@@ -1,7 +1,7 @@
-"""ArUco markers (DICT_4X4_50) on the robots' backs: identity, place and heading, from a region or the whole picture.
+"""ArUco markers (DICT_4X4_50): identity, position and heading, from a region or the whole picture.
 
-Settings are for markers of 24 px and more, seen from straight above: one threshold pass instead of OpenCV's three, no error
-correction (4x4_50 differs in only 4 bits, so a corrected reading may be a neighbour's), corners to sub-pixel.
+Settings are for markers of 24 px and more, seen from straight above: one threshold pass instead of OpenCV's three, no
+error correction (4x4_50 differs in only 4 bits, so a corrected reading may be a neighbour's), corners to sub-pixel.
 """
 
 from collections.abc import Iterable, Mapping
@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from localizer.camera_model import PoolView
-from localizer.detection.image_regions import Region
+from localizer.camera_model import RefractiveCamera
+from localizer.detection.image_regions import ImageRegion, Pixels
 from wire.frames import Array
 
-_MAX_MISFIT = 0.12  # of the side: more is another depth (20 % of size), a reflection or no marker at all
-_SHORTEST_SIDE_PX = 14.0  # below this the 6 cells of a side are too few pixels each to be read
+_MAX_MISFIT = 0.12  # of the side; more is a marker at another depth (20 % in size), a reflection, or no marker
+_SHORTEST_SIDE_PX = 14.0  # px; below this the 6 cells of a side are too small to be read
+_ALL_WINDOWS_PX = (3, 23)  # OpenCV's default: three passes, for markers whose size is not known
 _LONGEST_RATE = 3.99  # OpenCV's upper bound of a marker's perimeter over the picture's longer side
 
 
@@ -30,32 +31,21 @@ class MarkerImage:
 
 @dataclass(frozen=True)
 class MarkerPose:
-    """A marker in the pool frame: [x, y, yaw], its upper edge ahead, and by how much it is no square of the right size:
-    the corners' distance from one, relative to its side."""
+    """A marker in the pool frame: [x, y, yaw], its upper edge ahead, and its misfit: the largest distance of a corner from
+    the fitted square, relative to the side."""
 
     pose: Array
     misfit: float
 
 
-def find_markers(detector: cv2.aruco.ArucoDetector, region: Region) -> list[MarkerImage]:
-    """Markers in a region, corners in pixels of the whole picture; sorted by id and place."""
-    grey = region.grey()
-    settings = detector.getDetectorParameters()
-    settings.minMarkerPerimeterRate = min(4.0 * _SHORTEST_SIDE_PX / max(grey.shape), _LONGEST_RATE / 2.0)
-    detector.setDetectorParameters(settings)
-    corners, ids, _ = detector.detectMarkers(grey)
-    if ids is None:
-        return []
-    shift = np.array([region.left_px, region.top_px], dtype=np.float64)
-    pairs = zip(np.ravel(ids), corners, strict=True)
-    found = [MarkerImage(int(i), np.asarray(quad, dtype=np.float64).reshape(4, 2) + shift) for i, quad in pairs]
-    return sorted(found, key=lambda marker: (marker.id, *marker.corners_px[0]))
+def marker_detector(threshold_windows_px: tuple[int, int] = (23, 23)) -> cv2.aruco.ArucoDetector:
+    """OpenCV's detector with the settings of this module.
 
-
-def marker_detector() -> cv2.aruco.ArucoDetector:
-    """OpenCV's detector with the settings of this page."""
+    `threshold_windows_px`: the smallest and the largest window of the adaptive threshold, 10 px apart. 23 px are 4 cells of a
+    robot's marker, so that no cell goes hollow; every further window costs one more pass over the picture.
+    """
     settings = cv2.aruco.DetectorParameters()
-    settings.adaptiveThreshWinSizeMin = settings.adaptiveThreshWinSizeMax = 23  # px: 4 cells, so that no cell goes hollow
+    settings.adaptiveThreshWinSizeMin, settings.adaptiveThreshWinSizeMax = threshold_windows_px
     settings.maxMarkerPerimeterRate = _LONGEST_RATE
     settings.minDistanceToBorder = 1
     settings.perspectiveRemovePixelPerCell = 6
@@ -69,17 +59,46 @@ def marker_detector() -> cv2.aruco.ArucoDetector:
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50), settings)
 
 
+def find_markers(detector: cv2.aruco.ArucoDetector, region: ImageRegion) -> list[MarkerImage]:
+    """Markers in a region, corners in pixels of the whole picture; sorted by id and place."""
+    shift = np.array([region.left_px, region.top_px], dtype=np.float64)
+    found = [MarkerImage(marker.id, marker.corners_px + shift) for marker in _find_in_grey(detector, region.grey())]
+    return sorted(found, key=lambda marker: (marker.id, *marker.corners_px[0]))
+
+
+def _find_in_grey(detector: cv2.aruco.ArucoDetector, grey: Pixels) -> list[MarkerImage]:
+    settings = detector.getDetectorParameters()
+    settings.minMarkerPerimeterRate = min(4.0 * _SHORTEST_SIDE_PX / max(grey.shape), _LONGEST_RATE / 2.0)
+    detector.setDetectorParameters(settings)
+    corners, ids, _ = detector.detectMarkers(grey)
+    pairs = zip(() if ids is None else np.ravel(ids), corners, strict=True)
+    return [MarkerImage(int(i), np.asarray(quad, dtype=np.float64).reshape(4, 2)) for i, quad in pairs]
+
+
+def marker_centres(grey: Pixels) -> dict[int, list[Array]]:
+    """Centres (2,) px of the markers of any size in a grey picture (height, width), by id: the crossing of the diagonals,
+    which tilt does not move."""
+    found: dict[int, list[Array]] = {}
+    for marker in _find_in_grey(marker_detector(_ALL_WINDOWS_PX), grey):
+        a, b, c, d = marker.corners_px
+        along, _ = np.linalg.solve(np.column_stack([c - a, b - d]), b - a)
+        found.setdefault(marker.id, []).append(a + along * (c - a))
+    return found
+
+
 def square(side_m: float) -> Array:
     """Corners (4, 2) of a marker in its own frame, in ArUco's order: upper edge ahead, y to starboard."""
     half = side_m / 2.0
     return np.array([[half, -half], [half, half], [-half, half], [-half, -half]])
 
 
-def marker_pose(image: MarkerImage, view: PoolView, depth_m: float, side_m: float) -> MarkerPose:
-    """Where a marker lies, its plate at `depth_m`: a square fitted to the four corners by least squares in the POOL frame.
-    An angle between pixels is no heading once lens and water have bent the picture (up to 1.5 deg in the pool's corners)."""
+def marker_pose(image: MarkerImage, view: RefractiveCamera, depth_m: float, side_m: float) -> MarkerPose:
+    """Fit a square to a marker's four corners by least squares in the POOL frame, its plate at `depth_m`.
+
+    An angle between pixels is no heading, because lens and water bend the picture (up to 1.5 deg in the pool's corners).
+    """
     flat = square(side_m)
-    corners = view.pool(image.corners_px, depth_m)
+    corners = view.pixel_to_pool(image.corners_px, depth_m)
     centre = corners.mean(axis=0)
     seen = corners - centre
     yaw = np.arctan2(np.sum(flat[:, 0] * seen[:, 1] - flat[:, 1] * seen[:, 0]), np.sum(flat * seen))
@@ -89,27 +108,29 @@ def marker_pose(image: MarkerImage, view: PoolView, depth_m: float, side_m: floa
 
 
 class MarkerReader:
-    """Reads the fleet's markers into poses."""
+    """Reader of the fleet's markers: from regions to poses by robot."""
 
     def __init__(self, side_m: float, robot_of_marker: Mapping[int, int]) -> None:
         self._side_m, self._robot_of_marker = side_m, dict(robot_of_marker)
-        self.strangers: frozenset[int] = (
-            frozenset()
-        )  # ids in the last regions that are no robot's, though squares of their size
+        self.foreign_ids: frozenset[int] = frozenset()  # markers in the last regions, of a robot's size, that are no robot's
         self._detector = marker_detector()
 
-    def read(self, view: PoolView, regions: Iterable[Region], plates_m: NDArray[np.float64]) -> dict[int, MarkerPose]:
+    def read(
+        self, view: RefractiveCamera, regions: Iterable[ImageRegion], plates_m: NDArray[np.float64]
+    ) -> dict[int, MarkerPose]:
         """Poses by robot (index), from regions that may overlap; `plates_m` (robots,) are the depths of their plates.
-        Of two markers alike (a reflection) the better square counts."""
+
+        Of two markers with one id (a reflection) the better square counts.
+        """
         best: dict[int, MarkerPose] = {}
-        strangers = set()
+        foreign_ids = set()
         for image in (image for region in regions for image in find_markers(self._detector, region)):
             robot = self._robot_of_marker.get(image.id)
             depth_m = float(plates_m.mean() if robot is None else plates_m[robot])
             reading = marker_pose(image, view, depth_m, self._side_m)
             if robot is None:
-                strangers.update({image.id} if reading.misfit < _MAX_MISFIT else set())
+                foreign_ids.update({image.id} if reading.misfit < _MAX_MISFIT else set())
             elif reading.misfit < (best[robot].misfit if robot in best else _MAX_MISFIT):
                 best[robot] = reading
-        self.strangers = frozenset(strangers)
+        self.foreign_ids = frozenset(foreign_ids)
         return best

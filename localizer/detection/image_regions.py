@@ -1,4 +1,4 @@
-"""Pieces of the raw picture: regions around robots, and the body-frame patches and rings that the filters look at.
+"""Image regions around robots, and the body-frame patches and rings that the correlation filters use.
 
 Only regions are demosaiced. Pixel (0, 0) is the centre of the first pixel everywhere, so a picture at half scale has its
 pixel i at 2 i + 0.5 of the full one.
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from wire.frames import Array
 
-# Frames are RGGB, the first pixel red. OpenCV's older names (BayerBG for this one) count from the second row and column;
-# its RGGB alias is the one that returns red for a red pixel at (0, 0).
+# Frames are RGGB: the first pixel is red. OpenCV's older names (BayerBG for this pattern) count from the second row and
+# column; its RGGB alias returns red for a red pixel at (0, 0).
 BAYER_TO_BGR = cv2.COLOR_BayerRGGB2BGR
 BAYER_TO_GREY = cv2.COLOR_BayerRGGB2GRAY
 
@@ -21,13 +21,13 @@ Pixels = NDArray[np.uint8]
 
 _RINGS = 10
 _ANGLES = 128
-_INNER_RING = 0.15  # of the outer: nearer the centre a turn moves nothing
-_LEAST_SIDE_PX = 16
-_HUE_BLUR_PX = 1.0
+_INNER_RING = 0.15  # radius of the innermost ring over the outermost; nearer the centre a turn moves nothing
+_LEAST_SIDE_PX = 16  # smaller regions hold too little of a robot to be measured
+_HUE_BLUR_PX = 1.0  # standard deviation of the blur of colour differences; less leaves the aliasing of `_without_false_colour`
 
 
 @dataclass(frozen=True)
-class Region:
+class ImageRegion:
     """A rectangle of the raw picture, cut so that its first pixel is red again."""
 
     bayer: Pixels
@@ -35,22 +35,24 @@ class Region:
     top_px: int
 
     def grey(self) -> Pixels:
-        """Shape (height, width)."""
+        """The region in grey, (height, width)."""
         return np.asarray(cv2.cvtColor(self.bayer, BAYER_TO_GREY), dtype=np.uint8)
 
-    def colour(self, shrink: int) -> "Colour":
-        """In colour, at full scale or (`shrink` 2) each pixel the mean of four."""
+    def demosaiced(self, shrink: int) -> "DemosaicedRegion":
+        """The region in colour, at full scale or, with `shrink` 2, each pixel the mean of four."""
         height, width = self.bayer.shape
         bgr = np.asarray(cv2.cvtColor(self.bayer, BAYER_TO_BGR), dtype=np.uint8)
         half = (width // 2, height // 2)
         pixels = _without_false_colour(bgr) if shrink == 1 else cv2.resize(bgr, half, interpolation=cv2.INTER_AREA)
-        return Colour(np.asarray(pixels, dtype=np.uint8), self.left_px, self.top_px, shrink)
+        return DemosaicedRegion(np.asarray(pixels, dtype=np.uint8), self.left_px, self.top_px, shrink)
 
 
 def _without_false_colour(bgr: Pixels) -> Pixels:
-    """Detail from green, the other two as their smooth difference to it: red and blue are sampled every second pixel only, and
-    what they alias made the look of a robot 18 px across change with every fraction of a pixel (errors of 6 mm instead of 3,
-    and robots lost). A mean of four pixels has no such trouble."""
+    """Keep detail of the green channel, and smooth the differences of the other two to it.
+
+    Red and blue are sampled every second pixel only. Their aliasing changed the appearance of a robot 18 px across with
+    every fraction of a pixel (errors of 6 mm instead of 3, and lost robots). A mean of four pixels does not alias.
+    """
     green = bgr[..., 1:2].astype(np.int16)
     hue = cv2.GaussianBlur(bgr[..., ::2].astype(np.int16) - green, (0, 0), _HUE_BLUR_PX)
     smooth = bgr.copy()
@@ -59,9 +61,12 @@ def _without_false_colour(bgr: Pixels) -> Pixels:
 
 
 @dataclass(frozen=True)
-class Colour:
-    """A region's colours, BGR (height, width, 3), at a `shrink`-th of the picture's scale. Filters that sample several pixels
-    apart need the mean, or noise aliases; of a robot 18 px across nothing may be thrown away."""
+class DemosaicedRegion:
+    """A region's colours, BGR (height, width, 3), at 1 / `shrink` of the picture's scale.
+
+    Filters that sample several pixels apart need the mean of four pixels, or noise aliases. For a robot 18 px across full
+    scale is needed.
+    """
 
     bgr: Pixels
     left_px: int
@@ -69,18 +74,18 @@ class Colour:
     shrink: int
 
     def place(self, point_px: Array) -> Array:
-        """A pixel of the whole picture, (2,), in this one."""
+        """Position (2,) in this region of a pixel (2,) of the whole picture."""
         return np.asarray((point_px - np.array([self.left_px, self.top_px]) - (self.shrink - 1) / 2.0) / self.shrink)
 
 
-def whole(frame: Pixels) -> Region:
-    """All of the picture."""
-    return Region(frame, 0, 0)
+def whole(frame: Pixels) -> ImageRegion:
+    """The region that is the whole picture."""
+    return ImageRegion(frame, 0, 0)
 
 
-def cut(frame: Pixels, centre_px: Array, half_px: float) -> Region | None:
-    """The region of `frame` (height, width) around a point, clipped to the picture; None if hardly any of it is left, or the
-    point is nowhere (NaN)."""
+def cut(frame: Pixels, centre_px: Array, half_px: float) -> ImageRegion | None:
+    """The region of `frame` (height, width) around a point, clipped to the picture. None if less than 16 px a side are
+    left, or the point is not finite."""
     if not (np.isfinite(centre_px).all() and np.isfinite(half_px)):
         return None
     height, width = frame.shape
@@ -90,12 +95,13 @@ def cut(frame: Pixels, centre_px: Array, half_px: float) -> Region | None:
     right, bottom = min(right, width // 2 * 2), min(bottom, height // 2 * 2)
     if right - left < _LEAST_SIDE_PX or bottom - top < _LEAST_SIDE_PX:
         return None
-    return Region(frame[top:bottom, left:right], left, top)
+    return ImageRegion(frame[top:bottom, left:right], left, top)
 
 
 @dataclass(frozen=True)
-class BodyFrame:
-    """Where a robot is drawn in the picture: its top, and how points ahead, to starboard and below the top lie from there."""
+class BodyProjection:
+    """The projection of a robot's body into the picture, linear around its top: ahead, starboard and down in pixels per
+    metre."""
 
     top_px: Array  # (2,)
     body_to_px: Array  # (2, 2) px/m
@@ -103,12 +109,12 @@ class BodyFrame:
 
 
 @dataclass(frozen=True)
-class Hull:
-    """A robot seen from above: a sphere with its top at `top_m` above the centre, and a flat plate there (half its side;
-    0 for none).
+class RobotShape:
+    """A robot's surface seen from above: a sphere with its top at `top_m` above the centre, and a flat plate there (half its
+    side; 0 for none).
 
-    Seen obliquely a sphere's rim slides out from under its top: by 19 px at the pool's edge. Filters that took it for a
-    flat disc were 4-10 mm and up to 3 deg off after half a metre.
+    Seen obliquely a sphere's rim moves out from under its top, by 19 px at the pool's edge. With a flat disc instead,
+    filters were 4-10 mm and up to 3 deg off after half a metre.
     """
 
     radius_m: float
@@ -116,21 +122,23 @@ class Hull:
     plate_half_m: float
 
     def drop_m(self, points_m: Array) -> Array:
-        """How far below the top the surface is at points (2, ...) ahead and to starboard: (...)."""
+        """Depth (...) of the surface below the robot's top at points (2, ...) ahead and to starboard."""
         inside = np.maximum(self.radius_m**2 - np.sum(points_m**2, axis=0), 0.0)
         on_plate = np.max(np.abs(points_m), axis=0) <= self.plate_half_m
         return np.asarray(np.where(on_plate, 0.0, np.maximum(self.top_m - np.sqrt(inside), 0.0)))
 
 
-class Sampler:
-    """Resamples a region in a robot's own frame. Sample (size // 2, size // 2) of a patch is the robot's centre; columns run
-    ahead, rows to starboard, `pitch_m` apart."""
+class BodySampler:
+    """Resampling of a region in a robot's body frame.
+
+    Sample (size // 2, size // 2) of a patch is the robot's centre; columns run ahead, rows to starboard, `pitch_m` apart.
+    """
 
     channels = 3
     angles = _ANGLES
     ring_channels = 3 * _RINGS
 
-    def __init__(self, size: int, pitch_m: float, ring_radius_m: float, hull: Hull) -> None:
+    def __init__(self, size: int, pitch_m: float, ring_radius_m: float, hull: RobotShape) -> None:
         self.pitch_m = pitch_m
         along = (np.arange(size) - size // 2) * pitch_m
         self._grid = _with_drop(np.stack(np.meshgrid(along, along)), hull)
@@ -138,22 +146,22 @@ class Sampler:
         radius = ring_radius_m * np.linspace(_INNER_RING, 1.0, _RINGS)
         self._rings = _with_drop(np.stack([np.outer(radius, np.cos(turn)), np.outer(radius, np.sin(turn))]), hull)
 
-    def patch(self, colour: Colour, body: BodyFrame) -> NDArray[np.float32]:
-        """Shape (channels, size, size)."""
+    def patch(self, colour: DemosaicedRegion, body: BodyProjection) -> NDArray[np.float32]:
+        """Square patch (channels, size, size)."""
         return _sample(colour, self._grid, body)
 
-    def rings(self, colour: Colour, body: BodyFrame) -> NDArray[np.float32]:
-        """Shape (ring_channels, 1, angles): circles around the centre, the first sample ahead, towards starboard."""
+    def rings(self, colour: DemosaicedRegion, body: BodyProjection) -> NDArray[np.float32]:
+        """Circles around the centre, (ring_channels, 1, angles): the first sample ahead, then towards starboard."""
         return _sample(colour, self._rings, body).reshape(self.ring_channels, 1, _ANGLES)
 
 
-def _with_drop(points_m: Array, hull: Hull) -> Array:
+def _with_drop(points_m: Array, hull: RobotShape) -> Array:
     """Points (2, rows, columns) with their depth below the robot's top as third row."""
     return np.concatenate([points_m, hull.drop_m(points_m)[None]])
 
 
-def _sample(colour: Colour, points_m: Array, body: BodyFrame) -> NDArray[np.float32]:
-    """The picture at points (3, rows, columns) of the body: (3, rows, columns), BGR."""
+def _sample(colour: DemosaicedRegion, points_m: Array, body: BodyProjection) -> NDArray[np.float32]:
+    """Sample the region at body points (3, rows, columns): (3, rows, columns), BGR."""
     to_colour = np.column_stack([body.body_to_px, body.down_px]) / colour.shrink
     place = to_colour @ points_m.reshape(3, -1) + colour.place(body.top_px)[:, None]
     x, y = place.reshape(2, *points_m.shape[1:]).astype(np.float32)

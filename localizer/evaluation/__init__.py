@@ -1,5 +1,5 @@
-"""How good the localizer is: errors against known truth, and the age of its poses.
+"""Accuracy of the localizer against ground truth, and age of its poses.
 
-A recording and its truth (ground_truth.py) are run through the localizer (runner.py) into tables of errors (metrics.py);
-latency.py measures camera and computer.
+runner.py reads a recording and its truth and runs the localizer on it; metrics.py makes tables of errors; latency.py
+measures camera and computer.
 """

@@ -49,7 +49,7 @@ def latency(
     """
     import cv2
 
-    from localizer.evaluation.latency import in_this_process, judge, measure
+    from localizer.evaluation.latency import assess, localize_in_process, measure
     from localizer.sources.factory import BUS, open_bus, open_own
     from wire.messages.topics import Role, process_name
     from wire.process.runtime import Stop, WallClock, start_log
@@ -71,9 +71,9 @@ def latency(
         else:
             pictures = open_own(source, loaded.camera, clock)
         stack.enter_context(closing(pictures))
-        timings, dropped = measure(pictures, partial(in_this_process, loaded, clock, stop), clock, seconds)
+        timings, dropped = measure(pictures, partial(localize_in_process, loaded, clock, stop), clock, seconds)
         trouble = pictures.trouble
-    result = judge(timings, dropped, loaded.camera.rate_hz)
+    result = assess(timings, dropped, loaded.camera.rate_hz)
     if result is None:
         typer.echo(f"no pictures within {seconds:g} s{f': {trouble}' if trouble else ''}", err=True)
         raise typer.Exit(1)

@@ -1,10 +1,10 @@
-"""SHELL: how old a pose is when it is out, and how even the pictures come: a self-test of camera and computer.
+"""SHELL: `localizer latency`: age of published poses and regularity of frames, a self-test of camera and computer.
 
-What is measured is the localizer as `run` runs it, with its obstacles, previews and film, on a bus of this process alone:
-nobody else hears the poses. Left out is what Zenoh needs to send them, the page of `--show`, and what robots report.
+The localizer is measured as `run` runs it, with obstacles, previews and video, on a bus of this process alone. Left out are
+Zenoh's transmission, the page of `--show`, and the robots' reports.
 
-What it cannot see is how far a driver's stamp is from the light: a constant of the camera, some milliseconds with USB
-cameras, that only a clock in the picture would show.
+The offset of a driver's stamp from the light cannot be seen here. It is a constant of the camera, some milliseconds with
+USB cameras; only a clock in the picture would show it.
 """
 
 import json
@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from localizer.node import Shell
-from localizer.sources.base import Shot, Source
+from localizer.node import LocalizerNode
+from localizer.sources.base import CapturedFrame, FrameSource
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -25,27 +25,27 @@ from wire.process.runtime import Clock, Stop
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
-WARM_UP = 5  # pictures: caches, exposure control, a backlog from before
-_LARGEST_JITTER = 0.25  # of a period, p99: more, and the motion between pictures is no longer what the filter thinks
-_LARGEST_AGE_PERIODS = 1.5  # p99: one to expose, send and decode a picture, half of one to look at it
-_LARGEST_LOSS = 0.01
+WARM_UP = 5  # frames that are not counted: caches, exposure control, a backlog
+_LARGEST_JITTER = 0.25  # of a period, p99; with more, the motion between frames differs from the Kalman filter's prediction
+_LARGEST_AGE_PERIODS = 1.5  # periods, p99: one to expose, send and decode a frame, half of one to localize in it
+_LARGEST_LOSS = 0.01  # share of frames
 _LARGEST_DRIFT = 0.1  # of the period, median
 
 
 @dataclass(frozen=True)
 class Timing:
-    """One picture: middle of the exposure, arrival, poses ready, by the localizer's clock."""
+    """One frame: middle of the exposure, arrival, poses published, by the localizer's clock."""
 
     instant_ns: int
     arrived_ns: int
     ready_ns: int
     stamped: bool
-    trouble: str = ""  # why there were no poses of it
+    trouble: str = ""  # reason for a frame without poses
 
 
 @dataclass(frozen=True)
-class Quantiles:
-    """Of a duration, in ms."""
+class LatencyQuantiles:
+    """Quantiles of a duration, ms."""
 
     p50: float
     p99: float
@@ -54,23 +54,23 @@ class Quantiles:
 
 @dataclass(frozen=True)
 class Latency:
-    """The result."""
+    """The result of `localizer latency`."""
 
     pictures: int
     dropped: int
     unstamped: int
-    exposure_to_arrival_ms: Quantiles
-    arrival_to_pose_ms: Quantiles
-    exposure_to_pose_ms: Quantiles
-    interval_ms: Quantiles
+    exposure_to_arrival_ms: LatencyQuantiles
+    arrival_to_pose_ms: LatencyQuantiles
+    exposure_to_pose_ms: LatencyQuantiles
+    interval_ms: LatencyQuantiles
     warnings: tuple[str, ...]
 
     def to_json(self) -> str:
-        """All of it."""
+        """All fields as JSON."""
         return json.dumps(asdict(self), indent=1) + "\n"
 
     def to_text(self) -> str:
-        """A table for people, then the warnings."""
+        """A table, then the warnings."""
         rows = {
             "exposure to arrival": self.exposure_to_arrival_ms,
             "arrival to pose": self.arrival_to_pose_ms,
@@ -83,15 +83,15 @@ class Latency:
         return "\n".join([*lines, *(f"warning: {text}" for text in self.warnings)])
 
 
-Told = Callable[[int, str], None]  # the picture with this stamp is done: its poses are out, or why there are none
+OnLocalized = Callable[[int, str], None]  # called with a frame's stamp, and the reason if it has no poses
 
 
-class _Watched:
-    """A source that notes its pictures, and ends after `seconds`."""
+class _TimedSource:
+    """A source that notes its frames, and ends after `seconds`."""
 
-    def __init__(self, source: Source, clock: Clock, seconds: float) -> None:
-        self.pictures: list[Shot] = []
-        self.done: dict[int, tuple[int, str]] = {}  # by stamp: when, and why there were no poses
+    def __init__(self, source: FrameSource, clock: Clock, seconds: float) -> None:
+        self.pictures: list[CapturedFrame] = []
+        self.done: dict[int, tuple[int, str]] = {}  # by stamp: time of publication, and the reason if there are no poses
         self._source, self._clock, self._seconds = source, clock, seconds
 
     @property
@@ -102,11 +102,11 @@ class _Watched:
     def trouble(self) -> str:
         return self._source.trouble
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
         end_ns = self._clock.now_ns() + round(self._seconds * 1e9)
-        for shot in self._source.shots(stop):
-            self.pictures += [shot] if shot is not None else []
-            yield shot
+        for captured in self._source.frames(stop):
+            self.pictures += [captured] if captured is not None else []
+            yield captured
             if self._clock.now_ns() >= end_ns:
                 return
 
@@ -114,27 +114,31 @@ class _Watched:
         self.done.setdefault(stamp_ns, (self._clock.now_ns(), trouble))
 
     def close(self) -> None:
-        """The source is the caller's."""
+        """Do nothing: the source is the caller's."""
 
 
 def measure(
-    source: Source, localize: Callable[[Source, Told], None], clock: Clock, seconds: float
+    source: FrameSource, localize: Callable[[FrameSource, OnLocalized], None], clock: Clock, seconds: float
 ) -> tuple[list[Timing], int]:
-    """Localize for a while. Returns the pictures after WARM_UP and how many were dropped meanwhile.
+    """Localize for a while. Returns the frames after WARM_UP and the number that were dropped meanwhile.
 
-    `localize` works through a source until it ends, and tells when the poses of a picture are out, or that there are none."""
-    watched = _Watched(source, clock, seconds)
+    `localize` works through a source until it ends, and calls back when the poses of a frame are out, or that there are
+    none.
+    """
+    watched = _TimedSource(source, clock, seconds)
     localize(watched, watched.told)
     before, counted = watched.pictures[:WARM_UP], watched.pictures[WARM_UP:]
-    done = [(shot, *watched.done[shot.stamp_ns]) for shot in counted if shot.stamp_ns in watched.done]
-    timings = [Timing(shot.instant_ns, shot.arrived_ns, ready_ns, shot.stamped, why) for shot, ready_ns, why in done]
+    done = [(captured, *watched.done[captured.stamp_ns]) for captured in counted if captured.stamp_ns in watched.done]
+    timings = [
+        Timing(captured.instant_ns, captured.arrived_ns, ready_ns, captured.stamped, why) for captured, ready_ns, why in done
+    ]
     return timings, counted[-1].dropped - before[-1].dropped if counted else 0
 
 
-def in_this_process(experiment: Experiment, clock: Clock, stop: Stop, source: Source, told: Told) -> None:
-    """Run the localizer on a source, with a bus that nobody else is on."""
+def localize_in_process(experiment: Experiment, clock: Clock, stop: Stop, source: FrameSource, told: OnLocalized) -> None:
+    """Run the localizer on a source, with a bus of its own."""
     hub = MemoryHub()
-    witness, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
+    observer, own = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     failed = 0  # pictures
 
     def hear(topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -148,13 +152,13 @@ def in_this_process(experiment: Experiment, clock: Clock, stop: Stop, source: So
         failed = status.failed
         told(header.stamp_ns, "" if localized else status.message)
 
-    witness.subscribe(topics.LOCALIZER, None, hear)
-    Shell(experiment, own, stop, clock, source).run()
+    observer.subscribe(topics.LOCALIZER, None, hear)
+    LocalizerNode(experiment, own, stop, clock, source).run()
     stop.raise_failure()
 
 
-def judge(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | None:
-    """The distributions, and what is not as it should be at `rate_hz`; None if there were not even two pictures."""
+def assess(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | None:
+    """The distributions, with warnings about deviations at `rate_hz`; None for fewer than two frames."""
     if len(timings) < 2:
         return None
     instants, arrivals, ready = (
@@ -185,5 +189,5 @@ def judge(timings: Sequence[Timing], dropped: int, rate_hz: float) -> Latency | 
     )  # fmt: skip
 
 
-def _quantiles(values_ms: Array) -> Quantiles:
-    return Quantiles(float(np.median(values_ms)), float(np.quantile(values_ms, 0.99)), float(np.max(values_ms)))
+def _quantiles(values_ms: Array) -> LatencyQuantiles:
+    return LatencyQuantiles(float(np.median(values_ms)), float(np.quantile(values_ms, 0.99)), float(np.max(values_ms)))

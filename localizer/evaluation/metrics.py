@@ -1,5 +1,4 @@
-"""How wrong a localizer was, where the truth is known: tables of errors. Pure; localizer/evaluation/runner.py reads the
-files."""
+"""Error metrics of a localizer with known truth. Pure; localizer/evaluation/runner.py reads the files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,14 +9,15 @@ from scipy.stats import chi2
 from wire.frames import Array, wrap
 from wire.messages.messages import Pose, Track
 
-_LONGEST_GAP_S = 0.5  # truth is not invented across a longer gap
+_LONGEST_GAP_S = 0.5  # s; truth is not interpolated across a longer gap
 _BAND = (0.025, 0.975)
 _COMPONENTS = 3  # of an error: x, y, yaw
 
 
 @dataclass(frozen=True)
 class PixelRow:
-    """One target followed in a plain video. A failure is an error of more than half the box; then it is shown again."""
+    """One target followed in a plain video. A failure is an error of more than half the box; the tracker is then started
+    anew."""
 
     subject: str
     frames: int  # with a known place
@@ -32,9 +32,12 @@ class PixelRow:
 
 @dataclass(frozen=True)
 class PoseRow:
-    """Errors of a group of poses. Position errors are distances; NEES is the mean of e' P^-1 e over x, y, yaw: 3 if the
-    published covariances are right, and inside the band 95 % of the time if errors are independent from frame to frame
-    (a wrong depth or calibration makes them anything but)."""
+    """Errors of a group of poses.
+
+    Position errors are distances. NEES is the mean of e' P^-1 e over x, y, yaw: 3 if the published covariances are right,
+    and inside the band 95 % of the time if errors are independent from frame to frame (a wrong depth or calibration makes
+    them dependent).
+    """
 
     subject: str
     poses: int
@@ -46,19 +49,19 @@ class PoseRow:
     nees: float
     nees_low: float
     nees_high: float
-    swapped: int  # nearer to another robot's true place than to the own one
-    unflagged: int  # swapped, and said to be verified
+    swapped: int  # nearer to another robot's true position than to the own one
+    unflagged: int  # swapped, and published as verified
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
-    """A robot's true way: instants (n,) in ns, rising, and [x, y, yaw] (n, 3)."""
+class GroundTruthTrajectory:
+    """A robot's true trajectory: instants (n,) in ns, rising, and [x, y, yaw] (n, 3)."""
 
     stamp_ns: Array
     pose: Array
 
     def at(self, stamp_ns: int) -> Array | None:
-        """Linear in between, None outside and across gaps."""
+        """The pose at an instant: linear in between, None outside and across gaps."""
         after = int(np.searchsorted(self.stamp_ns, stamp_ns))
         if after < len(self.stamp_ns) and self.stamp_ns[after] == stamp_ns:
             return np.array(self.pose[after])
@@ -73,7 +76,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class PublishedPose:
     """A published pose of a robot."""
 
     robot: int
@@ -82,17 +85,17 @@ class Found:
 
 
 @dataclass(frozen=True, eq=False)
-class _Error:
-    """Of one pose: x, y, yaw (3,), its square in units of the covariance, and whose place it really is."""
+class _PoseError:
+    """Error of one pose: x, y, yaw (3,), its square in units of the covariance, and the swap flag."""
 
-    found: Found
+    found: PublishedPose
     error: Array
-    surprise: float
+    nees: float
     swapped: bool
 
 
 def pixel_row(subject: str, errors_px: Sequence[float], failures: int, times_ms: Sequence[float]) -> PixelRow:
-    """`errors_px` of all frames, those that failed included."""
+    """A row from the errors of all frames, failures included."""
     errors, times = np.array(errors_px), np.array(times_ms)
     return PixelRow(
         subject, len(errors),
@@ -102,9 +105,9 @@ def pixel_row(subject: str, errors_px: Sequence[float], failures: int, times_ms:
     )  # fmt: skip
 
 
-def pose_rows(found: Sequence[Found], truth: Mapping[int, Way]) -> list[PoseRow]:
-    """Rows for every robot, every state of a track, and all together; lost robots only in the row of their own, as a lost
-    robot's pose is where it was last seen. Poses without a truth are left out."""
+def pose_rows(found: Sequence[PublishedPose], truth: Mapping[int, GroundTruthTrajectory]) -> list[PoseRow]:
+    """Rows for every robot, every state of a track, and all together. LOST poses count only in their own row, as they are
+    where the robot was last seen. Poses without a truth are left out."""
     errors = [error for error in (_error(f, truth) for f in found) if error is not None]
     seen = [e for e in errors if e.found.pose.track is not Track.LOST]
     groups = {f"robot {robot}": [e for e in seen if e.found.robot == robot] for robot in sorted(truth)}
@@ -113,7 +116,7 @@ def pose_rows(found: Sequence[Found], truth: Mapping[int, Way]) -> list[PoseRow]
     return [_pose_row(subject, group) for subject, group in groups.items() if group]
 
 
-def _error(found: Found, truth: Mapping[int, Way]) -> _Error | None:
+def _error(found: PublishedPose, truth: Mapping[int, GroundTruthTrajectory]) -> _PoseError | None:
     true = truth[found.robot].at(found.stamp_ns) if found.robot in truth else None
     if true is None:
         return None
@@ -123,10 +126,10 @@ def _error(found: Found, truth: Mapping[int, Way]) -> _Error | None:
     place = np.array([pose.x_m, pose.y_m])
     own_m = float(np.linalg.norm(error[:2]))
     swapped = any(float(np.linalg.norm(place - other[:2])) < own_m for other in others if other is not None)
-    return _Error(found, error, _surprise(error, pose.covariance), swapped)
+    return _PoseError(found, error, _nees(error, pose.covariance), swapped)
 
 
-def _surprise(error: Array, covariance: Array) -> float:
+def _nees(error: Array, covariance: Array) -> float:
     """e' P^-1 e; NaN for a matrix that is no covariance."""
     try:
         half = np.linalg.solve(np.linalg.cholesky(covariance), error)
@@ -135,11 +138,11 @@ def _surprise(error: Array, covariance: Array) -> float:
     return float(half @ half)
 
 
-def _pose_row(subject: str, group: Sequence[_Error]) -> PoseRow:
+def _pose_row(subject: str, group: Sequence[_PoseError]) -> PoseRow:
     errors = np.array([e.error for e in group])
     distance_mm, turn_deg = 1e3 * np.linalg.norm(errors[:, :2], axis=1), np.degrees(np.abs(errors[:, 2]))
-    surprises = np.array([e.surprise for e in group])
-    usable = surprises[np.isfinite(surprises)]
+    nees_values = np.array([e.nees for e in group])
+    usable = nees_values[np.isfinite(nees_values)]
     count = max(len(usable), 1)
     low, high = (float(chi2.ppf(share, _COMPONENTS * count)) / count for share in _BAND)
     return PoseRow(

@@ -1,7 +1,7 @@
-"""SHELL: `localizer evaluate`: a recording, and the truth about it, into tables of errors.
+"""SHELL: `localizer evaluate`: tables of errors from a recording and its truth.
 
-Three kinds of recordings. A run's log has poses and the plant's truth in it. A video of an experiment's pool is localized
-again, with all of the localizer. A plain video, of which nobody knows the camera, is followed in pixels.
+Three kinds of recordings. A run's log holds poses and the plant's truth. A video of an experiment's pool is localized
+again, with all of the localizer. A plain video of an unknown camera is followed in pixels.
 """
 
 import dataclasses
@@ -11,15 +11,14 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.evaluation.ground_truth import read_idtracker, read_poses, way
-from localizer.evaluation.metrics import Found, PixelRow, PoseRow, pixel_row, pose_rows
+from localizer.evaluation.metrics import GroundTruthTrajectory, PixelRow, PoseRow, PublishedPose, pixel_row, pose_rows
 from localizer.sources.base import as_bayer
-from localizer.tracking.fleet_localizer import Locator
-from localizer.tracking.single_object import Follower
+from localizer.sources.files import video_frames
+from localizer.tracking.fleet_localizer import FleetLocalizer
+from localizer.tracking.single_object import SingleObjectTracker
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import log_records, topics
@@ -29,11 +28,13 @@ from wire.toml_loader import ConfigError
 
 _READ = (topics.TRUTH.name, "/pose")
 
+COLUMNS = ("frame", "robot", "x_m", "y_m", "yaw_rad")  # of `read_poses`
+
 Rows = Sequence[PixelRow] | Sequence[PoseRow]
 
 
 def table(rows: Rows) -> str:
-    """Rows for people: one line each, a column per field."""
+    """Rows as text: one line each, a column per field."""
     fields = [field.name for field in dataclasses.fields(rows[0])]
     cells = [fields, *([_cell(getattr(row, name)) for name in fields] for row in rows)]
     widths = [max(len(line[i]) for line in cells) for i in range(len(fields))]
@@ -45,7 +46,7 @@ def table(rows: Rows) -> str:
 
 
 def to_json(rows: Rows) -> str:
-    """Rows for programs; what is not a number is null."""
+    """Rows as JSON; NaN is null."""
     plain = [{k: None if v != v else v for k, v in dataclasses.asdict(row).items()} for row in rows]
     return json.dumps(plain, indent=1, allow_nan=False) + "\n"
 
@@ -54,12 +55,62 @@ def _cell(value: Any) -> str:
     return f"{value:.2f}" if isinstance(value, float) else str(value)
 
 
+# --- files of the truth
+
+
+def read_idtracker(path: Path) -> list[Array]:
+    """Places (frames, 2) in pixels of each target of idTracker's text: a line of names, then X, Y and a probability per
+    target and frame. Its first pixel is 1; ours is 0. Unknown places are NaN."""
+    try:
+        columns = np.loadtxt(path, skiprows=1, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
+    if columns.shape[1] < 2:
+        raise ConfigError(f"{path}: {columns.shape[1]} column, idTracker writes X, Y and a probability per target")
+    return [columns[:, first : first + 2] - 1.0 for first in range(0, columns.shape[1] - 1, 3)]
+
+
+def read_poses(path: Path, experiment: Experiment) -> tuple[dict[int, GroundTruthTrajectory], dict[int, dict[int, float]]]:
+    """Trajectories by robot, and known depths by frame and robot, from comma-separated values: a line of names, then a line
+    per frame (from 0) and robot.
+
+    COLUMNS are needed, in any order; `depth_m` may be there. Instants are by the experiment's frame rate.
+    """
+    try:
+        with path.open(encoding="utf-8") as file:
+            names = [name.strip() for name in file.readline().split(",")]
+            if missing := [name for name in COLUMNS if name not in names]:
+                needed = ",".join(COLUMNS)
+                raise ConfigError(f"{path}: the first line lacks {', '.join(missing)} (needed: {needed}; depth_m may follow)")
+            lines = np.loadtxt(file, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: {error}") from None
+    if lines.shape[1] != len(names):
+        raise ConfigError(f"{path}: {lines.shape[1]} values a line, {len(names)} names in the first")
+    period_ns = round(1e9 / experiment.camera.rate_hz)
+    samples: dict[int, list[tuple[int, Array]]] = {}
+    depths: dict[int, dict[int, float]] = {}
+    for line in lines:
+        value = dict(zip(names, line.tolist(), strict=True))
+        frame, robot = round(value["frame"]), experiment.robot(round(value["robot"])).id
+        samples.setdefault(robot, []).append((frame * period_ns, np.array([value[name] for name in COLUMNS[2:]])))
+        if "depth_m" in value:
+            depths.setdefault(frame, {})[robot] = value["depth_m"]
+    return {robot: trajectory(found) for robot, found in samples.items()}, depths
+
+
+def trajectory(samples: list[tuple[int, Array]]) -> GroundTruthTrajectory:
+    """A trajectory from (instant in ns, [x, y, yaw]) in any order."""
+    ordered = sorted(samples, key=lambda sample: sample[0])
+    return GroundTruthTrajectory(np.array([stamp for stamp, _ in ordered]), np.array([pose for _, pose in ordered]))
+
+
 # --- a run's log
 
 
 def evaluate_log(path: Path) -> list[PoseRow]:
     """Poses of a recorded run against the plant's truth in it. A log that was cut off counts as far as it goes."""
-    found: list[Found] = []
+    found: list[PublishedPose] = []
     true: dict[int, list[tuple[int, Array]]] = {}
     for topic, stamp_ns, data in _records(path):
         parts = topic.split("/")
@@ -69,17 +120,17 @@ def evaluate_log(path: Path) -> list[PoseRow]:
                 for robot, eta in zip(truth.robots, truth.eta, strict=False):
                     true.setdefault(robot, []).append((stamp_ns, eta[[0, 1, 3]]))
             elif parts[-3:-2] == ["robot"] and parts[-1] == "pose":
-                found.append(Found(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic)))
+                found.append(PublishedPose(int(parts[-2]), stamp_ns, decode(Pose, data, "log", topic)))
         except (DecodeError, ValueError) as error:
             raise ConfigError(f"{path}: {error}") from None
-    rows = pose_rows(found, {robot: way(samples) for robot, samples in true.items()})
+    rows = pose_rows(found, {robot: trajectory(samples) for robot, samples in true.items()})
     if not rows:
         raise ConfigError(f"{path}: no poses with a truth to compare with ({len(found)} poses, truth of {len(true)} robots)")
     return rows
 
 
 def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, stamp and bytes of the poses and truths of a log, up to where it was cut or damaged."""
+    """Topic, stamp and bytes of the poses and truths of a log, up to a cut or damaged record."""
     names: dict[int, str] = {}
     try:
         with path.open("rb") as file:
@@ -102,40 +153,24 @@ def _records(path: Path) -> Iterator[tuple[str, int, bytes]]:
 # --- videos
 
 
-def pictures(path: Path, limit: int | None) -> Iterator[Pixels]:
-    """The pictures of a video, BGR (height, width, 3). Raises ConfigError if there are none."""
-    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-    try:
-        count = 0
-        while limit is None or count < limit:
-            good, picture = capture.read()
-            if not good:
-                break
-            count += 1
-            yield np.asarray(picture, dtype=np.uint8)
-        if count == 0:
-            raise ConfigError(f"{path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
-    finally:
-        capture.release()
-
-
 class _Target:
-    """One target of a plain video, with its true places (frames, 2) px, and what came of following it."""
+    """One target of a plain video, with its true places (frames, 2) px, and the errors of following it."""
 
     def __init__(self, number: int, places_px: Array, box_px: float) -> None:
         self.number = number
         self._places_px, self._box_px = places_px, box_px
-        self._follower: Follower | None = None
+        self._follower: SingleObjectTracker | None = None
         self._errors_px: list[float] = []
         self._times_ms: list[float] = []
         self._failures = 0
 
-    def see(self, frame: int, picture: Pixels) -> None:
-        """Follow it into the next picture. Farther off than half the box it is shown again, and that is a failure."""
+    def step(self, frame: int, picture: Pixels) -> None:
+        """Follow the target into the next picture. Farther off than half the box is a failure: the tracker starts anew at
+        the truth."""
         place = self._places_px[frame]
         known = bool(np.all(np.isfinite(place)))
         if self._follower is None:
-            self._follower = Follower(picture, place, self._box_px) if known else None
+            self._follower = SingleObjectTracker(picture, place, self._box_px) if known else None
             return
         started = time.perf_counter()
         found, _ = self._follower.step(picture)
@@ -145,10 +180,10 @@ class _Target:
         self._errors_px.append(float(np.linalg.norm(found - place)))
         if self._errors_px[-1] > self._box_px / 2.0:
             self._failures += 1
-            self._follower = Follower(picture, place, self._box_px)
+            self._follower = SingleObjectTracker(picture, place, self._box_px)
 
     def row(self, truth: Path) -> PixelRow:
-        """The figures. Raises ConfigError if it was never seen twice."""
+        """The figures. Raises ConfigError if the target was never seen twice."""
         if not self._errors_px:
             raise ConfigError(f"{truth}: target {self.number} is nowhere in the video")
         return pixel_row(f"target {self.number}", self._errors_px, self._failures, self._times_ms)
@@ -159,23 +194,23 @@ def evaluate_plain(path: Path, truth: Path, box_px: float, limit: int | None) ->
     places = read_idtracker(truth)
     targets = [_Target(number, places_px, box_px) for number, places_px in enumerate(places, start=1)]
     frames = min(len(places[0]), limit) if limit is not None else len(places[0])
-    for frame, picture in enumerate(pictures(path, frames)):
+    for frame, picture in enumerate(video_frames(path, frames)):
         for target in targets:
-            target.see(frame, picture)
+            target.step(frame, picture)
     return [target.row(truth) for target in targets]
 
 
 def evaluate_pool(path: Path, truth: Path, experiment: Experiment, limit: int | None) -> list[PoseRow]:
     """Localize the robots of an experiment in a video, frame by frame, and compare with a truth file (see read_poses)."""
-    ways, depths = read_poses(truth, experiment)
-    locator, found = Locator(experiment), []
+    trajectories, depths = read_poses(truth, experiment)
+    locator, found = FleetLocalizer(experiment), []
     period_ns = round(1e9 / experiment.camera.rate_hz)
-    for frame, picture in enumerate(pictures(path, limit)):
+    for frame, picture in enumerate(video_frames(path, limit)):
         pixels = as_bayer(picture)
         assert pixels is not None, "a video's pictures are BGR"
         located = locator.step(pixels, frame * period_ns, depths.get(frame, {}))
-        found += [Found(robot, frame * period_ns, pose) for robot, pose in located.poses]
-    rows = pose_rows(found, ways)
+        found += [PublishedPose(robot, frame * period_ns, pose) for robot, pose in located.poses]
+    rows = pose_rows(found, trajectories)
     if not rows:
         raise ConfigError(
             f"{path}: no robot was ever found where {truth} has a truth ({located.status.message or 'no marker'})"

@@ -1,5 +1,5 @@
-"""Pictures with their times, from a camera, files or the bus, and whether the camera is well.
+"""Sources of frames: camera, files or bus, with times, and the camera's health.
 
-factory.py opens the source that a command line names; it yields frames (base.py), the newest first where there are too many
-(latest_value.py). Frozen, dark or wrongly sized pictures are kept out (health.py).
+factory.py opens the source that a command line names. It yields captured frames (base.py), the newest first when there are
+too many (latest_value.py). Frozen, dark or wrongly sized frames are kept out (health.py).
 """

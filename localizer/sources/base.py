@@ -1,8 +1,8 @@
-"""A picture with its times, and what a source of pictures is. Pure; localizer/sources/factory.py opens one.
+"""A captured frame with its times, and the interface of frame sources. Pure; localizer/sources/factory.py opens one.
 
-Whatever the source, the localizer sees raw Bayer RGGB and the instant of the middle of the exposure on its own clock. A
-colour picture is turned back into the mosaic it once was (0.5 ms at 1280 x 960): so there is one way through the core, the
-one that is tested most, and only the regions around robots are ever demosaiced.
+From every source the localizer gets raw Bayer RGGB and the instant of the middle of the exposure on its own clock. A
+colour picture is converted back into a mosaic (0.5 ms at 1280 x 960). So there is one way through the core, and only the
+regions around robots are ever demosaiced.
 """
 
 from collections.abc import Iterator
@@ -16,57 +16,57 @@ from numpy.typing import NDArray
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from wire.process.runtime import Stop
 
-SILENT_FRAMES = 5  # periods without a picture: then the camera is absent, and that is said again and again
-_HICCUP_S = 0.1  # of a busy computer: nobody is absent for so short a time, however fast the camera
+SILENT_FRAMES = 5  # periods without a frame after which the camera is reported absent, repeatedly
+_HICCUP_S = 0.1  # s, least time without a frame before that: a busy computer may pause this long
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """One picture (height, width) uint8 raw Bayer RGGB, and its times."""
+class CapturedFrame:
+    """One frame (height, width) uint8 raw Bayer RGGB, and its times."""
 
     pixels: Pixels
-    stamp_ns: int  # middle of the exposure on the camera's clock: poses carry it on, logs are ordered by it
-    instant_ns: int  # the same on the localizer's own clock: what the filter runs on and ages are counted from
-    arrived_ns: int  # own clock
-    dropped: int = 0  # pictures lost on the way or overtaken by newer ones, since the source was opened
-    stamped: bool = True  # the camera said when; False: guessed from the arrival
-    inputs_up_to_ns: int | None = None  # lockstep: the newest robots' states that count
+    stamp_ns: int  # middle of the exposure on the camera's clock; poses carry it, and logs are ordered by it
+    instant_ns: int  # the same on the localizer's own clock; the filter uses it, and ages are counted from it
+    arrived_ns: int  # arrival, own clock
+    dropped: int = 0  # frames lost on the way or replaced by newer ones, since the source was opened
+    stamped: bool = True  # the camera gave the stamp; False: it is guessed from the arrival
+    inputs_up_to_ns: int | None = None  # lockstep: stamp of the newest robots' states to use
 
 
-class Source(Protocol):
-    """A camera, or what stands in for one."""
+class FrameSource(Protocol):
+    """A camera or its replacement."""
 
     @property
     def silent_after_s(self) -> float:
-        """Without a picture for so long, it says that there is none."""
+        """Time without a frame after which the source yields None."""
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """The newest picture whenever there is a new one; None after each `silent_after_s` without. Ends when told to stop, or
-        when no more can come. A source that fails recovers by itself and keeps yielding None meanwhile."""
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        """The newest frame whenever there is a new one; None after each `silent_after_s` without. Ends when told to stop,
+        or when no more can come. A source that fails recovers by itself and keeps yielding None meanwhile."""
 
     @property
     def trouble(self) -> str:
-        """Why no picture comes, as far as it is known."""
+        """The reason for missing frames, as far as it is known."""
 
     def close(self) -> None:
-        """Let go of the camera."""
+        """Release the camera."""
 
 
 def silent_after_s(rate_hz: float) -> float:
-    """When a camera of this rate is absent."""
+    """Time without a frame after which a camera of this rate is absent."""
     return max(SILENT_FRAMES / rate_hz, _HICCUP_S)
 
 
-# Files that count as pictures, wherever pictures are read from files.
+# Suffixes of picture files, for all readers.
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
 
 def as_bayer(picture: NDArray[Any]) -> Pixels | None:
-    """A picture as OpenCV reads it, as the RGGB mosaic (height, width) that BAYER_TO_BGR turns back into it.
+    """Convert a picture as OpenCV reads it to the RGGB mosaic (height, width) that BAYER_TO_BGR turns back into it.
 
-    One channel is taken to be raw already, as everywhere (a grey picture is its own mosaic, a little softer when it is turned
-    into colours); BGR and BGRA lose two colours of three per pixel, as in the camera. None for anything that is not 8 bits
-    deep."""
+    One channel is taken to be raw already (a grey picture is its own mosaic, a little softer when demosaiced). BGR and
+    BGRA lose two colours of three per pixel, as in the camera. None for anything that is not 8 bits deep.
+    """
     if picture.dtype != np.uint8:
         return None
     if picture.ndim == 2:
@@ -82,8 +82,8 @@ def as_bayer(picture: NDArray[Any]) -> Pixels | None:
 
 
 def as_colour(picture: NDArray[Any], grey: bool = False) -> Pixels | None:
-    """A picture as OpenCV reads it, as BGR (height, width, 3). One channel is taken to be raw Bayer RGGB, as in `as_bayer`, or
-    (`grey`) to be grey. None for anything that is not 8 bits deep."""
+    """Convert a picture as OpenCV reads it to BGR (height, width, 3). One channel is raw Bayer RGGB, or grey with `grey`.
+    None for anything that is not 8 bits deep."""
     if picture.dtype != np.uint8:
         return None
     if picture.ndim == 2:

@@ -1,10 +1,10 @@
-"""SHELL: frames from the fleet's bus: of a camera process, or of the simulated pool."""
+"""SHELL: frames from the fleet's bus, from a camera process or the simulated pool."""
 
 import math
 import time
 from collections.abc import Iterator, Mapping
 
-from localizer.sources.base import Shot, silent_after_s
+from localizer.sources.base import CapturedFrame, silent_after_s
 from wire.messages import topics
 from wire.messages.messages import Frame, RobotState
 from wire.process.lockstep import Lockstep, LockstepClock
@@ -13,7 +13,7 @@ from wire.transport.bus import Bus, Inbox, Received
 
 
 class _Sequence:
-    """Counts frames of a session that never came here."""
+    """Counter of the frames of a session that never arrived."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -28,19 +28,19 @@ class _Sequence:
 
 
 class _OneCamera:
-    """Notices that two cameras publish: a session that another one has taken the place of is heard again."""
+    """Detector of two cameras on the bus: a session that another one has replaced is heard again."""
 
     def __init__(self, apart_s: float) -> None:
-        self.apart_s = apart_s  # one of them has gone when it was not heard for so long
+        self.apart_s = apart_s  # s of silence after which one of them is taken to be gone
         self._session, self._replaced = 0, set[int]()
-        self._two_s = -math.inf  # when both were heard last
+        self._two_s = -math.inf  # time at which both were heard last
 
     def are_two(self, now_s: float) -> bool:
-        """Whether frames may be of either."""
+        """True if frames may come from either of two cameras."""
         return now_s - self._two_s < self.apart_s
 
     def note(self, session: int, now_s: float) -> None:
-        """A frame has come."""
+        """Note that a frame has come."""
         if session in self._replaced:
             self._two_s = now_s
         if session != self._session:
@@ -49,7 +49,7 @@ class _OneCamera:
 
 
 class BusSource:
-    """Frames that another process publishes, in real time. The newest wins; the sender's clock may be anything."""
+    """Frames that another process publishes, in real time. The newest wins; the sender's clock may be any."""
 
     def __init__(self, bus: Bus, clock: Clock, rate_hz: float) -> None:
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
@@ -57,8 +57,8 @@ class BusSource:
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence, self._camera = _Sequence(), _OneCamera(self.silent_after_s)
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """See Source. Frames that cannot be read are as good as none, and so are those of two cameras in turn."""
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        """See FrameSource. Unreadable frames count as none, and so do those of two cameras in turn."""
         seen = given = self._frames.newest_header()
         bad, silent_since = self._frames.bad, time.monotonic()
         while not stop.requested:
@@ -72,33 +72,35 @@ class BusSource:
                 self._camera.note(given.session, time.monotonic())
                 if self._camera.are_two(time.monotonic()):
                     continue
-                yield self._shot(received)
+                yield self._captured(received)
             elif not stop.requested:
-                self.trouble = self._why(bad)
+                self.trouble = self._silence_reason(bad)
                 yield None
             silent_since = time.monotonic()
 
-    def _why(self, bad: int) -> str:
-        """Why no frame comes; `bad` were unreadable when the last one came."""
+    def _silence_reason(self, bad: int) -> str:
+        """The reason for missing frames; `bad` were unreadable when the last one came."""
         if self._camera.are_two(time.monotonic()):
             return "two cameras publish frames: end one of them"
         return self._frames.last_error if self._frames.bad > bad else "no camera publishes frames"
 
-    def _shot(self, received: Received[Frame]) -> Shot:
+    def _captured(self, received: Received[Frame]) -> CapturedFrame:
         header, instant_ns = received.header, self._clock.instant_ns(received)
-        return Shot(
+        return CapturedFrame(
             received.message.pixels, header.stamp_ns, instant_ns, instant_ns + header.age_ns + received.late_ns,
             dropped=self._sequence.note(received), stamped=header.age_ns > 0,
         )  # fmt: skip
 
     def close(self) -> None:
-        """The bus is the caller's."""
+        """Do nothing: the bus is the caller's."""
 
 
 class LockstepSource:
-    """Frames of the simulator that owns the clock: each step waits for the frame and the robots' states that its tick
-    names, and the instants are the simulator's. All that counts at a tick is settled when its picture is taken, so poses are
-    made while the simulator moves on to the tick."""
+    """Frames of the simulator that owns the clock.
+
+    Each step waits for the frame and the robots' states that its tick names, and the instants are the simulator's. The
+    inputs of a tick are settled when its frame is taken, so poses are made while the simulator moves on to the tick.
+    """
 
     trouble, silent_after_s = "", math.inf
 
@@ -108,8 +110,8 @@ class LockstepSource:
         self._frames = bus.inbox(topics.FRAME, Frame)
         self._sequence = _Sequence()
 
-    def shots(self, stop: Stop) -> Iterator[Shot]:
-        """See Source. Without a tick time stands still, so nothing is ever late."""
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame]:
+        """See FrameSource. Without a tick time stands still, so no frame is ever late."""
         done_ns = -1
         while not stop.requested and (tick := self._lockstep.next()) is not None:
             if tick.frame_ns <= done_ns:
@@ -121,7 +123,7 @@ class LockstepSource:
             if received is not None:
                 done_ns = tick.frame_ns
                 stamp_ns, dropped = received.header.stamp_ns, self._sequence.note(received)
-                yield Shot(
+                yield CapturedFrame(
                     received.message.pixels,
                     stamp_ns,
                     stamp_ns,
@@ -131,4 +133,4 @@ class LockstepSource:
                 )
 
     def close(self) -> None:
-        """The bus is the caller's."""
+        """Do nothing: the bus is the caller's."""

@@ -1,10 +1,10 @@
-"""SHELL: opens the source of pictures that a command line names."""
+"""SHELL: opens the source of frames that a command line names."""
 
 import math
 from collections.abc import Mapping
 from pathlib import Path
 
-from localizer.sources.base import Source
+from localizer.sources.base import FrameSource
 from localizer.sources.bus import BusSource, LockstepSource
 from localizer.sources.files import FolderSource, VideoSource
 from localizer.sources.v4l2 import V4l2Source, check_device
@@ -20,13 +20,13 @@ ALLOWED = "bus, v4l2:/dev/video0, video:FILE[:FPS|:max], folder:DIR[:FPS|:max]"
 FASTEST = math.inf
 
 
-def open_bus(bus: Bus, clock: Clock, stop: Stop, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> Source:
-    """Frames of the fleet's camera, by the clock that is given."""
+def open_bus(bus: Bus, clock: Clock, stop: Stop, rate_hz: float, states: Mapping[int, Inbox[RobotState]]) -> FrameSource:
+    """A source of the fleet's camera frames, for the given clock."""
     return LockstepSource(bus, clock, stop, states) if isinstance(clock, LockstepClock) else BusSource(bus, clock, rate_hz)
 
 
-def open_own(name: str, camera: Camera, clock: Clock) -> Source:
-    """A camera at this machine, or recorded pictures in its place. Raises ConfigError, naming what is allowed."""
+def open_own(name: str, camera: Camera, clock: Clock) -> FrameSource:
+    """A camera at this machine, or recorded pictures in its place. Raises ConfigError, naming the allowed forms."""
     kind, _, where = name.partition(":")
     if isinstance(clock, LockstepClock):
         raise ConfigError(f"--source {name}: in lockstep the simulator is the camera (allowed: {BUS})")
@@ -45,7 +45,8 @@ def open_own(name: str, camera: Camera, clock: Clock) -> Source:
 
 
 def _with_rate(where: str) -> tuple[str, float | None]:
-    """`FILE:25` is FILE at 25 Hz, `FILE:max` as fast as possible. A colon before anything else belongs to the name."""
+    """Split `FILE:25` into FILE and 25 Hz, `FILE:max` into FILE and as fast as possible. Any other colon belongs to the
+    name."""
     path, colon, last = where.rpartition(":")
     if not colon:
         return where, None

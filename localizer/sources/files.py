@@ -1,7 +1,7 @@
-"""SHELL: recorded pictures as a camera: a video file, or a folder of images that may still be growing.
+"""SHELL: recorded pictures: reading videos and folders, and playing them as a camera. A folder may still be growing.
 
-Paced, they behave like a live camera: a picture is exposed when it is due, and whoever is slow gets the newest, the rest is
-counted as dropped. As fast as possible (`max`), every picture comes and the stamps are one frame period apart.
+At a rate they behave like a live camera: a picture is exposed when it is due, a slow reader gets the newest, and the rest
+is counted as dropped. As fast as possible (`max`), every picture comes and the stamps are one frame period apart.
 """
 
 import math
@@ -15,12 +15,12 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.sources.base import SUFFIXES, Shot, as_bayer, silent_after_s
+from localizer.sources.base import SUFFIXES, CapturedFrame, as_bayer, silent_after_s
 from wire.process.runtime import SLICE_S, Clock, Stop, log
 from wire.toml_loader import ConfigError
 
-_POLL_NS = 10_000_000  # how often a folder is looked at for new images
-_SETTLED_NS = 100_000_000  # file systems stamp in steps of 4 ms (or more): a change this young may not be the last of its step
+_POLL_NS = 10_000_000  # ns between checks of a folder for new images
+_SETTLED_NS = 100_000_000  # ns; file systems stamp in steps of 4 ms or more, so a younger change may not be the last
 
 
 def sleep_until(clock: Clock, due_ns: int, stop: Stop) -> bool:
@@ -33,8 +33,8 @@ def sleep_until(clock: Clock, due_ns: int, stop: Stop) -> bool:
     return False
 
 
-class Pace:
-    """When pictures are due."""
+class FramePacer:
+    """Schedule of a recording's frames."""
 
     def __init__(self, clock: Clock, rate_hz: float, as_fast_as_possible: bool) -> None:
         self.period_ns = round(1e9 / rate_hz)
@@ -42,21 +42,53 @@ class Pace:
         self._next_ns: int | None = None
 
     def rest(self) -> None:
-        """There was nothing to show: what comes next is new, not late."""
+        """Note that there is nothing to show: the next picture is new, not late."""
         if not self._fast:
             self._next_ns = None
 
     def overdue(self) -> int:
-        """How many pictures to leave out, because a newer one is due already."""
+        """Number of pictures to skip, because a newer one is due already."""
         if self._fast or self._next_ns is None:
             return 0
         return max((self._clock.now_ns() - self._next_ns) // self.period_ns, 0)
 
     def release(self, left_out: int, stop: Stop) -> int | None:
-        """Wait until the picture after the ones left out is due; its instant. None if told to stop."""
+        """Wait until the picture after the skipped ones is due. Returns its instant, None if told to stop."""
         due_ns = self._clock.now_ns() if self._next_ns is None else self._next_ns + left_out * self.period_ns
         self._next_ns = due_ns + self.period_ns
         return due_ns if self._fast or sleep_until(self._clock, due_ns, stop) else None
+
+
+def open_video(path: Path) -> cv2.VideoCapture:
+    """A video file by OpenCV's FFmpeg. Raises ConfigError if it cannot be played."""
+    capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
+    if not path.is_file() or not capture.isOpened():
+        raise ConfigError(f"video {path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
+    return capture
+
+
+def video_frames(path: Path, limit: int | None = None) -> Iterator[Pixels]:
+    """The first `limit` frames of a video, or all, BGR (height, width, 3). Raises ConfigError if there are none."""
+    capture = open_video(path)
+    try:
+        count = 0
+        while (limit is None or count < limit) and (read := capture.read())[0]:
+            count += 1
+            yield np.asarray(read[1], dtype=np.uint8)
+        if count == 0:
+            raise ConfigError(f"video {path}: no frame can be read")
+    finally:
+        capture.release()
+
+
+def picture_files(folder: Path) -> list[Path]:
+    """The picture files of a folder in the order of their names, numbers inside names as numbers. Raises OSError."""
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES), key=_by_number)
+
+
+def _by_number(path: Path) -> tuple[tuple[int, int, str], ...]:
+    parts = re.split(r"(\d+)", path.name)
+    return tuple((1, int(part), part) if part.isdigit() else (0, 0, part) for part in parts)
 
 
 class VideoSource:
@@ -67,17 +99,15 @@ class VideoSource:
     def __init__(self, path: Path, rate_hz: float | None, clock: Clock, as_fast_as_possible: bool = False) -> None:
         """`rate_hz` None: the file's own. Raises ConfigError if the file cannot be played."""
         self._path, self._clock = path, clock
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG)
-        if not path.is_file() or not self._capture.isOpened():
-            raise ConfigError(f"video {path}: {'cannot be read as a video' if path.is_file() else 'no such file'}")
+        self._capture = open_video(path)
         own_hz = self._capture.get(cv2.CAP_PROP_FPS)
         if rate_hz is None and not 0.0 < own_hz < 1e4:
             raise ConfigError(f"video {path}: the file does not say its frame rate; give one, for example video:{path}:25")
-        self._pace = Pace(clock, rate_hz or own_hz, as_fast_as_possible)
+        self._pace = FramePacer(clock, rate_hz or own_hz, as_fast_as_possible)
         self._dropped = 0
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """See Source. Ends with the file."""
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        """See FrameSource. Ends with the file."""
         while not stop.requested:
             late = self._pace.overdue()
             for _ in range(late):
@@ -90,7 +120,7 @@ class VideoSource:
                 return
             due_ns = self._pace.release(late, stop)
             if due_ns is not None:
-                yield Shot(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
+                yield CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
     def close(self) -> None:
         """Close the file."""
@@ -98,9 +128,9 @@ class VideoSource:
 
 
 class FolderSource:
-    """Images of a folder in the order of their names (frame2 before frame10), then whatever is added or replaced.
+    """Images of a folder in the order of their names (frame2 before frame10), then the ones that are added or replaced.
 
-    Who adds pictures writes them under another name (`.part`) and renames them, so that none is read half written.
+    A writer adds pictures under another name (`.part`) and renames them, so that none is read half written.
     """
 
     def __init__(self, path: Path, rate_hz: float, clock: Clock, as_fast_as_possible: bool = False) -> None:
@@ -109,34 +139,34 @@ class FolderSource:
             raise ConfigError(f"folder {path}: no such folder")
         self.trouble, self.silent_after_s = "", silent_after_s(rate_hz)
         self._path, self._clock = path, clock
-        self._pace = Pace(clock, rate_hz, as_fast_as_possible)
+        self._pace = FramePacer(clock, rate_hz, as_fast_as_possible)
         self._shown: dict[str, int] = {}  # file name -> time of its last change
-        self._looked_at_ns: int | None = None  # time of the folder's last change, once everything of it was seen
+        self._listed_ns: int | None = None  # time of the folder's last change, once all of it was listed
         self._dropped = 0
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """See Source. Never ends by itself."""
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        """See FrameSource. Never ends by itself."""
         pending: list[Path] = []
         silent_since = time.monotonic()
         while not stop.requested:
             pending = pending or self._new()
-            shot = self._next(pending, stop) if pending else None
-            if shot is not None:
-                yield shot
+            captured = self._next(pending, stop) if pending else None
+            if captured is not None:
+                yield captured
             elif not pending:
                 self._pace.rest()
                 sleep_until(self._clock, self._clock.now_ns() + _POLL_NS, stop)
-            if shot is None and time.monotonic() - silent_since < self.silent_after_s:
+            if captured is None and time.monotonic() - silent_since < self.silent_after_s:
                 continue
-            if shot is None and not stop.requested:
+            if captured is None and not stop.requested:
                 yield None
             silent_since = time.monotonic()
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: no resource is held."""
 
-    def _next(self, pending: list[Path], stop: Stop) -> Shot | None:
-        """Take one picture from the front of `pending`, and those it overtakes; None if it is none, or told to stop."""
+    def _next(self, pending: list[Path], stop: Stop) -> CapturedFrame | None:
+        """Take one picture from the front of `pending`, and those it overtakes; None if it is unreadable, or told to stop."""
         late = min(self._pace.overdue(), len(pending) - 1)
         self._dropped += late
         path = pending[late]
@@ -145,7 +175,7 @@ class FolderSource:
         due_ns = self._pace.release(late, stop) if pixels is not None else None
         if pixels is None or due_ns is None:
             return None
-        return Shot(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
+        return CapturedFrame(pixels, due_ns, due_ns, self._clock.now_ns(), self._dropped)
 
     def _read(self, path: Path) -> Pixels | None:
         picture: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
@@ -159,20 +189,14 @@ class FolderSource:
         """Images not shown yet, in order. Cheap while the folder does not change."""
         try:
             changed_ns = self._path.stat().st_mtime_ns
-            if changed_ns == self._looked_at_ns:
+            if changed_ns == self._listed_ns:
                 return []
-            found = {p: p.stat().st_mtime_ns for p in self._path.iterdir() if p.suffix.lower() in SUFFIXES}
+            found = {path: path.stat().st_mtime_ns for path in picture_files(self._path)}
         except OSError as error:  # the folder, or a file of it, is being taken away
-            self.trouble, self._looked_at_ns = str(error), None
+            self.trouble, self._listed_ns = str(error), None
             return []
-        self._looked_at_ns = changed_ns if time.time_ns() - changed_ns > _SETTLED_NS else None
+        self._listed_ns = changed_ns if time.time_ns() - changed_ns > _SETTLED_NS else None
         new = [path for path, when_ns in found.items() if self._shown.get(path.name) != when_ns]
         self._shown = {path.name: when_ns for path, when_ns in found.items()}
         self.trouble = "" if new else f"nothing new in {self._path}"
-        return sorted(new, key=_natural)
-
-
-def _natural(path: Path) -> tuple[tuple[int, int, str], ...]:
-    """Sorts numbers inside names as numbers."""
-    parts = re.split(r"(\d+)", path.name)
-    return tuple((1, int(part), part) if part.isdigit() else (0, 0, part) for part in parts)
+        return new

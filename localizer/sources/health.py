@@ -1,4 +1,4 @@
-"""Is the camera alive and looking? Frozen, dark or wrongly sized pictures must never become poses."""
+"""Camera health: frozen, dark or wrongly sized frames, of which no poses may be made."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,13 +6,13 @@ from numpy.typing import NDArray
 from wire.messages.messages import CameraHealth
 
 # Every seventh pixel of every seventh row: odd, so all four Bayer colours are among them. 25,000 samples of a live picture
-# differ somewhere even if its noise moves only one pixel in a thousand; comparing exactly, noise can never look frozen.
+# differ somewhere even if noise changes only one pixel in a thousand.
 _STRIDE = 7
-_BLACK_LEVEL = 8.0  # mean of 255: a covered lens shows 0-4, a pool by emergency light more than 20
+_BLACK_LEVEL = 8.0  # grey levels, mean: a covered lens shows 0-4, a pool by emergency light more than 20
 
 
-class CameraWatch:
-    """Judges each picture by itself and against the one before."""
+class FrameHealthMonitor:
+    """Health of each frame, by itself and against the one before."""
 
     def __init__(self, size_px: tuple[int, int], frozen_frames: int) -> None:
         self._shape = (size_px[1], size_px[0])
@@ -22,11 +22,11 @@ class CameraWatch:
 
     @property
     def repeated(self) -> bool:
-        """The newest picture is the one before over again: it holds no news, whether frozen already or not."""
+        """True if the newest frame equals the one before: it holds no new information, frozen already or not."""
         return self._same > 1
 
-    def judge(self, frame: NDArray[np.uint8]) -> CameraHealth:
-        """The camera's state after this picture, (height, width) uint8. `frozen_frames` identical ones in a row are FROZEN."""
+    def assess(self, frame: NDArray[np.uint8]) -> CameraHealth:
+        """The camera's state after this frame, (height, width) uint8. `frozen_frames` identical ones in a row are FROZEN."""
         if frame.shape != self._shape or frame.dtype != np.uint8:
             self._last, self._same = None, 0
             return CameraHealth.WRONG_SIZE

@@ -1,13 +1,13 @@
 """SHELL: a camera at this machine, through Video4Linux.
 
-A thread of its own grabs every frame, so the driver's queue never ages; the newest one wins. OpenCV maps the time that the
-driver put on the buffer (V4L2's `timestamp`, seconds and microseconds of CLOCK_MONOTONIC) to CAP_PROP_POS_MSEC, valid from
-`grab` to the next `grab`; time.monotonic is the same clock. Drivers stamp the end of the frame's exposure or its start
+A thread grabs every frame, so the driver's queue never ages; the newest one wins. OpenCV maps the time that the driver put on
+the buffer (V4L2's `timestamp`, seconds and microseconds of CLOCK_MONOTONIC) to CAP_PROP_POS_MSEC, valid from `grab` to the
+next `grab`; time.monotonic is the same clock. Drivers stamp the end of the frame's exposure or its start
 (`camera.stamp_marks`); with UVC cameras it is the arrival of the first data, after the exposure. OpenCV does not tell which
-clock a driver used, so a stamp that cannot be true is not believed: the arrival counts, and `localizer latency` says so.
+clock a driver used. An impossible stamp is rejected: the arrival counts, and `localizer latency` reports it.
 
-Two buffers rather than one: with a single buffer the driver has none to fill while a frame is being decoded, and USB cameras
-deliver every other frame only.
+Two buffers rather than one: with a single buffer the driver has none to fill while a frame is being decoded, and USB
+cameras deliver every other frame only.
 """
 
 import os
@@ -20,27 +20,27 @@ from typing import Any, Literal, Protocol
 
 import cv2
 
-from localizer.sources.base import Shot, as_bayer, silent_after_s
-from localizer.sources.latest_value import Latest
+from localizer.sources.base import CapturedFrame, as_bayer, silent_after_s
+from localizer.sources.latest_value import LatestValue
 from wire.config.perception import Camera
 from wire.process.runtime import SLICE_S, Clock, Stop, guarded_thread, log
 from wire.toml_loader import ConfigError
 
 DEVICES = Path("/dev")
-RETRY_S = 1.0  # between attempts to open a camera that is gone
-OLDEST_STAMP_NS = 1_000_000_000  # a stamp farther in the past is of another clock
-LONGEST_EXPOSURE_S = 0.010  # a robot at 0.3 m/s smears over 3 mm in that time
+RETRY_S = 1.0  # s between attempts to open a camera that is gone
+OLDEST_STAMP_NS = 1_000_000_000  # ns, largest age of a stamp; an older one is of another clock
+LONGEST_EXPOSURE_S = 0.010  # s, for a warning: a robot at 0.3 m/s smears over 3 mm in that time
 JOIN_S = 3.0
-_SELECT_TIMEOUT_S = 2  # OpenCV's default lets a camera that hangs block the grabbing thread for 10 s
+_SELECT_TIMEOUT_S = 2  # s that a hanging camera may block the grabbing thread; OpenCV's default is 10 s
 _BUFFERS = 2
 _MANUAL_EXPOSURE = 1  # V4L2_EXPOSURE_MANUAL
 _EXPOSURE_UNIT_S = 1e-4  # V4L2_CID_EXPOSURE_ABSOLUTE counts in 100 us
-_TOLERANCE = 0.1  # of a setting: cameras round
+_TOLERANCE = 0.1  # relative, of a setting, as cameras round
 _MJPG = 0x47504A4D  # four-character code
 
 
 class Capture(Protocol):
-    """What is needed of cv2.VideoCapture."""
+    """The part of cv2.VideoCapture that is used."""
 
     def isOpened(self) -> bool: ...
     def set(self, propId: int, value: float, /) -> bool: ...
@@ -51,13 +51,13 @@ class Capture(Protocol):
 
 
 def open_capture(device: str) -> Capture:
-    """The device by OpenCV; whether it worked is `isOpened`."""
+    """The device by OpenCV; check `isOpened`."""
     os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", str(_SELECT_TIMEOUT_S))
     return cv2.VideoCapture(device, cv2.CAP_V4L2)
 
 
 def check_device(device: str, open_device: Callable[[str], Capture] = open_capture, folder: Path = DEVICES) -> None:
-    """Raises ConfigError, naming the devices that there are in `folder`, if the device cannot be opened as a camera now."""
+    """Raise ConfigError, naming the devices in `folder`, if the device cannot be opened as a camera now."""
     capture = open_device(device) if Path(device).exists() else None
     if capture is not None:
         opened = capture.isOpened()
@@ -72,16 +72,17 @@ def check_device(device: str, open_device: Callable[[str], Capture] = open_captu
 def middle_of_exposure_ns(
     driver_ns: int, arrived_ns: int, exposure_ns: int, marks: Literal["start", "end"]
 ) -> tuple[int, bool]:
-    """The middle of an exposure by the monotonic clock, and whether the driver's stamp could be used."""
+    """The middle of an exposure by the monotonic clock, and True if the driver's stamp could be used."""
     if not 0 < driver_ns <= arrived_ns <= driver_ns + OLDEST_STAMP_NS:
         return arrived_ns - exposure_ns // 2, False
     return (driver_ns + exposure_ns // 2 if marks == "start" else driver_ns - exposure_ns // 2), True
 
 
 def configure(capture: Capture, camera: Camera) -> list[str]:
-    """Size and rate first, as they restart the stream; then everything automatic off. Returns what the camera did not accept.
+    """Set size and rate first, as they restart the stream, then switch everything automatic off. Returns the settings that
+    the camera did not accept.
 
-    OpenCV has no way to V4L2_CID_AUTOGAIN: where a camera has that, `v4l2-ctl -c gain_automatic=0` switches it off.
+    OpenCV cannot set V4L2_CID_AUTOGAIN: if a camera has it, `v4l2-ctl -c gain_automatic=0` switches it off.
     """
     capture.set(cv2.CAP_PROP_BUFFERSIZE, _BUFFERS)
     wanted = [
@@ -108,7 +109,7 @@ def _set_all(capture: Capture, settings: Sequence[tuple[str, int, float]]) -> No
 
 
 class V4l2Source:
-    """A camera with everything automatic switched off. Unplugged and plugged in again, it carries on."""
+    """A camera with everything automatic switched off. It survives unplugging and plugging in."""
 
     def __init__(
         self,
@@ -122,23 +123,23 @@ class V4l2Source:
         self._device, self._camera, self._clock = device, camera, clock
         self._open, self._monotonic_ns = open_device, monotonic_ns
         self._exposure_ns = round(camera.exposure_s * 1e9)
-        self._newest: Latest[Shot] = Latest()
+        self._newest: LatestValue[CapturedFrame] = LatestValue()
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         if camera.exposure_s > LONGEST_EXPOSURE_S:
             log.warning("camera.exposure_s = %g: more than %g s smears moving robots", camera.exposure_s, LONGEST_EXPOSURE_S)
 
-    def shots(self, stop: Stop) -> Iterator[Shot | None]:
-        """See Source."""
+    def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
+        """See FrameSource."""
         # a daemon: `grab` on a camera that hangs returns late, and must not keep the process
         self._thread = guarded_thread(stop, "camera", self._keep_grabbing, daemon=True)
         self._thread.start()
         silent_since = time.monotonic()
         while not stop.requested:
             left_s = self.silent_after_s - (time.monotonic() - silent_since)
-            shot = self._newest.take(min(max(left_s, 0.0), SLICE_S))
-            if shot is not None:
-                yield replace(shot, dropped=self._newest.overtaken)
+            captured = self._newest.take(min(max(left_s, 0.0), SLICE_S))
+            if captured is not None:
+                yield replace(captured, dropped=self._newest.overtaken)
             elif left_s > 0.0:
                 continue
             elif not stop.requested:
@@ -157,46 +158,46 @@ class V4l2Source:
         while not self._closing.is_set():
             try:
                 self._attempt()
-            except Exception as error:  # a driver's surprise must cost one attempt, not the camera
-                self._tell(f"failed: {type(error).__name__}: {error}")
+            except Exception as error:  # an unexpected error of a driver costs one attempt, not the camera
+                self._report(f"failed: {type(error).__name__}: {error}")
             self._closing.wait(RETRY_S)
 
     def _attempt(self) -> None:
-        """Open the device and take its pictures until it fails, or is closed."""
+        """Open the device and take its frames until it fails, or is closed."""
         capture = self._open(self._device)
         try:
             if capture.isOpened():
                 self._configure(capture)
                 self._stream(capture)
             else:
-                self._tell("cannot be opened")
+                self._report("cannot be opened")
         finally:
             capture.release()
 
     def _stream(self, capture: Capture) -> None:
         while not self._closing.is_set():
             if not capture.grab():
-                self._tell("stopped delivering")
+                self._report("stopped delivering")
                 return
             arrived_ns = self._monotonic_ns()
             driver_ns = round(capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
             good, picture = capture.retrieve()
             pixels = as_bayer(picture) if good else None
             if pixels is None:
-                self._tell("delivers what is no 8-bit picture")
+                self._report("delivers what is no 8-bit picture")
                 continue
             if self.trouble:
                 self.trouble = ""
                 log.info("camera %s delivers", self._device)
-            self._newest.put(self._shot(pixels, driver_ns, arrived_ns))
+            self._newest.put(self._captured(pixels, driver_ns, arrived_ns))
 
-    def _shot(self, pixels: Any, driver_ns: int, arrived_ns: int) -> Shot:
+    def _captured(self, pixels: Any, driver_ns: int, arrived_ns: int) -> CapturedFrame:
         middle_ns, stamped = middle_of_exposure_ns(driver_ns, arrived_ns, self._exposure_ns, self._camera.stamp_marks)
         now_ns, now_monotonic_ns = self._clock.now_ns(), self._monotonic_ns()
         instant_ns = now_ns - (now_monotonic_ns - middle_ns)
-        return Shot(pixels, instant_ns, instant_ns, now_ns - (now_monotonic_ns - arrived_ns), stamped=stamped)
+        return CapturedFrame(pixels, instant_ns, instant_ns, now_ns - (now_monotonic_ns - arrived_ns), stamped=stamped)
 
-    def _tell(self, trouble: str) -> None:
+    def _report(self, trouble: str) -> None:
         said, self.trouble = self.trouble, f"{self._device} {trouble}"
         if said != self.trouble:
             log.error("camera %s; trying again", self.trouble)

@@ -1,5 +1,6 @@
-"""From what pictures show to where the robots are, over time.
+"""Tracking: from what frames show to robots' poses over time.
 
-fleet_localizer.py leads a frame through: expected place (kalman.py), observation (observation.py), rules for what may change
-the belief (robot_track.py), pose with covariance (tilt.py). camera_pose.py finds a moving camera from landmarks.
+fleet_localizer.py leads a frame through: predicted view (kalman.py, observation.py), marker or appearance match
+(appearance.py), the rules for what may change a track (robot_track.py), tilt (tilt.py), pose with covariance.
+camera_pose.py finds a moving camera from landmarks; single_object.py follows one object in uncalibrated video.
 """

@@ -1,11 +1,10 @@
-"""The pose of a camera that moves, found anew in every picture from markers whose places are known.
+"""The pose of a moving camera, estimated in every frame from landmarks: markers at known places of the pool.
 
-    last pose -> where each landmark must appear -> read it there -> fit the pose to all corners -> gates -> mapping
+    last pose -> predicted place of each landmark -> read it there -> fit the pose to all corners -> gates -> mapping
 
-Landmarks under water are seen through the surface like everything else: the fit goes through the exact mapping of
-camera_model.py. Corners found are weighted by how well they agree (Cauchy), and a landmark that disagrees with the rest -
-moved by a foot, misread - does not count. With fewer than LANDMARKS_NEEDED that agree the mapping stays as it was and grows
-stale.
+Landmarks under water are seen through the surface like everything else: the fit uses the exact mapping of camera_model.py.
+Corners are weighted by their residual (Cauchy). A landmark that disagrees with the rest, because it was moved or misread,
+does not count. With fewer than LANDMARKS_NEEDED that agree the mapping stays unchanged and grows stale.
 """
 
 from collections.abc import Sequence
@@ -14,60 +13,60 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from localizer.camera_model import PoolView, Tangent
+from localizer.camera_model import LocalLinearization, RefractiveCamera
 from localizer.detection.fiducials import find_markers, marker_detector, square
 from localizer.detection.image_regions import Pixels, cut, whole
 from wire.config.perception import LANDMARKS_NEEDED, Camera, Landmark
 from wire.frames import Array, body_to_pool
 
-STALE_AFTER_S = 0.3  # a pose this old says nothing of where robots are
-_MARGIN_PX = 30.0  # around where a landmark is expected: a drone moves by 3 px a frame, a gust by ten
-_SCAN_EVERY = 4  # frames, while the pose is not known: a whole picture costs 15 ms
-_AGREES_PX = 2.0  # RMS of a landmark's four corners; ripples over 1 m of water move them by 0.3 px
-_WEIGHT_PX = 0.7  # Cauchy's scale
-_LEAST_SPREAD_PX = 0.1  # of landmarks, one standard deviation: few of them may agree better by chance
-_ROUNDS = 20  # of Gauss-Newton; four from the last frame's pose, seven from the experiment's
-_SETTLED = 1e-5  # m and rad: a hundredth of a pixel
-_SAME_SLOPES = 0.02  # m and rad: after a move smaller than this the corners' derivatives are still good enough
-_STEP = 1e-4  # m and rad, of differences; below 1e-5 rad OpenCV's Rodrigues sees no turn at all
-# How an unseen camera may wander: a drone that sways by 0.25 m and tilts by 3 deg every 9 s, as it moves what it sees.
+STALE_AFTER_S = 0.3  # s; with an older pose no robot is measured
+_MARGIN_PX = 30.0  # px around the predicted place of a landmark: a drone moves it by 3 px a frame, a gust by ten
+_SCAN_EVERY = 4  # frames between scans of the whole picture (15 ms each) while the pose is not known
+_AGREES_PX = 2.0  # px, RMS of a landmark's four corners; ripples over 1 m of water move them by 0.3 px
+_WEIGHT_PX = 0.7  # px, scale of the Cauchy weights
+_LEAST_SPREAD_PX = 0.1  # px, least standard deviation of landmarks: a few may agree better by chance
+_ROUNDS = 20  # most Gauss-Newton iterations; it takes four from the last frame's pose, seven from the experiment's
+_SETTLED = 1e-5  # m and rad, step at which the iteration ends: a hundredth of a pixel
+_SAME_SLOPES = 0.02  # m and rad; after a smaller step the derivatives of the corners are kept
+_STEP = 1e-4  # m and rad, step of the differences; below 1e-5 rad OpenCV's Rodrigues returns no rotation
+# Drift of the pose while landmarks are not seen, from a drone that sways by 0.25 m and tilts by 3 deg every 9 s.
 _DRIFT_MPS, _DRIFT_RADPS = 0.2, 0.05
 
 
 @dataclass(frozen=True)
-class Pose:
-    """A camera's pose, and the covariance (6, 6) of its place [m] and of a small turn in its own frame [rad]."""
+class CameraPoseEstimate:
+    """A camera's pose, and the covariance (6, 6) of its position [m] and of a small rotation in its own frame [rad]."""
 
     camera: Camera
     covariance: Array
 
 
-class StillCamera:
-    """A camera that hangs where the experiment says."""
+class FixedCameraPose:
+    """The pose of a camera that is fixed, as the experiment gives it."""
 
     fresh = usable = True
     trouble = ""
 
     def __init__(self, camera: Camera) -> None:
-        self.view = PoolView(camera)
+        self.view = RefractiveCamera(camera)
 
-    def wait(self, elapsed_s: float) -> None:
-        """Time changes nothing."""
+    def advance(self, elapsed_s: float) -> None:
+        """Do nothing: the pose does not depend on time."""
 
-    def look(self, frame: Pixels) -> None:
-        """Pictures change nothing."""
+    def update(self, frame: Pixels) -> None:
+        """Do nothing: the pose does not depend on the picture."""
 
-    def uncertainty(self, tangents: Sequence[Tangent], depths_m: Sequence[float]) -> Array:
-        """A calibration's error is the same in every picture: none."""
+    def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
+        """Zero covariances (n, 3, 3): a calibration error is the same in every frame, and no noise."""
         return np.zeros((len(tangents), 3, 3))
 
 
-class LandmarkCamera:
-    """Follows the camera. `view` is the newest mapping; until a first pose was found it is the experiment's guess."""
+class CameraPoseTracker:
+    """Tracker of a moving camera's pose. `view` is the newest mapping; before the first fit it is the experiment's guess."""
 
     def __init__(self, camera: Camera, landmarks: Sequence[Landmark]) -> None:
-        self.view = PoolView(camera)
-        self._pose = Pose(camera, np.zeros((6, 6)))
+        self.view = RefractiveCamera(camera)
+        self._pose = CameraPoseEstimate(camera, np.zeros((6, 6)))
         self._corners = np.array([_corners(landmark) for landmark in landmarks])  # (landmarks, 4, 3)
         self._index = {landmark.id: i for i, landmark in enumerate(landmarks)}
         self._detector = marker_detector()
@@ -77,28 +76,28 @@ class LandmarkCamera:
 
     @property
     def fresh(self) -> bool:
-        """The pose is this frame's."""
+        """True if the pose is of this frame."""
         return self._age_s == 0.0
 
     @property
     def usable(self) -> bool:
-        """The pose is young enough to measure with."""
+        """True if the pose is young enough to measure with."""
         return bool(self._age_s <= STALE_AFTER_S)
 
     @property
     def trouble(self) -> str:
-        """For the operator; empty when all is well."""
+        """The reason for an unknown pose, for the operator; empty when it is known."""
         if self._agreeing >= LANDMARKS_NEEDED:
             return ""
         age = f" for {self._age_s:.1f} s" if np.isfinite(self._age_s) else ""
         return f"camera's pose unknown{age}: {self._agreeing} of {LANDMARKS_NEEDED} landmarks in view"
 
-    def wait(self, elapsed_s: float) -> None:
-        """Time has passed since the last picture."""
+    def advance(self, elapsed_s: float) -> None:
+        """Age the pose by the time since the last picture."""
         self._age_s += elapsed_s
 
-    def look(self, frame: Pixels) -> None:
-        """Find the pose in a picture (height, width)."""
+    def update(self, frame: Pixels) -> None:
+        """Estimate the pose from a picture (height, width)."""
         self._frames += 1
         found = self._read(frame)
         if found is None:
@@ -112,31 +111,31 @@ class LandmarkCamera:
         self._agreeing = int(np.sum(agrees))
         if self._agreeing < LANDMARKS_NEEDED or fitted.camera.position_m[2] >= 0.0:
             return
-        self._pose, self.view, self._age_s = fitted, PoolView(fitted.camera), 0.0
+        self._pose, self.view, self._age_s = fitted, RefractiveCamera(fitted.camera), 0.0
 
-    def uncertainty(self, tangents: Sequence[Tangent], depths_m: Sequence[float]) -> Array:
-        """What the pose's error does to [x, y, yaw] measured at some places: covariances (n, 3, 3)."""
+    def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
+        """Covariances (n, 3, 3) of [x, y, yaw] measured at some places, due to the error of the camera's pose."""
         if not tangents:
             return np.zeros((0, 3, 3))
         pixels, depths = np.array([tangent.pixel for tangent in tangents]), np.array(depths_m)
         moved = np.zeros((len(tangents), 3, 6))
-        here = self.view.pool(pixels, depths)
+        here = self.view.pixel_to_pool(pixels, depths)
         for k, step in enumerate(_STEP * np.eye(6)):
-            moved[:, :2, k] = (PoolView(_moved(self._pose.camera, step)).pool(pixels, depths) - here) / _STEP
+            moved[:, :2, k] = (RefractiveCamera(_moved(self._pose.camera, step)).pixel_to_pool(pixels, depths) - here) / _STEP
         moved[:, 2, 3:] = -self.view.down  # a camera turned about the vertical sees every heading turned back
         drift = (self._age_s * np.array([_DRIFT_MPS, _DRIFT_MPS, _DRIFT_RADPS])) ** 2
         return np.asarray(moved @ self._pose.covariance @ np.swapaxes(moved, 1, 2) + np.diag(drift))
 
     def _read(self, frame: Pixels) -> dict[int, Array] | None:
-        """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None where it is not worth looking."""
+        """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None in frames without an attempt."""
         if not self.usable:
             return self._pick(frame, scan=True) if self._frames % _SCAN_EVERY == 1 else None
         found = self._pick(frame, scan=False)
         return found if len(found) >= LANDMARKS_NEEDED else self._pick(frame, scan=True)
 
     def _pick(self, frame: Pixels, scan: bool) -> dict[int, Array]:
-        expected = self.view.pixel(self._corners.mean(axis=1))
-        reach = np.linalg.norm(self.view.pixel(self._corners) - expected[:, None], axis=2).max(axis=1) + _MARGIN_PX
+        expected = self.view.pool_to_pixel(self._corners.mean(axis=1))
+        reach = np.linalg.norm(self.view.pool_to_pixel(self._corners) - expected[:, None], axis=2).max(axis=1) + _MARGIN_PX
         regions = [whole(frame)] if scan else [cut(frame, *place) for place in zip(expected, reach, strict=True)]
         images = [image for region in regions if region is not None for image in find_markers(self._detector, region)]
         found = {self._index[image.id]: image.corners_px for image in images if image.id in self._index}
@@ -150,26 +149,26 @@ def _corners(landmark: Landmark) -> Array:
 
 
 def _moved(camera: Camera, step: Array) -> Camera:
-    """The camera moved by `step` (6,): its place in the pool frame, and a small turn in its own."""
+    """The camera moved by `step` (6,): a displacement in the pool frame, and a small rotation in the camera's own."""
     turn = np.asarray(cv2.Rodrigues(step[3:])[0]) @ np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0])
     position = np.array(camera.position_m) + step[:3]
     rotation = np.asarray(cv2.Rodrigues(turn)[0]).ravel()
     return camera.model_copy(update={"position_m": tuple(position.tolist()), "rotation_rad": tuple(rotation.tolist())})
 
 
-def _fit(camera: Camera, places: Array, pixels: Array) -> tuple[Pose, Array]:
-    """The pose, starting at `camera`, that puts corners (n, 4, 3) where they were found (n, 4, 2); residuals (n, 4, 2) px.
+def _fit(camera: Camera, places: Array, pixels: Array) -> tuple[CameraPoseEstimate, Array]:
+    """Fit the pose, starting at `camera`, to corners (n, 4, 3) that were found at pixels (n, 4, 2); also the residuals (n, 4,
+    2) px.
 
-    The four corners of a landmark are moved together by the ripples above it, so that each landmark counts as one point
-    when it comes to how sure the pose is.
+    Ripples move the four corners of a landmark together, so each landmark counts as one point in the covariance.
     """
     slope, move = np.empty((*pixels.shape, 6)), np.full(6, np.inf)
     for _ in range(_ROUNDS):
-        seen = PoolView(camera).pixel(places)
+        measurement = RefractiveCamera(camera).pool_to_pixel(places)
         if np.max(np.abs(move)) > _SAME_SLOPES:
             for k, step in enumerate(_STEP * np.eye(6)):
-                slope[..., k] = (PoolView(_moved(camera, step)).pixel(places) - seen) / _STEP
-        residuals = pixels - seen
+                slope[..., k] = (RefractiveCamera(_moved(camera, step)).pool_to_pixel(places) - measurement) / _STEP
+        residuals = pixels - measurement
         weight = 1.0 / (1.0 + np.sum(residuals**2, axis=2) / _WEIGHT_PX**2)
         weighted = slope * weight[..., None, None]
         normal = np.tensordot(weighted, slope, axes=((0, 1, 2), (0, 1, 2)))
@@ -177,8 +176,8 @@ def _fit(camera: Camera, places: Array, pixels: Array) -> tuple[Pose, Array]:
         camera = _moved(camera, move)
         if np.max(np.abs(move)) < _SETTLED:
             break
-    shifts = residuals.mean(axis=1)  # of whole landmarks: that corners are found 0.3 px inside all around shifts nothing
+    shifts = residuals.mean(axis=1)  # of whole landmarks; corners are all found 0.3 px inside, which cancels
     trust = weight.mean(axis=1)
     variance = np.sum(trust[:, None] * shifts**2) / (2.0 * np.sum(trust)) * len(places) / max(len(places) - 3, 1)
     covariance = 4.0 * max(variance, _LEAST_SPREAD_PX**2) * np.linalg.inv(normal)
-    return Pose(camera, covariance), residuals
+    return CameraPoseEstimate(camera, covariance), residuals

@@ -1,7 +1,7 @@
-"""Constant-velocity Kalman filter of one robot in the pool frame: where to look next, and how wide.
+"""Constant-velocity Kalman filter of one robot in the pool frame: predicts the next view and its size, gates measurements.
 
-It predicts, gates and bridges gaps; it does not smooth what is published. The agent runs an observer with a model of the
-robot and its inputs; a second filter before it would only add lag and coloured noise.
+It predicts, gates and bridges gaps. It does not smooth the published poses: the agent runs an observer with a model of the
+robot and its inputs, and a second filter before it would only add lag and coloured noise.
 """
 
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ import numpy as np
 
 from wire.frames import Array, wrap
 
-# Standard deviations of acceleration: about twice what the thrusters can do (6 N on 12 kg, 0.5 N m on 0.12 kg m^2), so that
-# a push by hand or by a neighbour stays inside the gates.
+# Standard deviations of acceleration: about twice the thrusters' maximum (6 N on 12 kg, 0.5 N m on 0.12 kg m^2), so that a
+# push by hand or by a neighbour stays inside the gates.
 _ACCELERATION_MPS2 = 1.0
 _YAW_ACCELERATION_RADPS2 = 6.0
 _START_SPEED_MPS = 0.3
@@ -21,7 +21,7 @@ GATE = 25.0  # squared Mahalanobis distance of x, y, yaw: 1.5e-5 of good measure
 
 
 @dataclass(frozen=True)
-class Motion:
+class KalmanState:
     """Mean (6,) = [x, y, yaw, and their rates in the pool frame] and covariance (6, 6)."""
 
     mean: Array
@@ -29,7 +29,7 @@ class Motion:
 
     @property
     def position_m(self) -> Array:
-        """Shape (2,)."""
+        """Position (2,)."""
         return self.mean[:2]
 
     @property
@@ -39,29 +39,30 @@ class Motion:
 
     @property
     def position_sigma_m(self) -> float:
-        """Standard deviation along the worse axis, at most."""
+        """Upper bound of the standard deviation along the worse axis."""
         return float(np.sqrt(self.covariance[0, 0] + self.covariance[1, 1]))
 
 
-def begin(pose: Array, covariance: Array) -> Motion:
-    """From a first measured pose [x, y, yaw] and its covariance (3, 3); speed unknown."""
+def initial_state(pose: Array, covariance: Array) -> KalmanState:
+    """State from a first measured pose [x, y, yaw] and its covariance (3, 3); the velocity is unknown."""
     start = np.zeros((6, 6))
     start[:3, :3] = covariance
     start[[3, 4, 5], [3, 4, 5]] = np.array([_START_SPEED_MPS, _START_SPEED_MPS, _START_YAW_RATE_RADPS]) ** 2
-    return Motion(np.concatenate([pose, np.zeros(3)]), start)
+    return KalmanState(np.concatenate([pose, np.zeros(3)]), start)
 
 
-def predict(motion: Motion, step_s: float) -> Motion:
-    """Move on by `step_s`; the unknown acceleration is constant over the step and independent of the last one's."""
+def predict(motion: KalmanState, step_s: float) -> KalmanState:
+    """Predict the state by `step_s`, with a random acceleration that is constant over the step and independent of the last
+    one."""
     transition, noise = _model(step_s)
     mean = transition @ motion.mean
     mean[2] = wrap(float(mean[2]))
-    return Motion(mean, transition @ motion.covariance @ transition.T + noise)
+    return KalmanState(mean, transition @ motion.covariance @ transition.T + noise)
 
 
 @lru_cache(maxsize=16)  # cameras keep their periods, and robots share them
 def _model(step_s: float) -> tuple[Array, Array]:
-    """Transition of the state and covariance of what is unknown, (6, 6) each, over a step."""
+    """Transition matrix and process noise, (6, 6) each, of a step."""
     transition = np.eye(6)
     transition[[0, 1, 2], [3, 4, 5]] = step_s
     sigma = np.array([_ACCELERATION_MPS2, _ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2])
@@ -69,29 +70,30 @@ def _model(step_s: float) -> tuple[Array, Array]:
     return transition, gain @ gain.T
 
 
-def innovation(motion: Motion, pose: Array) -> Array:
+def innovation(motion: KalmanState, pose: Array) -> Array:
     """Measured minus predicted [x, y, yaw], yaw wrapped."""
     difference = pose - motion.mean[:3]
     difference[2] = wrap(float(difference[2]))
     return np.asarray(difference)
 
 
-def surprise(motion: Motion, pose: Array, covariance: Array) -> float:
+def mahalanobis_squared(motion: KalmanState, pose: Array, covariance: Array) -> float:
     """Squared Mahalanobis distance of a measured pose from the prediction; compare with GATE."""
     difference = innovation(motion, pose)
     return float(difference @ np.linalg.solve(motion.covariance[:3, :3] + covariance, difference))
 
 
-def update(motion: Motion, pose: Array, covariance: Array) -> Motion:
-    """Take in a measured pose [x, y, yaw] with covariance (3, 3). Joseph's form keeps the covariance symmetric, positive."""
+def update(motion: KalmanState, pose: Array, covariance: Array) -> KalmanState:
+    """Update with a measured pose [x, y, yaw] of covariance (3, 3). Joseph's form keeps the covariance symmetric and
+    positive."""
     gain = np.linalg.solve(motion.covariance[:3, :3] + covariance, motion.covariance[:3, :]).T
     mean = motion.mean + gain @ innovation(motion, pose)
     mean[2] = wrap(float(mean[2]))
     keep = np.eye(6)
     keep[:, :3] -= gain
-    return Motion(mean, keep @ motion.covariance @ keep.T + gain @ covariance @ gain.T)
+    return KalmanState(mean, keep @ motion.covariance @ keep.T + gain @ covariance @ gain.T)
 
 
-def rest(motion: Motion) -> Motion:
-    """The same place, standing still, nothing known of its speed: what is left when a robot was lost."""
-    return begin(motion.mean[:3].copy(), motion.covariance[:3, :3])
+def stopped(motion: KalmanState) -> KalmanState:
+    """The same position at rest, with unknown velocity: the state of a robot that was lost."""
+    return initial_state(motion.mean[:3].copy(), motion.covariance[:3, :3])

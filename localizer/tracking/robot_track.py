@@ -1,11 +1,12 @@
-"""One robot's track: what is believed of it, and the rules by which sightings change that belief. Pure.
+"""One robot's track: the belief about it, and the rules by which measurements change that belief. Pure.
 
-States, worst to best: LOST, COAST (predicted only), KCF (its look was found), MARKER (its marker was read). Identity is
-verified by markers, and doubted from the moment two robots nearly touch, or a marker contradicts the track: a correlation
-cannot tell two identical robots apart.
+States, worst to best: LOST, COAST (predicted only), KCF (its appearance was matched), MARKER (its marker was read). Identity
+is verified by markers. It is in doubt from the moment two robots nearly touch, or a marker contradicts the track: a
+correlation cannot tell two identical robots apart.
 
-Of a verified track a marker is believed at once where the robot can be. Everywhere else (a robot never seen, lost, doubted or
-contradicted) one reading is a claim: only a second one that agrees with it in place and heading is believed, and verifies.
+A marker is accepted at once for a verified track, where the robot can be. Everywhere else (a robot never seen, lost, doubted
+or contradicted) one reading is a claim: only a second one that agrees with it in position and heading is accepted, and
+verifies.
 
     track before        marker read           in this frame                        next agreeing one
     verified, followed  where it can be       MARKER, verified                     -
@@ -13,6 +14,26 @@ contradicted) one reading is a claim: only a second one that agrees with it in p
     doubted, followed   where it can be       MARKER, not verified; claim kept     MARKER, verified
     doubted, followed   elsewhere             coasts; the claim is kept            MARKER there, verified
     lost or never seen  anywhere              lost as before; the claim is kept    MARKER there, verified
+
+fleet_localizer.py calls the updates of a frame in this order. A field written in one row is final unless a later row names
+it.
+
+    call               condition                                  writes                          does nothing if
+    predicted          always                                     state estimate, age; clears     -
+                                                                  measured, refuted; ages claim
+    with_marker        its marker was read                        measured, state MARKER,         the measurement is not finite
+                                                                  verified, claim; or as
+                                                                  contradicted, with a claim
+    contradicted       another robot's marker was read here       refuted; verified = False       -
+    with_match         its appearance was matched                 peak; measured, state KCF       for all but peak: measured or
+                                                                                                  refuted in this frame, or
+                                                                                                  outside the gate
+    identity_doubted   another robot is believed close            verified = False                state is MARKER
+    end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
+                                                                  verified = False
+
+`identity_doubted` spares the state MARKER, also one of an earlier frame: until `end_of_frame` turns it into COAST a missed
+reading is no doubt.
 """
 
 from collections.abc import Sequence
@@ -20,20 +41,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from localizer.tracking.kalman import GATE, Motion, begin, predict, rest, surprise, update
-from localizer.tracking.observation import Measurement
+from localizer.tracking.kalman import GATE, KalmanState, initial_state, mahalanobis_squared, predict, stopped, update
+from localizer.tracking.observation import PoseMeasurement
 from wire.frames import Array, wrap
 from wire.messages.messages import Pose, Track
 
-_REGAIN_PEAK = 0.5  # a lost robot's look must fit better than a followed one's: nothing else says that it is there
+_REGAIN_PEAK = 0.5  # least correlation peak that regains a lost robot; higher than for a followed one, which has a prediction
 _JUMP_SIGMAS = 3.0
-# A claim that is not confirmed by then is forgotten: a marker is read ten times in that time, or is covered. A slow camera, or
-# a computer that is held up, has some pictures to confirm it in.
+# A claim is dropped when both limits have passed without a second reading. A visible marker is read ten times in 0.5 s; the
+# number of pictures leaves time to a slow camera or a busy computer.
 _CLAIM_S, _CLAIM_PICTURES = 0.5, 3
-# Two readings agree within the errors of a reading, and what a robot can do between them (its limits are 0.48 m/s, 1.9 rad/s).
+# Two readings agree within the error of a reading and the robot's motion in between (its limits are 0.48 m/s, 1.9 rad/s).
 _AGREES_M, _AGREES_RAD = 0.03, 0.2
 _FASTEST_MPS, _FASTEST_RADPS = 0.6, 2.5
-_PLACED_SIGMA = np.array([0.05, 0.05, 0.1])  # m, m, rad: how well people put a robot on its start
+_PLACED_SIGMA = np.array([0.05, 0.05, 0.1])  # m, m, rad, of robots placed by hand
 
 
 @dataclass(frozen=True)
@@ -44,13 +65,13 @@ class Claim:
     age_s: float = 0.0
     pictures: int = 0
 
-    def advanced(self, step_s: float) -> "Claim | None":
-        """At the next picture; None when it is too old."""
+    def predicted(self, step_s: float) -> "Claim | None":
+        """The claim at the next picture; None when it is too old."""
         older = replace(self, age_s=self.age_s + step_s, pictures=self.pictures + 1)
         return None if older.age_s > _CLAIM_S and older.pictures > _CLAIM_PICTURES else older
 
     def agrees(self, pose: Array) -> bool:
-        """Whether another reading, now, is of the same robot."""
+        """True if another reading, now, can be of the same robot."""
         moved_m = float(np.linalg.norm(pose[:2] - self.pose[:2]))
         turned_rad = abs(wrap(float(pose[2] - self.pose[2])))
         near = moved_m <= _AGREES_M + _FASTEST_MPS * self.age_s
@@ -59,105 +80,113 @@ class Claim:
 
 @dataclass(frozen=True)
 class RobotTrack:
-    """The belief. `motion` is None until the robot was first believed to be seen. `measured` and `refuted` are about this
-    frame only. `claim` is a marker's reading that is not believed yet."""
+    """The belief about one robot. `motion` is None until the robot was first accepted as seen. `measured` and `refuted`
+    concern this frame only. `claim` is a marker's reading that is not accepted yet."""
 
-    motion: Motion | None = None
+    motion: KalmanState | None = None
     state: Track = Track.LOST
     verified: bool = False
     unseen_s: float = 0.0
-    measured: Measurement | None = None
+    measured: PoseMeasurement | None = None
     refuted: bool = False
     peak: float = 0.0
     claim: Claim | None = None
 
     @classmethod
-    def placed(cls, pose: Array) -> "RobotTrack":
-        """Without markers: taken to be where the experiment says it starts, [x, y, yaw]; whoever put it there vouches."""
-        return cls(motion=begin(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True)
+    def at_start(cls, pose: Array) -> "RobotTrack":
+        """A track without markers: the robot is taken to be at [x, y, yaw], where the experiment starts it, and verified."""
+        return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True)
 
-    def advanced(self, step_s: float) -> "RobotTrack":
-        """Predicted to the next exposure. A lost robot stays where it was last believed."""
+    def predicted(self, step_s: float) -> "RobotTrack":
+        """The track at the next exposure. A lost robot stays where it was last believed."""
         moving = self.motion is not None and self.state is not Track.LOST
         motion = predict(self.motion, step_s) if self.motion is not None and moving else self.motion
-        claim = None if self.claim is None else self.claim.advanced(step_s)
+        claim = None if self.claim is None else self.claim.predicted(step_s)
         return replace(self, motion=motion, unseen_s=self.unseen_s + step_s, measured=None, refuted=False, claim=claim)
 
-    def read(self, seen: Measurement, jump_m: float) -> "RobotTrack":
-        """Its marker was read; the table above says what follows. Farther than `jump_m` from where a followed track can be,
-        the reading contradicts it. Nearer, the marker is right whatever the prediction was (a push, a stamp off by a frame):
-        only the speed is forgotten."""
-        if not seen.finite:
-            return self
-        agreed = self.claim is not None and self.claim.agrees(seen.pose)
-        if self._can_be_at(seen.pose, jump_m):
-            assert self.motion is not None
-            sure = self.verified or agreed
-            anew = surprise(self.motion, seen.pose, seen.covariance) > GATE
-            claim = None if sure else Claim(seen.pose)
-            return replace(self._taken(seen, anew), state=Track.MARKER, verified=sure, claim=claim)
-        if agreed:
-            return replace(self._taken(seen, anew=True), state=Track.MARKER, verified=True, claim=None)
-        return replace(self.contradicted(), claim=Claim(seen.pose))
+    def with_marker(self, measurement: PoseMeasurement, jump_m: float) -> "RobotTrack":
+        """The track after its marker was read, as in the table above.
 
-    def _can_be_at(self, pose: Array, jump_m: float) -> bool:
+        A reading farther than `jump_m` from where a followed track can be contradicts it. A nearer one is right whatever
+        the prediction was (a push, a stamp off by a frame): outside the gate only the velocity is reset.
+        """
+        if not measurement.finite:
+            return self
+        agreed = self.claim is not None and self.claim.agrees(measurement.pose)
+        if self._is_reachable(measurement.pose, jump_m):
+            assert self.motion is not None
+            verified_now = self.verified or agreed
+            restart = mahalanobis_squared(self.motion, measurement.pose, measurement.covariance) > GATE
+            claim = None if verified_now else Claim(measurement.pose)
+            return replace(self._updated(measurement, restart), state=Track.MARKER, verified=verified_now, claim=claim)
+        if agreed:
+            return replace(self._updated(measurement, restart=True), state=Track.MARKER, verified=True, claim=None)
+        return replace(self.contradicted(), claim=Claim(measurement.pose))
+
+    def _is_reachable(self, pose: Array, jump_m: float) -> bool:
         if self.motion is None or self.state is Track.LOST:
             return False
         moved_m = float(np.linalg.norm(pose[:2] - self.motion.position_m))
         return moved_m <= jump_m + _JUMP_SIGMAS * self.motion.position_sigma_m
 
     def contradicted(self) -> "RobotTrack":
-        """A marker says that this robot is not where it is believed: in this frame nothing else counts."""
+        """The track after another marker ruled its position out: nothing else counts in this frame."""
         return replace(self, verified=False, refuted=True)
 
-    def found(self, seen: Measurement, least_peak: float) -> "RobotTrack":
-        """Its look was found again: a measurement, unless a marker spoke, if it fits well enough where the robot can be."""
-        if not seen.finite:
+    def with_match(self, measurement: PoseMeasurement, least_peak: float) -> "RobotTrack":
+        """The track after its appearance was matched: a measurement if no marker was read, the peak suffices and the gate
+        holds."""
+        if not measurement.finite:
             return self
-        looked = replace(self, peak=seen.peak)
+        matched = replace(self, peak=measurement.peak)
         if self.motion is None or self.measured is not None or self.refuted:
-            return looked
+            return matched
         lost = self.state is Track.LOST
         enough = max(least_peak, _REGAIN_PEAK) if lost else least_peak
-        if seen.peak <= enough or (not lost and surprise(self.motion, seen.pose, seen.covariance) > GATE):
-            return looked
-        return replace(looked._taken(seen, anew=lost), state=Track.KCF)
+        if measurement.peak <= enough or (
+            not lost and mahalanobis_squared(self.motion, measurement.pose, measurement.covariance) > GATE
+        ):
+            return matched
+        return replace(matched._updated(measurement, restart=lost), state=Track.KCF)
 
-    def doubted(self) -> "RobotTrack":
-        """Another robot nearly touches this one: doubted, but for a marker that is read in this very frame."""
+    def identity_doubted(self) -> "RobotTrack":
+        """The track when another robot nearly touches it: not verified, unless its state is MARKER."""
         return self if self.state is Track.MARKER else replace(self, verified=False)
 
-    def settled(self, lost_after_s: float) -> "RobotTrack":
-        """End of the frame: without a measurement it coasts, and after `lost_after_s` of that it is lost."""
+    def end_of_frame(self, lost_after_s: float) -> "RobotTrack":
+        """The track after all updates: without a measurement it coasts, and after `lost_after_s` of that it is lost."""
         if self.motion is None or self.measured is not None or self.state is Track.LOST:
             return self
         if self.unseen_s > lost_after_s:
-            return replace(self, motion=rest(self.motion), state=Track.LOST, verified=False)
+            return replace(self, motion=stopped(self.motion), state=Track.LOST, verified=False)
         return replace(self, state=Track.COAST)
 
-    def message(self, depth_m: float, lean: Array) -> Pose | None:
-        """What is published, None before the first sighting: the bare measurement with its own covariance, which adds no
-        lag and leaves the errors white for the agent's observer. Only gaps are filled by prediction. `lean` (3, 3) is added:
-        what the track follows is the plate, what is published is the robot's centre."""
+    def message(self, depth_m: float, tilt_covariance: Array) -> Pose | None:
+        """The pose to publish, None before the first accepted measurement.
+
+        It is the bare measurement with its own covariance, which adds no lag and leaves errors white for the agent's
+        observer. Only gaps are filled by prediction. `tilt_covariance` (3, 3) is added, as the track follows the
+        plate and the pose is the robot's centre.
+        """
         if self.motion is None:
             return None
         pose, covariance = self.motion.mean[:3], self.motion.covariance[:3, :3]
         if self.measured is not None:
             pose, covariance = self.measured.pose, self.measured.covariance
         return Pose(
-            x_m=float(pose[0]), y_m=float(pose[1]), yaw_rad=wrap(float(pose[2])), covariance=covariance + lean,
+            x_m=float(pose[0]), y_m=float(pose[1]), yaw_rad=wrap(float(pose[2])), covariance=covariance + tilt_covariance,
             track=self.state, identity_verified=self.verified, peak=self.peak, depth_m=depth_m,
         )  # fmt: skip
 
-    def _taken(self, seen: Measurement, anew: bool) -> "RobotTrack":
-        if anew or self.motion is None:
-            motion = begin(seen.pose, seen.covariance)
+    def _updated(self, measurement: PoseMeasurement, restart: bool) -> "RobotTrack":
+        if restart or self.motion is None:
+            motion = initial_state(measurement.pose, measurement.covariance)
         else:
-            motion = update(self.motion, seen.pose, seen.covariance)
-        return replace(self, motion=motion, unseen_s=0.0, measured=seen)
+            motion = update(self.motion, measurement.pose, measurement.covariance)
+        return replace(self, motion=motion, unseen_s=0.0, measured=measurement)
 
 
-def near_pairs(tracks: Sequence[RobotTrack], distance_m: float) -> list[tuple[int, int]]:
-    """Index pairs (i < j) of robots believed closer than `distance_m`; a lost robot is believed where it was last seen."""
+def close_pairs(tracks: Sequence[RobotTrack], distance_m: float) -> list[tuple[int, int]]:
+    """Index pairs (i < j) of robots believed closer than `distance_m`; a lost robot counts where it was last seen."""
     known = [(i, track.motion.position_m) for i, track in enumerate(tracks) if track.motion is not None]
     return [(i, j) for n, (i, a) in enumerate(known) for j, b in known[n + 1 :] if float(np.linalg.norm(a - b)) < distance_m]

@@ -1,6 +1,6 @@
-"""Follows one thing in plain pictures, in pixels: the localizer's correlation filter without its pool, marker and gates. Pure.
+"""Tracking of one object in plain pictures, in pixels: the correlation filter without pool, marker and gates. Pure.
 
-For recordings of which nobody knows the camera (`localizer evaluate`), and to compare the filter with other trackers.
+For recordings of an unknown camera (`localizer evaluate`), and to compare the filter with other trackers.
 """
 
 import cv2
@@ -10,18 +10,18 @@ from localizer.detection.correlation_filter import CorrelationFilter, FilterShap
 from localizer.detection.image_regions import Pixels
 from wire.frames import Array
 
-_SAMPLES = 40  # across the box: 2.7 px off on a real animal with 36 to 48, 2.9 px with 32
+_SAMPLES = 40  # across the box; error on a real animal: 2.7 px with 36 to 48, 2.9 px with 32
 _TARGET_WIDTH = 2.1  # samples
 _KERNEL_WIDTH = 1.0
-_LEARN_EVERY = 4  # pictures: a lesson costs as much as a look, and one from each teaches no more
-_LEARNING_RATE = 0.04  # per lesson (0.02 and 0.08: 2.9 px)
-_FAR_SHIFT = 1.5  # samples; the window pulls the answer towards the middle, so after a larger one it is looked at again
-_SPEED_MEMORY = 0.5
+_LEARN_EVERY = 4  # pictures between updates; learning costs as much as detecting, and more often gains nothing
+_LEARNING_RATE = 0.04  # per update; error with 0.02 and 0.08: 2.9 px
+_FAR_SHIFT = 1.5  # samples; the window biases a shift towards zero, so a larger one is measured a second time
+_SPEED_MEMORY = 0.5  # share of the old velocity per picture
 _ONE = np.zeros(1, dtype=np.intp)
 
 
-class Follower:
-    """Shown a target once, finds it again in each following picture (height, width, 3), BGR."""
+class SingleObjectTracker:
+    """Shown a target once, locates it in each following picture (height, width, 3), BGR."""
 
     def __init__(self, picture: Pixels, place_px: Array, box_px: float) -> None:
         """`place_px` (2,) is the target's centre; the filter sees a square of `box_px` around it."""
@@ -33,7 +33,7 @@ class Follower:
         self._learn(picture, 1.0)
 
     def step(self, picture: Pixels) -> tuple[Array, float]:
-        """The target's place in the next picture, and the correlation's peak."""
+        """The target's position (2,) px in the next picture, and the correlation's peak."""
         before, peak = self._place, 0.0
         self._place = before + self._speed
         for _ in range(2):

@@ -1,9 +1,9 @@
-"""SHELL: the newest annotated picture as a page in a browser on this machine (`localizer run --show`).
+"""SHELL: a web server for the newest annotated picture, for a browser on this machine (`localizer run --show`).
 
 The headless OpenCV has no windows, and a window would need a display at the camera's computer. A browser shows a multipart
 JPEG stream by itself, so the standard library's server is enough; over SSH, `ssh -L 8090:127.0.0.1:8090 camera-computer`.
-Only this machine is served. Viewers have threads of their own, each gets the newest picture when it is ready for one, and
-there is room for a few: none of them can slow the localizer.
+Only this machine is served. Viewers have threads of their own, their number is limited, and each gets the newest picture
+when it is ready for one: none of them can slow the localizer.
 """
 
 import errno
@@ -15,17 +15,17 @@ from wire.process.runtime import Stop, guarded_thread, log
 from wire.toml_loader import ConfigError
 
 MAX_VIEWERS = 4
-_HOSTS = frozenset({"127.0.0.1", "localhost"})  # any other name here is a foreign page that had its name point to us
-_TIMEOUT_S = 5.0  # of a viewer that stopped reading
-_WAIT_S = 1.0
+_HOSTS = frozenset({"127.0.0.1", "localhost"})  # any other Host is a foreign page whose name was made to point here
+_TIMEOUT_S = 5.0  # s after which a viewer that stopped reading is dropped
+_WAIT_S = 1.0  # s after which the same picture is sent again, to notice viewers that left
 _BOUNDARY = "picture"
 _HTML = b"""<!doctype html><html lang="en"><meta charset="utf-8"><title>localizer</title>
 <style>body{margin:0;background:#111}img{display:block;margin:auto;max-width:100vw;max-height:100vh}</style>
 <img src="/stream" alt="no picture">"""
 
 
-class Page:
-    """Serves what `show` was given last, from http://127.0.0.1:port/."""
+class MjpegServer:
+    """Server of the last picture given to `show`, at http://127.0.0.1:port/."""
 
     def __init__(self, port: int, stop: Stop) -> None:
         """Raises ConfigError if the port is taken. Port 0: any that is free."""
@@ -45,7 +45,7 @@ class Page:
 
     @property
     def address(self) -> str:
-        """Where to point a browser."""
+        """URL for a browser."""
         return f"http://127.0.0.1:{self._server.server_address[1]}/"
 
     def show(self, jpeg: bytes) -> None:
@@ -55,18 +55,18 @@ class Page:
             self._news.notify_all()
 
     def next(self, seen: int) -> tuple[int, bytes] | None:
-        """The newest picture and its number as soon as it is not number `seen`; the same one again after a while without
-        news, so that a viewer who left is noticed. None when the page closes."""
+        """The newest picture and its number as soon as it is not number `seen`; the same one again after _WAIT_S. None
+        when the server closes."""
         with self._news:
             self._news.wait_for(lambda: self._closed or self._number != seen, _WAIT_S)
             return None if self._closed else (self._number, self._jpeg)
 
-    def take_place(self) -> bool:
-        """A place for one more viewer, if there is one. To be given back."""
+    def acquire_viewer(self) -> bool:
+        """Reserve a place for one more viewer. Returns False if all are taken; `release_viewer` frees it."""
         return self._places.acquire(blocking=False)
 
-    def give_place(self) -> None:
-        """The viewer is gone."""
+    def release_viewer(self) -> None:
+        """Free the place of a viewer that is gone."""
         self._places.release()
 
     def close(self) -> None:
@@ -80,7 +80,7 @@ class Page:
 
 
 class _Handler(BaseHTTPRequestHandler):
-    page: Page
+    page: MjpegServer
     timeout = _TIMEOUT_S
 
     def do_GET(self) -> None:
@@ -91,7 +91,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send_page()
         elif self.path != "/stream":
             self.send_error(HTTPStatus.NOT_FOUND)
-        elif not self.page.take_place():
+        elif not self.page.acquire_viewer():
             self.send_error(HTTPStatus.SERVICE_UNAVAILABLE, f"{MAX_VIEWERS} viewers already")
         else:
             try:
@@ -99,7 +99,7 @@ class _Handler(BaseHTTPRequestHandler):
             except OSError:  # the viewer left, or stopped reading
                 self.close_connection = True
             finally:
-                self.page.give_place()
+                self.page.release_viewer()
 
     def _send_page(self) -> None:
         self.send_response(HTTPStatus.OK)

@@ -1,5 +1,7 @@
-"""SHELL: pictures for people, made in a thread of their own after the poses are out: the preview on the bus, the page of
-`--show`, and for a camera at this machine the raw frames on the bus. The newest wins; who looks on never slows the poses.
+"""SHELL: previews, made in a thread of their own after the poses are out.
+
+They go to the bus and to the page of `--show`; for a camera at this machine the raw frames go to the bus too. The newest
+wins: a slow viewer never slows the poses.
 """
 
 from collections.abc import Callable
@@ -9,31 +11,33 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.sources.base import Shot
-from localizer.tracking.fleet_localizer import Located
-from localizer.view.mjpeg_server import Page
-from localizer.view.worker import Worker
+from localizer.sources.base import CapturedFrame
+from localizer.tracking.fleet_localizer import LocalizationResult
+from localizer.view.mjpeg_server import MjpegServer
+from localizer.view.worker import LatestItemWorker
 from wire.messages import topics
 from wire.messages.messages import Frame, Obstacles, Preview
 from wire.process.runtime import Clock, Stop
 from wire.transport.bus import Bus
 
-PAGE_RATE_HZ = 15.0  # smooth enough to wave at; a picture takes 5 ms of one core
+PAGE_RATE_HZ = 15.0  # Hz of the page's pictures, each of which takes 5 ms of one core
 _JPEG_QUALITY = 70  # about 40 kB at 640 x 480
 _BLANK_PX = (480, 640)
 _RED = (60, 60, 220)
 
 
-class Rate:
-    """Lets one through each period, by stamps: the nearest, as a camera is early by a little as often as late, and its own
-    rate need be no multiple. A clock that was set back does not silence it."""
+class RateLimiter:
+    """Selects one stamp per period: the nearest, as a camera is as often early as late, and its rate need be no multiple.
+
+    A clock that was set back does not stop it.
+    """
 
     def __init__(self, rate_hz: float) -> None:
         self._period_ns = round(1e9 / rate_hz) if rate_hz > 0 else None
         self._next_ns = self._last_ns = 0
 
     def due(self, stamp_ns: int) -> bool:
-        """Whether it is time again."""
+        """True if the next period has begun."""
         since_ns, self._last_ns = stamp_ns - self._last_ns, stamp_ns
         if self._period_ns is None or 0 <= since_ns < 2 * (self._next_ns - stamp_ns):  # the next one will be nearer
             return False
@@ -43,71 +47,71 @@ class Rate:
 
 
 @dataclass(frozen=True, eq=False)
-class _Sight:
-    """What was seen (None: nothing), and the word to say about it."""
+class _PreviewItem:
+    """A frame with its result (None: no frame), and a message for pictures without one."""
 
-    shot: Shot | None
-    located: Located | None
+    captured: CapturedFrame | None
+    result: LocalizationResult | None
     stamp_ns: int
     obstacles: Obstacles
     message: str = ""
 
 
-class Previews:
-    """The thread, and what it feeds."""
+class PreviewPublisher:
+    """The thread, and the outputs that it feeds."""
 
     def __init__(
         self,
-        draw: Callable[[Pixels, Located, Obstacles], Pixels],
+        draw: Callable[[Pixels, LocalizationResult, Obstacles], Pixels],
         bus: Bus,
         clock: Clock,
         stop: Stop,
         preview_rate_hz: float,
-        page: Page | None = None,
+        page: MjpegServer | None = None,
         publish_frames: bool = False,
     ) -> None:
         self._draw, self._bus, self._clock, self._page, self._publish_frames = draw, bus, clock, page, publish_frames
-        self._preview, self._paging = Rate(preview_rate_hz), Rate(PAGE_RATE_HZ if page is not None else 0.0)
-        self._worker: Worker[_Sight] = Worker("previews", self._make, stop)
+        self._preview, self._paging = RateLimiter(preview_rate_hz), RateLimiter(PAGE_RATE_HZ if page is not None else 0.0)
+        self._worker: LatestItemWorker[_PreviewItem] = LatestItemWorker("previews", self._make, stop)
 
-    def offer(self, shot: Shot, located: Located, obstacles: Obstacles) -> None:
-        """A picture and what was found in it. Never waits."""
-        self._worker.offer(_Sight(shot, located, shot.stamp_ns, obstacles))
+    def offer(self, captured: CapturedFrame, result: LocalizationResult, obstacles: Obstacles) -> None:
+        """Offer a frame and its result. Never waits."""
+        self._worker.offer(_PreviewItem(captured, result, captured.stamp_ns, obstacles))
 
     def offer_nothing(self, message: str, stamp_ns: int) -> None:
-        """There is no picture: what people see must not look as if there were."""
-        self._worker.offer(_Sight(None, None, stamp_ns, Obstacles(), message))
+        """Offer a blank picture with a message: the last frame would look live."""
+        self._worker.offer(_PreviewItem(None, None, stamp_ns, Obstacles(), message))
 
     def close(self) -> None:
         """Finish the last one."""
         self._worker.close()
 
-    def _make(self, sight: _Sight) -> None:
+    def _make(self, item: _PreviewItem) -> None:
         try:
-            self._publish_raw(sight)
+            self._publish_raw(item)
         finally:
-            on_bus, on_page = self._preview.due(sight.stamp_ns), self._paging.due(sight.stamp_ns)
+            on_bus, on_page = self._preview.due(item.stamp_ns), self._paging.due(item.stamp_ns)
             if on_bus or on_page:
-                self._draw_and_show(sight, on_bus, on_page)
+                self._draw_and_show(item, on_bus, on_page)
 
-    def _publish_raw(self, sight: _Sight) -> None:
-        shot = sight.shot
-        if shot is not None and self._publish_frames:
-            age_ns = max(self._clock.now_ns() - shot.instant_ns, 0)
-            self._bus.publish(topics.FRAME, Frame(shot.pixels), shot.stamp_ns, age_ns=age_ns)
+    def _publish_raw(self, item: _PreviewItem) -> None:
+        captured = item.captured
+        if captured is not None and self._publish_frames:
+            age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
+            self._bus.publish(topics.FRAME, Frame(captured.pixels), captured.stamp_ns, age_ns=age_ns)
 
-    def _draw_and_show(self, sight: _Sight, on_bus: bool, on_page: bool) -> None:
+    def _draw_and_show(self, item: _PreviewItem, on_bus: bool, on_page: bool) -> None:
         try:
-            picture = self._picture(sight)
+            picture = self._picture(item)
         except Exception as error:
-            self._show(_blank(f"no preview: {error}"), sight.stamp_ns, on_bus, on_page)  # the picture before would look live
+            self._show(_blank(f"no preview: {error}"), item.stamp_ns, on_bus, on_page)  # the picture before would look live
             raise
-        self._show(picture, sight.stamp_ns, on_bus, on_page)
+        self._show(picture, item.stamp_ns, on_bus, on_page)
 
-    def _picture(self, sight: _Sight) -> Pixels:
-        if sight.shot is not None and sight.located is not None:
-            return self._draw(sight.shot.pixels, sight.located, sight.obstacles)
-        return _blank(sight.message)
+    def _picture(self, item: _PreviewItem) -> Pixels:
+        if item.captured is not None and item.result is not None:
+            return self._draw(item.captured.pixels, item.result, item.obstacles)
+        return _blank(item.message)
 
     def _show(self, picture: Pixels, stamp_ns: int, on_bus: bool, on_page: bool) -> None:
         _, encoded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])

@@ -1,6 +1,6 @@
-"""SHELL: the camera's film for the log, as `recording.video` says, in a thread that gives way to everything else.
+"""SHELL: the log's video, as `recording.video` says, encoded in a thread of low priority.
 
-Nothing waits for it: of pictures that come faster than they can be packed the newest counts.
+No other part waits for it: of frames that come faster than they can be encoded the newest counts.
 """
 
 import importlib
@@ -14,9 +14,9 @@ import cv2
 import numpy as np
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from localizer.sources.base import Shot
-from localizer.view.preview import Rate
-from localizer.view.worker import Worker
+from localizer.sources.base import CapturedFrame
+from localizer.view.preview import RateLimiter
+from localizer.view.worker import LatestItemWorker
 from wire.config.experiment import Experiment
 from wire.config.recording import Recording
 from wire.messages import topics
@@ -26,39 +26,39 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 
 NICENESS = 15
-KEY_EVERY_S = 1.0  # a picture that needs no other: where a viewer that jumps can begin
-CLOCK_HZ = 1000  # of the film's own time stamps
+KEY_EVERY_S = 1.0  # s between key pictures, at which a viewer that jumps can begin
+CLOCK_HZ = 1000  # Hz of the video's own time stamps
 
 
-class VideoMaker:
-    """The thread. Closed by `close`. A picture that cannot be packed is left out, and the packer is made anew."""
+class VideoEncoder:
+    """The thread, ended by `close`. A frame that cannot be encoded is left out, and the encoder is made anew."""
 
     def __init__(self, experiment: Experiment, bus: Bus, stop: Stop) -> None:
-        """Raises ConfigError if what it takes is not installed."""
+        """Raises ConfigError if the needed package is not installed."""
         self._recording, self._size_px = experiment.recording, experiment.camera.size_px
         self._pack = packer(self._recording, self._size_px)
-        self._due, self._bus = Rate(experiment.recording.video_rate_hz), bus
+        self._due, self._bus = RateLimiter(experiment.recording.video_rate_hz), bus
         self._topic = topics.VIDEO if experiment.recording.video == "h264" else topics.PICTURE
-        self._worker: Worker[Shot] = Worker("video", self._send, stop, _give_way)
+        self._worker: LatestItemWorker[CapturedFrame] = LatestItemWorker("video", self._send, stop, _give_way)
 
-    def offer(self, shot: Shot) -> None:
-        """A picture. Never waits."""
-        if self._due.due(shot.stamp_ns):
-            self._worker.offer(shot)
+    def offer(self, captured: CapturedFrame) -> None:
+        """Offer a frame. Never waits."""
+        if self._due.due(captured.stamp_ns):
+            self._worker.offer(captured)
 
     def close(self) -> None:
         """Finish the last one."""
         self._worker.close()
 
-    def _send(self, shot: Shot) -> None:
+    def _send(self, captured: CapturedFrame) -> None:
         try:
-            packed = self._pack(shot.pixels, shot.stamp_ns)
+            packed = self._pack(captured.pixels, captured.stamp_ns)
         except Exception:
             self._pack = packer(self._recording, self._size_px)  # a codec that has failed is in no known state
             raise
         if packed:
             message = Video(packed) if self._topic is topics.VIDEO else Picture(packed)
-            self._bus.publish(self._topic, message, shot.stamp_ns)
+            self._bus.publish(self._topic, message, captured.stamp_ns)
 
 
 def _give_way() -> None:
@@ -70,7 +70,7 @@ Pack = Callable[[Pixels, int], bytes]
 
 
 def packer(recording: Recording, size_px: tuple[int, int]) -> Pack:
-    """What makes bytes of a Bayer picture (height, width) and its stamp."""
+    """An encoder: a function from a Bayer picture (height, width) and its stamp to bytes."""
     width, height = (max(2, round(n * recording.video_scale / 2) * 2) for n in size_px)  # even: colours come by the square
 
     def coloured(pixels: Pixels) -> Pixels:
@@ -89,7 +89,7 @@ def packer(recording: Recording, size_px: tuple[int, int]) -> Pack:
 
 
 def _film(recording: Recording, width: int, height: int, coloured: Callable[[Pixels], Pixels]) -> Pack:
-    """H.264 as viewers want it: Annex B, parameters with each key picture, nothing that looks ahead."""
+    """An H.264 encoder as viewers need it: Annex B, parameters with each key picture, no look-ahead."""
     try:
         av: Any = importlib.import_module("av")
     except ModuleNotFoundError:

@@ -4,29 +4,30 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from localizer.sources.latest_value import Latest
+from localizer.sources.latest_value import LatestValue
 from wire.process.runtime import SLICE_S, Stop, guarded_thread, log
 
 T = TypeVar("T")
 
 
-class Worker(Generic[T]):
-    """Calls `handle` with the newest item, in a thread of its own, until it is closed.
+class LatestItemWorker(Generic[T]):
+    """A thread that calls `handle` with the newest item, until it is closed.
 
-    An exception of `handle` costs that item, not the thread: the poses go on without a film or a preview. The first of a row
-    is an error in the log. If the thread itself ends, the process ends with the reason."""
+    An exception of `handle` costs that item, not the thread: the poses go on without video or preview. The first of a row
+    is an error in the log. If the thread itself ends, the process ends with the reason.
+    """
 
     def __init__(self, name: str, handle: Callable[[T], None], stop: Stop, begin: Callable[[], None] = lambda: None) -> None:
         """`begin` is called once, in the thread."""
         self._name, self._handle, self._begin = name, handle, begin
-        self._newest: Latest[T] = Latest()
+        self._newest: LatestValue[T] = LatestValue()
         self._closing = threading.Event()
         self.failed = 0  # items that `handle` raised for, in a row
         self._thread = guarded_thread(stop, name, self._work)
         self._thread.start()
 
     def offer(self, item: T) -> None:
-        """Work on this one next. Never waits."""
+        """Work on this item next. Never waits."""
         self._newest.put(item)
 
     def close(self) -> None:

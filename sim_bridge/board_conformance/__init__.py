@@ -1,4 +1,5 @@
-"""A test bench for real thruster boards: does a firmware keep the rules of docs/board.md?
+"""A test bench for real thruster boards against the rules of docs/board.md.
 
-rules.py and thrust.py hold the rules, probe.py speaks to the board, runner.py tries each rule and measures, cli.py prints.
+rules.py holds the rules and their checks, probe.py speaks to the board, runner.py tries each rule and measures, cli.py
+prints.
 """

@@ -8,9 +8,9 @@ from typing import Annotated
 
 import typer
 
-from sim_bridge.board_conformance.probe import Probe, Wire
+from sim_bridge.board_conformance.probe import BoardProbe, BoardWire
 from sim_bridge.board_conformance.rules import RULES
-from sim_bridge.board_conformance.runner import Outcome, Verdict, examine
+from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
 from wire.mavlink.board_port import Link, UdpLink, open_link
 from wire.mavlink.parameters import ParameterClient
 from wire.mavlink.signing_key import Signing
@@ -18,12 +18,12 @@ from wire.process.cli_options import LinkInsecure, LinkKey
 from wire.toml_loader import ConfigError
 
 HEARD_WITHIN_S = 5.0
-STRANGERS = 9  # more than the board has places for
+STRANGERS = 9  # peers without a key; more than the board has places for
 CAREFUL = "Thrusters will turn slowly, each way; on a board that is wrong, perhaps fast. Is nobody's hand near them?"
-COLOURS = {Verdict.PASSED: "green", Verdict.FAILED: "red", Verdict.SKIPPED: None}
+COLOURS = {RuleVerdict.PASSED: "green", RuleVerdict.FAILED: "red", RuleVerdict.SKIPPED: None}
 
 
-class LinkWire(Wire):
+class LinkWire(BoardWire):
     """The wire of a real link, by the monotonic clock."""
 
     def __init__(self, link: Link) -> None:
@@ -53,7 +53,7 @@ class LinkWire(Wire):
         return speak, lambda: sum(bool(other.read()) for other in self._others)
 
     def close(self) -> None:
-        """Close what `strangers` opened."""
+        """Close the links that `strangers` opened."""
         for other in self._others:
             other.close()
 
@@ -85,23 +85,23 @@ def board_conformance(
         robot = _who_is_there(wire, client)
         if robot is None:
             raise ConfigError(f"--port {port}: {client.silence(link.trouble)}")
-        probe = Probe(wire, robot) if signing is None else Probe(wire, robot, signing.key, signing.stamps)
+        probe = BoardProbe(wire, robot) if signing is None else BoardProbe(wire, robot, signing.key, signing.stamps)
         outcomes = list(_told(examine(probe, dry, RULES), quiet=as_json))
     finally:
         wire.close()
         link.close()
-    failed = sum(outcome.verdict is Verdict.FAILED for outcome in outcomes)
+    failed = sum(outcome.verdict is RuleVerdict.FAILED for outcome in outcomes)
     if as_json:
         rows = [{**asdict(outcome), "verdict": outcome.verdict.name.lower()} for outcome in outcomes]
         typer.echo(json.dumps({"board": robot, "dry": dry, "failed": failed, "rules": rows}, indent=1))
     else:
-        skipped = sum(outcome.verdict is Verdict.SKIPPED for outcome in outcomes)
+        skipped = sum(outcome.verdict is RuleVerdict.SKIPPED for outcome in outcomes)
         typer.echo(f"board {robot}: {len(outcomes) - failed - skipped} passed, {failed} failed, {skipped} skipped")
     raise typer.Exit(1 if failed else 0)
 
 
-def _who_is_there(wire: Wire, client: ParameterClient) -> int | None:
-    """The system id of the board that is heard, if one is."""
+def _who_is_there(wire: BoardWire, client: ParameterClient) -> int | None:
+    """The system id of the board that is heard, None if there is none."""
     end_ns, asked_ns = wire.now_ns() + round(HEARD_WITHIN_S * 1e9), 0
     while not (client.heard and client.robot_id is not None) and wire.now_ns() < end_ns:
         if wire.now_ns() - asked_ns > 1e9:
@@ -111,8 +111,8 @@ def _who_is_there(wire: Wire, client: ParameterClient) -> int | None:
     return client.robot_id if client.heard else None
 
 
-def _told(outcomes: Iterable[Outcome], quiet: bool) -> Iterator[Outcome]:
-    """Print each as it comes."""
+def _told(outcomes: Iterable[RuleResult], quiet: bool) -> Iterator[RuleResult]:
+    """Print each result as it comes."""
     for outcome in outcomes:
         if not quiet:
             verdict = typer.style(f"{outcome.verdict.value:8}", fg=COLOURS[outcome.verdict])

@@ -1,6 +1,6 @@
-"""What a thruster board is examined with: the robot's computer, a ground station and a stranger on one wire. Pure.
+"""The examiner's end of a thruster board's link: the robot's computer, a ground station and a stranger on one wire. Pure.
 
-Nothing is known of the board but what it says, and its clock is not used: instants are those of the wire.
+It uses only messages of the board, and not its clock: instants are those of the wire.
 """
 
 import math
@@ -16,50 +16,50 @@ from wire.mavlink.parameters import ParameterClient
 from wire.mavlink.signing import Key
 
 MS, S = 1_000_000, 1_000_000_000
-PERIOD_NS = 50 * MS  # of overrides, as in flight
-STALL_NS = 15 * MS  # later than asked for by so much: what was measured meanwhile says nothing about the board
-NUDGE_US = 60.0  # from neutral: a thruster turns, slowly
+PERIOD_NS = 50 * MS  # ns between overrides, as in flight
+STALL_NS = 15 * MS  # ns; if this machine wakes later than that, measurements meanwhile say nothing about the board
+NUDGE_US = 60.0  # us from neutral, with which a thruster turns slowly
 
 
-class Wire(Protocol):
-    """Bytes and time."""
+class BoardWire(Protocol):
+    """Bytes and time of a link."""
 
     def now_ns(self) -> int: ...
     def send(self, data: bytes) -> None: ...
     def receive(self, until_ns: int) -> bytes:
-        """What arrives next; nothing if nothing came until then."""
+        """Bytes that arrive next; none if nothing came until then."""
 
     def strangers(self) -> "tuple[Callable[[], None], Callable[[], int]] | None":
-        """For others at addresses of their own, who have no key: one call has each of them send a byte, another says how many
-        of them have heard anything. None where the board has one other end only."""
+        """Peers at addresses of their own that have no key: a call that has each of them send a byte, and a call that
+        returns the number of them that heard anything. None for a wire with one other end."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What the board said it did, and when it was heard."""
+    """The board's echo and armed flag, and the instant at which they were heard."""
 
     at_ns: int
     echo_us: tuple[int, ...]
     armed: bool
 
 
-class Probe:
+class BoardProbe:
     """One board under examination."""
 
-    def __init__(self, wire: Wire, robot_id: int, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
+    def __init__(self, wire: BoardWire, robot_id: int, key: Key | None = None, now: Callable[[], int] = lambda: 0) -> None:
         self.wire, self.robot_id, self.key = wire, robot_id, key
         self.computer = AgentLink(robot_id, key, now)
         self.station = ParameterClient(robot_id, None if key is None else Key(key.secret, 1), now)
         self._other = Sender((254, 190), None if key is None else Key(key.secret, 2), now)
         self.samples: list[Sample] = []
         self.bytes_heard = 0
-        self.stalls = 0  # how often this machine was held up
+        self.stalls = 0  # number of times that this machine was held up
         self._heartbeat_ns = -S
 
     # --- time goes on
 
     def listen(self, seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
-        """Take in what comes, for so long or until `done()`; whether it came to that."""
+        """Receive for so long or until `done()`; returns True if `done()` came first."""
         end_ns = self.wire.now_ns() + round(seconds * S)
         while not done():
             if self.wire.now_ns() >= end_ns:
@@ -79,8 +79,8 @@ class Probe:
                 self.samples.append(Sample(now_ns, seen.echo_us, seen.armed))
         return True
 
-    def hush(self, seconds: float) -> None:
-        """Say nothing at all for less than a second."""
+    def stay_silent(self, seconds: float) -> None:
+        """Send nothing at all for less than a second."""
         self._heartbeat_ns = self.wire.now_ns()
         self.listen(seconds)
 
@@ -89,7 +89,7 @@ class Probe:
         return self.computer.stamp + 1_000_000
 
     def stream(self, frame: Callable[[], bytes], seconds: float, done: Callable[[], bool] = lambda: False) -> bool:
-        """Send a frame at the control rate meanwhile."""
+        """Send a frame at the control rate for so long or until `done()`; returns True if `done()` came first."""
         end_ns = self.wire.now_ns() + round(seconds * S)
         while self.wire.now_ns() < end_ns:
             self.wire.send(frame())
@@ -101,11 +101,11 @@ class Probe:
 
     @property
     def neutral_us(self) -> int:
-        """Of a thruster, by the board's own parameter."""
+        """A thruster's neutral pulse, by the board's own parameter."""
         return round(self.station.values.get("THR_NEUTRAL_US", 1500.0))
 
     def pulses(self, *thrusters_off_us: float, ankle: int = IGNORED) -> bytes:
-        """An override: thrusters so far from neutral (those not named: not at all), the last ankle as said."""
+        """An override: thrusters so far from neutral (those not named: not at all), the last ankle as given."""
         off = (*thrusters_off_us, *(0.0,) * (4 - len(thrusters_off_us)))
         return self.computer.pulses([*(round(self.neutral_us + value) for value in off), IGNORED, IGNORED, IGNORED, ankle])
 
@@ -114,11 +114,11 @@ class Probe:
         return self.pulses(NUDGE_US)
 
     def forbidden(self) -> bytes:
-        """An override that may not be taken, for one ankle that is out of range by one; it would turn no thruster."""
+        """An override that the board must refuse, because one ankle is out of range by one; it would turn no thruster."""
         return self.pulses(ankle=round(self.station.values.get("ANK_MAX_US", 2000.0)) + 1)
 
     def of_a_stranger(self) -> bytes:
-        """An override of somebody else, of whom the board has no reason to take it."""
+        """An override from a system that is not the robot's computer."""
         message = dialect.MAVLink_rc_channels_override_message(
             self.robot_id, BOARD_COMPONENT, *[self.neutral_us] * 4, *[IGNORED] * 4
         )
@@ -131,12 +131,12 @@ class Probe:
         return self.computer.pack(message)
 
     def forced_arming(self) -> bytes:
-        """MAVLink's arming by force, which a board does not have."""
+        """MAVLink's arming by force, which a board must not have."""
         message = dialect.MAVLink_command_long_message(self.robot_id, BOARD_COMPONENT, 400, 0, 1, 21196, 0, 0, 0, 0, 0)
         return self.computer.pack(message)
 
     def station_arms(self, arm: bool) -> bytes:
-        """A ground station's wish."""
+        """A ground station's request to arm or disarm."""
         message = dialect.MAVLink_command_long_message(self.robot_id, BOARD_COMPONENT, 400, 0, float(arm), 0, 0, 0, 0, 0, 0)
         return self._other.pack(message)
 
@@ -144,12 +144,12 @@ class Probe:
 
     @property
     def armed(self) -> bool:
-        """By the board's last heartbeat."""
+        """The armed flag of the board's last heartbeat."""
         return self.computer.telemetry.armed
 
     @property
     def still(self) -> bool:
-        """Whether all thrusters' echoes are neutral."""
+        """True if all thrusters' echoes are neutral."""
         return self.computer.telemetry.echo_us[:4] == (self.neutral_us,) * 4
 
     def ask_arm(self, arm: bool = True, frame: Callable[[], bytes] | None = None) -> int | None:
@@ -165,20 +165,20 @@ class Probe:
         return lambda: self.computer.telemetry.acknowledgements > before
 
     def arm(self) -> bool:
-        """Arm as one should; whether it worked, and the board says so."""
+        """Arm as specified. Returns True if the board says that it is armed."""
         self.stream(self.pulses, 0.15)
         self.ask_arm(frame=self.pulses)
         return self.stream(self.pulses, 0.5, lambda: self.armed)
 
     def rest(self) -> bool:
-        """Disarm, whatever was before; whether it worked."""
+        """Disarm from any state. Returns True if it worked."""
         self.ask_arm(False)
         self.listen(0.6)  # and let everything get old
         return not self.armed
 
     def stops_after(self, frame: Callable[[], bytes] | None) -> float:
-        """From a board that is armed: seconds from the last good override to disarmed and neutral while only this is sent.
-        Infinite if it does not."""
+        """Seconds from the last good override to disarmed and neutral, while only `frame` is sent to an armed board;
+        infinite if it does not stop."""
         self.wire.send(self.pulses())
         last_ns = self.wire.now_ns()
 
@@ -189,14 +189,14 @@ class Probe:
         return (self.wire.now_ns() - last_ns) / S if came else math.inf
 
     def answers(self, question: bytes, within_s: float = 0.2) -> float:
-        """Seconds until a TIMESYNC is answered; infinite if it is not. The question is the computer's last."""
+        """Seconds until a TIMESYNC is answered; infinite if it is not. The question must be the computer's last."""
         before, asked_ns = self.computer.telemetry.round_trips, self.wire.now_ns()
         self.wire.send(question)
         came = self.listen(within_s, lambda: self.computer.telemetry.round_trips > before)
         return (self.wire.now_ns() - asked_ns) / S if came else math.inf
 
     def set(self, name: str, value: float) -> bool:
-        """Set a parameter; whether the board says that it has that value."""
+        """Set a parameter. Returns True if the board says that it has that value."""
         before = self.station.told
         self.wire.send(self.station.set(name, value))
         self.listen(0.5, lambda: self.station.told > before or self.station.error is not None)

@@ -1,31 +1,191 @@
-"""The rules of docs/board.md, in the order in which they are tried, and how those about words are: telemetry, arming,
-parameters, signatures. Pure. Those about thrust are in sim_bridge/board_conformance/thrust.py.
+"""The rules of docs/board.md, in the order in which they are tried, and the check of each. Pure.
+
+A check takes a board at rest. It returns True if the board did as required, and the measured figures as text.
 """
 
 import math
+from collections.abc import Callable
 
-from sim_bridge.board_conformance.probe import MS, PERIOD_NS, Probe
+from sim_bridge.board_conformance.probe import MS, NUDGE_US, PERIOD_NS, BoardProbe
 from sim_bridge.board_conformance.runner import Measured, Rule
-from sim_bridge.board_conformance.thrust import (
-    STOPS_WITHIN_S,
-    TURNS,
-    alive,
-    ankles,
-    at_once,
-    damaged,
-    disarmed_neutral,
-    follows,
-    holds,
-    ms,
-    out_of_range,
-    repeated,
-    revival,
-    slew,
-    stops,
-    stops_from_thrust,
-)
 from wire.mavlink.agent_link import ACCEPTED, AgentLink
 from wire.mavlink.signing import Key
+
+STOPS_WITHIN_S = 0.3
+TURNS = 5  # repetitions of a check of which the worst case counts
+
+
+def ms(seconds: float) -> str:
+    return f"{seconds * 1e3:.0f} ms" if math.isfinite(seconds) else "not at all"
+
+
+# --- age
+
+
+def stops(frame: Callable[[BoardProbe], Callable[[], bytes] | None]) -> Callable[[BoardProbe], Measured]:
+    """A check that an armed board becomes disarmed and neutral while only this frame is sent: the worst of some."""
+
+    def check(probe: BoardProbe) -> Measured:
+        worst = 0.0
+        for _ in range(TURNS):
+            if not probe.arm():
+                return False, "does not arm"
+            worst = max(worst, probe.stops_after(frame(probe)))
+            if worst > STOPS_WITHIN_S:
+                break
+        return worst <= STOPS_WITHIN_S, ms(worst)
+
+    return check
+
+
+def repeated(probe: BoardProbe) -> Callable[[], bytes]:
+    frame = probe.pulses()
+    probe.wire.send(frame)
+    return lambda: frame
+
+
+def damaged(probe: BoardProbe) -> Callable[[], bytes]:
+    count = iter(range(10**9))
+
+    def frame() -> bytes:
+        damaged = bytearray(probe.pulses())
+        damaged[10 + next(count) % 10] ^= 0x10  # in the payload
+        return bytes(damaged)
+
+    return frame
+
+
+def alive(probe: BoardProbe) -> Callable[[], bytes]:
+    return lambda: probe.computer.heartbeat() + probe.computer.timesync(probe.wire.now_ns())
+
+
+def holds(probe: BoardProbe) -> Measured:
+    """Stay armed when three overrides in four are lost."""
+    if not probe.arm():
+        return False, "does not arm"
+    for _ in range(8):
+        probe.wire.send(probe.pulses())
+        probe.listen(4 * PERIOD_NS * 1e-9, lambda: not probe.armed)
+    return probe.armed, "armed" if probe.armed else "disarmed"
+
+
+def revival(probe: BoardProbe) -> Measured:
+    if not probe.arm():
+        return False, "does not arm"
+    probe.listen(0.6)
+    probe.stream(probe.pulses, 0.6)
+    return not probe.armed, "armed" if probe.armed else "disarmed"
+
+
+# --- outputs
+
+
+def disarmed_neutral(probe: BoardProbe) -> Measured:
+    first = len(probe.samples)
+    probe.stream(probe.nudge, 0.6)
+    moved = [s.echo_us for s in probe.samples[first:] if s.echo_us[:4] != (probe.neutral_us,) * 4]
+    return not moved, f"echo {moved[0]}" if moved else "neutral"
+
+
+def follows(probe: BoardProbe) -> Measured:
+    if not probe.arm():
+        return False, "does not arm"
+    offs = (NUDGE_US, -NUDGE_US, NUDGE_US / 2 + 10, -NUDGE_US / 2 - 10)
+    wanted = tuple(round(probe.neutral_us + off) for off in offs)
+    begun_ns = probe.wire.now_ns()
+    done = probe.stream(lambda: probe.pulses(*offs), 0.6, lambda: probe.computer.telemetry.echo_us[:4] == wanted)
+    took = ms((probe.wire.now_ns() - begun_ns) * 1e-9)
+    return done, took if done else f"told {wanted}, puts out {probe.computer.telemetry.echo_us[:4]}"
+
+
+def at_once(probe: BoardProbe) -> Measured:
+    if not (probe.arm() and probe.stream(probe.nudge, 0.5)):
+        probe.stream(probe.nudge, 0.1)
+    probe.wire.send(probe.computer.arm(False))
+    begun_ns = probe.wire.now_ns()
+    done = probe.stream(probe.nudge, 0.5, lambda: not probe.armed and probe.still)
+    took_s = (probe.wire.now_ns() - begun_ns) * 1e-9
+    return done and took_s <= 0.1, ms(took_s if done else math.inf)
+
+
+def stops_from_thrust(probe: BoardProbe) -> Measured:
+    worst = 0.0
+    for _ in range(TURNS):
+        if not probe.arm():
+            return False, "does not arm"
+        probe.stream(probe.nudge, 0.3)
+        probe.wire.send(probe.nudge())
+        last_ns = probe.wire.now_ns()
+        done = probe.listen(1.0, lambda: not probe.armed and probe.still)
+        worst = max(worst, (probe.wire.now_ns() - last_ns) * 1e-9 if done else math.inf)
+    return worst <= STOPS_WITHIN_S, ms(worst)
+
+
+def with_limits(probe: BoardProbe, changes: dict[str, float], check: Callable[[], Measured]) -> Measured:
+    """Run a check with other parameters, and restore them."""
+    before = {name: probe.station.values[name] for name in changes}
+    try:
+        if not all(probe.set(name, value) for name, value in changes.items()):
+            return False, f"{', '.join(changes)} cannot be set"
+        return check()
+    finally:
+        probe.rest()
+        for name, value in before.items():
+            probe.set(name, value)
+
+
+def slew(probe: BoardProbe) -> Measured:
+    """Measure the slew rate slowly, so that many echoes show it."""
+    rate = 600.0
+
+    def check() -> Measured:
+        if not probe.arm():
+            return False, "does not arm"
+        first, begun_ns = len(probe.samples), probe.wire.now_ns()
+        reached = probe.stream(probe.nudge, 1.0, lambda: probe.computer.telemetry.echo_us[0] == probe.neutral_us + NUDGE_US)
+        took_s = (probe.wire.now_ns() - begun_ns) * 1e-9
+        moving = {s.echo_us[0] for s in probe.samples[first:]}
+        fastest = NUDGE_US / max(took_s, 1e-3)
+        good = reached and len(moving) > 2 and fastest <= 1.1 * rate
+        return good, f"{fastest:.0f} us/s at a limit of {rate:.0f}"
+
+    return with_limits(probe, {"SLEW_US_S": rate}, check)
+
+
+def out_of_range(probe: BoardProbe) -> Measured:
+    """Send overrides out of range, with narrow limits, so that a board that clips turns slowly."""
+
+    def check() -> Measured:
+        if not probe.arm():
+            return False, "does not arm"
+        for channel in range(4):
+            for off in (NUDGE_US + 1, -NUDGE_US - 1):
+                offs = [NUDGE_US / 2] * 4
+                offs[channel] = off
+                for frame in (probe.pulses(*offs), probe.pulses()):  # every other one is good, so that it stays armed
+                    probe.wire.send(frame)
+                    moved = probe.listen(PERIOD_NS * 1e-9, lambda: not probe.still)
+                    if moved:
+                        return False, f"channel {channel + 1} out of range by 1: {probe.computer.telemetry.echo_us}"
+        return probe.armed, "refused as a whole, on each thruster" if probe.armed else "disarmed"
+
+    limits = {"THR_MAX_US": probe.neutral_us + NUDGE_US, "THR_MIN_US": probe.neutral_us - NUDGE_US}
+    return with_limits(probe, limits, check)
+
+
+def ankles(probe: BoardProbe) -> Measured:
+    probe.listen(0.1)
+    before = probe.computer.telemetry.echo_us[4:]
+    if not probe.arm():
+        return False, "does not arm"
+    probe.stream(probe.pulses, 0.2)
+    for _ in range(4):
+        for frame in (probe.forbidden(), probe.pulses()):
+            probe.wire.send(frame)
+            probe.listen(PERIOD_NS * 1e-9)
+    after = probe.computer.telemetry.echo_us[4:]
+    return after == before and probe.armed, f"from {before} to {after}"
+
 
 RESYNC_WITHIN_S = 0.25
 BURST_HZ = 45.0
@@ -34,7 +194,7 @@ BURST_HZ = 45.0
 # --- what it tells
 
 
-def _parameters(probe: Probe) -> Measured:
+def _parameters(probe: BoardProbe) -> Measured:
     for _ in range(12):
         probe.wire.send(probe.station.ask_all())
         if probe.listen(1.5, lambda: probe.station.complete):
@@ -42,7 +202,7 @@ def _parameters(probe: Probe) -> Measured:
     return probe.station.complete and "THR_NEUTRAL_US" in probe.station.values, f"{len(probe.station.values)} parameters"
 
 
-def _telemetry(probe: Probe) -> Measured:
+def _telemetry(probe: BoardProbe) -> Measured:
     probe.listen(0.2)
     heard: set[int] = set()
     probe.bytes_heard = 0
@@ -56,12 +216,12 @@ def _telemetry(probe: Probe) -> Measured:
     return good, f"{rate:.0f} Hz, {probe.bytes_heard / 2:.0f} bytes/s, {bad} bad frames{'' if complete else ', incomplete'}"
 
 
-def _power_on(probe: Probe) -> Measured:
+def _power_on(probe: BoardProbe) -> Measured:
     probe.listen(1.2)
     return not probe.armed and probe.still, f"{'armed' if probe.armed else 'disarmed'}, {probe.computer.telemetry.echo_us}"
 
 
-def _clock(probe: Probe) -> Measured:
+def _clock(probe: BoardProbe) -> Measured:
     worst = max(probe.answers(probe.computer.timesync(probe.wire.now_ns())) for _ in range(TURNS))
     return worst <= 0.05, ms(worst)
 
@@ -69,36 +229,36 @@ def _clock(probe: Probe) -> Measured:
 # --- arming
 
 
-def _refused(probe: Probe, result: int | None) -> Measured:
+def _refused(probe: BoardProbe, result: int | None) -> Measured:
     probe.listen(0.2)
     good = result not in (None, ACCEPTED) and not probe.armed
     return good, f"result {result}, {'armed' if probe.armed else 'disarmed'}"
 
 
-def _arming_without(probe: Probe) -> Measured:
+def _arming_without(probe: BoardProbe) -> Measured:
     probe.listen(0.6)
     return _refused(probe, probe.ask_arm())
 
 
-def _arming_late(probe: Probe) -> Measured:
+def _arming_late(probe: BoardProbe) -> Measured:
     probe.stream(probe.pulses, 0.3)
     probe.listen(0.4)
     return _refused(probe, probe.ask_arm())
 
 
-def _arming_forced(probe: Probe) -> Measured:
+def _arming_forced(probe: BoardProbe) -> Measured:
     probe.stream(probe.pulses, 0.2)
     probe.wire.send(probe.forced_arming())
     probe.stream(probe.pulses, 0.4)
     return not probe.armed, "armed" if probe.armed else "disarmed"
 
 
-def _arming_thrust(probe: Probe) -> Measured:
+def _arming_thrust(probe: BoardProbe) -> Measured:
     probe.stream(probe.nudge, 0.3)
     return _refused(probe, probe.ask_arm(frame=probe.nudge))
 
 
-def _arming_strange(probe: Probe) -> Measured:
+def _arming_strange(probe: BoardProbe) -> Measured:
     probe.listen(0.6)
     probe.stream(probe.of_a_stranger, 0.3)
     probe.wire.send(probe.station_arms(True))
@@ -106,14 +266,14 @@ def _arming_strange(probe: Probe) -> Measured:
     return not probe.armed, "armed" if probe.armed else "disarmed"
 
 
-def _arming(probe: Probe) -> Measured:
+def _arming(probe: BoardProbe) -> Measured:
     probe.stream(probe.pulses, 0.3)
     result = probe.ask_arm(frame=probe.pulses)
     armed = probe.stream(probe.pulses, 0.5, lambda: probe.armed)
     return result == ACCEPTED and armed and probe.still, f"result {result}, {'armed' if armed else 'disarmed'}"
 
 
-def _disarming(probe: Probe) -> Measured:
+def _disarming(probe: BoardProbe) -> Measured:
     if not probe.arm():
         return False, "does not arm"
     probe.wire.send(probe.station_arms(False))
@@ -121,8 +281,8 @@ def _disarming(probe: Probe) -> Measured:
     return by_station, "disarmed" if by_station else "armed"
 
 
-def _empty_battery(probe: Probe) -> Measured:
-    """By moving the thresholds above the battery, which is fuller than they are."""
+def _empty_battery(probe: BoardProbe) -> Measured:
+    """Move the thresholds above the battery's voltage."""
     names, volts = ("BAT_WARN_V", "BAT_NOARM_V"), probe.computer.telemetry.battery_v
     before = [probe.station.values[name] for name in names]
     try:
@@ -137,8 +297,8 @@ def _empty_battery(probe: Probe) -> Measured:
 # --- the link
 
 
-def _resync(probe: Probe) -> Measured:
-    """Noise of all sorts, then a question at each period of control until one is answered."""
+def _resync(probe: BoardProbe) -> Measured:
+    """Send noise of several kinds, then a question in each control period until one is answered."""
     longest = bytes([0xFD, 255, 0, 0, 0, probe.robot_id, 191]) + (131).to_bytes(3, "little")
     noises = [longest, bytes([0xFD]) * 40, bytes(range(256)), bytes([0xFE, 255]) * 9, probe.pulses()[:-3], longest * 3]
     worst = 0.0
@@ -151,8 +311,8 @@ def _resync(probe: Probe) -> Measured:
     return worst <= RESYNC_WITHIN_S, ms(worst)
 
 
-def _twice(probe: Probe) -> Measured:
-    """A frame that comes again, at once."""
+def _twice(probe: BoardProbe) -> Measured:
+    """Send a frame twice at once."""
     question = probe.computer.arm(False)
     before = probe.computer.telemetry.acknowledgements
     probe.wire.send(question + question)
@@ -164,13 +324,13 @@ def _twice(probe: Probe) -> Measured:
 # --- parameters
 
 
-def _set(probe: Probe) -> Measured:
+def _set(probe: BoardProbe) -> Measured:
     before = probe.station.values["SLEW_US_S"]
     done = [probe.set("SLEW_US_S", value) for value in (before / 2, before)]
     return all(done), "set, and set back" if all(done) else "not set"
 
 
-def _bounds(probe: Probe) -> Measured:
+def _bounds(probe: BoardProbe) -> Measured:
     taken = []
     for name, value in (("CMD_AGE_MS", 5000.0), ("CMD_AGE_MS", math.nan), ("SLEW_US_S", -1.0), ("THR_MAX_US", math.inf)):
         before = probe.station.values[name]
@@ -183,7 +343,7 @@ def _bounds(probe: Probe) -> Measured:
     return not taken, f"taken: {', '.join(taken)}" if taken else "refused"
 
 
-def _set_armed(probe: Probe) -> Measured:
+def _set_armed(probe: BoardProbe) -> Measured:
     before = probe.station.values["SLEW_US_S"]
     if not probe.arm():
         return False, "does not arm"
@@ -198,7 +358,7 @@ def _set_armed(probe: Probe) -> Measured:
     return kept, "refused" if kept else "taken"
 
 
-def _unknown(probe: Probe) -> Measured:
+def _unknown(probe: BoardProbe) -> Measured:
     before = len(probe.station.values)
     probe.wire.send(probe.station.set("NO_SUCH_THING", 1.0))
     probe.listen(0.3)
@@ -209,33 +369,33 @@ def _unknown(probe: Probe) -> Measured:
 # --- signing
 
 
-def _dropped(probe: Probe, frame: bytes) -> Measured:
-    """Whether a disarm, which any board obeys and answers at once, goes unheard. It comes after a silence: then any sequence
-    number is good."""
-    probe.hush(0.7)
+def _dropped(probe: BoardProbe, frame: bytes) -> Measured:
+    """Check that the board ignores a disarm, which any board obeys and answers at once. It comes after a silence, so that
+    any sequence number is good."""
+    probe.stay_silent(0.7)
     before = probe.computer.telemetry.acknowledgements
     probe.wire.send(frame)
     obeyed = probe.listen(0.3, lambda: probe.computer.telemetry.acknowledgements > before)
     return not obeyed, "obeyed" if obeyed else "dropped"
 
 
-def _unsigned(probe: Probe) -> Measured:
+def _unsigned(probe: BoardProbe) -> Measured:
     return _dropped(probe, AgentLink(probe.robot_id).arm(False))
 
 
-def _forged(probe: Probe) -> Measured:
+def _forged(probe: BoardProbe) -> Measured:
     return _dropped(probe, AgentLink(probe.robot_id, Key(bytes(32)), probe.later).arm(False))
 
 
-def _replayed(probe: Probe) -> Measured:
+def _replayed(probe: BoardProbe) -> Measured:
     recorded = probe.computer.arm(False)
     probe.wire.send(recorded)
     probe.listen(0.3)
     return _dropped(probe, recorded)
 
 
-def _strangers(probe: Probe) -> Measured:
-    """Whether others who send anything at all are told nothing, and the computer is still told."""
+def _strangers(probe: BoardProbe) -> Measured:
+    """Check that peers without a key are told nothing, and that the computer is still told."""
     others = probe.wire.strangers()
     if others is None:
         return True, "the board has one other end"

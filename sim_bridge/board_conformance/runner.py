@@ -1,20 +1,20 @@
-"""Whether a thruster board keeps the rules of docs/board.md: each one named, tried and measured, over its link alone. Pure.
+"""Conformance run: each rule of docs/board.md named, tried and measured over a thruster board's link. Pure.
 
-sim_bridge/board_conformance/rules.py has the rules. One that `spins` commands thrust, or would cause it on a board that breaks
-the rule; in a dry run these are left out.
+sim_bridge/board_conformance/rules.py has the rules. A rule that `spins` commands thrust, or would cause it on a board that
+breaks the rule; a dry run skips these.
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
 
-from sim_bridge.board_conformance.probe import Probe
+from sim_bridge.board_conformance.probe import BoardProbe
 
-TRIES = 4  # of a rule that fails while the machine that examines is held up
+TRIES = 4  # attempts of a rule that fails while the examining machine is held up
 
 
-class Verdict(Enum):
-    """What became of a rule."""
+class RuleVerdict(Enum):
+    """Verdict on a rule."""
 
     PASSED = "passed"
     FAILED = "FAILED"
@@ -22,35 +22,35 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """One rule tried."""
+class RuleResult:
+    """The result of one rule."""
 
     rule: str
     requirement: str
-    verdict: Verdict
+    verdict: RuleVerdict
     measured: str
 
 
-Measured = tuple[bool, str]  # whether it is as required, and what was seen
+Measured = tuple[bool, str]  # True if as required; the measured figures
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What is required, and how it is tried."""
+    """A requirement and its check."""
 
     name: str
     requirement: str
-    check: Callable[[Probe], Measured]
+    check: Callable[[BoardProbe], Measured]
     spins: bool = False
-    signed: bool = False  # means something on a signed link only
+    signed: bool = False  # applies to signed links only
 
 
-def examine(probe: Probe, dry: bool, rules: Iterable[Rule]) -> Iterator[Outcome]:
+def examine(probe: BoardProbe, dry: bool, rules: Iterable[Rule]) -> Iterator[RuleResult]:
     """Try the rules one after the other. Between them, and at the end, the board is disarmed."""
     for rule in rules:
         if (rule.spins and dry) or (rule.signed and probe.key is None):
             why = "dry run" if rule.spins else "the link is not signed"
-            yield Outcome(rule.name, rule.requirement, Verdict.SKIPPED, why)
+            yield RuleResult(rule.name, rule.requirement, RuleVerdict.SKIPPED, why)
             continue
         for _ in range(TRIES):
             stalls = probe.stalls
@@ -58,10 +58,10 @@ def examine(probe: Probe, dry: bool, rules: Iterable[Rule]) -> Iterator[Outcome]
             if passed or probe.stalls == stalls:
                 break
             measured += " (this machine was held up)"
-        yield Outcome(rule.name, rule.requirement, Verdict.PASSED if passed else Verdict.FAILED, measured)
+        yield RuleResult(rule.name, rule.requirement, RuleVerdict.PASSED if passed else RuleVerdict.FAILED, measured)
 
 
-def _try(rule: Rule, probe: Probe) -> Measured:
+def _try(rule: Rule, probe: BoardProbe) -> Measured:
     try:
         passed, measured = rule.check(probe)
     except KeyError as missing:

@@ -1,27 +1,25 @@
-"""What can go wrong with a camera, done to its raw pictures."""
+"""Camera faults of the timeline, applied to raw pictures."""
 
 from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_bridge.camera.optics import Bytes
 from wire.config.fault_injection import Break
 
-Raw = NDArray[np.uint8]
-
-DARK = 16  # the lights fail: this many times less light
-CABLE_GREY = 12  # of what hangs in front of the lens
-SOFT_EDGE = 0.15  # of a glare's radius
+DARK = 16  # divisor of the picture when the lights fail
+CABLE_GREY = 12  # grey level of the object that hides part of the picture
+SOFT_EDGE = 0.15  # width of a glare's edge over its radius
 
 
-class CameraTrouble:
-    """One camera's. A picture goes in, what the camera sends comes out."""
+class CameraFaults:
+    """The faults of one camera. It keeps the last picture, for `frozen`."""
 
     def __init__(self) -> None:
-        self._last: Raw | None = None
+        self._last: Bytes | None = None
 
-    def apply(self, raw: Raw, broken: Sequence[Break]) -> Raw:
+    def apply(self, raw: Bytes, broken: Sequence[Break]) -> Bytes:
         """The picture with these faults."""
         if self._last is not None and any(b.effect == "frozen" for b in broken):
             return self._last
@@ -41,9 +39,9 @@ class CameraTrouble:
         return raw
 
 
-@lru_cache(maxsize=4)  # the same for every picture of a fault: making one takes as long as a period of a fast camera
-def _glare(shape: tuple[int, ...], fraction: float) -> Raw:
-    """A lamp's reflection: a disc in the middle, of this fraction of the picture, as bright as it gets."""
+@lru_cache(maxsize=4)  # the same for every picture of a fault; drawing one takes as long as a period of a fast camera
+def _glare(shape: tuple[int, ...], fraction: float) -> Bytes:
+    """A lamp's reflection: a saturated disc in the middle that covers this fraction of the picture."""
     rows, columns = np.ogrid[: shape[0], : shape[1]]
     radius = max(np.sqrt(fraction * shape[0] * shape[1] / np.pi), 1.0)
     distance = np.hypot(rows - shape[0] / 2, columns - shape[1] / 2) / radius
@@ -52,8 +50,8 @@ def _glare(shape: tuple[int, ...], fraction: float) -> Raw:
     return glare
 
 
-def _moved(raw: Raw, pixels: int) -> Raw:
-    """The picture of a camera that was turned: everything further right and down, the edge repeated (in whole Bayer squares,
-    so `pixels` is even) where nothing is known."""
+def _moved(raw: Bytes, pixels: int) -> Bytes:
+    """The picture of a camera that was turned: shifted right and down, the edge repeated in whole Bayer squares (`pixels`
+    is even)."""
     rows, columns = (np.maximum(np.arange(n) - pixels, np.arange(n) % 2) for n in raw.shape)
     return np.ascontiguousarray(raw[np.ix_(rows, columns)])

@@ -1,4 +1,4 @@
-"""What stands for camera and localizer where there is none: the true poses, with noise. Pure and seeded."""
+"""A stand-in for camera and localizer: true poses with noise. Pure and seeded."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from wire.frames import Array
 from wire.messages.messages import Obstacles, Pose, Track
 
 _ANGLES = 2.0 * np.pi * np.arange(12) / 12
-RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]) / np.cos(np.pi / 12)  # around a circle, not within it
+RING = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)]) / np.cos(np.pi / 12)  # circumscribed polygon of the unit circle
 
 
-class Located:
-    """A localizer that reads every marker in every picture, as well as sim.numeric says."""
+class IdealLocalizer:
+    """A localizer that reads every marker in every picture, with the noise of sim.numeric."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         numeric = experiment.sim.numeric
@@ -25,12 +25,13 @@ class Located:
         self._obstacle_random = generator(seed, Stream.OBSTACLES)
 
     def poses(self, eta: Array) -> list[Pose]:
-        """Of robots at eta (n, 4), in their order."""
+        """Measured poses of robots at eta (n, 4), in their order."""
         seen = eta + self._random.standard_normal(eta.shape) * self._noise
         return [Pose(x, y, yaw, self._covariance, Track.MARKER, True, 1.0, z) for x, y, z, yaw in seen.tolist()]
 
     def obstacles(self, time_s: float) -> Obstacles | None:
-        """What is adrift, as the localizer would tell of it; None if nothing ever is and nobody is to watch for it."""
+        """The drifting balls as the localizer reports obstacles; None if the experiment has none and asks for no
+        detection."""
         if not (self._drifters or self._watches):
             return None
         noise = self._obstacle_random.standard_normal((len(self._drifters), 4)) * self._obstacle_noise

@@ -1,32 +1,32 @@
-"""A camera under a hovering drone, and the picture without robots that it takes.
+"""Backgrounds without robots for a camera under a hovering drone.
 
-The basin is drawn once as a plan with its walls laid open outwards. For each picture the lines of sight of all blocks are
-traced through the wavy surface to the plan, and the pixels between blocks interpolated: refraction and ripples are exact at
-the blocks and to 0.1 px between them; only edges between floor, walls and deck are soft within a block.
+The basin is drawn once as a plan with its walls unfolded outwards. For each picture the lines of sight of all blocks are
+traced through the wavy surface to the plan, and the pixels between blocks interpolated. Refraction and ripples are exact
+at the blocks and to 0.1 px between them; only edges between floor, walls and deck are soft within a block.
 """
 
 import cv2
 import numpy as np
 
-from sim_bridge.camera.marker_plate import LENS_SOFTNESS_PX
-from sim_bridge.camera.rays import BLOCK, View
-from sim_bridge.camera.scene import Scene, Waters, vignette
-from sim_bridge.camera.scenery import Hit, still_scene, trace
-from sim_bridge.camera.textures import Bytes, Float
+from sim_bridge.camera.optics import Bytes, Float
+from sim_bridge.camera.rays import BLOCK, CameraRays
+from sim_bridge.camera.scene import SurfacePoints, WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
+from sim_bridge.camera.textures import LENS_SOFTNESS_PX
+from sim_bridge.camera.water_optics import WaterLight
 from wire.config.experiment import Experiment
 from wire.config.perception import Camera
 from wire.config.scene import PoolConfig
 from wire.config.simulation import CameraMotion
 from wire.frames import Array
 
-SWINGS = 3  # sines per axis: no instant repeats within minutes
-DECK_M = 0.8  # of deck around the basin that is drawn; beyond, its edge is drawn on
-TEXELS_PER_PX = 0.8  # of the plan, for pixels at the surface: those on the floor are as large as a texel
-LEAN = np.float32(1.03)  # longer way through the water than straight up, on average over a picture
+SWINGS = 3  # sines per axis; with three no instant repeats within minutes
+DECK_M = 0.8  # m of deck around the basin that is drawn; farther out its edge is repeated
+TEXELS_PER_PX = 0.8  # resolution of the plan over that of a pixel at the surface; on the floor a pixel is as large as a texel
+LEAN = np.float32(1.03)  # length of a line of sight in water over the depth, on average over a picture
 
 
-class Motion:
-    """Smooth swings about a camera's pose: along all three axes, and turns about them. Bounded, repeatable, never still."""
+class CameraSway:
+    """Smooth motion about a camera's pose: sways along all three axes, and turns about them. Bounded and repeatable."""
 
     def __init__(self, camera: Camera, motion: CameraMotion, random: np.random.Generator) -> None:
         self._camera = camera
@@ -47,13 +47,13 @@ class Motion:
         )
 
 
-class Hover:
-    """Backgrounds from a camera that moves."""
+class MovingBackground:
+    """Backgrounds of a camera that moves."""
 
-    def __init__(self, experiment: Experiment, motion: Motion, random: np.random.Generator) -> None:
+    def __init__(self, experiment: Experiment, motion: CameraSway, random: np.random.Generator) -> None:
         self._motion, self._pool = motion, experiment.pool
-        self._view = View(experiment.camera)
-        self._waters = Waters(experiment, random)
+        self._view = CameraRays(experiment.camera)
+        self._waters = WaterLight(experiment, random)
         self._vignette = vignette(self._view, self._waters.picture.vignetting)
         self._half_vignette = np.ascontiguousarray(self._vignette[0::2, 0::2])
         px_m = 1.0 / experiment.camera.px_per_m
@@ -64,16 +64,16 @@ class Hover:
         plan_x, plan_y = np.meshgrid(self._metres(columns, 0), self._metres(rows, 1))
         hit = _unfolded(plan_x, plan_y, experiment.pool)
         softness = LENS_SOFTNESS_PX * px_m / self._texel_m
-        still = still_scene(experiment, hit, np.full_like(hit.z, LEAN), softness, random)
+        still = draw_still_pool(experiment, hit, np.full_like(hit.z, LEAN), softness, random)
         self._planes = [np.ascontiguousarray(still[..., channel]) for channel in (2, 1, 0)]
 
-    def at(self, time_s: float) -> tuple[Scene, Bytes]:
-        """The scene at a time, and a fresh raw mosaic (height, width) of it."""
+    def at(self, time_s: float) -> tuple[WaterView, Bytes]:
+        """The water's view at a time, and a new raw mosaic (height, width) of it."""
         view = self._view.moved(self._motion.at(time_s))
-        scene = Scene(self._waters, view, trace(view.blocks, self._pool).z, self._vignette)
+        scene = WaterView(self._waters, view, trace_to_surfaces(view.blocks, self._pool).z, self._vignette)
         slopes = scene.slopes(view.whole, time_s)
-        hit = trace(view.blocks.bent(scene.bending * slopes[0], scene.bending * slopes[1]), self._pool)
-        x, y = _plan(hit, self._pool)
+        hit = trace_to_surfaces(view.blocks.deflected(scene.bending * slopes[0], scene.bending * slopes[1]), self._pool)
+        x, y = plan_coordinates(hit, self._pool)
         column, row = (_halved(plane, view) for plane in self._waters.caustics.grid_coordinates(x, y))
         light = self._waters.light(column, row, _halved(self._waters.reach(hit.z), view), time_s) * self._half_vignette
         glare = np.rint(_halved(scene.glare(view.whole, slopes), view)).astype(np.uint8)
@@ -96,20 +96,9 @@ class Hover:
         return np.asarray((np.arange(count) + 0.5) * self._texel_m - self._reach[axis], dtype=np.float32)
 
 
-def _plan(hit: Hit, pool: PoolConfig) -> tuple[Float, Float]:
-    """Where hits lie on the plan: walls are laid open outwards, the deck follows at their upper edge."""
-    half_x, half_y, depth = pool.size_m[0] / 2.0, pool.size_m[1] / 2.0, np.float32(pool.size_m[2])
-    down = depth - hit.z
-    out_x = hit.on_x_wall | (hit.on_deck & (np.abs(hit.x) > half_x))
-    out_y = hit.on_y_wall | (hit.on_deck & (np.abs(hit.y) > half_y))
-    x = hit.x + np.where(out_x, np.copysign(down, hit.x), np.float32(0.0))
-    y = hit.y + np.where(out_y, np.copysign(down, hit.y), np.float32(0.0))
-    return x, y
-
-
-def _unfolded(plan_x: Float, plan_y: Float, pool: PoolConfig) -> Hit:
-    """What lies where on the plan: the inverse of `_plan`. In the corners between two walls, which nobody sees, the wall that
-    is further out."""
+def _unfolded(plan_x: Float, plan_y: Float, pool: PoolConfig) -> SurfacePoints:
+    """The surface at each place of the plan: the inverse of `plan_coordinates`. In the corners between two walls, which no
+    line of sight meets, it is the wall that is farther out."""
     half_x, half_y, depth = np.float32(pool.size_m[0] / 2.0), np.float32(pool.size_m[1] / 2.0), np.float32(pool.size_m[2])
     out_x, out_y = np.abs(plan_x) - half_x, np.abs(plan_y) - half_y
     out = np.maximum(out_x, out_y)
@@ -119,11 +108,11 @@ def _unfolded(plan_x: Float, plan_y: Float, pool: PoolConfig) -> Hit:
     z = np.where(deck, np.float32(0.0), depth - np.maximum(out, 0.0))
     wall = (out > 0) & ~deck
     x, y, z = (np.asarray(plane, dtype=np.float32) for plane in (x, y, z))
-    return Hit(x, y, z, wall & (out_x >= out_y), wall & (out_y > out_x), deck)
+    return SurfacePoints(x, y, z, wall & (out_x >= out_y), wall & (out_y > out_x), deck)
 
 
-def _halved(blocks: Float, view: View) -> Float:
-    """Values at the middles of all blocks, interpolated to the middle of every 2 x 2 pixels."""
+def _halved(blocks: Float, view: CameraRays) -> Float:
+    """Interpolate values at the middles of all blocks to the middles of all 2 x 2 pixels."""
     rows, columns = blocks.shape
     fine = cv2.resize(blocks, (columns * BLOCK // 2, rows * BLOCK // 2), interpolation=cv2.INTER_LINEAR)
     return np.ascontiguousarray(fine[: (view.height + 1) // 2, : (view.width + 1) // 2], dtype=np.float32)

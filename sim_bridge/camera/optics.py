@@ -1,27 +1,31 @@
 """Exact optics of the simulated camera: OpenCV's pinhole with distortion, in air above flat water (Snell's law at z = 0).
 
-`project` goes from the pool to pixels, `rays` from pixels into the pool. Neither approximates: between them they are the
-truth that the localizer's own inverse is judged by.
+`project` maps the pool to pixels, `rays` maps pixels to lines of sight. Neither approximates. They are written without the
+localizer's mapping, which tests judge by them.
 """
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from wire.config.perception import Camera
 from wire.frames import Array
 
-TOLERANCE_M = 1e-12  # of the refraction point; Newton gets there in 3 to 6 steps
+Float = NDArray[np.float32]  # a plane of the picture, of its blocks, or of a map
+Bytes = NDArray[np.uint8]  # a picture: raw mosaic (height, width) or BGR (height, width, 3)
+
+TOLERANCE_M = 1e-12  # m, step at which Newton's iteration for the refraction point ends, after 3 to 6 steps
 MAX_STEPS = 30
 UNDISTORT = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-GRAZING = 1e-3  # smallest sine of a ray's angle below the horizon; flatter rays are cut there, metres outside any pool
+GRAZING = 1e-3  # least sine of a ray's angle below the horizon; flatter rays, metres outside any pool, are given this one
 
 
 @dataclass(frozen=True)
 class Rays:
-    """Lines of sight, all arrays shaped (..., 2): where they cross the surface, and how far they move sideways per metre
-    down, in air and in water. In water a ray is at `surface + z * water` at depth z."""
+    """Lines of sight, all arrays (..., 2): their crossing of the surface, and sideways metres per metre of depth, in air
+    and in water. In water a ray is at `surface + z * water` at depth z."""
 
     surface_m: Array
     air: Array
@@ -34,8 +38,8 @@ def _camera_matrix(camera: Camera) -> Array:
 
 
 def refraction_points(camera: Camera, points_pool: Array) -> Array:
-    """Where the light from each point (m, 3) to the camera crosses z = 0: shape (m, 3), m. Points above the water are
-    returned as they are: their light meets no surface."""
+    """Points (m, 3) at which the light from points (m, 3) to the camera crosses z = 0. Points above the water are returned
+    unchanged."""
     points = np.asarray(points_pool, dtype=np.float64).reshape(-1, 3)
     lens = np.array(camera.position_m)
     offset = points[:, :2] - lens[:2]
@@ -69,7 +73,8 @@ def project(camera: Camera, points_pool: Array) -> Array:
 
 
 def optical_path_m(camera: Camera, points_pool: Array) -> Array:
-    """Optical length (m,) from the lens to each point: it grows along every line of sight, so it tells who is in front."""
+    """Optical length (m,) from the lens to each point. It grows along every line of sight, and so orders bodies by
+    distance."""
     points = np.asarray(points_pool, dtype=np.float64).reshape(-1, 3)
     crossing = refraction_points(camera, points)
     in_air = np.linalg.norm(crossing - np.array(camera.position_m), axis=1)
@@ -77,7 +82,7 @@ def optical_path_m(camera: Camera, points_pool: Array) -> Array:
 
 
 def camera_slopes(camera: Camera, pixels: Array) -> Array:
-    """Where pixels (..., 2) look in the camera's own frame: [right, down, 1], (..., 3), whatever its pose."""
+    """Directions [right, down, 1], (..., 3), of pixels (..., 2) in the camera's own frame."""
     flat = np.ascontiguousarray(pixels, dtype=np.float64).reshape(-1, 1, 2)
     ideal = np.asarray(
         cv2.undistortImagePoints(flat, _camera_matrix(camera), np.array(camera.distortion), arg1=UNDISTORT)

@@ -1,7 +1,7 @@
-"""What each pixel of the simulated camera looks along, handed out by the rectangle.
+"""Lines of sight of the simulated camera's pixels, by rectangle.
 
-Fields that change slowly across the picture (ripples, caustics on robots, glare) are computed once per BLOCK x BLOCK pixels
-and interpolated.
+Fields that change slowly across the picture (ripples, caustics on robots, glare) are computed once per BLOCK x BLOCK
+pixels and interpolated.
 """
 
 from collections.abc import Sequence
@@ -9,19 +9,16 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from sim_bridge.camera.optics import GRAZING, camera_slopes, project
+from sim_bridge.camera.optics import GRAZING, Bytes, Float, camera_slopes, project
 from wire.config.perception import Camera
 from wire.frames import Array
 
-Float = NDArray[np.float32]
-
-BLOCK = 8  # pixels; the shortest ripple is some 60 pixels long
+BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
 
 
 @dataclass(frozen=True)
-class Window:
+class ImageRect:
     """A rectangle of the picture that begins on the Bayer pattern's first pixel, and the blocks that interpolate over it."""
 
     top: int
@@ -45,8 +42,8 @@ class Window:
 
 
 @dataclass(frozen=True)
-class Lines:
-    """Lines of sight, planes of one shape: where they cross the surface, and how far they go sideways per metre down, in air
+class RayBundle:
+    """Lines of sight as planes of one shape: their crossing of the surface, and sideways metres per metre of depth, in air
     and in water."""
 
     surface_x: Float
@@ -56,20 +53,20 @@ class Lines:
     water_x: Float
     water_y: Float
 
-    def __getitem__(self, where: tuple[slice, slice]) -> "Lines":
-        """Those of a rectangle."""
+    def __getitem__(self, where: tuple[slice, slice]) -> "RayBundle":
+        """The lines of a rectangle."""
         planes = (self.surface_x, self.surface_y, self.air_x, self.air_y, self.water_x, self.water_y)
-        return Lines(*(plane[where] for plane in planes))
+        return RayBundle(*(plane[where] for plane in planes))
 
-    def bent(self, slope_x: Float, slope_y: Float) -> "Lines":
-        """In water, turned by these much."""
+    def deflected(self, slope_x: Float, slope_y: Float) -> "RayBundle":
+        """The lines with these slopes added in water."""
         water_x, water_y = np.asarray(self.water_x + slope_x), np.asarray(self.water_y + slope_y)
-        return Lines(self.surface_x, self.surface_y, self.air_x, self.air_y, water_x, water_y)
+        return RayBundle(self.surface_x, self.surface_y, self.air_x, self.air_y, water_x, water_y)
 
 
-class Lens:
-    """Where each pixel and each block looks from the camera, whatever its pose: planes (3, height, width) of slopes right and
-    down, and of ones. Finding them takes a second, so a camera that moves keeps them."""
+class PixelSlopes:
+    """Directions of all pixels and of all blocks in the camera's frame: planes (3, height, width) of slopes right and
+    down, and of ones. Computing them takes a second, so a camera that moves keeps them."""
 
     def __init__(self, camera: Camera) -> None:
         self.width, self.height = camera.size_px
@@ -81,33 +78,33 @@ class Lens:
         self.blocks = _slopes(camera, column, row)
 
 
-class View:
-    """Lines of sight of a camera in its pose: of all blocks at once, of pixels by the rectangle."""
+class CameraRays:
+    """Lines of sight of a camera in its pose: of all blocks at once, of pixels by rectangle."""
 
-    def __init__(self, camera: Camera, lens: Lens | None = None) -> None:
-        self.camera, self.lens = camera, lens or Lens(camera)
+    def __init__(self, camera: Camera, lens: PixelSlopes | None = None) -> None:
+        self.camera, self.lens = camera, lens or PixelSlopes(camera)
         self.width, self.height = camera.size_px
         self.blocks = _lines(camera, self.lens.blocks)
         self._pixels = None if lens else _lines(camera, self.lens.pixels)  # for one picture only, rectangles are cheaper
 
-    def moved(self, camera: Camera) -> "View":
+    def moved(self, camera: Camera) -> "CameraRays":
         """The same camera in another pose."""
-        return View(camera, self.lens)
+        return CameraRays(camera, self.lens)
 
-    def lines(self, window: Window) -> Lines:
-        """Those of a window's pixels."""
+    def lines(self, window: ImageRect) -> RayBundle:
+        """The lines of a rectangle's pixels."""
         if self._pixels is not None:
             return self._pixels[window.pixels]
         return _lines(self.camera, self.lens.pixels[:, *window.pixels])
 
     @property
-    def whole(self) -> Window:
-        """The whole picture."""
+    def whole(self) -> ImageRect:
+        """The rectangle of the whole picture."""
         rows, columns = self.blocks.surface_x.shape
-        return Window(0, self.height, 0, self.width, 0, rows, 0, columns)
+        return ImageRect(0, self.height, 0, self.width, 0, rows, 0, columns)
 
-    def windows(self, points_pool: Sequence[Array], margin_px: float) -> list[Window | None]:
-        """For each of k things the rectangle that holds the pictures of all its points, (k, m, 3); None if that lies outside
+    def windows(self, points_pool: Sequence[Array], margin_px: float) -> list[ImageRect | None]:
+        """For each of k bodies the rectangle that holds the projections of its points, (k, m, 3); None if it lies outside
         the picture."""
         if not len(points_pool):
             return []
@@ -116,20 +113,20 @@ class View:
         low, high = pixels.min(axis=1) - margin_px, pixels.max(axis=1) + margin_px
         return [self._window(*sides) for sides in np.concatenate([low, high], axis=1).tolist()]
 
-    def _window(self, low_x: float, low_y: float, high_x: float, high_y: float) -> Window | None:
+    def _window(self, low_x: float, low_y: float, high_x: float, high_y: float) -> ImageRect | None:
         if not (high_x >= 0 and high_y >= 0 and low_x <= self.width - 1 and low_y <= self.height - 1):  # NaN is nowhere
             return None
         rows, columns = self.blocks.surface_x.shape
         left, right = max(int(low_x) // 2 * 2, 0), min(int(high_x) // 2 * 2 + 2, self.width)
         top, bottom = max(int(low_y) // 2 * 2, 0), min(int(high_y) // 2 * 2 + 2, self.height)
-        return Window(
+        return ImageRect(
             top, bottom, left, right,
             max(top // BLOCK - 1, 0), min(-(-bottom // BLOCK) + 1, rows),
             max(left // BLOCK - 1, 0), min(-(-right // BLOCK) + 1, columns),
         )  # fmt: skip
 
-    def spread(self, blocks: Float, window: Window) -> Float:
-        """Values at the middles of `window.blocks`, interpolated to the pixels of the window."""
+    def spread(self, blocks: Float, window: ImageRect) -> Float:
+        """Interpolate values at the middles of `window.blocks` to the pixels of the rectangle."""
         rows, columns = blocks.shape
         fine = cv2.resize(blocks, (columns * BLOCK, rows * BLOCK), interpolation=cv2.INTER_LINEAR)
         top, left = window.top - window.block_top * BLOCK, window.left - window.block_left * BLOCK
@@ -137,8 +134,9 @@ class View:
         return np.asarray(fine[top : top + height, left : left + width], dtype=np.float32)
 
 
-def seen_raw(planes: Sequence[NDArray[np.uint8]], column: Float, row: Float) -> NDArray[np.uint8]:
-    """What an RGGB sensor's pixels see of a picture (its red, green and blue planes) at these places of it, in their shape."""
+def sample_mosaic(planes: Sequence[Bytes], column: Float, row: Float) -> Bytes:
+    """Sample a picture, given as red, green and blue planes, at places (column, row) as an RGGB sensor does: a mosaic in
+    their shape."""
     raw = np.empty(column.shape, np.uint8)
     for i, j, plane in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
         x, y = np.ascontiguousarray(column[i::2, j::2]), np.ascontiguousarray(row[i::2, j::2])
@@ -146,9 +144,8 @@ def seen_raw(planes: Sequence[NDArray[np.uint8]], column: Float, row: Float) -> 
     return raw
 
 
-def _lines(camera: Camera, slopes: Float) -> Lines:
-    """Lines of sight in the pool, from slopes (3, height, width) in the camera's own frame; see
-    sim_bridge/camera/optics.py."""
+def _lines(camera: Camera, slopes: Float) -> RayBundle:
+    """Lines of sight in the pool, from slopes (3, height, width) in the camera's frame; float32 version of `optics.rays`."""
     turn = np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0]).astype(np.float32)
     x, y, down = np.tensordot(turn.T, slopes, axes=1)
     length2 = x * x + y * y + down * down
@@ -156,7 +153,7 @@ def _lines(camera: Camera, slopes: Float) -> Lines:
     lens_x, lens_y, lens_z = (np.float32(value) for value in camera.position_m)
     air_x, air_y = x / down, y / down
     root = np.sqrt(np.float32(camera.water_index**2) * length2 - x * x - y * y)
-    return Lines(lens_x - lens_z * air_x, lens_y - lens_z * air_y, air_x, air_y, x / root, y / root)
+    return RayBundle(lens_x - lens_z * air_x, lens_y - lens_z * air_y, air_x, air_y, x / root, y / root)
 
 
 def _slopes(camera: Camera, column: Array, row: Array) -> Float:

@@ -1,7 +1,7 @@
-"""The simulated overhead camera: plant in the middle of an exposure -> raw Bayer picture. Pure and repeatable.
+"""The simulated overhead camera: the plant's state in the middle of an exposure -> a raw Bayer picture. Pure and repeatable.
 
-Reads in the order light travels: backdrop (floor, walls, water), landmarks, shadows, robots and balls adrift from the farthest
-to the nearest, noise. A camera under a drone (sim.camera_motion) is still during an exposure.
+The pipeline is described in this package's __init__. A camera under a drone (sim.camera_motion) is still during an
+exposure.
 """
 
 from collections.abc import Collection, Sequence
@@ -9,57 +9,64 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.camera.marker_plate import Plate, Sight
-from sim_bridge.camera.moving_background import Hover, Motion
-from sim_bridge.camera.optics import optical_path_m, project
-from sim_bridge.camera.rays import Window
-from sim_bridge.camera.robot_sprite import Pose, Sprite, attitude, parts, shade, shadow_box
-from sim_bridge.camera.scene import Scene
-from sim_bridge.camera.sensor_noise import ImageNoise
-from sim_bridge.camera.static_background import Backdrop
-from sim_bridge.camera.textures import Bytes, Float
+from sim_bridge.camera.moving_background import CameraSway, MovingBackground
+from sim_bridge.camera.optics import Bytes, Float, optical_path_m, project
+from sim_bridge.camera.rays import ImageRect
+from sim_bridge.camera.robot_sprite import (
+    BodyPose,
+    BodySprite,
+    MarkerPlate,
+    PixelRays,
+    attitude,
+    draw_shadow,
+    exposure_poses,
+    shadow_box,
+)
+from sim_bridge.camera.scene import WaterView
+from sim_bridge.camera.sensor_noise import SensorNoise
+from sim_bridge.camera.static_background import StaticBackground
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.experiment import Experiment
 from wire.config.perception import Camera
 from wire.frames import Array
 
-MARGIN_PX = 4.0  # around a robot's picture: ripples and soft edges
-PROBE_M = 0.02  # distance over which the local scale is measured
+MARGIN_PX = 4.0  # px around a body's projection, for ripples and soft edges
+PROBE_M = 0.02  # m over which the local scale is measured
 
-Body = tuple[Sprite, Array, Array, Array]  # with eta (4,), nu (4,), and roll and pitch (2,)
+Body = tuple[BodySprite, Array, Array, Array]  # with eta (4,), nu (4,), and roll and pitch (2,)
 
 
 class Renderer:
-    """Draws what the camera of an experiment sees. Backgrounds are drawn at the start (seconds), frames in milliseconds."""
+    """The camera of an experiment. Backgrounds are drawn at the start (seconds), frames in milliseconds."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         self._camera, self._picture = experiment.camera, experiment.sim.picture
         self._robots, self._landmarks = experiment.robot_ids, experiment.landmarks
         random = generator(seed, Stream.CAMERA, 0)
         motion = experiment.sim.camera_motion
-        swings = Motion(experiment.camera, motion, generator(seed, Stream.CAMERA, 3))
-        self._backdrop = Hover(experiment, swings, random) if motion.moves else Backdrop(experiment, random)
+        swings = CameraSway(experiment.camera, motion, generator(seed, Stream.CAMERA, 3))
+        self._backdrop = MovingBackground(experiment, swings, random) if motion.moves else StaticBackground(experiment, random)
         shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
         self._sprites = [
-            Sprite.robot(robot, experiment, generator(seed, Stream.CAMERA, 1, shade))
+            BodySprite.robot(robot, experiment, generator(seed, Stream.CAMERA, 1, shade))
             for robot, shade in zip(experiment.robots, shades, strict=True)
         ]
-        self._balls = [(drifter, Sprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
+        self._balls = [(drifter, BodySprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
         self._whole = self._sprites
-        self._plates = [Plate(landmark.id, landmark.side_m, experiment.camera.px_per_m) for landmark in self._landmarks]
+        self._plates = [MarkerPlate(landmark.id, landmark.side_m, experiment.camera.px_per_m) for landmark in self._landmarks]
         random = generator(seed, Stream.CAMERA, 2)
-        self._noise = ImageNoise(experiment.camera.size_px, self._picture.noise, random)
+        self._noise = SensorNoise(experiment.camera.size_px, self._picture.noise, random)
 
-    def lose_markers(self, bare: Collection[int]) -> None:
+    def hide_markers(self, unmarked: Collection[int]) -> None:
         """From now on draw these robots, by index, without their markers, and the others with."""
-        self._sprites = [sprite.unmarked() if i in bare else sprite for i, sprite in enumerate(self._whole)]
+        self._sprites = [sprite.unmarked() if i in unmarked else sprite for i, sprite in enumerate(self._whole)]
 
     def render(self, eta: Array, nu: Array, time_s: float, frame_index: int, tilt: Array | None = None) -> NDArray[np.uint8]:
-        """Raw RGGB picture (height, width): COLOR_BayerRGGB2BGR gives right colours.
+        """Raw RGGB picture (height, width) uint8 of the pool; COLOR_BayerRGGB2BGR gives its colours.
 
-        eta (n, 4) and nu (n, 4) are the robots, in the experiment's order, in the middle of the exposure at `time_s`; `tilt`
-        (n, 2 or more) begins with their roll and pitch, and they are level without it.
-        Robots outside the picture are not in it; numbers that are not finite are a bug of the plant: ValueError.
+        eta (n, 4) and nu (n, 4) are the robots, in the experiment's order, in the middle of the exposure at `time_s`.
+        `tilt` (n, 2 or more) begins with their roll and pitch; without it they are level. A robot outside the picture is
+        not drawn. Raises ValueError for numbers that are not finite, which are a bug of the plant.
         """
         for i, robot in enumerate(self._robots):
             if not (np.all(np.isfinite(eta[i])) and np.all(np.isfinite(nu[i]))):
@@ -67,13 +74,13 @@ class Renderer:
         scene, raw = self._backdrop.at(time_s)
         self._draw_landmarks(raw, scene, time_s)
         roll_pitch = np.zeros((len(eta), 2)) if tilt is None else tilt[:, :2]
-        bodies: list[Body] = [*zip(self._sprites, eta, nu, roll_pitch, strict=True), *self._adrift(time_s)]
+        bodies: list[Body] = [*zip(self._sprites, eta, nu, roll_pitch, strict=True), *self._drifting_balls(time_s)]
         if self._picture.shadows:
             self._draw_shadows(raw, scene, bodies)
         self._draw_bodies(raw, scene, bodies, time_s)
         return self._noise.add(raw, frame_index)
 
-    def _adrift(self, time_s: float) -> list[Body]:
+    def _drifting_balls(self, time_s: float) -> list[Body]:
         """The balls that are in the water: heading 0, so that body and pool axes agree."""
         places = [(sprite, drifter, drifter.place_m(time_s)) for drifter, sprite in self._balls]
         return [
@@ -82,7 +89,7 @@ class Renderer:
             if place is not None
         ]
 
-    def _draw_landmarks(self, raw: Bytes, scene: Scene, time_s: float) -> None:
+    def _draw_landmarks(self, raw: Bytes, scene: WaterView, time_s: float) -> None:
         places = [np.array(landmark.position_m) for landmark in self._landmarks]
         corners = [plate.corners(place) for plate, place in zip(self._plates, places, strict=True)]
         windows = scene.view.windows(corners, MARGIN_PX)
@@ -90,17 +97,19 @@ class Renderer:
             if window is None:
                 continue
             slopes = scene.slopes(window, time_s)
-            colour, cover = plate.layer(_sight(scene, window, slopes, place[2], time_s), place, attitude(landmark.yaw_rad))
-            _lay(raw, scene, window, slopes, colour, cover)
+            colour, cover = plate.layer(
+                _pixel_rays(scene, window, slopes, place[2], time_s), place, attitude(landmark.yaw_rad)
+            )
+            _composite(raw, scene, window, slopes, colour, cover)
 
-    def _draw_shadows(self, raw: Bytes, scene: Scene, bodies: Sequence[Body]) -> None:
+    def _draw_shadows(self, raw: Bytes, scene: WaterView, bodies: Sequence[Body]) -> None:
         boxes = [shadow_box(eta, scene.depth_m, sprite.radius_m) for sprite, eta, _, _ in bodies]
         for (sprite, eta, _, _), window in zip(bodies, scene.view.windows(boxes, MARGIN_PX), strict=True):
             if window is not None:
-                shade(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
+                draw_shadow(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
 
-    def _draw_bodies(self, raw: Bytes, scene: Scene, bodies: Sequence[Body], time_s: float) -> None:
-        """The farthest first; not what is above the lens."""
+    def _draw_bodies(self, raw: Bytes, scene: WaterView, bodies: Sequence[Body], time_s: float) -> None:
+        """Draw the bodies, the farthest first; none that is above the lens."""
         places = np.array([eta[:3] for _, eta, _, _ in bodies])
         scales = _scales(scene.view.camera, places)
         far_m = optical_path_m(scene.view.camera, places)
@@ -112,9 +121,9 @@ class Renderer:
                 _draw_body(raw, scene, window, bodies[i], [_pose(at, bodies[i][3], scales[i]) for at in instants], time_s)
 
     def _exposure(self, body: Body, px_per_m: float) -> tuple[list[Array], Array]:
-        """Where a body is during the exposure, and corners (16, 3) of a box around its way."""
+        """Poses (4,) of a body during the exposure, and corners (16, 3) of a box around them."""
         sprite, eta, nu, roll_pitch = body
-        instants = parts(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
+        instants = exposure_poses(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
         lean = float(np.hypot(*roll_pitch))
         return instants, np.concatenate([sprite.box(instant, lean) for instant in (instants[0], instants[-1])])
 
@@ -127,32 +136,34 @@ def _scales(camera: Camera, places_m: Array) -> list[float]:
     return scales
 
 
-def _draw_body(raw: Bytes, scene: Scene, window: Window, body: Body, poses: Sequence[Pose], time_s: float) -> None:
-    """The mean of its pictures in `poses`."""
+def _draw_body(raw: Bytes, scene: WaterView, window: ImageRect, body: Body, poses: Sequence[BodyPose], time_s: float) -> None:
+    """Draw the mean of a body's layers in `poses`."""
     sprite, eta, _, _ = body
     slopes = scene.slopes(window, time_s)
-    sight = _sight(scene, window, slopes, eta[2], time_s)
-    layers = [sprite.layer(sight, pose) for pose in poses]
+    rays = _pixel_rays(scene, window, slopes, eta[2], time_s)
+    layers = [sprite.layer(rays, pose) for pose in poses]
     colour, cover = layers[0]
     if len(layers) > 1:
         colour, cover = (np.asarray(sum(planes) / np.float32(len(planes))) for planes in zip(*layers, strict=True))
-    _lay(raw, scene, window, slopes, colour, cover)
+    _composite(raw, scene, window, slopes, colour, cover)
 
 
-def _lay(raw: Bytes, scene: Scene, window: Window, slopes: Float, colour: Float, cover: Float) -> None:
+def _composite(raw: Bytes, scene: WaterView, window: ImageRect, slopes: Float, colour: Float, cover: Float) -> None:
     """Lay a layer, its colour weighted with its coverage, over the picture in place, and the water's glare over that."""
     bright = colour * scene.vignette[window.pixels] + cover * scene.view.spread(scene.glare(window, slopes), window)
     spot = raw[window.pixels]
     spot[:] = np.clip(np.rint(spot * (1.0 - cover) + bright), 0, 255).astype(np.uint8)
 
 
-def _sight(scene: Scene, window: Window, slopes: Float, depth_m: float, time_s: float) -> Sight:
+def _pixel_rays(scene: WaterView, window: ImageRect, slopes: Float, depth_m: float, time_s: float) -> PixelRays:
     view, bending = scene.view, scene.bending
     light = view.spread(scene.light(window, depth_m, time_s), window)
-    bent = view.lines(window).bent(bending * view.spread(slopes[0], window), bending * view.spread(slopes[1], window))
-    return Sight(bent, light)
+    deflected = view.lines(window).deflected(
+        bending * view.spread(slopes[0], window), bending * view.spread(slopes[1], window)
+    )
+    return PixelRays(deflected, light)
 
 
-def _pose(eta: Array, roll_pitch: Array, px_per_m: float) -> Pose:
+def _pose(eta: Array, roll_pitch: Array, px_per_m: float) -> BodyPose:
     x_m, y_m, z_m, yaw_rad = (float(value) for value in eta)
-    return Pose(x_m, y_m, z_m, attitude(yaw_rad, *roll_pitch.tolist()), px_per_m)
+    return BodyPose(x_m, y_m, z_m, attitude(yaw_rad, *roll_pitch.tolist()), px_per_m)

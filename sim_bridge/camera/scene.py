@@ -1,73 +1,172 @@
-"""What the camera looks at in one picture, robots and landmarks aside: lines of sight, light in the water, glare upon it."""
+"""The pool without robots: the surfaces that lines of sight meet and their colours under still water, and the water's
+light over them in one picture."""
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from sim_bridge.camera.rays import View, Window
-from sim_bridge.camera.textures import Bytes, Float
-from sim_bridge.camera.water_optics import LOOP_S, Caustics, Ripples, glare
+from sim_bridge.camera.optics import Bytes, Float
+from sim_bridge.camera.rays import CameraRays, ImageRect, RayBundle
+from sim_bridge.camera.textures import TILE_M, grain, texels_per_tile, tile_texture
+from sim_bridge.camera.water_optics import WaterLight, glare
 from wire.config.experiment import Experiment
+from wire.config.scene import PoolConfig
 
-PHASES = 48  # of moving light and ripples kept in a loop
-CAUSTIC_UNIT = 50.0  # grey levels per mean light in the stored patterns
-
-
-class Waters:
-    """The water and its light, wherever they are seen from: ripples, and a loop of caustic patterns."""
-
-    def __init__(self, experiment: Experiment, random: np.random.Generator) -> None:
-        self.picture, self.depth_m = experiment.sim.picture, experiment.pool.size_m[2]
-        self.ripples = Ripples(self.picture, experiment.camera, random)
-        self.caustics = Caustics(experiment.pool, random)
-        moving = self.picture.ripples_m > 0.0 or self.picture.caustics > 0.0
-        self.times_s = np.arange(PHASES if moving else 1) * LOOP_S / PHASES
-        self._patterns: list[Bytes] = [
-            np.clip(self.caustics.pattern(time_s) * CAUSTIC_UNIT, 0, 255).astype(np.uint8) for time_s in self.times_s
-        ]
-
-    def light(self, column: Float, row: Float, reach: Float | np.float32, time_s: float) -> Float:
-        """Caustic light relative to its mean at places of the caustics' grid, as much of it as `reach` (0 to 1) says."""
-        pattern = self._patterns[round(time_s / LOOP_S * PHASES) % len(self._patterns)]
-        levels = cv2.remap(pattern, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
-        return np.asarray(1.0 + reach * (levels.astype(np.float32) / np.float32(CAUSTIC_UNIT) - 1.0), dtype=np.float32)
-
-    def reach(self, depth_m: Float | float) -> Float:
-        """How much of the caustics there is at a depth: they gather on the way down."""
-        share = np.float32(self.picture.caustics) * np.clip(np.asarray(depth_m) / self.depth_m, 0.0, 1.0)
-        return np.asarray(share, dtype=np.float32)
+# Absorption per metre of water: blue, green, red. Clear water absorbs red first (Pope and Fry 1997: 0.01, 0.06, 0.34 at 450,
+# 550, 650 nm); a little is added for floating particles. Then colour and rate of the light that the water scatters back.
+ABSORPTION_PER_M = np.array([0.06, 0.08, 0.30], np.float32)
+VEIL = np.array([168.0, 142.0, 62.0], np.float32)
+SCATTERING_PER_M = np.float32(0.11)
+FLOOR, WALL, BAND, DECK = (170.0, 167.0, 152.0), (172.0, 169.0, 155.0), (140.0, 86.0, 36.0), (136.0, 143.0, 147.0)
+BAND_M = 0.125  # one row of dark tiles at the waterline
+COPING_M = 0.12  # pale stone around the basin
+MARK_RADIUS_M = 0.09
+MARK = np.array([26.0, 22.0, 226.0], np.float32)
+MOSAIC = np.array([[2, 1], [1, 0]])  # which of blue, green, red a pixel of a raw picture sees
 
 
-class Scene:
-    """The waters from one point of view. `block_z` (block rows, columns) is how deep floor, wall or deck lie."""
+def water_colour(path_m: float) -> tuple[Float, Float]:
+    """Effect of `path_m` of water on a colour (BGR): the share that passes, and the scattered light that is added, 0 to
+    255."""
+    return np.exp(-ABSORPTION_PER_M * np.float32(path_m)), VEIL * (1.0 - np.exp(-SCATTERING_PER_M * np.float32(path_m)))
 
-    def __init__(self, waters: Waters, view: View, block_z: Float, vignette: Float) -> None:
+
+def through_water(raw: Float, path_m: float) -> Float:
+    """Apply a path through water to a mosaic in place: transmission and scattered light of each pixel's colour."""
+    water = np.array(water_colour(path_m))[:, MOSAIC]  # share and veil, of even and odd rows, in even and odd columns
+    rows = np.empty((2, 2, raw.shape[1]), np.float32)
+    rows[..., 0::2], rows[..., 1::2] = water[..., :1], water[..., 1:]
+    for i, (share, veil) in enumerate(rows.swapaxes(0, 1)):
+        raw[i::2] *= share
+        raw[i::2] += veil
+    return raw
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Ends of lines of sight, planes of one shape: their place in the pool and the surface that they lie on."""
+
+    x: Float
+    y: Float
+    z: Float
+    on_x_wall: NDArray[np.bool_]
+    on_y_wall: NDArray[np.bool_]
+    on_deck: NDArray[np.bool_]
+
+
+def trace_to_surfaces(lines: RayBundle, pool: PoolConfig) -> SurfacePoints:
+    """Follow each line to floor, wall or, outside the basin, to the deck at z = 0."""
+    half_x, half_y, depth = pool.size_m[0] / 2.0, pool.size_m[1] / 2.0, pool.size_m[2]
+    deck = (np.abs(lines.surface_x) > half_x) | (np.abs(lines.surface_y) > half_y)
+
+    def wall(surface: Float, slope: Float, half: float) -> Float:
+        safe = np.where(np.abs(slope) < 1e-6, np.float32(1e-6), slope)
+        return np.asarray((np.copysign(np.float32(half), safe) - surface) / safe, dtype=np.float32)
+
+    z_x, z_y = wall(lines.surface_x, lines.water_x, half_x), wall(lines.surface_y, lines.water_y, half_y)
+    z = np.where(deck, np.float32(0.0), np.minimum(np.minimum(z_x, z_y), np.float32(depth)))
+    x = np.asarray(lines.surface_x + z * lines.water_x, dtype=np.float32)
+    y = np.asarray(lines.surface_y + z * lines.water_y, dtype=np.float32)
+    wet_wall = ~deck & (z < depth)
+    return SurfacePoints(x, y, z, wet_wall & (z_x <= z_y), wet_wall & (z_y < z_x), deck)
+
+
+def draw_still_pool(
+    experiment: Experiment, hit: SurfacePoints, lean: Float, softness: float, random: np.random.Generator
+) -> Bytes:
+    """The pool under flat water without caustics and glare, BGR, in the shape of the planes of `hit`.
+
+    `lean` is the length of the way to the camera in water over the depth, `softness` the lens's blur in elements of the
+    planes.
+    """
+    length, width, depth = experiment.pool.size_m
+    texel = 1.0 / experiment.camera.px_per_m
+    grid = TILE_M / texels_per_tile(texel)
+
+    def look(texture: Bytes, along: Float, down: Float) -> Float:
+        x, y = (along / np.float32(grid) - np.float32(0.5), down / np.float32(grid) - np.float32(0.5))
+        return np.asarray(cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP), dtype=np.float32)
+
+    half_x, half_y = np.float32(length / 2.0), np.float32(width / 2.0)
+    image = look(tile_texture((length, width), texel, FLOOR, random), hit.x + half_x, hit.y + half_y)
+    near_wall = np.minimum(half_x - np.abs(hit.x), half_y - np.abs(hit.y))
+    image *= (1.0 - 0.25 * np.exp(-np.maximum(near_wall, 0.0) / np.float32(0.12)))[..., None]
+    _draw_mark(image, hit, texel)
+    for mask, along in ((hit.on_x_wall, hit.y + half_y), (hit.on_y_wall, hit.x + half_x)):
+        side = look(tile_texture((max(length, width), depth), texel, WALL, random), along, hit.z)
+        dark = look(tile_texture((max(length, width), BAND_M), texel, BAND, random), along, hit.z)
+        side = np.where((hit.z < BAND_M)[..., None], dark, side)
+        side *= (0.86 - 0.22 * np.exp((hit.z - np.float32(depth)) / np.float32(0.15)))[..., None]
+        image[mask] = side[mask]
+    path = hit.z * (1.0 + lean)
+    image *= np.exp(-path[..., None] * ABSORPTION_PER_M)
+    image += VEIL * (1.0 - np.exp(-SCATTERING_PER_M * path))[..., None]
+    image[hit.on_deck] = _deck(hit, half_x, half_y, random)
+    image = np.asarray(cv2.GaussianBlur(image, (0, 0), softness), dtype=np.float32)
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
+def _draw_mark(image: Float, hit: SurfacePoints, texel_m: float) -> None:
+    """Draw the circular red mark below the origin (article, section 5.2), a little worn at its rim."""
+    inside = np.clip((MARK_RADIUS_M - np.hypot(hit.x, hit.y)) / (2.0 * texel_m) + 0.5, 0.0, 1.0)
+    inside *= 0.93 * (hit.z > 0)
+    image *= 1.0 - inside[..., None]
+    image += inside[..., None] * MARK
+
+
+def _deck(hit: SurfacePoints, half_x: np.float32, half_y: np.float32, random: np.random.Generator) -> Float:
+    """Concrete around the basin with a pale coping, for the pixels on deck."""
+    outside = np.maximum(np.abs(hit.x) - half_x, np.abs(hit.y) - half_y)[hit.on_deck]
+    rough = 1.0 + grain(hit.x.shape[0], hit.x.shape[1], ((1.5, 0.03), (9.0, 0.03), (90.0, 0.05)), random)[hit.on_deck]
+    stone = np.where(outside < COPING_M, np.float32(1.25), np.float32(0.85)) * rough
+    stone *= 1.0 - 0.5 * np.exp(-(((outside - COPING_M) / 0.006) ** 2))  # the joint
+    return np.asarray(stone[:, None] * np.array(DECK), dtype=np.float32)
+
+
+class WaterView:
+    """The water's light from one point of view. `block_z` (block rows, columns) is the depth of floor, wall or deck."""
+
+    def __init__(self, waters: WaterLight, view: CameraRays, block_z: Float, vignette: Float) -> None:
         self.waters, self.view, self.block_z, self.vignette = waters, view, block_z, vignette
         self.depth_m, self.bending = waters.depth_m, np.float32(waters.ripples.bending)
         shape = view.blocks.surface_x.shape
         self._basis = waters.ripples.basis(view.blocks.surface_x, view.blocks.surface_y).reshape(-1, *shape)
 
-    def slopes(self, window: Window, time_s: float) -> Float:
-        """Slopes of the surface at the window's blocks, (2, block rows, block columns)."""
+    def slopes(self, window: ImageRect, time_s: float) -> Float:
+        """Slopes of the surface at the rectangle's blocks, (2, block rows, block columns)."""
         basis = self._basis[:, *window.blocks]
         return self.waters.ripples.slopes(basis.reshape(len(basis), -1), time_s).reshape(2, *basis.shape[1:])
 
-    def glare(self, window: Window, slopes: Float) -> Float:
-        """Grey levels that mirrored lamps add at the window's blocks."""
+    def glare(self, window: ImageRect, slopes: Float) -> Float:
+        """Grey levels that mirrored lamps add at the rectangle's blocks."""
         lines = self.view.blocks[window.blocks]
         levels = glare(lines.surface_x, lines.surface_y, slopes, self.view.camera)
         return levels * np.float32(255.0 * self.waters.picture.glare)
 
-    def light(self, window: Window, depth_m: float, time_s: float) -> Float:
-        """Light at a depth, relative to its mean, at the window's blocks."""
+    def light(self, window: ImageRect, depth_m: float, time_s: float) -> Float:
+        """Light at a depth, relative to its mean, at the rectangle's blocks."""
         lines, depth = self.view.blocks[window.blocks], np.float32(depth_m)
         x, y = lines.surface_x + depth * lines.water_x, lines.surface_y + depth * lines.water_y
         column, row = self.waters.caustics.grid_coordinates(x, y)
         return self.waters.light(column, row, np.float32(self.waters.reach(depth_m)), time_s)
 
 
-def vignette(view: View, strength: float) -> Float:
-    """How much of its light each pixel gets, (height, width)."""
+def vignette(view: CameraRays, strength: float) -> Float:
+    """Share of its light that each pixel gets, (height, width)."""
     centre_x, centre_y = view.camera.centre_px
     column, row = (np.arange(view.width) - centre_x) ** 2, (np.arange(view.height) - centre_y) ** 2
     corner = max(column[0], column[-1]) + max(row[0], row[-1])
     return np.asarray(1.0 - strength * (column[None, :] + row[:, None]) / corner, dtype=np.float32)
+
+
+def plan_coordinates(hit: SurfacePoints, pool: PoolConfig) -> tuple[Float, Float]:
+    """Places on the plan of the basin: walls are unfolded outwards, and the deck follows at their upper edge."""
+    half_x, half_y, depth = pool.size_m[0] / 2.0, pool.size_m[1] / 2.0, np.float32(pool.size_m[2])
+    down = depth - hit.z
+    out_x = hit.on_x_wall | (hit.on_deck & (np.abs(hit.x) > half_x))
+    out_y = hit.on_y_wall | (hit.on_deck & (np.abs(hit.y) > half_y))
+    x = hit.x + np.where(out_x, np.copysign(down, hit.x), np.float32(0.0))
+    y = hit.y + np.where(out_y, np.copysign(down, hit.y), np.float32(0.0))
+    return x, y

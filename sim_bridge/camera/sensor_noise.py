@@ -1,24 +1,23 @@
-"""Noise of the camera's sensor, on the raw mosaic: it grows with the light, and no two frames share it."""
+"""Sensor noise on the raw mosaic: it grows with the light, and differs in every frame."""
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-Bytes = NDArray[np.uint8]
+from sim_bridge.camera.optics import Bytes
 
 MID_GREY = 128.0
-READ_SHARE = 0.3  # of the variance at mid grey that does not depend on the light; the rest is shot noise
+READ_SHARE = 0.3  # read noise's share of the variance at mid grey; the rest is shot noise, which grows with the light
 UNIT = 32.0  # one standard deviation in the stored noise
 SHIFT_BITS = 8  # a gain is noise levels * 2^SHIFT_BITS / UNIT: products stay within 16 bits up to 30 grey levels
 LARGEST_GAIN = 255
-SPARE_PX = (509, 251)  # larger than the picture by this: coprime, so frame k's place does not return for 127,759 frames
-STRIDE = (197, 103)
-ROWS = 96  # worked on at a time: what lies between then stays in the processor's cache
+SPARE_PX = (509, 251)  # px by which the field exceeds the picture; coprime, so a cut-out repeats after 127,759 frames
+STRIDE = (197, 103)  # px by which the cut-out moves from frame to frame
+ROWS = 96  # processed at a time, so that intermediate results stay in the processor's cache
 
 
-class ImageNoise:
-    """Adds noise to frames from one large field, each frame with its own cut-out: drawing 1.2 million normal deviates a frame
-    would take 15 ms."""
+class SensorNoise:
+    """Noise from one large field, each frame with its own cut-out: drawing 1.2 million normal deviates a frame would take
+    15 ms."""
 
     def __init__(self, size_px: tuple[int, int], noise: float, random: np.random.Generator) -> None:
         self._size = size_px

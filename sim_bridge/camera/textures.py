@@ -1,4 +1,4 @@
-"""What things look like close up: tiles, a robot's shell, a marker plate. All drawn from numbers, none from files.
+"""Textures of tiles, robot hulls and marker plates, all drawn from numbers, none from files.
 
 Colours are BGR, 0 to 255, in daylight out of the water.
 """
@@ -7,20 +7,21 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float32]
-Bytes = NDArray[np.uint8]
+from sim_bridge.camera.optics import Bytes, Float
+
 Plane = NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 TILE_M = 0.125
 GROUT_M = 0.005
-LONGEST_M = 4.0  # tiles repeat beyond this
-FINEST_M = 0.002  # texel
+LONGEST_M = 4.0  # m of tiles that are drawn; larger planes repeat them
+FINEST_M = 0.002  # m, smallest texel
 
-SHELL_PX = 320  # the whole sphere in one disc, see `shell`
+HULL_PX = 320  # the whole sphere in one disc, see `shell`
+LENS_SOFTNESS_PX = 0.5  # standard deviation of the lens's blur
 CELL_PX = 16  # texels per marker cell
-QUIET_CELLS = 1  # white around the marker: what ArUco needs to see its border
-MARGIN_PX = 8  # transparent, so that the plate's edge can be smooth
+QUIET_CELLS = 1  # white cells around the marker, which ArUco needs to find its border
+MARGIN_PX = 8  # transparent texels around the plate, for a smooth edge
 WHITE, BLACK = 232.0, 24.0
 
 YELLOW, ORANGE = np.array([38.0, 186.0, 240.0]), np.array([30.0, 150.0, 242.0])
@@ -38,11 +39,11 @@ def grain(height: int, width: int, octaves: tuple[tuple[float, float], ...], ran
 
 
 def texels_per_tile(texel_m: float) -> int:
-    """How many texels of about this size `tiles` lays along a tile: a whole number fits."""
+    """Texels of about this size along a tile: a whole number."""
     return max(round(TILE_M / max(texel_m, FINEST_M)), 4)
 
 
-def tiles(size_m: tuple[float, float], texel_m: float, colour: Colour, random: np.random.Generator) -> Bytes:
+def tile_texture(size_m: tuple[float, float], texel_m: float, colour: Colour, random: np.random.Generator) -> Bytes:
     """A tiled plane (rows along size_m[1], columns along size_m[0], 3), a whole number of tiles, at most LONGEST_M."""
     per_tile = texels_per_tile(texel_m)
     across, down = (int(np.ceil(min(size, LONGEST_M) / TILE_M - 1e-9)) for size in size_m)
@@ -58,18 +59,19 @@ def tiles(size_m: tuple[float, float], texel_m: float, colour: Colour, random: n
     return np.clip(shade[..., None] * np.array(colour, np.float32), 0, 255).astype(np.uint8)
 
 
-def shell(number: int | None, marked: bool, softness_px: float, random: np.random.Generator) -> Bytes:
-    """A robot's skin (SHELL_PX, SHELL_PX, 3): column along body x, row along body y. The sphere's point with unit normal n
-    lies at n_xy / sqrt(2 (1 + n_up)) of the half size (Lambert's azimuthal projection), so the bottom is the rim.
+def hull_texture(number: int | None, marked: bool, softness_px: float, random: np.random.Generator) -> Bytes:
+    """A robot's hull (HULL_PX, HULL_PX, 3): column along body x, row along body y.
 
-    Nothing on it repeats under rotation: window ahead, hatch with the number behind, red to port, green to starboard.
+    The sphere's point with unit normal n lies at n_xy / sqrt(2 (1 + n_up)) of the half size (Lambert's azimuthal
+    projection), so the bottom is the rim. No pattern repeats under rotation: window ahead, hatch with the number behind,
+    red to port, green to starboard.
     """
-    axis = (np.arange(SHELL_PX) + 0.5) / SHELL_PX * 2.0 - 1.0
+    axis = (np.arange(HULL_PX) + 0.5) / HULL_PX * 2.0 - 1.0
     u, v = np.meshgrid(axis, axis)
     rho2 = np.minimum(u**2 + v**2, 1.0)
     x, y, up = 2.0 * u * np.sqrt(1.0 - rho2), 2.0 * v * np.sqrt(1.0 - rho2), 1.0 - 2.0 * rho2
     paintwork = (YELLOW + (ORANGE - YELLOW) * random.uniform(0.0, 0.8)) * random.uniform(0.92, 1.05)
-    image = paintwork * np.ones((SHELL_PX, SHELL_PX, 1))
+    image = paintwork * np.ones((HULL_PX, HULL_PX, 1))
 
     def paint(distance: Plane, colour: Plane, opacity: float = 1.0) -> None:
         cover = opacity * np.clip(0.5 - distance / 0.016, 0.0, 1.0)[..., None]
@@ -88,7 +90,7 @@ def shell(number: int | None, marked: bool, softness_px: float, random: np.rando
     paint(_ball(x, y, up, np.pi / 2, 0.62) - 0.12, GREEN)
     if not marked:
         paint(np.maximum(np.abs(y) - 0.06, np.abs(x - 0.22) - 0.30), DARK)  # a stripe from the crown ahead
-    image *= 1.0 + grain(SHELL_PX, SHELL_PX, ((2.0, 0.02), (12.0, 0.03), (60.0, 0.05)), random)[..., None]
+    image *= 1.0 + grain(HULL_PX, HULL_PX, ((2.0, 0.02), (12.0, 0.03), (60.0, 0.05)), random)[..., None]
     if marked:  # under the plate's edge light is scarce
         reach = np.maximum(np.abs(x), np.abs(y))
         image *= np.where(up > 0, 1.0 - 0.35 * np.clip((0.56 - reach) / 0.12, 0.0, 1.0), 1.0)[..., None]
@@ -111,22 +113,22 @@ def _turned(x: Plane, y: Plane, angle: float) -> Plane:
 
 
 def _number(picture: Bytes, number: int) -> None:
-    """Write the robot's number on the hatch behind, readable for someone who stands behind it."""
+    """Write the robot's number on the hatch behind, readable from behind the robot."""
     label = np.zeros((28, 44, 3), np.uint8)
     left = 4 if number > 9 else 13
     cv2.putText(label, str(number), (left, 23), cv2.FONT_HERSHEY_SIMPLEX, 0.85, (220, 235, 240), 3, cv2.LINE_AA)
     turned = cv2.rotate(label, cv2.ROTATE_90_CLOCKWISE)
     height, width = turned.shape[:2]
-    row, column = SHELL_PX // 2 - height // 2, round(SHELL_PX * 0.5 * (1.0 - 0.42)) - width // 2
+    row, column = HULL_PX // 2 - height // 2, round(HULL_PX * 0.5 * (1.0 - 0.42)) - width // 2
     spot = picture[row : row + height, column : column + width]
     np.maximum(spot, turned, out=spot)
 
 
-def plate(marker_id: int, softness_px: float) -> Bytes:
+def plate_texture(marker_id: int, softness_px: float) -> Bytes:
     """A marker on its white plate, (n, n, 2) brightness and coverage: row 0 ahead, column 0 to port, MARGIN_PX around it.
 
-    The 6 black-bordered cells are the marker's side. Softening stands for the lens: bilinear sampling of
-    unsoftened texels would move edges by a fraction of a pixel, differently at each heading.
+    The 6 black-bordered cells are the marker's side. Softening stands for the lens: bilinear sampling of unsoftened texels
+    would move edges by a fraction of a pixel, differently at each heading.
     """
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     cells = cv2.aruco.generateImageMarker(dictionary, marker_id, 6 * CELL_PX, borderBits=1)
@@ -137,5 +139,5 @@ def plate(marker_id: int, softness_px: float) -> Bytes:
 
 
 def plate_texels_per_m(side_m: float) -> float:
-    """Scale of `plate` for a marker of this side."""
+    """Texels per metre of `plate_texture` for a marker of this side."""
     return 6 * CELL_PX / side_m

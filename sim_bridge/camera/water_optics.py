@@ -1,38 +1,40 @@
-"""The water's surface: ripples that bend every line of sight, the caustics they throw, and lamps mirrored in it.
+"""The water's surface and light: ripples that bend every line of sight, caustics, and lamps mirrored at the surface.
 
-Everything repeats after LOOP_S, so that backgrounds can be drawn once; all is a function of position and time alone.
+Everything repeats after LOOP_S, so that backgrounds can be drawn once. All fields are functions of position and time
+alone.
 """
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from sim_bridge.camera.optics import Bytes, Float
+from wire.config.experiment import Experiment
 from wire.config.perception import Camera
 from wire.config.scene import PoolConfig
 from wire.config.simulation import PictureConfig
 from wire.frames import Array
 
-Float = NDArray[np.float32]
-
-LOOP_S = 2.4  # a little longer than the slowest wave: nobody sees the repetition, and 48 phases of it fit in 60 MB
+LOOP_S = 2.4  # s after which the water repeats: longer than the slowest wave's period; 48 phases of it take 60 MB
 GRAVITY_MPS2 = 9.81
 RIPPLE_WAVES = 7
-RIPPLE_LENGTH_M = (0.18, 0.60)  # what fans, pumps and robots leave in a small indoor basin
+RIPPLE_LENGTH_M = (0.18, 0.60)  # m, wavelengths that fans, pumps and robots cause in a small indoor basin
 CAUSTIC_WAVES = 14
 CAUSTIC_LENGTH_M = (0.14, 0.42)
-CAUSTIC_SLOPE = 0.09  # focuses at about one metre: the bright net of a shallow pool
+CAUSTIC_SLOPE = 0.09  # RMS slope of the waves that focus the light, at a depth of about one metre
 CAUSTIC_GRID_M = 0.01
-CAUSTIC_PLAN_M = 4.0  # a larger basin gets the same pattern again, mirrored
-CAUSTIC_BRIGHTEST = 4.0  # times the mean; a lamp is no point, so foci stay finite
+CAUSTIC_PLAN_M = 4.0  # m; a larger basin repeats the pattern, mirrored
+CAUSTIC_BRIGHTEST = 4.0  # times the mean light; a lamp is no point source, so foci stay finite
 LAMP_HEIGHT_M = 4.0  # above the water
 # Fluorescent tubes on the ceiling: centre x, y and half length, half width, m. Mirrored they lie near the basin's ends.
 LAMPS_M = ((-3.1, -1.9, 0.85, 0.07), (2.6, -2.3, 0.85, 0.07), (3.3, 1.7, 0.85, 0.07))
 _LAMPS_M = np.array(LAMPS_M, np.float32).T[..., None, None]  # each value a plane for all lamps: (4, lamps, 1, 1)
 LAMP_EDGE_M = 0.12
+PHASES = 48  # pictures of moving light and ripples in a loop
+CAUSTIC_UNIT = 50.0  # grey levels per mean light in the stored patterns
 
 
-class Waves:
-    """A sum of plane waves with deep-water dispersion, its periods fitted into LOOP_S."""
+class PlaneWaves:
+    """A sum of plane waves with deep-water dispersion, their periods fitted into LOOP_S."""
 
     def __init__(self, count: int, length_m: tuple[float, float], random: np.random.Generator) -> None:
         length = np.geomspace(*length_m, count) * random.uniform(0.9, 1.1, count)
@@ -44,7 +46,7 @@ class Waves:
         self.phase = random.uniform(0.0, 2.0 * np.pi, count)
 
     def slope_basis(self, x_m: Float, y_m: Float) -> Float:
-        """cos and sin of every wave's k.x + phase, (2 count, n): any field of the waves is a small matrix times this."""
+        """cos and sin of every wave's k.x + phase, (2 count, n); any field of the waves is a small matrix times this."""
         angle = self.number.astype(np.float32) @ np.stack([x_m.ravel(), y_m.ravel()]) + self.phase[:, None].astype(np.float32)
         return np.concatenate([np.cos(angle), np.sin(angle)])
 
@@ -59,18 +61,18 @@ class Ripples:
     """Slopes of the surface. `ripples_m` is the significant height: four standard deviations of the elevation."""
 
     def __init__(self, picture: PictureConfig, camera: Camera, random: np.random.Generator) -> None:
-        self._waves = Waves(RIPPLE_WAVES, RIPPLE_LENGTH_M, random)
+        self._waves = PlaneWaves(RIPPLE_WAVES, RIPPLE_LENGTH_M, random)
         length = 1.0 / np.linalg.norm(self._waves.number, axis=1)
         share = length / np.linalg.norm(length)  # elevation falls with wave number: slopes are equal
         self._amplitude = np.sqrt(2.0) * picture.ripples_m / 4.0 * share
-        self.bending = 1.0 - 1.0 / camera.water_index  # how much of a slope the ray below it turns by, near the vertical
+        self.bending = 1.0 - 1.0 / camera.water_index  # turn of the ray below the surface over the slope, near the vertical
 
     def basis(self, x_m: Float, y_m: Float) -> Float:
-        """What `slopes` needs to know about points, independent of time."""
+        """Basis of `slopes` at some points, independent of time."""
         return self._waves.slope_basis(x_m, y_m)
 
     def slopes(self, basis: Float, time_s: float) -> Float:
-        """Slope of the surface (d height / dx, d height / dy), shape (2, n)."""
+        """Slope of the surface (d height / dx, d height / dy), (2, n)."""
         return self._waves.gradient(basis, time_s, self._amplitude)
 
 
@@ -78,7 +80,7 @@ class Caustics:
     """Light on the floor: a regular bundle of rays sent down through a wavy surface and collected on a grid."""
 
     def __init__(self, pool: PoolConfig, random: np.random.Generator) -> None:
-        self._waves = Waves(CAUSTIC_WAVES, CAUSTIC_LENGTH_M, random)
+        self._waves = PlaneWaves(CAUSTIC_WAVES, CAUSTIC_LENGTH_M, random)
         steep = np.linalg.norm(self._waves.number, axis=1)
         self._amplitude = CAUSTIC_SLOPE / steep * np.sqrt(2.0 / CAUSTIC_WAVES)
         self._throw_m = 0.25 * pool.size_m[2]
@@ -112,7 +114,7 @@ class Caustics:
 
 
 def _fold(value: Float, size: int) -> Float:
-    """Onto 0 .. size - 1, as often as it takes: in a deep basin light wanders farther than the pattern is wide."""
+    """Mirror values into 0 .. size - 1, repeatedly: in a deep basin light wanders farther than the pattern is wide."""
     last, away = np.float32(size - 1.001), np.abs(value)
     if away.max() > 2 * last:
         away = np.mod(away, 2 * last)
@@ -121,9 +123,9 @@ def _fold(value: Float, size: int) -> Float:
 
 
 def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> Float:
-    """How much of a lamp each line of sight meets when mirrored at the surface, 0 to 1, in the shape of `surface_x`.
+    """Share of a lamp (0 to 1) that each line of sight meets when mirrored at the surface, in the shape of `surface_x`.
 
-    A slope turns the mirrored ray by twice itself, which at the ceiling is a long way: lamps break up into wobbling streaks.
+    A slope turns the mirrored ray by twice itself, which is a long way at the ceiling: lamps break up into streaks.
     """
     lens = camera.position_m
     further = 1.0 - LAMP_HEIGHT_M / lens[2]
@@ -134,3 +136,28 @@ def glare(surface_x: Float, surface_y: Float, slopes: Float, camera: Camera) -> 
     along = np.clip((half_length - np.abs(x - centre_x)) / np.float32(2 * LAMP_EDGE_M) + np.float32(0.5), 0.0, 1.0)
     across = np.clip((half_width - np.abs(y - centre_y)) / np.float32(2 * LAMP_EDGE_M) + np.float32(0.5), 0.0, 1.0)
     return np.asarray(np.add.reduce(along * across, axis=0), dtype=np.float32)
+
+
+class WaterLight:
+    """The water and its light, for any point of view: ripples, and a loop of caustic patterns."""
+
+    def __init__(self, experiment: Experiment, random: np.random.Generator) -> None:
+        self.picture, self.depth_m = experiment.sim.picture, experiment.pool.size_m[2]
+        self.ripples = Ripples(self.picture, experiment.camera, random)
+        self.caustics = Caustics(experiment.pool, random)
+        moving = self.picture.ripples_m > 0.0 or self.picture.caustics > 0.0
+        self.times_s = np.arange(PHASES if moving else 1) * LOOP_S / PHASES
+        self._patterns: list[Bytes] = [
+            np.clip(self.caustics.pattern(time_s) * CAUSTIC_UNIT, 0, 255).astype(np.uint8) for time_s in self.times_s
+        ]
+
+    def light(self, column: Float, row: Float, reach: Float | np.float32, time_s: float) -> Float:
+        """Caustic light relative to its mean at places of the caustics' grid, weighted with `reach` (0 to 1)."""
+        pattern = self._patterns[round(time_s / LOOP_S * PHASES) % len(self._patterns)]
+        levels = cv2.remap(pattern, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT_101)
+        return np.asarray(1.0 + reach * (levels.astype(np.float32) / np.float32(CAUSTIC_UNIT) - 1.0), dtype=np.float32)
+
+    def reach(self, depth_m: Float | float) -> Float:
+        """Strength of the caustics at a depth: they gather on the way down."""
+        share = np.float32(self.picture.caustics) * np.clip(np.asarray(depth_m) / self.depth_m, 0.0, 1.0)
+        return np.asarray(share, dtype=np.float32)

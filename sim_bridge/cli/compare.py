@@ -39,7 +39,7 @@ def compare(
     from rich.console import Console
 
     from sim_bridge.studies import comparison as comparing
-    from sim_bridge.studies.variants import VARIANTS
+    from sim_bridge.studies.comparison import VARIANTS
 
     if show_list:
         for name, changes in VARIANTS.items():
@@ -88,7 +88,7 @@ def tune(
 
 
 def _names(given: str, allowed: Collection[str], option: str) -> list[str]:
-    """A list with commas; empty is everything."""
+    """Split a list with commas; empty is everything."""
     names = [name.strip() for name in given.split(",") if name.strip()] or list(allowed)
     for name in names:
         if name not in allowed or names.count(name) > 1:
@@ -97,7 +97,7 @@ def _names(given: str, allowed: Collection[str], option: str) -> list[str]:
 
 
 def _range(given: str) -> list[int]:
-    """`3` or `1-10`."""
+    """Seeds of `3` or `1-10`."""
     first, _, last = given.partition("-")
     if not (first.isdecimal() and (last.isdecimal() or not last)) or int(last or first) < int(first):
         raise typer.BadParameter(f"--seeds {given}: must be a number or a range, for example 1-10")

@@ -52,9 +52,9 @@ def pool(
     """
     import cv2
 
-    from sim_bridge.node.pool import Pool
-    from sim_bridge.node.udp_ports import Sockets
-    from sim_bridge.thruster_board.board import Board
+    from sim_bridge.node.pool import PoolNode
+    from sim_bridge.node.udp_ports import BoardPorts
+    from sim_bridge.thruster_board.board import ThrusterBoard
     from sim_bridge.thruster_board.nonvolatile import boards_in
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
@@ -66,10 +66,10 @@ def pool(
     stop = Stop()
     loaded = load_experiment(experiment, settings or ())
     where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
-    make = boards_in(boards) if boards is not None else Board
-    sockets = Sockets(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
+    make = boards_in(boards) if boards is not None else ThrusterBoard
+    sockets = BoardPorts(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
     with Bus(ZenohTransport(where, stop), fleet) as bus:
-        Pool(loaded, bus, sockets, stop, lockstep, poses, make).run()
+        PoolNode(loaded, bus, sockets, stop, lockstep, poses, make).run()
     stop.raise_failure()
 
 
@@ -86,13 +86,13 @@ def board(
     Example:  sim-bridge board pool --port pty:/tmp/board, and then: robot-agent params list --link serial:/tmp/board
     """
     from sim_bridge.node import bench
-    from sim_bridge.thruster_board.board import Board
+    from sim_bridge.thruster_board.board import ThrusterBoard
     from sim_bridge.thruster_board.nonvolatile import boards_in
 
     start_log(f"board-{robot}", verbose)
     stop, loaded = Stop(), load_experiment(experiment, settings or ())
     loaded.robot(robot)
-    made = (boards_in(boards) if boards is not None else Board)(loaded, robot, loaded.seed)
+    made = (boards_in(boards) if boards is not None else ThrusterBoard)(loaded, robot, loaded.seed)
     socket = bench.open_socket(port, signed=made.signed)
     try:
         log.info("%s, at %s", "signed" if made.signed else "not signed", port)

@@ -73,16 +73,16 @@ def sil(
     if experiment is None:
         raise typer.BadParameter("name an EXPERIMENT, or a run with --from")
     from sim_bridge.sil import launcher as software_in_the_loop
-    from sim_bridge.sil.commands import Way, check
+    from sim_bridge.sil.commands import RunOptions, check
     from sim_bridge.sil.ports import page_address
 
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
-    way = Way(lockstep, page, manual, poses, keys, signed)
-    check(loaded, way)
+    options = RunOptions(lockstep, page, manual, poses, keys, signed)
+    check(loaded, options)
     if dry_run:
-        raise typer.Exit(software_in_the_loop.rehearse(loaded, out / f"{loaded.name}-TIME", way, console))
+        raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
     folder = _new_folder(out, loaded.name)
     mode = "lockstep" if lockstep else "real time"
     console.print(
@@ -90,7 +90,7 @@ def sil(
     )
     if page is not None:
         console.print(f"operator page: http://{page}/", soft_wrap=True)
-    raise typer.Exit(software_in_the_loop.run(loaded, folder, way, Stop(), console))
+    raise typer.Exit(software_in_the_loop.run(loaded, folder, options, Stop(), console))
 
 
 def numeric(
@@ -153,10 +153,10 @@ def campaign(
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
 ) -> Experiment:
-    from sim_bridge.fault_schedule import never
+    from sim_bridge.fault_schedule import faults_after_the_end
 
     loaded = load_experiment(name, _changes(seed, duration_s, settings), faults or ())
-    caution(loaded, *never(loaded))
+    caution(loaded, *faults_after_the_end(loaded))
     return loaded
 
 
@@ -170,24 +170,24 @@ def _changes(seed: int | None, duration_s: float | None, settings: list[str] | N
 def _go_on(
     experiment: str | None, source: Path, at_s: float, changes: list[str], faults: list[str] | None, out: Path
 ) -> NoReturn:
-    """`sil --from`."""
+    """Run `sil --from`."""
     from rich.console import Console
 
-    from sim_bridge.fault_schedule import never
-    from sim_bridge.in_process import resume_run
+    from sim_bridge.fault_schedule import faults_after_the_end
+    from sim_bridge.in_process import resume, run
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
-    loaded = resume_run.experiment_of(source, changes, faults or ())
-    caution(loaded, *never(loaded))
-    fleet, water = resume_run.prepared(loaded, source, at_s)
+    loaded = resume.load_changed(source, changes, faults or ())
+    caution(loaded, *faults_after_the_end(loaded))
+    fleet, water = resume.prepared(loaded, source, at_s)
     folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
-    raise typer.Exit(resume_run.run(fleet, water, folder, stop=Stop(), console=console))
+    raise typer.Exit(run.run(fleet, water, folder, stop=Stop(), console=console))
 
 
 def _new_folder(out: Path, name: str) -> Path:
-    """runs/<experiment>-<time>, with a number when two start in the same second."""
+    """Make runs/<experiment>-<time>, with a number when two start in the same second."""
     stem = f"{name}-{time.strftime('%Y%m%d-%H%M%S')}"
     for suffix in ["", *(f"-{i}" for i in range(2, 1000))]:
         folder = out / f"{stem}{suffix}"

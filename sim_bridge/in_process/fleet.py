@@ -1,15 +1,15 @@
 """Agents and plant stepped in one process: the article's numeric scenes, and studies that need many flights. Pure.
 
-    water = BareWater(experiment, seed, starts)
+    water = DirectPlant(experiment, seed, starts)
     fleet = AgentFleet(experiment, trajectories, water, seed)
     fleet.start()                       # robots held in place: load, arm, let go at time 0 of the trajectories
     for topic, robot, message, stamp_ns in fly(fleet, water):
-        ...                             # what a recorder would have heard
+        ...                             # the messages that a recorder would have heard
     fleet.errors()                      # truth minus reference
 
-What a robot's board runs is all there, from orders to pulses. Left out is what carries it: camera, network, MAVLink. Poses
-are the plant's, with the noise and the age that the experiment asks for; plans arrive one control step later, as in
-lockstep. This module and resume.py are the only ones of the simulator that may see the robots' code.
+All that a robot's computer runs is there, from commands to pulses. Camera, network and MAVLink are left out. Poses are the
+plant's, with the noise and the age that the experiment asks for; plans arrive one control step later, as in lockstep. This
+module and resume.py are the only ones of the simulator that may import the robots' code.
 """
 
 from collections import deque
@@ -21,8 +21,8 @@ import numpy as np
 
 from robot_agent.agent import Agent, Outputs
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
-from sim_bridge.camera.ideal_localizer import Located
-from sim_bridge.fault_schedule import Faults
+from sim_bridge.camera.ideal_localizer import IdealLocalizer
+from sim_bridge.fault_schedule import FaultSchedule
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from wire.config.experiment import Experiment
@@ -36,15 +36,16 @@ from wire.toml_loader import ConfigError
 
 NS = 1_000_000_000
 STATION_SESSION = 1
-READY_NS = NS // 2  # robots are held this long before they start: their estimates are at rest
+READY_NS = NS // 2  # ns for which robots are held before they start, until their estimates are at rest
 INFO = 2  # an event's level
-SEEN_KEPT = 64  # poses on their way: more than the longest latency of the fastest loop
+SEEN_KEPT = 64  # poses and obstacles kept: more than the longest latency of the fastest loop
 
 Sent = tuple[Topic, int | None, Message, int]  # topic, robot, message, stamp in ns
 
 
-class Water(Protocol):
-    """What the robots swim in, thruster boards included. Robots are told by their place in the file, time is its own."""
+class SimulatedPlant(Protocol):
+    """The plant, thruster boards included, as the fleet drives it. Robots go by index in the experiment; time is the
+    plant's."""
 
     @property
     def now_ns(self) -> int: ...
@@ -55,8 +56,8 @@ class Water(Protocol):
     def act(self, i: int, outputs: Outputs) -> None: ...
 
 
-class BareWater:
-    """The plant with no boards between: pulses go straight to the thrusters, and sensors straight to the agent."""
+class DirectPlant:
+    """The plant without boards: pulses go straight to the thrusters, and sensor readings straight to the agent."""
 
     def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
         step_ns, period_ns = round(experiment.sim.plant.step_s * NS), round(experiment.controller.period_s * NS)
@@ -71,15 +72,18 @@ class BareWater:
         self._sensors = [BoardSensors(experiment.sim.sensors, robot, seed) for robot in experiment.robot_ids]
         self._pulses_us = self._state.motors.pulses_us[0].copy()
         self._armed = [False] * len(starts)
-        self._faults = Faults(experiment)
-        self._begin_ns = 0  # when the trajectories begin
-        self.happened: list[str] = []  # what broke or is whole again, until somebody takes it
+        self._faults = FaultSchedule(experiment)
+        self._begin_ns = 0  # instant at which the trajectories begin
+        self.happened: list[str] = []  # faults that began or ended, until they are taken
 
-    def take_up(
+    def resume_at(
         self, eta: Array, nu: Array, pulses_us: Sequence[Array], armed: Sequence[bool], now_ns: int, begin_ns: int
     ) -> None:
-        """Go on at `now_ns` with robots at poses and velocities (n, 4), `pulses_us` (n, 8) being those of the last control
-        steps, each a period long, the newest last: thrusters know of them. The trajectories began at `begin_ns`."""
+        """Continue at `now_ns` with robots at poses and velocities (n, 4).
+
+        `pulses_us` (n, 8) are those of the last control steps, each a period long, the newest last; they fill the
+        thrusters' command history. The trajectories began at `begin_ns`.
+        """
         for pulses in pulses_us:
             for _ in range(self._steps_a_period):
                 self._state = self._plant.step(self._state, pulses)
@@ -113,18 +117,18 @@ class BareWater:
     def advance(self, to_ns: int) -> None:
         """Move on to the first plant step at or after `to_ns`."""
         while self.now_ns < to_ns:
-            self.happened += self._break_things()
-            self._state = self._plant.step(self._state, self._faults.pulses(self._pulses_us), self._faults.harm)
+            self.happened += self._apply_faults()
+            self._state = self._plant.step(self._state, self._faults.pulses(self._pulses_us), self._faults.actuators)
 
-    def _break_things(self) -> list[str]:
-        """Let the timeline of faults catch up."""
+    def _apply_faults(self) -> list[str]:
+        """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
         changes = self._faults.at((self.now_ns - self._begin_ns) / NS)
         for sensors, error in zip(self._sensors, self._faults.imu_error.tolist() if changes else (), strict=False):
             sensors.error = (error[0], error[1])
         return changes
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
-        """What a board would say of the i-th robot, `now_ns` on the agent's clock."""
+        """A board's telemetry of the i-th robot, `now_ns` on the agent's clock."""
         state = self._state
         reading = self._sensors[i].read(state.eta[i], state.nu[i], np.zeros(4), state.tilt[i])
         return Telemetry(
@@ -133,19 +137,19 @@ class BareWater:
             heading_rad=reading.heading_rad,
             yaw_rate_radps=reading.yaw_rate_radps,
             depth_m=reading.depth_m,
-            battery_v=float(self._plant.rest_v(state, self._faults.harm)[i]),
+            battery_v=float(self._plant.rest_v(state, self._faults.actuators)[i]),
             armed=self._armed[i],
         )
 
     def act(self, i: int, outputs: Outputs) -> None:
-        """Take the i-th agent's pulses, and its wish to be armed."""
+        """Take the i-th agent's pulses, and its request to arm or disarm."""
         self._pulses_us[i] = outputs.pulse_us
         self._armed[i] = self._armed[i] if outputs.arm is None else outputs.arm
 
 
 @dataclass
-class Robot:
-    """One agent with what is kept of it."""
+class FleetMember:
+    """One agent with its last plan and its states."""
 
     agent: Agent
     plan: StampedPlan | None = None
@@ -153,29 +157,29 @@ class Robot:
 
 
 class AgentFleet:
-    """All agents of an experiment with what the localizer, the network and the station are to them."""
+    """All agents of an experiment, with the localizer, the network and the station as they see them."""
 
     def __init__(
         self,
         experiment: Experiment,
         trajectories: Mapping[int, Trajectory],
-        water: Water,
+        water: SimulatedPlant,
         seed: int,
         clock_ns: Callable[[], int] = lambda: 0,
     ) -> None:
-        """`clock_ns` times the control steps for the report; nothing depends on it."""
+        """`clock_ns` times the control steps for the report; no result depends on it."""
         self.experiment, self.trajectories = experiment, trajectories
-        self.robots = [Robot(Agent(experiment, robot)) for robot in experiment.robot_ids]
+        self.robots = [FleetMember(Agent(experiment, robot)) for robot in experiment.robot_ids]
         self.period_ns = round(experiment.controller.period_s * NS)
         self.now_ns = 0  # the agents' clock
-        self.held = False  # robots are kept in place: the water's time stands
+        self.held = False  # robots are kept in place: the plant's time stands
         self.truth: list[Array] = []  # poses (n, 4) at each control step
-        self.ahead_ns = [0] * len(self.robots)  # by how much each robot's own clock is ahead of `now_ns`
+        self.ahead_ns = [0] * len(self.robots)  # each robot's own clock less `now_ns`
         self.begin = 0  # the control step at which the trajectories began
         self._start_ns = 0
         self._water, self._clock_ns = water, clock_ns
         self._latency_ns = round(experiment.sim.latency_s * NS)
-        self._located = Located(experiment, seed)
+        self._localizer = IdealLocalizer(experiment, seed)
         self.seen: deque[tuple[int, list[Pose]]] = deque(maxlen=SEEN_KEPT)  # instant on the agents' clock, pose of each robot
         self.watched: deque[StampedObstacles] = deque(maxlen=SEEN_KEPT)
         self._orders = 0
@@ -186,7 +190,7 @@ class AgentFleet:
         return (self.now_ns - self._start_ns) / NS
 
     def order(self, order: Order, i: int, start_in_s: float = 0.0, trajectory_s: float = 0.0) -> Reply:
-        """Give the i-th robot an order as the station would."""
+        """Give the i-th robot a command as the station would."""
         self._orders += 1
         robot = self.experiment.robot_ids[i]
         command = Command(
@@ -203,8 +207,8 @@ class AgentFleet:
         )
 
     def start(self) -> None:
-        """Hold the robots where they are until their estimates stand, then let go at the instant at which the trajectories
-        begin: time 0 of the scene. Raises ConfigError if a robot refuses, with its reason."""
+        """Hold the robots until their estimates are at rest, then let go at the instant at which the trajectories begin:
+        time 0 of the scene. Raises ConfigError if a robot refuses, with its reason."""
         self.held = True
         for _ in range(max(READY_NS // self.period_ns - 1, 1)):
             self.step()
@@ -217,31 +221,33 @@ class AgentFleet:
         self.held, self.begin = False, len(self.truth)
 
     def _all(self, order: Order) -> None:
-        """Give an order to every robot; START is for the next step. Raises ConfigError if one refuses."""
+        """Give a command to every robot; START is for the next step. Raises ConfigError if one refuses."""
         for i in range(len(self.robots)):
             reply = self.order(order, i, start_in_s=self.period_ns / NS)
             if not reply.accepted:
                 raise ConfigError(f"robot {reply.robot} refuses {order.name}: {reply.reason}")
 
     def step(self) -> None:
-        """One control period of water, then one control step of every robot."""
+        """Advance the plant by one control period, then make one control step of every robot."""
         self._move()
         self.now_ns += self.period_ns
         self.truth.append(self._water.eta.copy())
         plans = {r: robot.plan for r, robot in zip(self.experiment.robot_ids, self.robots, strict=True)}
         for i in range(len(self.robots)):
-            self.think(i, plans)
+            self.control_step(i, plans)
 
     def errors(self) -> Array:
-        """Truth minus reference (steps, n, 4) since the trajectories began, yaw to the path's tangent. The reference is the
-        trajectory's: a robot that has given up says that it is where it should be."""
+        """Truth minus reference (steps, n, 4) since the trajectories began, yaw to the path's tangent.
+
+        The reference is the trajectory's, because a robot that has given up reports its own pose as its reference.
+        """
         truth = np.array(self.truth[self.begin :])
         time_s = np.arange(1.0, len(truth) + 1.0) * (self.period_ns / NS)
         reference = [_poses(self.trajectories[robot], time_s) for robot in self.experiment.robot_ids]
         return pose_error(truth, np.stack(reference, axis=1))
 
     def _move(self) -> None:
-        """The water up to the next control step, and the exposure that will be seen at it or later."""
+        """Advance the plant to the next control step, with the exposure that will be seen at it or later."""
         before_ns = self._latency_ns % self.period_ns
         end_ns = self._water.now_ns + self.period_ns
         if not self.held:
@@ -251,17 +257,17 @@ class AgentFleet:
             self._water.advance(end_ns)
 
     def expose(self, stamp_ns: int) -> None:
-        """Locate every robot."""
-        self.seen.append((stamp_ns, self._located.poses(self._water.eta)))
-        obstacles = self._located.obstacles(self._water.now_ns / NS)
+        """Localize every robot."""
+        self.seen.append((stamp_ns, self._localizer.poses(self._water.eta)))
+        obstacles = self._localizer.obstacles(self._water.now_ns / NS)
         if obstacles is not None:
             self.watched.append(StampedObstacles(obstacles, stamp_ns))
 
-    def think(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
+    def control_step(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         """One control step of the i-th robot."""
         robot, me, ahead_ns = self.robots[i], self.experiment.robot_ids[i], self.ahead_ns[i]
         heard = {r: replace(p, instant_ns=p.instant_ns + ahead_ns) for r, p in plans.items() if p is not None and r != me}
-        seen, adrift, now_ns = self.pose(i), self._seen_adrift(), self.now_ns + ahead_ns
+        seen, adrift, now_ns = self.pose(i), self._newest_obstacles(), self.now_ns + ahead_ns
         inputs = Inputs(
             pose=replace(seen, instant_ns=seen.instant_ns + ahead_ns) if seen is not None else None,
             telemetry=self._water.telemetry(i, now_ns),
@@ -277,14 +283,14 @@ class AgentFleet:
         robot.states.append(replace(outputs.state, step_us=took_ns / 1000.0) if took_ns else outputs.state)
 
     def pose(self, i: int) -> StampedPose | None:
-        """The newest pose of the i-th robot that is out of the localizer by now."""
+        """The newest pose of the i-th robot that the localizer has published by now."""
         for stamp_ns, poses in reversed(self.seen):
             if stamp_ns <= self.now_ns - self._latency_ns:
                 return StampedPose(poses[i], stamp_ns)
         return None
 
-    def _seen_adrift(self) -> StampedObstacles | None:
-        """The newest that is out of the localizer by now of what is no robot."""
+    def _newest_obstacles(self) -> StampedObstacles | None:
+        """The newest obstacles that the localizer has published by now."""
         return next((w for w in reversed(self.watched) if w.instant_ns <= self.now_ns - self._latency_ns), None)
 
     def station(self) -> StationView:
@@ -298,18 +304,21 @@ def _poses(trajectory: Trajectory, time_s: Array) -> Array:
     return np.array([np.interp(time_s, grid, column) for column in trajectory.eta.T]).T
 
 
-def fly(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:
-    """Fly a fleet that has started to the end of its experiment. Yields what a pool's recorder hears, but not plans: they are
-    three quarters of a log, and no report reads them."""
+def fly(fleet: AgentFleet, water: DirectPlant) -> Iterator[Sent]:
+    """Fly a fleet that has started to the end of its experiment.
+
+    Yields the messages that a pool's recorder hears, except plans: they are three quarters of a log, and no report reads
+    them.
+    """
     for robot, trajectory in fleet.trajectories.items():
         yield topics.TRAJECTORY, robot, trajectory, 0
-    yield from _heard(fleet, water)
+    yield from _published(fleet, water)
     while fleet.time_s < fleet.experiment.duration_s - 1e-9:
         fleet.step()
-        yield from _heard(fleet, water)
+        yield from _published(fleet, water)
 
 
-def _heard(fleet: AgentFleet, water: BareWater) -> Iterator[Sent]:
+def _published(fleet: AgentFleet, water: DirectPlant) -> Iterator[Sent]:
     """Truth, poses, states and events of the last step."""
     for text in water.happened:
         yield topics.EVENT, None, Event(INFO, "sim-bridge", text), fleet.now_ns

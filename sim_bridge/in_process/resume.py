@@ -1,35 +1,42 @@
-"""A numeric flight that goes on from a moment of a run: each agent led through what its robot had been through, robots put
-where they were. Pure; sim_bridge/in_process/resume_run.py has the files.
+"""SHELL: `sim-bridge sil --from RUN --at S`: a numeric flight that continues from a moment of a recorded run.
 
-The agents remember all that the log says, so estimates, horizons and trajectories go on without a jump, also with other
-settings. The water knows where robots are and how fast, and what their thrusters were told last; what else was in it (gusts,
-waves, noise) begins by the seed. Without the truth, as in a real pool, robots are put where they took themselves to be.
+Each agent replays the log up to the moment, so estimates, horizons and trajectories continue without a jump, also with
+other settings. The robots are put where they were. The plant knows their poses, velocities and last pulses; the rest of
+the water's state (gusts, waves, noise) begins by the seed. Without the truth, as in a real pool, robots are put where
+their own estimates were.
 """
 
+import subprocess
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from robot_agent.agent import Agent
 from robot_agent.inputs import StampedPlan
 from robot_agent.rerun import Logged, Rerun
-from sim_bridge.in_process.fleet import NS, AgentFleet, BareWater
-from wire.config.experiment import Experiment
+from sim_bridge import fault_schedule
+from sim_bridge.in_process.fleet import NS, AgentFleet, DirectPlant
+from sim_bridge.in_process.run import STATION
+from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.codec import decode
 from wire.messages.messages import Mode, Plan, RobotState, Truth
+from wire.messages.pipe import read_pipe
+from wire.process.cli_options import caution
 from wire.toml_loader import ConfigError
 
-THRUST_MEMORY_S = 1.0  # of pulses, ten times a thruster's lag
-WALL_CLOCK_NS = 10**16  # stamps below are of a lockstep run, and so the plant's own time: it began at 0, not in 1970
-SAME_CLOCK_NS = 1_000_000_000  # the truth's stamps and a robot's are of one clock if they are as near as this
+THRUST_MEMORY_S = 1.0  # s of pulses that the plant is given, ten times a thruster's lag
+WALL_CLOCK_NS = 10**16  # ns; smaller stamps are the plant's own time in a lockstep run, which began at 0, not in 1970
+SAME_CLOCK_NS = 1_000_000_000  # ns; the truth's stamps and a robot's are of one clock if they are this near
 
 
 @dataclass
-class Memory:
-    """What one robot had been through."""
+class RobotHistory:
+    """One robot's history up to the moment: its agent, last plan, and recorded states and truths with stamps."""
 
     agent: Agent
     plan: Plan | None = None
@@ -43,14 +50,14 @@ class Memory:
 
     @property
     def state(self) -> RobotState:
-        """What it said then."""
+        """The robot's last state."""
         return self.states[-1][1]
 
 
-def remember(experiment: Experiment, robot: int, lines: Iterable[Logged]) -> Memory:
+def replay_history(experiment: Experiment, robot: int, lines: Iterable[Logged]) -> RobotHistory:
     """Lead an agent through a log up to a moment. Raises ConfigError if it was not under way then."""
     rerun = Rerun(experiment, robot)
-    memory = Memory(rerun.agent)
+    memory = RobotHistory(rerun.agent)
 
     def listened() -> Iterator[Logged]:
         for line in lines:
@@ -71,16 +78,18 @@ def remember(experiment: Experiment, robot: int, lines: Iterable[Logged]) -> Mem
     return memory
 
 
-def branch(
-    experiment: Experiment, memories: Sequence[Memory], seed: int, clock_ns: Callable[[], int] = lambda: 0
-) -> tuple[AgentFleet, BareWater]:
-    """The fleet as it was, ready to fly on."""
+def resume(
+    experiment: Experiment, memories: Sequence[RobotHistory], seed: int, clock_ns: Callable[[], int] = lambda: 0
+) -> tuple[AgentFleet, DirectPlant]:
+    """The fleet and its plant in the state of the moment, ready to fly on."""
     at_ns = round(max(memory.state.trajectory_s for memory in memories) * NS)
-    eta, nu = np.array([_whereabouts(memory, k, experiment.robot_ids) for k, memory in enumerate(memories)]).transpose(1, 0, 2)
-    water = BareWater(experiment, seed, eta)
+    eta, nu = np.array([_pose_at_moment(memory, k, experiment.robot_ids) for k, memory in enumerate(memories)]).transpose(
+        1, 0, 2
+    )
+    water = DirectPlant(experiment, seed, eta)
     now_ns = memories[0].now_ns if memories[0].now_ns < WALL_CLOCK_NS else at_ns
     armed = [memory.state.board_armed for memory in memories]
-    water.take_up(eta, nu, _pulses(experiment, memories), armed, now_ns, now_ns - at_ns)
+    water.resume_at(eta, nu, _pulses(experiment, memories), armed, now_ns, now_ns - at_ns)
     trajectories = {r: m.agent.trajectory for r, m in zip(experiment.robot_ids, memories, strict=True) if m.agent.trajectory}
     fleet = AgentFleet(experiment, trajectories, water, seed, clock_ns)
     fleet.now_ns = at_ns
@@ -93,8 +102,8 @@ def branch(
     return fleet, water
 
 
-def _whereabouts(memory: Memory, row: int, robots: Sequence[int]) -> tuple[Array, Array]:
-    """Pose and velocity of a robot at the moment: the truth between its samples, or what the robot took it to be."""
+def _pose_at_moment(memory: RobotHistory, row: int, robots: Sequence[int]) -> tuple[Array, Array]:
+    """Pose and velocity of a robot at the moment: the truth between its samples, or the robot's estimate."""
     stamps = np.array([stamp for stamp, _ in memory.truths], dtype=np.float64)
     known = [truth for _, truth in memory.truths if truth.robots == tuple(robots)]
     if len(known) != len(stamps) or len(stamps) < 2 or np.abs(stamps - memory.now_ns).min() > SAME_CLOCK_NS:
@@ -108,14 +117,40 @@ def _whereabouts(memory: Memory, row: int, robots: Sequence[int]) -> tuple[Array
     return between(eta), between(np.array([truth.nu[row] for truth in known]))
 
 
-def _pulses(experiment: Experiment, memories: Sequence[Memory]) -> list[Array]:
-    """Those of all robots (n, 8) in their last control steps, the newest last; neutral where a board was not armed."""
+def _pulses(experiment: Experiment, memories: Sequence[RobotHistory]) -> list[Array]:
+    """Pulses of all robots (n, 8) in their last control steps, the newest last; neutral for a board that was not armed."""
     count = round(THRUST_MEMORY_S / experiment.controller.period_s)
     thruster, legs = experiment.vehicle.thruster, experiment.vehicle.legs
     neutral = (*[float(thruster.neutral_us)] * 4, *[sum(legs.ankle_us) / 2.0] * 4)
 
-    def of(memory: Memory) -> list[tuple[float, ...]]:
+    def of(memory: RobotHistory) -> list[tuple[float, ...]]:
         told = [tuple(map(float, s.pulse_us)) if s.board_armed else neutral for _, s in memory.states[-count:]]
         return [neutral] * (count - len(told)) + told
 
     return [np.array(step) for step in zip(*map(of, memories), strict=True)]
+
+
+def load_changed(run: Path, settings: Sequence[str], more_faults: Sequence[str]) -> Experiment:
+    """The experiment that was flown, with changes. Raises ConfigError."""
+    experiment = load_experiment(str(run / "experiment.toml"), settings, more_faults)
+    caution(experiment)
+    fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "from a logged moment on there is none")
+    return experiment
+
+
+def prepared(experiment: Experiment, source: Path, at_s: float) -> tuple[AgentFleet, DirectPlant]:
+    """Fleet and plant as they were `at_s` along the trajectories of the run in `source`. Raises ConfigError, and leaves no
+    files behind, if the run does not hold that moment."""
+    memories = [_read_history(experiment, source, at_s, robot) for robot in experiment.robot_ids]
+    return resume(experiment, memories, experiment.seed, time.perf_counter_ns)
+
+
+def _read_history(experiment: Experiment, source: Path, at_s: float, robot: int) -> RobotHistory:
+    command = [*STATION, "moment", str(source), "--at", str(at_s), "--robot", str(robot)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as telling:
+        assert telling.stdout is not None and telling.stderr is not None
+        lines = list(read_pipe(telling.stdout))
+        said = telling.stderr.read().decode(errors="replace").strip()
+    if telling.returncode != 0:
+        raise ConfigError(said or f"groundstation moment ended with exit code {telling.returncode}")
+    return replay_history(experiment, robot, lines)

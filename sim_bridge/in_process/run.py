@@ -1,6 +1,6 @@
 """SHELL: `sim-bridge numeric`: the station plans, fleet.py flies, the station records and reports.
 
-The station's programs are its own, run as a person would run them; what is flown goes to the recorder through a pipe.
+The station's programs run as a user would start them. The messages of the flight go to the recorder through a pipe.
 """
 
 import json
@@ -16,7 +16,7 @@ import numpy as np
 from rich.console import Console
 
 from sim_bridge import fault_schedule
-from sim_bridge.in_process.fleet import AgentFleet, BareWater, fly
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.sil import launcher
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages.messages import Trajectory
@@ -25,29 +25,23 @@ from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError
 
 STATION = (sys.executable, "-m", "groundstation")
-REFUSED = 2  # exit code for what cannot be flown
+REFUSED = 2  # exit code of `groundstation plan` for an experiment that cannot be flown
 
 
-def prepared(experiment: Experiment) -> tuple[AgentFleet, BareWater]:
-    """Robots in the water at the beginning of the station's trajectories. Raises ConfigError, and leaves nothing behind, if
+def prepared(experiment: Experiment) -> tuple[AgentFleet, DirectPlant]:
+    """Fleet and plant at the beginning of the station's trajectories. Raises ConfigError, and leaves no files behind, if
     the experiment cannot be flown like this."""
-    fault_schedule.only(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
+    fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
     trajectories, starts = plan(experiment)
-    water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
+    water = DirectPlant(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
     fleet = AgentFleet(experiment, trajectories, water, experiment.seed, time.perf_counter_ns)
     fleet.start()
     return fleet, water
 
 
-def run(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, console: Console) -> int:
-    """Fly what is `prepared`, with agents and plant in this process. Returns the exit code: 0 passed, 1 failed, 130
-    interrupted."""
+def run(fleet: AgentFleet, plant: DirectPlant, run_dir: Path, *, stop: Stop, console: Console) -> int:
+    """Fly a fleet that has started to its end, and report. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     (run_dir / "experiment.toml").write_text(dump_experiment(fleet.experiment), encoding="utf-8")
-    return fly_and_report(fleet, water, run_dir, stop=stop, console=console)
-
-
-def fly_and_report(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, console: Console) -> int:
-    """Fly a fleet that has started to its end, into a folder that has its experiment. Returns the exit code as `run`."""
     recording = subprocess.Popen([*STATION, "record", str(run_dir)], stdin=subprocess.PIPE)
     assert recording.stdin is not None
     start_s = fleet.time_s
@@ -55,7 +49,7 @@ def fly_and_report(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: 
     try:
         with recording.stdin as stream:
             pipe = PipeWriter(stream, secrets.randbits(63) | 1)
-            for topic, robot, message, stamp_ns in fly(fleet, water):
+            for topic, robot, message, stamp_ns in fly(fleet, plant):
                 pipe.publish(topic, message, stamp_ns, robot)
                 if stop.requested:
                     break
@@ -78,8 +72,8 @@ def fly_and_report(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: 
 
 
 def plan(experiment: Experiment) -> tuple[dict[int, Trajectory], dict[int, Any]]:
-    """Trajectories and start poses by `groundstation plan`. Raises ConfigError with its reasons if it refuses, Failed if it
-    ended otherwise: for want of memory, for example."""
+    """Trajectories and start poses by `groundstation plan`. Raises ConfigError with its reasons if it refuses, Failed if
+    it ended otherwise, for example for want of memory."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         file.write_text(dump_experiment(experiment), encoding="utf-8")

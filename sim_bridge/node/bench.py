@@ -1,6 +1,6 @@
 """SHELL: one simulated thruster board on a bench: dry, at rest, by the wall clock, on a UDP port or a pseudo-terminal.
 
-For whoever writes a program that talks to boards, and for trying `sim-bridge board-conformance`.
+For writing programs that talk to boards, and for trying `sim-bridge board-conformance`.
 """
 
 import os
@@ -12,20 +12,20 @@ from typing import Protocol
 
 import numpy as np
 
-from sim_bridge.node.udp_ports import Port
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.node.udp_ports import BoardPort
+from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.mavlink.board_port import is_local
 from wire.process.runtime import Stop, log
 from wire.toml_loader import ConfigError
 
 STEP_S = 0.005
 READ_BYTES = 65536
-NOBODY = ("", 0)  # a terminal has no addresses
+NOBODY = ("", 0)  # the peer of a terminal, which has no addresses
 FORMS = "udp:HOST:PORT or pty:PATH, for example udp:127.0.0.1:14551 or pty:/tmp/board"
 
 
-class Socket(Protocol):
-    """Where a computer can be plugged in."""
+class BoardSocket(Protocol):
+    """The end of a link that a computer can be connected to."""
 
     def read(self) -> list[tuple[bytes, tuple[str, int]]]: ...
     def hear(self, peer: tuple[str, int], now_ns: int) -> None: ...
@@ -34,12 +34,12 @@ class Socket(Protocol):
     def close(self) -> None: ...
 
 
-class Terminal:
-    """A pseudo-terminal, to be opened like a serial port at `path`, a link that is made and taken away again."""
+class PseudoTerminal:
+    """A pseudo-terminal, opened like a serial port at `path`, a link that is created and removed again."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._board, self._computer = os.openpty()  # ours holds the other end open: else a computer that goes ends it
+        self._board, self._computer = os.openpty()  # the other end is held open, or a computer that disconnects would end it
         tty.setraw(self._computer)
         os.set_blocking(self._board, False)
         path.symlink_to(os.ttyname(self._computer))
@@ -51,12 +51,12 @@ class Terminal:
             return []
 
     def hear(self, peer: tuple[str, int], now_ns: int) -> None:
-        """There is one other end."""
+        """Do nothing: a terminal has one peer."""
 
     def send(self, data: bytes, now_ns: int) -> None:
         try:
             os.write(self._board, data)
-        except BlockingIOError:  # nobody reads
+        except BlockingIOError:  # no program reads
             return
 
     def fileno(self) -> int:
@@ -68,24 +68,24 @@ class Terminal:
         os.close(self._computer)
 
 
-def open_socket(address: str, signed: bool) -> Socket:
-    """Raises ConfigError naming the forms there are."""
+def open_socket(address: str, signed: bool) -> BoardSocket:
+    """Open a port or terminal. Raises ConfigError naming the allowed forms."""
     kind, _, rest = address.partition(":")
     host, _, port = rest.rpartition(":")
     try:
         if kind == "pty" and rest:
-            return Terminal(Path(rest))
+            return PseudoTerminal(Path(rest))
         if kind == "udp" and host and port.isdigit() and int(port) < 65536:
             if not (signed or is_local(host)):
                 raise ConfigError(f"--port {address!r}: off this machine the board needs a key (--boards, robot-N.key in it)")
-            return Port(host, int(port))
+            return BoardPort(host, int(port))
     except OSError as error:
         raise ConfigError(f"--port {address!r}: {error.strerror}") from None
     raise ConfigError(f"--port {address!r}: nowhere to be plugged in (allowed: {FORMS})")
 
 
-def run(board: Board, socket: Socket, stop: Stop) -> None:
-    """Be the board until told to stop."""
+def run(board: ThrusterBoard, socket: BoardSocket, stop: Stop) -> None:
+    """Run the board until told to stop."""
     still, begin_ns, steps = np.zeros(4), time.monotonic_ns(), 0
     said = (False, True)
     while not stop.requested:

@@ -1,7 +1,7 @@
-"""SHELL: the simulated pool on the wires: thruster boards on UDP, a camera and the truth on the bus.
+"""SHELL: the simulated pool as a process: thruster boards on UDP, camera frames and the truth on the bus.
 
-By the wall clock the plant keeps up with time and pictures are rendered in a thread of their own, like a camera's. In
-lockstep the simulator owns time: it stops at every control step until each robot's pulses have arrived.
+By the wall clock the plant keeps up with time, and a thread renders the frames. In lockstep the simulator owns time: it
+stops at every control step until each robot's pulses have arrived.
 """
 
 import contextlib
@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim_bridge.camera.faults import CameraTrouble
-from sim_bridge.camera.ideal_localizer import Located
+from sim_bridge.camera.faults import CameraFaults
+from sim_bridge.camera.ideal_localizer import IdealLocalizer
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.node.udp_ports import Sockets
-from sim_bridge.thruster_board.board import Board
-from sim_bridge.thruster_board.nonvolatile import MakeBoard
+from sim_bridge.node.udp_ports import BoardPorts
+from sim_bridge.thruster_board.board import ThrusterBoard
+from sim_bridge.thruster_board.nonvolatile import BoardFactory
 from sim_bridge.world import World
 from wire.config.experiment import Experiment
 from wire.config.fault_injection import Break
@@ -32,8 +32,8 @@ from wire.transport.bus import Bus
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
-    """What the camera needs to take a picture: the plant in the middle of an exposure."""
+class Exposure:
+    """The plant in the middle of an exposure, from which a frame is rendered."""
 
     eta: Array
     nu: Array
@@ -41,53 +41,55 @@ class Shot:
     time_s: float
     index: int
     stamp_ns: int
-    broken: tuple[Break, ...] = ()  # of the camera
-    bare: frozenset[int] = frozenset()  # robots without markers, by index
+    broken: tuple[Break, ...] = ()  # faults of the camera
+    unmarked: frozenset[int] = frozenset()  # robots without markers, by index
 
 
-class Pool:
-    """The pool's shell: world, sockets, camera, bus."""
+class PoolNode:
+    """The process: world, ports, camera and bus."""
 
     def __init__(
         self,
         experiment: Experiment,
         bus: Bus,
-        sockets: Sockets,
+        sockets: BoardPorts,
         stop: Stop,
         lockstep: bool,
         poses: bool = False,
-        make: MakeBoard = Board,
+        make: BoardFactory = ThrusterBoard,
     ) -> None:
-        """`sockets` are closed when the run ends. With `poses` there is no camera: poses go out in the localizer's place.
-        `make` makes the thruster boards."""
+        """`sockets` are closed when the run ends. With `poses` there is no camera: poses are published in the localizer's
+        place. `make` makes the thruster boards."""
         self._experiment, self._bus, self._stop = experiment, bus, stop
         self._make = make
         self._lockstep = LockstepClock() if lockstep else None
         self._clock: Clock = self._lockstep or WallClock()
         self._sockets = sockets
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids if experiment.sim.faults else ())
-        self._eye: Renderer | Located = (
-            Located(experiment, experiment.seed) if poses else Renderer(experiment, experiment.seed)
+        self._camera: Renderer | IdealLocalizer = (
+            IdealLocalizer(experiment, experiment.seed) if poses else Renderer(experiment, experiment.seed)
         )
-        self._camera_trouble = CameraTrouble()
-        self._prepared: tuple[Shot, NDArray[np.uint8]] | None = None
-        self._bare: frozenset[int] = frozenset()
+        self._camera_trouble = CameraFaults()
+        self._rendered_ahead: tuple[Exposure, NDArray[np.uint8]] | None = None
+        self._unmarked: frozenset[int] = frozenset()
         self._frame_index = 0
-        self._undeveloped: deque[Shot] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
+        self._pending: deque[Exposure] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
         self._frame_ns = self._obstacles_ns = -1
         self._neutral = dict.fromkeys(experiment.robot_ids, True)
 
     def run(self) -> None:
-        """Simulate until told to stop, or until the camera's thread has failed (Stop.raise_failure says so). Robots are put
-        into the water when their trajectories are known."""
+        """Simulate until told to stop, or until the camera's thread has failed (Stop.raise_failure says so).
+
+        Robots are put into the water when their trajectories are known.
+        """
         try:
             self._bus.watch_presence()
             log_to_bus(self._bus, self._clock, "sim-bridge")
             starts = self._starts()
             if starts is None:
                 return
-            # Nobody arms before the localizer knows the water: robots that drifted meanwhile would begin elsewhere.
-            held = isinstance(self._eye, Renderer) and self._experiment.watches_obstacles
+            # No robot arms before the localizer has learnt the water. Until then they are held, or they would drift away.
+            held = isinstance(self._camera, Renderer) and self._experiment.watches_obstacles
             world = World(self._experiment, self._experiment.seed, starts, self._make, held)
             self._bus.announce("sim-bridge")
             log.info("robots are in the water")
@@ -99,7 +101,8 @@ class Pool:
             self._sockets.close()
 
     def _starts(self) -> Array | None:
-        """Start poses (n, 4): as the experiment gives them, or an offset from where the robot's trajectory begins."""
+        """Start poses (n, 4): as the experiment gives them, or an offset from the start of the robot's trajectory. None if
+        told to stop."""
         robots = self._experiment.robots
         inboxes = self._bus.inboxes(topics.TRAJECTORY, Trajectory, (r.id for r in robots if r.start is None))
         while not wait(self._bus, self._stop, lambda: all(i.newest_header() for i in inboxes.values()), 10.0):
@@ -117,9 +120,9 @@ class Pool:
             starts.append(received.message.eta[0] + np.array(robot.start_offset))
         return np.array(starts)
 
-    def _move(self, world: World) -> None:
-        """One step of the plant. What boards do with thrusters is worth a line in the log: it is what faults are judged by."""
-        for text in world.break_things():
+    def _step_plant(self, world: World) -> None:
+        """Make one step of the plant, and log the faults that change and the boards that become neutral or thrusting."""
+        for text in world.apply_faults():
             log.info(text)
         sent = world.step()
         for i, data in sent:
@@ -130,8 +133,8 @@ class Pool:
                 log.info("board of robot %d: %s", robot, "neutral" if self._neutral[robot] else "thrusting")
         self._sockets.deliver(world)
 
-    def _look_for_start(self, world: World, begin_ns: int) -> None:
-        """Faults count from where the trajectories begin; a robot that flies tells when. Plant time 0 is `begin_ns`."""
+    def _detect_start(self, world: World, begin_ns: int) -> None:
+        """Find the instant at which the trajectories began, from which faults count. Plant time 0 is `begin_ns`."""
         if world.start_ns is not None:
             return
         for inbox in self._states.values():
@@ -144,17 +147,19 @@ class Pool:
     # --- by the wall clock
 
     def _run_wall(self, world: World) -> None:
-        shots: queue.Queue[Shot | None] = queue.Queue(1 if isinstance(self._eye, Renderer) else 0)  # poses only wait there
-        camera = guarded_thread(self._stop, "camera", lambda: self._camera(shots))
+        exposures: queue.Queue[Exposure | None] = queue.Queue(
+            1 if isinstance(self._camera, Renderer) else 0
+        )  # poses only wait there
+        camera = guarded_thread(self._stop, "camera", lambda: self._run_camera(exposures))
         camera.start()
         begin_ns = self._clock.now_ns()
         try:
             while not self._stop.requested:
                 self._sockets.exchange(world)
-                self._move(world)
+                self._step_plant(world)
                 if world.exposed:
-                    self._look_for_start(world, begin_ns)
-                    self._expose(world, begin_ns, shots)
+                    self._detect_start(world, begin_ns)
+                    self._expose(world, begin_ns, exposures)
                 # The next step only when its time has come, however much arrives until then: else the water would run ahead.
                 while (ahead_s := (begin_ns + world.now_ns - self._clock.now_ns()) * 1e-9) > 0 and not self._stop.requested:
                     self._sockets.wait(ahead_s)
@@ -163,100 +168,106 @@ class Pool:
                     log.warning("simulation was %.2f s late; time skipped", -ahead_s)
                     begin_ns -= round(ahead_s * 1e9)
         finally:
-            _end(camera, shots)
+            _end(camera, exposures)
 
-    def _expose(self, world: World, begin_ns: int, shots: "queue.Queue[Shot | None]") -> None:
+    def _expose(self, world: World, begin_ns: int, exposures: "queue.Queue[Exposure | None]") -> None:
         stamp_ns = begin_ns + world.now_ns
         self._bus.publish(topics.TRUTH, world.truth(), stamp_ns)
-        shot = self._shot(world, stamp_ns)
+        exposure = self._exposure(world, stamp_ns)
         try:
-            shots.put_nowait(shot)
+            exposures.put_nowait(exposure)
         except queue.Full:
             log.debug("camera late: a frame is left out")
 
-    def _shot(self, world: World, stamp_ns: int) -> Shot:
+    def _exposure(self, world: World, stamp_ns: int) -> Exposure:
         self._frame_index += 1
-        broken, bare = world.faults.camera, world.faults.bare
-        return Shot(world.eta, world.nu, world.tilt, world.now_ns * 1e-9, self._frame_index, stamp_ns, broken, bare)
+        broken, unmarked = world.faults.camera, world.faults.unmarked
+        return Exposure(world.eta, world.nu, world.tilt, world.now_ns * 1e-9, self._frame_index, stamp_ns, broken, unmarked)
 
-    def _camera(self, shots: "queue.Queue[Shot | None]") -> None:
-        while (shot := shots.get()) is not None:
-            self._see(shot)
+    def _run_camera(self, exposures: "queue.Queue[Exposure | None]") -> None:
+        while (exposure := exposures.get()) is not None:
+            self._publish_exposure(exposure)
 
-    def _see(self, shot: Shot) -> None:
-        """Publish what comes of an exposure: a picture, or poses as late as the localizer's."""
-        if isinstance(self._eye, Renderer):
-            self._publish_frame(self._eye, shot)
+    def _publish_exposure(self, exposure: Exposure) -> None:
+        """Publish a frame of an exposure, or poses as late as the localizer's."""
+        if isinstance(self._camera, Renderer):
+            self._publish_frame(self._camera, exposure)
             return
         if self._lockstep is None:
-            time.sleep(max(self._experiment.sim.latency_s - (self._clock.now_ns() - shot.stamp_ns) * 1e-9, 0.0))
-        age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
-        for robot, pose in zip(self._experiment.robot_ids, self._eye.poses(shot.eta), strict=True):
-            self._bus.publish(topics.POSE, pose, shot.stamp_ns, robot, age_ns=age_ns)
+            time.sleep(max(self._experiment.sim.latency_s - (self._clock.now_ns() - exposure.stamp_ns) * 1e-9, 0.0))
+        age_ns = max(self._clock.now_ns() - exposure.stamp_ns, 0)
+        for robot, pose in zip(self._experiment.robot_ids, self._camera.poses(exposure.eta), strict=True):
+            self._bus.publish(topics.POSE, pose, exposure.stamp_ns, robot, age_ns=age_ns)
         if self._lockstep is not None:  # where others wait for what is told of each picture
             told = LocalizerStatus(
-                CameraHealth.OK, shot.index, robots=self._experiment.robot_ids, obstacles_ns=self._obstacles_ns
+                CameraHealth.OK, exposure.index, robots=self._experiment.robot_ids, obstacles_ns=self._obstacles_ns
             )
-            self._bus.publish(topics.LOCALIZER, told, shot.stamp_ns)
-        obstacles = self._eye.obstacles(shot.time_s)
+            self._bus.publish(topics.LOCALIZER, told, exposure.stamp_ns)
+        obstacles = self._camera.obstacles(exposure.time_s)
         if obstacles is not None:
-            self._obstacles_ns = shot.stamp_ns
-            self._bus.publish(topics.OBSTACLES, obstacles, shot.stamp_ns, age_ns=age_ns)
+            self._obstacles_ns = exposure.stamp_ns
+            self._bus.publish(topics.OBSTACLES, obstacles, exposure.stamp_ns, age_ns=age_ns)
 
-    def _publish_frame(self, renderer: Renderer, shot: Shot) -> None:
-        if shot.bare != self._bare:
-            self._bare = shot.bare
-            renderer.lose_markers(shot.bare)
-        pixels = self._prepared_picture(shot)
+    def _publish_frame(self, renderer: Renderer, exposure: Exposure) -> None:
+        if exposure.unmarked != self._unmarked:
+            self._unmarked = exposure.unmarked
+            renderer.hide_markers(exposure.unmarked)
+        pixels = self._take_rendered(exposure)
         if pixels is None:
-            pixels = renderer.render(shot.eta, shot.nu, shot.time_s, shot.index, shot.tilt)
-        pixels = self._camera_trouble.apply(pixels, shot.broken)
-        age_ns = max(self._clock.now_ns() - shot.stamp_ns, 0)
-        self._bus.publish(topics.FRAME, Frame(pixels), shot.stamp_ns, age_ns=age_ns)
+            pixels = renderer.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt)
+        pixels = self._camera_trouble.apply(pixels, exposure.broken)
+        age_ns = max(self._clock.now_ns() - exposure.stamp_ns, 0)
+        self._bus.publish(topics.FRAME, Frame(pixels), exposure.stamp_ns, age_ns=age_ns)
 
     # --- in lockstep
 
-    def _prepare_picture(self, world: World) -> None:
-        """Render the next frame while the others compute: until it is exposed, the pulses that are awaited move nothing."""
-        expected = world.next_exposure() if not self._undeveloped else None
-        if expected is None or not isinstance(self._eye, Renderer):
+    def _render_ahead(self, world: World) -> None:
+        """Render the next frame while the others compute: the pulses that are awaited cannot move a robot before it is
+        exposed."""
+        expected = world.next_exposure() if not self._pending else None
+        if expected is None or not isinstance(self._camera, Renderer):
             return
-        shot = Shot(*expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, bare=self._bare)
-        self._prepared = shot, self._eye.render(shot.eta, shot.nu, shot.time_s, shot.index, shot.tilt)
+        exposure = Exposure(
+            *expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, unmarked=self._unmarked
+        )
+        self._rendered_ahead = (
+            exposure,
+            self._camera.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt),
+        )
 
-    def _prepared_picture(self, shot: Shot) -> NDArray[np.uint8] | None:
-        """The picture that was rendered ahead, if all came as expected, to the bit."""
-        if self._prepared is None:
+    def _take_rendered(self, exposure: Exposure) -> NDArray[np.uint8] | None:
+        """The frame that was rendered ahead, if the exposure is the expected one to the bit; else None."""
+        if self._rendered_ahead is None:
             return None
-        (expected, pixels), self._prepared = self._prepared, None
-        same = (expected.time_s, expected.index, expected.bare) == (shot.time_s, shot.index, shot.bare)
-        moved = ((expected.eta, shot.eta), (expected.nu, shot.nu), (expected.tilt, shot.tilt))
+        (expected, pixels), self._rendered_ahead = self._rendered_ahead, None
+        same = (expected.time_s, expected.index, expected.unmarked) == (exposure.time_s, exposure.index, exposure.unmarked)
+        moved = ((expected.eta, exposure.eta), (expected.nu, exposure.nu), (expected.tilt, exposure.tilt))
         if same and all(np.array_equal(then, now) for then, now in moved):
             return pixels
-        log.debug("frame %d came otherwise than expected", shot.index)
+        log.debug("frame %d came otherwise than expected", exposure.index)
         return None
 
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
         self._await_everyone(world)
         period_ns = round(self._experiment.controller.period_s * 1e9)
         tick_ns, previous_ns = round(self._experiment.sim.latency_s * 1e9) or period_ns, -1  # at 0 no board has said a word
-        self._shoot(world, tick_ns, previous_ns)
+        self._expose_in_lockstep(world, tick_ns, previous_ns)
         while not self._stop.requested:
             while world.now_ns < tick_ns:
-                self._move(world)
+                self._step_plant(world)
                 clock.tick_ns = world.now_ns
                 if world.exposed:
-                    self._shoot(world, tick_ns, previous_ns)
+                    self._expose_in_lockstep(world, tick_ns, previous_ns)
             clock.tick_ns = tick_ns
             self._tick(world, tick_ns, previous_ns)
             tick_ns, previous_ns = tick_ns + period_ns, tick_ns
-            self._develop(world, tick_ns, previous_ns)
+            self._publish_due(world, tick_ns, previous_ns)
 
     def _await_everyone(self, world: World) -> None:
-        """Until all are there and every board has heard whom to answer, in words that it can follow on."""
+        """Wait until all processes are present and every board has a peer."""
         self._sockets.forget()
         everyone = {"groundstation", *(f"agent-{r}" for r in self._experiment.robot_ids)}
-        everyone |= {"localizer"} if isinstance(self._eye, Renderer) else set()
+        everyone |= {"localizer"} if isinstance(self._camera, Renderer) else set()
         reminder = Reminder()
         while not self._stop.requested:
             self._sockets.exchange(world)
@@ -267,32 +278,32 @@ class Pool:
                 log.info("waiting for %s", ", ".join(sorted(missing)) or "the robots to greet their boards")
             self._sockets.wait(SLICE_S)
 
-    def _shoot(self, world: World, tick_ns: int, previous_ns: int) -> None:
-        """Expose."""
-        self._undeveloped.append(self._shot(world, world.now_ns))
-        self._develop(world, tick_ns, previous_ns)
-        self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)  # nobody waits for it
+    def _expose_in_lockstep(self, world: World, tick_ns: int, previous_ns: int) -> None:
+        """Add the exposure of this instant, publish what is due, and publish the truth."""
+        self._pending.append(self._exposure(world, world.now_ns))
+        self._publish_due(world, tick_ns, previous_ns)
+        self._bus.publish(topics.TRUTH, world.truth(), world.now_ns)  # no process waits for it
 
-    def _develop(self, world: World, tick_ns: int, previous_ns: int) -> None:
-        """Publish the pictures that will be old enough at the coming tick. When the one that counts there is among them, the
-        localizer hears at once."""
+    def _publish_due(self, world: World, tick_ns: int, previous_ns: int) -> None:
+        """Publish the frames that will be old enough at the coming tick. When the last of them is out, tell the localizer
+        at once."""
         newest_ns = tick_ns - round(self._experiment.sim.latency_s * 1e9)
         before_ns = self._frame_ns
-        while self._undeveloped and self._undeveloped[0].stamp_ns <= newest_ns:
-            shot = self._undeveloped.popleft()
-            self._frame_ns = shot.stamp_ns
-            self._see(shot)
-        next_ns = self._undeveloped[0].stamp_ns if self._undeveloped else world.exposure_ns
+        while self._pending and self._pending[0].stamp_ns <= newest_ns:
+            exposure = self._pending.popleft()
+            self._frame_ns = exposure.stamp_ns
+            self._publish_exposure(exposure)
+        next_ns = self._pending[0].stamp_ns if self._pending else world.exposure_ns
         if self._frame_ns > before_ns and next_ns > newest_ns:
-            self._bus.publish(topics.EXPOSED, Tick(tick_ns, previous_ns, self._frame_ns, self._there), tick_ns)
+            self._bus.publish(topics.EXPOSED, Tick(tick_ns, previous_ns, self._frame_ns, self._present_robots), tick_ns)
 
     @property
-    def _there(self) -> tuple[int, ...]:
+    def _present_robots(self) -> tuple[int, ...]:
         """Robots whose agents are present."""
         return tuple(r for r in self._experiment.robot_ids if f"agent-{r}" in self._bus.present)
 
     def _await_states(self, world: World, robots: tuple[int, ...], stamp_ns: int) -> None:
-        """Where faults wait for the start, see every robot's last state before time goes on: else chance would set it."""
+        """Wait for every robot's last state until the start is known: otherwise the start would depend on chance."""
         if not self._states or world.start_ns is not None or stamp_ns < 0:
             return
 
@@ -302,17 +313,17 @@ class Pool:
 
         while not (wait(self._bus, self._stop, here, LOCKSTEP_SAYS_S) or self._stop.requested):
             log.warning("lockstep: waiting for the robots' states of %.3f s", stamp_ns * 1e-9)
-        self._look_for_start(world, 0)
+        self._detect_start(world, 0)
 
     def _tick(self, world: World, tick_ns: int, previous_ns: int) -> None:
-        """Stop time until every robot that is there has sent its pulses for this step."""
-        robots = self._there
+        """Stop time until every robot that is present has sent its pulses for this step."""
+        robots = self._present_robots
         indices = [self._experiment.robot_ids.index(r) for r in robots]
         self._await_states(world, robots, previous_ns)
         before = [self._sockets.commands[i] for i in indices]
         board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
         self._bus.publish(topics.TICK, Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms), tick_ns)
-        self._prepare_picture(world)
+        self._render_ahead(world)
         reminder = Reminder()
         while not self._stop.requested:
             self._sockets.exchange(world)
@@ -327,9 +338,9 @@ class Pool:
             self._sockets.wait(SLICE_S)
 
 
-def _end(camera: threading.Thread, shots: "queue.Queue[Shot | None]") -> None:
-    """Have the camera's thread see what waits, and end. One that has failed takes nothing any more: nobody waits for it."""
+def _end(camera: threading.Thread, exposures: "queue.Queue[Exposure | None]") -> None:
+    """End the camera's thread after the waiting exposures; a thread that has failed is not waited for."""
     while camera.is_alive():
         with contextlib.suppress(queue.Full):
-            shots.put(None, timeout=SLICE_S)
+            exposures.put(None, timeout=SLICE_S)
             camera.join()

@@ -1,28 +1,78 @@
-"""SHELL: the thruster boards' UDP ports."""
+"""SHELL: the thruster boards' UDP ports, and the links behind them that faults disturb.
 
+A LossyLink loses, delays, duplicates and reorders datagrams in one direction. It is pure and seeded and runs in the
+plant's time, so that a lockstep run repeats to the bit.
+"""
+
+import heapq
 import select
 import socket
+from typing import Generic, TypeVar
 
-from sim_bridge.node.lossy_link import LossyLink
+from sim_bridge.fault_schedule import LinkFaults
+from sim_bridge.plant.random_streams import Stream, generator
 from sim_bridge.world import World
 from wire.mavlink.agent_link import is_override
 from wire.toml_loader import ConfigError
 
+T = TypeVar("T")  # type of a datagram's tag
+OVERTAKEN_NS = 50_000_000  # ns, longest delay of an overtaken datagram: a control period, so that the order changes
+
+
+class LossyLink(Generic[T]):
+    """Datagrams on their way in one direction."""
+
+    def __init__(self, seed: int, robot: int, direction: int, none: T) -> None:
+        """`none` is the tag of a datagram that was overtaken."""
+        self._none = none
+        self._random = generator(seed, Stream.LINK, robot, direction)
+        self._queue: list[tuple[int, int, bytes, T]] = []  # due, order of arrival, datagram, tag
+        self._count = self._newest = 0
+
+    def push(self, data: bytes, now_ns: int, trouble: LinkFaults, tag: T) -> None:
+        """A datagram enters, with a tag that leaves beside it."""
+        if trouble.cut:
+            return
+        due_ns = now_ns + round(trouble.delay_s * 1e9)
+        if trouble.loss == 0.0:
+            self._put(due_ns, data, tag)
+            return
+        lost, doubled, overtaken, by = self._random.random(4).tolist()
+        if lost < trouble.loss:
+            return
+        self._put(due_ns + (round(by * OVERTAKEN_NS) if overtaken < trouble.loss else 0), data, tag)
+        if doubled < trouble.loss:
+            self._put(due_ns, data, tag)
+
+    def _put(self, due_ns: int, data: bytes, tag: T) -> None:
+        self._count += 1
+        heapq.heappush(self._queue, (due_ns, self._count, data, tag))
+
+    def pop(self, now_ns: int) -> list[tuple[bytes, T]]:
+        """The datagrams that leave by now, with their tags; `none` for an overtaken one, which MAVLink takes for stale."""
+        out: list[tuple[bytes, T]] = []
+        while self._queue and self._queue[0][0] <= now_ns:
+            _, order, data, tag = heapq.heappop(self._queue)
+            out.append((data, tag if order > self._newest else self._none))
+            self._newest = max(self._newest, order)
+        return out
+
+
 READ_BYTES = 65536
-READ_MOST = 10  # datagrams of a port at a time: 2,000 a second at steps of 5 ms; computer and ground stations send some 100
-FORGET_MOST = 1000  # reads, however much goes on arriving
-FLOODED_WAIT_S = 0.005  # a port with more than that is looked at again after so long
-PEERS = 8  # the robot's computer, and ground stations beside it
-PEER_GONE_NS = 10_000_000_000  # a MAVLink program sends a heartbeat each second
+READ_MOST = 10  # datagrams of a port per read: 2,000 a second at steps of 5 ms; computer and ground stations send some 100
+FORGET_MOST = 1000  # reads that discard old datagrams, so that a flood cannot hold up the start
+FLOODED_WAIT_S = 0.005  # s until a port with more than READ_MOST datagrams is read again
+PEERS = 8  # peers of a port: the robot's computer, and ground stations beside it
+PEER_GONE_NS = 10_000_000_000  # ns of silence after which a peer is dropped; MAVLink programs send a heartbeat each second
 
 Address = tuple[str, int]
 
 
-class Port:
-    """A board's UDP port. It answers to those whose frames the board has taken lately."""
+class BoardPort:
+    """A board's UDP port. It answers to the peers whose frames the board has taken lately."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Port 0 is any free one. Raises OSError."""
+        """Bind the port; port 0 is any free one. Raises OSError."""
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self.socket.bind((host, port))
@@ -35,12 +85,12 @@ class Port:
 
     @property
     def heard(self) -> bool:
-        """Whether anybody is there to answer to."""
+        """True if there is a peer to answer to."""
         return bool(self._heard_ns)
 
     def read(self) -> list[tuple[bytes, Address]]:
-        """The datagrams that have arrived, in order, and who sent them; READ_MOST at a time, so that whoever floods a port
-        holds up nothing but that port."""
+        """The datagrams that have arrived, in order, with their senders; READ_MOST at a time, so that a flood holds up
+        only its own port."""
         datagrams: list[tuple[bytes, Address]] = []
         while len(datagrams) < READ_MOST:
             try:
@@ -52,20 +102,21 @@ class Port:
         return datagrams
 
     def hear(self, peer: Address, now_ns: int) -> None:
-        """The board has taken a frame of this peer. When there are too many, the one that was silent longest makes room."""
+        """Note that the board has taken a frame of this peer. If there are too many peers, the one that was silent longest
+        is dropped."""
         if peer not in self._heard_ns and len(self._heard_ns) >= PEERS:
             del self._heard_ns[min(self._heard_ns, key=self._heard_ns.__getitem__)]
         self._heard_ns[peer] = now_ns
 
     def forget(self) -> None:
-        """As if nobody had spoken yet."""
+        """Discard waiting datagrams and all peers."""
         for _ in range(FORGET_MOST):
             if not self.read():
                 break
         self._heard_ns.clear()
 
     def send(self, data: bytes, now_ns: int) -> None:
-        """To all who are there."""
+        """Send to all peers."""
         for peer, heard_ns in list(self._heard_ns.items()):
             if now_ns - heard_ns > PEER_GONE_NS and len(self._heard_ns) > 1:
                 del self._heard_ns[peer]
@@ -76,7 +127,7 @@ class Port:
                 continue
 
     def fileno(self) -> int:
-        """For `select`."""
+        """The file descriptor, for `select`."""
         return self.socket.fileno()
 
     def close(self) -> None:
@@ -84,21 +135,22 @@ class Port:
         self.socket.close()
 
 
-class Sockets:
-    """One UDP port per thruster board. Between a port and its board lies the link that faults can cut, slow down or make
+class BoardPorts:
+    """One UDP port per thruster board. Between a port and its board lies the link that faults can cut, delay or make
     noisy."""
 
     def __init__(self, base_port: int, robots: tuple[int, ...], seed: int) -> None:
-        """The board of robot N is at `base_port` + N. Raises ConfigError naming a port that cannot be had."""
+        """Bind the ports: the board of robot N is at `base_port` + N. Raises ConfigError naming a port that cannot be
+        bound."""
         self.commands = [0] * len(robots)  # sets of pulses that reached each port, whatever the link made of them
         self.burst_ms = [0] * len(robots)  # board time of the last burst that went out of each port
         self._measured_ms = [0] * len(robots)
         self._to_board: list[LossyLink[Address | None]] = [LossyLink(seed, robot, 0, None) for robot in robots]
         self._from_board = [LossyLink(seed, robot, 1, 0) for robot in robots]
-        self._ports: list[Port] = []
+        self._ports: list[BoardPort] = []
         for robot in robots:
             try:
-                self._ports.append(Port("127.0.0.1", base_port + robot))
+                self._ports.append(BoardPort("127.0.0.1", base_port + robot))
             except (OSError, OverflowError) as error:
                 self.close()
                 why = error.strerror if isinstance(error, OSError) else "allowed: up to 65535"
@@ -107,13 +159,13 @@ class Sockets:
                 ) from None
 
     def forget(self) -> None:
-        """Throw away what lies there, and who it is from: the last of it may have been dropped, and what follows on such a gap
-        in the numbers looks old to a board."""
+        """Discard waiting datagrams and all peers. The last of a queue may have been dropped, and frames after such a gap
+        in the sequence numbers look stale to a board."""
         for port in self._ports:
             port.forget()
 
     def exchange(self, world: World) -> None:
-        """Take what has arrived; give the boards what the links let through by now."""
+        """Read what has arrived, and give the boards the datagrams that their links let through by now."""
         for i, port in enumerate(self._ports):
             for data, peer in port.read():
                 self.commands[i] += is_override(data)
@@ -121,7 +173,7 @@ class Sockets:
         self.deliver(world)
 
     def deliver(self, world: World) -> None:
-        """Let the links bring what is due."""
+        """Deliver the datagrams that are due on the links, both ways."""
         for i, (there, back) in enumerate(zip(self._to_board, self._from_board, strict=True)):
             for data, peer in there.pop(world.now_ns):
                 if world.receive(i, data) and peer is not None:
@@ -132,7 +184,7 @@ class Sockets:
 
     @property
     def all_heard(self) -> bool:
-        """Whether every board knows whom to answer."""
+        """True if every board has a peer to answer to."""
         return all(port.heard for port in self._ports)
 
     def send(self, i: int, data: bytes, world: World) -> None:
@@ -144,7 +196,7 @@ class Sockets:
             self._from_board[i].push(data, world.now_ns, world.faults.links[i], tag)
 
     def wait(self, timeout_s: float) -> None:
-        """Sleep until something arrives; from a port that is flooded, a little."""
+        """Sleep until something arrives, or a short time while a port is flooded."""
         quiet = [port for port in self._ports if not port.is_flooded]
         at_most_s = timeout_s if len(quiet) == len(self._ports) else min(timeout_s, FLOODED_WAIT_S)
         select.select(quiet, [], [], max(at_most_s, 0.0))

@@ -1,4 +1,4 @@
-"""The robots' batteries: voltage by charge and load, and how fast they drain. All arrays (n,)."""
+"""The robots' batteries: voltage by charge and load, and their discharge. All arrays (n,)."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ from wire.frames import Array
 # Open-circuit voltage of a lithium-polymer cell against its charge (typical discharge curve at a tenth of capacity per hour).
 CHARGE = np.array([0.0, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0])
 CELL_V = np.array([3.0, 3.45, 3.65, 3.73, 3.80, 3.90, 4.04, 4.20])
-THRUST_EXPONENT = 1.2  # thrust goes with voltage to this power (OpenThruster's A2212 data at 10 to 12.6 V)
-POWER_EXPONENT = 1.5  # and a propeller's power with thrust to this one (momentum theory)
+THRUST_EXPONENT = 1.2  # of thrust over voltage (OpenThruster's A2212 data at 10 to 12.6 V)
+POWER_EXPONENT = 1.5  # of a propeller's power over thrust (momentum theory)
 J_PER_WH = 3600.0
 
 
-class Supply:
+class BatteryModel:
     """The batteries of every robot of an experiment."""
 
     def __init__(self, experiment: Experiment) -> None:
@@ -23,7 +23,7 @@ class Supply:
         self._thruster_w, self._electronics_w = battery.thruster_w, battery.electronics_w
         self._curve_v, self._cells = battery.curve_v, vehicle.battery.cells
         self._start_v = experiment.sim.sensors.battery_v
-        # what lies beyond the curve's ends is a voltage that the experiment asks for all the same
+        # offset of a start voltage that the experiment asks for beyond the ends of the curve
         self._beyond_v = self._start_v - float(np.interp(self._start_v / self._cells, CELL_V, CELL_V)) * self._cells
         self._sag_v = experiment.sim.sensors.battery_sag_v
         self._max_thrust_n = vehicle.thruster.max_thrust_n

@@ -1,9 +1,9 @@
-"""How the water moves by itself: current, shear, gusts and waves. Pure functions of place and time.
+"""The water's own motion: current, shear, gusts and waves. Pure functions of place and time.
 
 Places and velocities are rows x, y, z of arrays (3, n) in the pool frame.
 
-Gusts are the same everywhere, a sum of cosines whose frequencies stand at the quantiles of a first-order Gauss-Markov process
-(Ornstein-Uhlenbeck), spectrum sigma^2 (2 T / pi) / (1 + (omega T)^2): so they need no state, and their rate of change is
+Gusts are the same everywhere: a sum of cosines whose frequencies are the quantiles of a first-order Gauss-Markov process
+(Ornstein-Uhlenbeck), spectrum sigma^2 (2 T / pi) / (1 + (omega T)^2). They need no state, and their rate of change is
 exact. Waves are Airy's: velocities of a potential, with the dispersion of the pool's depth.
 """
 
@@ -14,11 +14,11 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 
 GRAVITY_MPS2 = 9.81
-GUST_WAVES = 32  # cosines per axis: at this number the correlation follows exp(-t / T) to 0.03
+GUST_WAVES = 32  # cosines per axis; with 32 the correlation follows exp(-t / T) to 0.03
 
 
-class Flow:
-    """The water's own velocity and its rate of change at a fixed place."""
+class WaterFlow:
+    """The water's own velocity, and its rate of change at a fixed place."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         plant = experiment.sim.plant
@@ -36,7 +36,7 @@ class Flow:
         self.still = self.steady and not self._current.any() and not self._shear.any()
 
     def velocity(self, place_m: Array, time_s: float) -> Array:
-        """Of the water at places (3, n), m/s."""
+        """Velocity of the water at places (3, n), m/s."""
         flow: Array = self._current + self._shear * place_m[2]
         if self._gust:
             flow[:2] += self._gust * np.cos(self._gust_radps * time_s + self._gust_phase).sum(axis=1)[:, None]
@@ -45,8 +45,8 @@ class Flow:
         return flow
 
     def acceleration(self, place_m: Array, time_s: float) -> Array:
-        """Of the water at fixed places (3, n), m/s^2. What a steady flow adds along a robot's way is of second order, and left
-        out, as linear wave theory does."""
+        """Acceleration of the water at fixed places (3, n), m/s^2. The part of a steady flow along a robot's way is of
+        second order and left out, as in linear wave theory."""
         rate = np.zeros(place_m.shape)
         if self._gust:
             turning = self._gust_radps * np.sin(self._gust_radps * time_s + self._gust_phase)
@@ -57,7 +57,8 @@ class Flow:
         return rate
 
     def _orbit(self, place_m: Array, time_s: float, amplitude: float) -> Array:
-        """Circles at the surface, flatter and smaller towards the floor; the crest moves with the wave."""
+        """Wave velocity or acceleration: circles at the surface, flatter and smaller towards the floor; the crest moves
+        with the wave."""
         k, down = self._wave_per_m, np.clip(place_m[2], 0.0, self._depth_m)
         falling = np.exp(-k * down)
         rising = np.exp(-k * (2.0 * self._depth_m - down))  # what the floor gives back
@@ -80,5 +81,5 @@ def wave_number(radps: float, depth_m: float) -> float:
 def _gusts(correlation_s: float, random: np.random.Generator) -> tuple[Array, Array]:
     """Frequencies and phases (2, GUST_WAVES): one of each stratum of equal energy, for x and for y."""
     share = (np.arange(GUST_WAVES) + random.uniform(0.0, 1.0, (2, GUST_WAVES))) / GUST_WAVES
-    top = 1.0 - 0.5 / GUST_WAVES  # the spectrum has no end, and its last frequencies no effect but a shaking
+    top = 1.0 - 0.5 / GUST_WAVES  # cuts off the endless tail of the spectrum, which would only shake
     return np.tan(0.5 * np.pi * np.minimum(share, top)) / correlation_s, random.uniform(0.0, 2.0 * np.pi, (2, GUST_WAVES))

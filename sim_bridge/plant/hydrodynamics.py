@@ -1,4 +1,4 @@
-"""What water does to a hull, apart from carrying it: drag, buoyancy, and the disturbance of the article's scenes.
+"""Forces of the water on a hull that moves through it: drag, buoyancy, and the disturbance of the article's scenes.
 
 Forces and velocities are rows of arrays (axes, n); the first three axes are surge, sway, heave, the last is yaw.
 """
@@ -12,7 +12,7 @@ from wire.frames import Array
 DENSITY_KGPM3 = 998.0  # fresh water at 20 degrees
 
 
-class Water:
+class Hydrodynamics:
     """Drag, buoyancy and the disturbance of an experiment."""
 
     def __init__(self, experiment: Experiment, tilts: bool) -> None:
@@ -32,11 +32,11 @@ class Water:
         self.disturbs = bool(self._amplitude.any())
 
     def drag(self, relative: Array) -> Array:
-        """Force against a velocity relative to the water (axes, n).
+        """Drag (axes, n) at a velocity relative to the water (axes, n).
 
         The nominal model takes each axis by itself: (d + q |v|) v. On a round hull the horizontal drag points against the
         flow, so its quadratic part takes the horizontal speed instead of |u| and |v|: the same when the robot moves along
-        one axis, up to 1.4 times more when it crabs. Without sway it is the article's model.
+        one axis, up to 1.4 times more when it moves diagonally. Without sway it is the article's model.
         """
         speed = np.abs(relative)
         if self._is_round:
@@ -45,8 +45,8 @@ class Water:
         return force
 
     def lift(self, z_m: Array) -> Array | float:
-        """Vertical force on hulls at depths (n,), down positive: residual buoyancy, and above water the missing displacement
-        of the cap that stands out. One number if it is the same for all."""
+        """Vertical force on hulls at depths (n,), down positive: residual buoyancy, and above water the missing
+        displacement of the cap that stands out. One number if it is the same for all."""
         down: Array | float = self._buoyancy_n
         if self._has_surface and z_m.min() < self._radius_m:
             height = np.clip(self._radius_m - z_m, 0.0, 2.0 * self._radius_m)
@@ -54,5 +54,5 @@ class Water:
         return down
 
     def disturbance(self, time_s: float) -> Array:
-        """[surge N, heave N, yaw N m] that waves put on each hull, (3, n) (ambiguity A13)."""
+        """[surge N, heave N, yaw N m] of the article's waves on each hull, (3, n) (ambiguity A13)."""
         return np.asarray(self._amplitude * np.sin(self._radps * time_s))

@@ -1,4 +1,4 @@
-"""The equations of motion of rigid bodies with added mass in water that moves: level (4 axes) or free to tilt (6).
+"""Equations of motion of rigid bodies with added mass in moving water: level (4 axes) or free to tilt (6).
 
 Rows of arrays (rows, n), one column per robot. Velocities are over ground in the body frame; M is the inertia with added
 mass, relative = velocity less the water's (Fossen 2021, chapters 6 to 8). Origin: the centre of the sphere, which is the
@@ -8,27 +8,27 @@ water's acceleration adds to the body's.
 
 import numpy as np
 
-from sim_bridge.plant.contact import Basin
-from sim_bridge.plant.currents_waves import GRAVITY_MPS2, Flow
-from sim_bridge.plant.hydrodynamics import Water
+from sim_bridge.plant.contact import ContactModel
+from sim_bridge.plant.currents_waves import GRAVITY_MPS2, WaterFlow
+from sim_bridge.plant.hydrodynamics import Hydrodynamics
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
 
-class LevelHull:
+class FourDofBody:
     """Surge, sway, heave, yaw. State: x, y, z, yaw, u, v, w, r.
 
-    m_u u' - m_v v r = X        m_w w' = Z
-    m_v v' + m_u u r = Y        m_r r' - (m_u - m_v) u v = N
+        m_u u' - m_v v r = X        m_w w' = Z
+        m_v v' + m_u u r = Y        m_r r' - (m_u - m_v) u v = N
 
-    With `sim.plant.sway = false` it is the article's plant: v = 0, and nothing couples the axes.
+    With `sim.plant.sway = false` it is the article's plant: v = 0, and no axis couples with another.
     """
 
-    def __init__(self, experiment: Experiment, flow: Flow, basin: Basin) -> None:
+    def __init__(self, experiment: Experiment, flow: WaterFlow, basin: ContactModel) -> None:
         plant = experiment.sim.plant
         self._sway, self._flow, self._basin = plant.sway, flow, basin
-        self._water = Water(experiment, tilts=False)
+        self._water = Hydrodynamics(experiment, tilts=False)
         self._inertia = (experiment.vehicle.inertia * (1.0 + plant.mass_error))[:, None]
 
     def pack(self, eta: Array, nu: Array, tilt: Array) -> Array:
@@ -36,7 +36,7 @@ class LevelHull:
         return np.concatenate([eta.T, nu.T])
 
     def unpack(self, x: Array) -> tuple[Array, Array, Array]:
-        """The reverse."""
+        """Poses, velocities and tilts (n, 4) of state rows: the inverse of `pack`."""
         return x[:4].T.copy(), x[4:].T.copy(), np.zeros((x.shape[1], 4))
 
     def acceleration(self, x: Array, rate: Array) -> Array:
@@ -59,7 +59,7 @@ class LevelHull:
         if self._water.disturbs:
             force[[0, 2, 3]] += self._water.disturbance(time_s)
         if contact:
-            force += self._level(self._basin.push(x[:3].T, rate[:3].T).T, c, s)
+            force += self._level(self._basin.contact_force(x[:3].T, rate[:3].T).T, c, s)
         acceleration = force / self._inertia
         if self._sway:
             m_u, m_v, _, m_r = self._inertia
@@ -83,20 +83,21 @@ class LevelHull:
         return np.array([c * x + s * y, c * y - s * x, z, np.zeros_like(z)])
 
 
-class TiltingHull:
+class SixDofBody:
     """All six axes. State: x, y, z, roll, pitch, yaw (R = Rz Ry Rx), u, v, w, p, q, r.
 
-    M nu_r' + C(nu_r) nu_r = force, with C from the impulses P, L of M nu_r (Kirchhoff): [omega x P; omega x L + v x P].
-    That is quadratic in nu_r, so one product of a fixed matrix with all pairs nu_j nu_k gives it for the whole fleet.
+    M nu_r' + C(nu_r) nu_r = force, with C from the impulses P, L of M nu_r (Kirchhoff): [omega x P; omega x L + v x P]. That
+    is quadratic in nu_r, so one product of a fixed matrix with all pairs nu_j nu_k gives it for the whole fleet.
 
-    The centre of mass lies below the centre of buoyancy: m z_g = righting moment / g couples surge with pitch and sway with
-    roll in M, and rights the hull. Pitch must stay below 90 degrees, where yaw ends: the righting moment sees to it.
+    The centre of mass lies below the centre of buoyancy: m z_g = righting moment / g couples surge with pitch and sway
+    with roll in M, and rights the hull. Pitch must stay below 90 degrees, where yaw is undefined; the righting moment
+    keeps it there.
     """
 
-    def __init__(self, experiment: Experiment, flow: Flow, basin: Basin) -> None:
+    def __init__(self, experiment: Experiment, flow: WaterFlow, basin: ContactModel) -> None:
         plant, tilt = experiment.sim.plant, experiment.sim.plant.tilt
         self._flow, self._basin = flow, basin
-        self._water = Water(experiment, tilts=True)
+        self._water = Hydrodynamics(experiment, tilts=True)
         self._righting = tilt.righting_nm * np.array([[-1.0], [1.0]])  # N m about roll and pitch, per R[2, 1] and R[2, 0]
         surge, sway, heave, yaw = experiment.vehicle.inertia
         inertia = np.diag([surge, sway, heave, tilt.inertia_kg_m2, tilt.inertia_kg_m2, yaw])
@@ -125,7 +126,7 @@ class TiltingHull:
         ])  # fmt: skip
 
     def unpack(self, x: Array) -> tuple[Array, Array, Array]:
-        """The reverse: poses, velocities on level axes that turn with the heading, tilts; (n, 4) each."""
+        """Poses, velocities on level axes that turn with the heading, and tilts, (n, 4) each: the inverse of `pack`."""
         (cr, cp), (sr, sp) = np.cos(x[3:5]), np.sin(x[3:5])
         u, v, w, p, q, r = x[6:]
         down, turn = sr * v + cr * w, sr * q + cr * r
@@ -134,7 +135,7 @@ class TiltingHull:
         return x[[0, 1, 2, 5]].T.copy(), nu, tilt
 
     def acceleration(self, x: Array, rate: Array) -> Array:
-        """d nu / dt (n, 4) of the level velocities, from a state and its rate: differenced, exact to 1e-9."""
+        """d nu / dt (n, 4) of the level velocities, from a state and its rate, by differences: exact to 1e-9."""
         step_s, n = 1e-4, x.shape[1]
         _, nu, _ = self.unpack(np.concatenate([x + step_s * rate, x - step_s * rate], axis=1))
         return np.asarray((nu[:n] - nu[n:]) / (2.0 * step_s))
@@ -168,7 +169,7 @@ class TiltingHull:
         if self._water.disturbs:
             force[[0, 2, 5]] += self._water.disturbance(time_s)
         if contact:
-            force[:3] += _turned(self._basin.push(x[:3].T, rate[:3].T).T, turn)
+            force[:3] += _turned(self._basin.contact_force(x[:3].T, rate[:3].T).T, turn)
         np.add(self._inverse @ force, self._coupling @ (relative[:, None] * relative).reshape(36, -1), out=rate[6:])
         if not self._flow.still:  # the water's velocity turns in the turning body's frame
             a, b, c = stream

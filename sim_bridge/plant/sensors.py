@@ -1,4 +1,4 @@
-"""What the thruster board measures of the true motion: noise, and biases that belong to the robot and the seed."""
+"""Sensors of the thruster board: the true motion with noise, and with biases that depend on the robot and the seed."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.simulation import Sensors
 from wire.frames import Array, wrap
 
-ACCELEROMETER_NOISE_MPS2 = 0.02  # an ordinary MEMS part at 50 Hz; the link rounds to 0.01
+ACCELEROMETER_NOISE_MPS2 = 0.02  # m/s^2, standard deviation of an ordinary MEMS part at 50 Hz; the link rounds to 0.01
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Reading:
 
 
 class BoardSensors:
-    """The sensors of one robot. A bias lies anywhere within the +-value of the experiment file, and stays."""
+    """The sensors of one robot. A bias is drawn within +- the value of the experiment file, and stays."""
 
     def __init__(self, sensors: Sensors, robot_id: int, seed: int) -> None:
         self._sensors = sensors
@@ -35,8 +35,11 @@ class BoardSensors:
         self.depth_bias_m = pressure * sensors.pressure_bias_m
 
     def read(self, eta: Array, nu: Array, acceleration: Array, tilt: Array | Sequence[float] = (0.0, 0.0)) -> Reading:
-        """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes; `tilt` begins with roll and pitch, which turn the
-        sensors with the body. The board levels what it sends as heading."""
+        """Sample a motion: eta, nu and d nu / dt, each (4,), on level axes.
+
+        `tilt` begins with roll and pitch, which turn the sensors with the body. The board levels the heading that it
+        sends.
+        """
         sensors = self._sensors
         noise = [float(value) for value in self._random.standard_normal(6)]
         _, _, z, yaw = (float(value) for value in eta)

@@ -1,5 +1,5 @@
 """Software in the loop: every process of an experiment on this machine, watched, ended and reported.
 
-commands.py says what is started, processes.py holds it, monitor.py shows it, fault_injector.py breaks it on time, launcher.py
-leads.
+launcher.py leads: commands.py names the programs, processes.py starts and ends them, monitor.py shows the fleet,
+fault_injector.py applies faults of processes on time.
 """

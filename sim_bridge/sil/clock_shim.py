@@ -1,8 +1,8 @@
-"""SHELL: runs a program as it is, but for its wall clock: that is off by as many seconds as a file says, at any instant.
+"""SHELL: runs a program with a wall clock that is offset by the seconds in a file, read at each call.
 
     python -m sim_bridge.sil.clock_shim FILE MODULE ARGUMENTS...
 
-The monotonic clock is left alone: nobody can step that on a real machine either.
+The monotonic clock is left alone: no one can step it on a real machine either.
 """
 
 import runpy
@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def install(file: Path) -> None:
-    """From here on `time.time` and `time.time_ns` of this process obey `file`."""
+    """Make `time.time` and `time.time_ns` of this process obey `file`."""
     real_ns = time.time_ns
 
     def time_ns() -> int:

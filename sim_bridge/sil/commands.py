@@ -1,4 +1,4 @@
-"""The programs of a run in software, as a person would start them, and what can keep a run from being one. Pure."""
+"""The programs of a run in software, with their arguments, and the checks before they are started. Pure."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,13 +8,13 @@ from wire.config.experiment import Experiment
 from wire.config.fault_injection import KINDS, OF_PROCESSES
 from wire.toml_loader import ConfigError
 
-LEAST_MARKER_PX = 16  # two a cell and a margin
+LEAST_MARKER_PX = 16  # px, least side of a marker that can be read: two per cell and a margin
 BLIND = "Fly without the camera: --poses"
 
 
 @dataclass(frozen=True)
 class Program:
-    """A process: its name in the fleet, the module that it is, its arguments."""
+    """A process: its name in the fleet, its module, its arguments."""
 
     name: str
     module: str
@@ -22,10 +22,10 @@ class Program:
 
 
 @dataclass(frozen=True)
-class Way:
-    """How a run is flown: `page` is where the operator's page is served (host:port), `manual` leaves the mission to whoever
-    sits there, with `poses` the simulator stands for camera and localizer, with a ring of `keys` all speak TLS, and `signed`
-    has the boards' links signed."""
+class RunOptions:
+    """Options of a run: `page` is the address of the operator's page (host:port), `manual` leaves the mission to the
+    operator, `poses` replaces camera and localizer by the simulator, `keys` is a ring with which all speak TLS,
+    `signed` signs the boards' links."""
 
     lockstep: bool = False
     page: str | None = None
@@ -35,24 +35,24 @@ class Way:
     signed: bool = False
 
 
-def check(experiment: Experiment, way: Way) -> None:
-    """Raise ConfigError for what cannot be flown in this way."""
-    if not way.poses:
+def check(experiment: Experiment, options: RunOptions) -> None:
+    """Raise ConfigError if the experiment cannot be flown with these options."""
+    if not options.poses:
         if not experiment.localizer.uses_camera:
             raise ConfigError(f"localizer.uses_camera = false: no camera locates these robots. {BLIND}")
         check_sight(experiment)
-    if way.lockstep:
-        fault_schedule.only(
+    if options.lockstep:
+        fault_schedule.require_kinds(
             experiment, tuple(kind for kind in KINDS if kind not in OF_PROCESSES), "processes break by the wall clock"
         )
-    if way.poses:
-        fault_schedule.only(
+    if options.poses:
+        fault_schedule.require_kinds(
             experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera"
         )
 
 
 def check_sight(experiment: Experiment) -> None:
-    """Raise ConfigError if the localizer could read no marker. Whether robots stay in the picture the station's plan says."""
+    """Raise ConfigError if the localizer could read no marker. The station's plan checks that robots stay in the picture."""
     camera = experiment.camera
     wide_px = camera.px_per_m * experiment.vehicle.marker.side_m
     if experiment.localizer.markers and wide_px < LEAST_MARKER_PX:
@@ -63,20 +63,23 @@ def check_sight(experiment: Experiment) -> None:
 
 
 def programs(
-    robots: tuple[int, ...], way: Way, run_dir: Path, address: str, ports: int, boards: Path | None = None
+    robots: tuple[int, ...], options: RunOptions, run_dir: Path, address: str, ports: int, boards: Path | None = None
 ) -> list[Program]:
-    """What is started, the station first: it is the router at `address`, and the others wait for it. The experiment is in
-    `run_dir`; the board of robot N is at UDP port `ports` + N. In a folder of `boards` are the keys of their links."""
-    common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if way.lockstep else [])]
-    common += ["--keys", str(way.keys)] if way.keys is not None else []
+    """The programs to start, the station first: it is the router at `address`, and the others wait for it.
+
+    The experiment is in `run_dir`; the board of robot N is at UDP port `ports` + N. The folder `boards` holds the keys of
+    their links.
+    """
+    common = [str(run_dir / "experiment.toml"), *(["--lockstep"] if options.lockstep else [])]
+    common += ["--keys", str(options.keys)] if options.keys is not None else []
     client = ["run", *common, "--station", address]
     station = ["run", *common, "--run-dir", str(run_dir), "--listen", address]
-    station += ["--no-web"] if way.page is None else ["--web", way.page]
-    station += [] if way.manual else ["--auto"]
-    pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if way.poses else [])]
+    station += ["--no-web"] if options.page is None else ["--web", options.page]
+    station += [] if options.manual else ["--auto"]
+    pool = ["pool", *client[1:], "--ports", str(ports), *(["--poses"] if options.poses else [])]
     pool += ["--boards", str(boards)] if boards is not None else []
     found = [Program("groundstation", "groundstation", tuple(station)), Program("sim-bridge", "sim_bridge", tuple(pool))]
-    if not way.poses:
+    if not options.poses:
         found.append(Program("localizer", "localizer", tuple(client)))
     for robot in robots:
         link = ["--robot", str(robot), "--link", f"udp:127.0.0.1:{ports + robot}"]

@@ -1,4 +1,4 @@
-"""SHELL: does to processes what the fault timeline says, and undoes it: kills, stops, fills a disk, sets clocks."""
+"""SHELL: applies the fault timeline to processes, and undoes it: kills, stops, fills a disk, sets clocks."""
 
 import resource
 import signal
@@ -13,21 +13,22 @@ from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
 
 INFO = 2  # an event's level
-LOG = "run.mcap"  # what fills the disk
+LOG = "run.mcap"  # the file whose growth a full disk stops
 
 
-class Saboteur:
-    """The timeline's faults of processes, against the children of one run. Others lose whom they need: that is the point."""
+class ProcessFaultInjector:
+    """The timeline's faults of processes, applied to the children of one run."""
 
     def __init__(self, experiment: Experiment, children: Children, bus: Bus) -> None:
         self._waiting = [fault for fault in experiment.sim.faults if fault.broken.kind in OF_PROCESSES]
-        self._broken: list[Fault] = []  # what is not whole again
+        self._broken: list[Fault] = []  # faults that hold now
         self._children, self._bus, self._clock = children, bus, WallClock()
         self._start_s: float | None = None
-        self.killed: set[str] = set()  # whose end is no trouble
+        self.killed: set[str] = set()  # processes whose end is intended
 
     def act(self, flown_s: float) -> None:
-        """Do what is due. `flown_s` along the trajectories starts the clock; then it runs, whoever has stopped."""
+        """Apply and undo the faults that are due. The first `flown_s` above zero, along the trajectories, starts the
+        timeline; it then runs by the monotonic clock."""
         now_s = time.monotonic()
         if self._start_s is None and flown_s > 0.0:
             self._start_s = now_s - flown_s
@@ -47,11 +48,11 @@ class Saboteur:
             self.killed.add(fault.broken.process)
         what = fault.broken.kind, fault.broken.process
         alike = [other for other in self._broken if undo and (other.broken.kind, other.broken.process) == what]
-        self._inflict(alike[-1] if alike else fault, undo and not alike)
+        self._apply(alike[-1] if alike else fault, undo and not alike)
         text = f"fault over: {fault.what}" if undo else f"fault: {fault.what}"
         self._bus.publish(topics.EVENT, Event(INFO, "sim-bridge", text), self._clock.now_ns())
 
-    def _inflict(self, fault: Fault, undo: bool) -> None:
+    def _apply(self, fault: Fault, undo: bool) -> None:
         broken = fault.broken
         for child in self._children.all:
             if child.exit_code is None and child.name == (broken.process or "groundstation"):
@@ -68,7 +69,7 @@ class Saboteur:
         child.process.send_signal(signal.SIGCONT if undo else signal.SIGKILL if effect == "killed" else signal.SIGSTOP)
 
     def _fill(self, child: Child, undo: bool) -> None:
-        """The log may not grow any more: to its writer that is a full disk, but for the error's number."""
+        """Keep the log from growing: to its writer that is a full disk, except for the error's number."""
         _, most = resource.prlimit(child.process.pid, resource.RLIMIT_FSIZE)
         log = self._children.log_dir.parent / LOG
         allowed = most if undo or not log.exists() else log.stat().st_size

@@ -1,6 +1,6 @@
-"""SHELL: software in the loop: every process of the experiment on this machine, watched, ended, reported.
+"""SHELL: software in the loop: starts every process of an experiment on this machine, watches, ends and reports.
 
-The processes are the ones that run in the pool, started as a person would start them; only the pool is simulated.
+The processes are the ones that run in the pool, started as a user would start them; only the pool is simulated.
 """
 
 import json
@@ -20,8 +20,8 @@ from rich.live import Live
 from rich.table import Table
 
 from sim_bridge import fault_schedule
-from sim_bridge.sil.commands import Program, Way, programs
-from sim_bridge.sil.fault_injector import Saboteur
+from sim_bridge.sil.commands import Program, RunOptions, programs
+from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.monitor import Monitor
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Child, Children
@@ -37,45 +37,47 @@ from wire.transport.network import endpoint
 from wire.transport.transport import Unreached
 from wire.transport.zenoh_transport import ZenohTransport
 
-START_WITHIN_S = 180.0  # on a starved machine a program takes a minute to be loaded
+START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a program takes a minute to load
 LOOK_EVERY_S = 0.2
-STALLED_S = 180.0  # without a heartbeat of the station: something waits for something that never comes
-SAFE_WITHIN_S = 1.0
-SAY_EVERY_S = 5.0  # where there is no terminal to draw in
+STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
+SAFE_WITHIN_S = 1.0  # s in which robots bring themselves to rest when the station has gone
+SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
 
 
-def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Console) -> int:
-    """Run an experiment with all its processes, after `programs.check`. Returns the exit code: 0 passed, 1 failed, 2 refused
-    by the station, 130 interrupted."""
+def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
+    """Run an experiment with all its processes, after `commands.check`. Returns the exit code: 0 passed, 1 failed, 2
+    refused by the station, 130 interrupted."""
     run_dir.mkdir(parents=True, exist_ok=True)
     (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
     if not hasattr(resource, "prlimit"):
-        fault_schedule.only(experiment, tuple(kind for kind in KINDS if kind != "disk"), "only Linux can feign a full disk")
+        fault_schedule.require_kinds(
+            experiment, tuple(kind for kind in KINDS if kind != "disk"), "only Linux can feign a full disk"
+        )
     clocks = frozenset(fault.broken.process for fault in experiment.sim.faults if fault.broken.kind == "clock")
     children = Children(run_dir / "logs", clocks)
-    trouble: list[str] = []
-    secrets = tempfile.TemporaryDirectory(prefix="shoal-links-") if way.signed else None  # a run's folder all may read
+    problems: list[str] = []
+    secrets = tempfile.TemporaryDirectory(prefix="shoal-links-") if options.signed else None  # a run's folder all may read
     boards = _link_keys(Path(secrets.name), experiment.robot_ids) if secrets is not None else None
     try:
         address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-        started = programs(experiment.robot_ids, way, run_dir, address, ports, boards)
+        started = programs(experiment.robot_ids, options, run_dir, address, ports, boards)
         console.print(
             f"station: {address} (groundstation stop, order, set, go, return and end find it)", soft_wrap=True, highlight=False
         )
         station, came_up = _start_all(children, started, address, stop)
         if came_up:
-            where = endpoint(address, process_name(Role.SIMULATOR), way.keys, lossless=way.lockstep)
+            where = endpoint(address, process_name(Role.SIMULATOR), options.keys, lossless=options.lockstep)
             try:
                 with Bus(ZenohTransport(where, lambda: stop.requested or station.exit_code is not None)) as bus:
-                    saboteur = Saboteur(experiment, children, bus)
-                    trouble = _watch(children, station, Monitor(experiment, bus), saboteur, way.lockstep, stop, console)
+                    injector = ProcessFaultInjector(experiment, children, bus)
+                    problems = _watch(children, station, Monitor(experiment, bus), injector, options.lockstep, stop, console)
             except Unreached:  # interrupted, or the station is gone: both are told below
                 came_up = False
         mission_failed = not came_up or station.exit_code != 0
         refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
-            trouble.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
-            _alarm(console, trouble[-1])
+            problems.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
+            _print_error(console, problems[-1])
     finally:
         children.stop()
         if secrets is not None:
@@ -90,18 +92,18 @@ def run(experiment: Experiment, run_dir: Path, way: Way, stop: Stop, console: Co
         shutil.rmtree(run_dir)
         console.print("[red]refused[/]: nothing was flown, and no folder is left")
         return 2
-    passed = came_up and report(run_dir, console) and not mission_failed and not trouble
+    passed = came_up and report(run_dir, console) and not mission_failed and not problems
     if came_up:
         console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
     return 0 if passed else 2 if station.exit_code == 2 else 1
 
 
-def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) -> int:
-    """Say what a run would be and what would be started, and leave nothing behind. Returns 0; raises ConfigError if it cannot
-    be flown: whether its plan can, the station's own dry run says."""
+def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console: Console) -> int:
+    """Print what a run would fly and start, and leave no files behind. Returns 0; raises ConfigError if it cannot be
+    flown. The station's own dry run checks the plan."""
     address, ports = f"tcp/127.0.0.1:{free_port()}", free_base_port(experiment.robot_ids)
-    started = programs(experiment.robot_ids, way, run_dir, address, ports, Path("LINK-KEYS") if way.signed else None)
+    started = programs(experiment.robot_ids, options, run_dir, address, ports, Path("LINK-KEYS") if options.signed else None)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "experiment.toml"
         file.write_text(dump_experiment(experiment), encoding="utf-8")
@@ -111,7 +113,9 @@ def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) 
     if told.returncode != 0:
         raise ConfigError(told.stderr.strip().replace(f"{file}: ", ""))
     console.print(told.stdout.strip(), soft_wrap=True, highlight=False)
-    pace = "lockstep, as fast as it goes" if way.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
+    pace = (
+        "lockstep, as fast as it goes" if options.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
+    )
     console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
     for program in started:
         command = shlex.join(["python", "-m", program.module, *program.arguments])
@@ -121,13 +125,13 @@ def rehearse(experiment: Experiment, run_dir: Path, way: Way, console: Console) 
     return 0
 
 
-def _alarm(console: Console, text: str) -> None:
-    """In red, and to the letter: programs say things in brackets too."""
+def _print_error(console: Console, text: str) -> None:
+    """Print in red, without markup: messages of programs contain brackets too."""
     console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
 
 
 def _start_all(children: Children, wanted: list[Program], address: str, stop: Stop) -> tuple[Child, bool]:
-    """The station, and the others when it listens; whether it does."""
+    """Start the station, and the others when it listens. Returns the station, and True if it listens."""
     first, *others = wanted
     station = children.start(first.name, first.module, first.arguments)
     if not _listens(address, station, stop):
@@ -138,7 +142,8 @@ def _start_all(children: Children, wanted: list[Program], address: str, stop: St
 
 
 def _link_keys(folder: Path, robots: tuple[int, ...]) -> Path:
-    """A new key for each robot and its board, as `sim-bridge pool --boards` and `robot-agent run --link-key` take them."""
+    """Make a new key for each robot and its board, as `sim-bridge pool --boards` and `robot-agent run --link-key` take
+    them."""
     for robot in robots:
         new_key(folder / f"robot-{robot}.key")
     return folder
@@ -148,30 +153,30 @@ def _watch(
     children: Children,
     station: Child,
     monitor: Monitor,
-    saboteur: Saboteur,
+    injector: ProcessFaultInjector,
     lockstep: bool,
     stop: Stop,
     console: Console,
 ) -> list[str]:
-    """Show the run until the station has ended it. Returns what went wrong with processes."""
-    trouble: dict[str, str] = {}
+    """Show the run until the station has ended it. Returns the problems of processes."""
+    problems: dict[str, str] = {}
     said_s = moved_s = time.monotonic()
     heartbeats = 0
     with Live(console=console, refresh_per_second=5, get_renderable=monitor.render, transient=True) as live:
         live.auto_refresh = console.is_terminal
         while station.exit_code is None and not stop.requested:
-            saboteur.act(monitor.flown_s)
+            injector.act(monitor.flown_s)
             for child in children.ended():
-                if child.name not in trouble and child is not station and child.name not in saboteur.killed:
-                    trouble[child.name] = child.explain()
-                    _alarm(console, trouble[child.name])
-            if trouble and lockstep:
+                if child.name not in problems and child is not station and child.name not in injector.killed:
+                    problems[child.name] = child.explain()
+                    _print_error(console, problems[child.name])
+            if problems and lockstep:
                 break  # the others would wait for it for ever
             if monitor.heartbeats != heartbeats:
                 heartbeats, moved_s = monitor.heartbeats, time.monotonic()
             elif time.monotonic() - moved_s > STALLED_S:
-                trouble["all"] = f"nothing has moved for {STALLED_S:.0f} s"
-                _alarm(console, trouble["all"])
+                problems["all"] = f"nothing has moved for {STALLED_S:.0f} s"
+                _print_error(console, problems["all"])
                 break
             if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
                 said_s = time.monotonic()
@@ -179,11 +184,11 @@ def _watch(
             time.sleep(LOOK_EVERY_S)
         if station.exit_code not in (None, 0, 1):
             time.sleep(SAFE_WITHIN_S)  # the others still fly: let them bring themselves to rest, and say so in their logs
-    return list(trouble.values())
+    return list(problems.values())
 
 
 def report(run_dir: Path, console: Console) -> bool:
-    """Let the station's own command write the report, and print the table. Returns whether the result passed."""
+    """Have the station's command write the report, and print the table. Returns True if the result passed."""
     file = run_dir / "result.json"
     before = _written(file)
     writing = subprocess.run(
@@ -191,22 +196,22 @@ def report(run_dir: Path, console: Console) -> bool:
     )
     # 1: there is one, of a run that did not pass; but so ends a program with an error of its own
     if writing.returncode not in (0, 1) or _written(file) == before:
-        _alarm(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
+        _print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
     result = json.loads(file.read_text(encoding="utf-8"))
     if result["log_trouble"]:
-        _alarm(console, result["log_trouble"])
+        _print_error(console, result["log_trouble"])
     console.print(_table(result) if result["duration_s"] else "[red]nothing was flown[/]")
     for check in result["checks"]:
         if result["duration_s"] and not check["passed"]:
-            _alarm(console, f"not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}")
+            _print_error(console, f"not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}")
     for fault in result["faults"]:
-        _alarm(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
+        _print_error(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
     return bool(result["passed"])
 
 
 def _written(file: Path) -> tuple[int, int] | None:
-    """What changes when a file is written anew; None if it is not there."""
+    """Identity of a file's version, which changes when it is written anew; None if it does not exist."""
     return (file.stat().st_ino, file.stat().st_mtime_ns) if file.exists() else None
 
 

@@ -1,4 +1,4 @@
-"""SHELL: what a person sees in the terminal while the software runs in the loop."""
+"""SHELL: the terminal's view of a run: a table of the robots, a progress bar, or lines for a log."""
 
 import math
 import time
@@ -14,11 +14,11 @@ from wire.messages.messages import LocalizerStatus, Mode, RobotState, StationHea
 from wire.transport.bus import Bus, Received
 
 FEW = 6  # robots that one line can name
-SILENT_S = 3.0  # of the wall clock: a step in lockstep may take a while
+SILENT_S = 3.0  # s of the wall clock without a state after which a robot is silent; a step in lockstep may take a while
 
 
 class Monitor:
-    """A view of the fleet through its own session: it only listens."""
+    """A view of the fleet through its own session, which only listens."""
 
     def __init__(self, experiment: Experiment, bus: Bus) -> None:
         self._experiment = experiment
@@ -38,19 +38,19 @@ class Monitor:
 
     @property
     def mission(self) -> str:
-        """The mission's phase as last heard."""
+        """The mission's state as last heard."""
         heartbeat = self._heartbeat.newest()
         return heartbeat.message.mission if heartbeat is not None else "starting"
 
     @property
     def heartbeats(self) -> int:
-        """How many cycles the station has run, as last heard: stands still when everything does."""
+        """Number of the station's cycles, as last heard; constant when the run is stuck."""
         header = self._heartbeat.newest_header()
         return header.sequence if header is not None else 0
 
     @property
     def flown_s(self) -> float:
-        """How far the slowest robot is along its trajectory, of those that are heard of."""
+        """Time along its trajectory of the slowest robot that is heard."""
         states = [inbox.newest() for inbox in self._states.values()]
         if None in states:
             return self._flown_s
@@ -82,7 +82,7 @@ class Monitor:
         return Group(table, self._progress)
 
     def line(self) -> str:
-        """The same in one line, for a log; of a fleet how many robots do what, and the worst of them."""
+        """The same in one line, for a log; for a large fleet counts of modes, and the worst robot."""
         heard = {robot: inbox.newest() for robot, inbox in self._states.items()}
         silent = [robot for robot, received in heard.items() if received is not None and _silent(received)]
         states = {r: received.message for r, received in heard.items() if received is not None and r not in silent}

@@ -1,11 +1,11 @@
-"""SHELL: ports of this machine that nobody has taken, for programs that are about to be started."""
+"""SHELL: free ports of this machine, for programs that are about to be started."""
 
 import os
 import socket
 
 
 def free_port(kind: socket.SocketKind = socket.SOCK_STREAM) -> int:
-    """One of TCP; of UDP with SOCK_DGRAM."""
+    """A free TCP port; a UDP port with SOCK_DGRAM."""
     with socket.socket(socket.AF_INET, kind) as probe:
         probe.bind(("127.0.0.1", 0))
         port: int = probe.getsockname()[1]
@@ -27,8 +27,8 @@ def page_address(wanted: str) -> str:
 
 
 def free_base_port(robots: tuple[int, ...]) -> int:
-    """A UDP port p such that p + id is free for every robot. Where the search begins depends on the process: of two runs that
-    start together, neither has bound its ports yet when the other looks."""
+    """A UDP port p such that p + id is free for every robot. The search begins at a port that depends on the process,
+    because of two runs that start together neither has bound its ports yet when the other searches."""
     bases = list(range(14550, 60000, 100))
     first = os.getpid() % len(bases)
     for base in bases[first:] + bases[:first]:

@@ -10,17 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-GRACE_S = 5.0  # between asking a process to end and ending it
+GRACE_S = 5.0  # s between SIGTERM and SIGKILL
 
 _PR_SET_PDEATHSIG = 1
 _libc = ctypes.CDLL(None, use_errno=True) if sys.platform == "linux" else None
 
-# Numerical libraries on one thread: on two cores their thread pools fight each other (and results depend on them).
+# Numerical libraries on one thread: on two cores their thread pools compete, and results depend on their number.
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 def _die_with_parent() -> None:
-    """In the child, before it becomes the program: be killed when the launcher dies, however it dies (Linux)."""
+    """In the child, before it becomes the program: ask to be killed when the launcher dies (Linux)."""
     if _libc is not None:
         _libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
@@ -39,7 +39,7 @@ class Child:
         return self.process.poll()
 
     def explain(self) -> str:
-        """How it ended, or that it has not got ready, with the last line it wrote."""
+        """One line: exit code or signal, or that it is not ready, with the last line of its output."""
         code = self.exit_code
         if code is None:
             how = "has not got ready"
@@ -54,7 +54,7 @@ class Children:
     """All processes of one run."""
 
     log_dir: Path
-    clocks: frozenset[str] = frozenset()  # names of those whose wall clock will be set, by clock_file
+    clocks: frozenset[str] = frozenset()  # names of processes whose wall clock will be set, by clock_file
     all: list[Child] = field(default_factory=list)
 
     def start(self, name: str, module: str, arguments: Sequence[str], environment: Mapping[str, str] | None = None) -> Child:
@@ -78,15 +78,15 @@ class Children:
         return child
 
     def clock_file(self, name: str) -> Path:
-        """Where it stands by how many seconds a process's clock is off."""
+        """The file with the offset of a process's clock, in seconds."""
         return self.log_dir / f"{name}.clock"
 
     def ended(self) -> list[Child]:
-        """Those that run no more."""
+        """The processes that have ended."""
         return [child for child in self.all if child.exit_code is not None]
 
     def stop(self) -> None:
-        """Ask all to end, last started first; end those that do not within GRACE_S."""
+        """Ask all to end, last started first; kill those that do not within GRACE_S."""
         running = [child for child in reversed(self.all) if child.exit_code is None]
         for child in running:
             child.process.send_signal(signal.SIGCONT)  # a stopped process would never see the rest

@@ -1,5 +1,6 @@
-"""Many flights: campaigns, comparisons of controllers, tuning of gains.
+"""Studies of many flights: campaigns, comparisons of controllers, tuning of gains.
 
-A plan of flights (campaign.py, variants.py) is flown in parallel (campaign_runner.py), measured (metrics.py) and summed up
-with confidence intervals (statistics.py, report.py).
+campaign.py lists the flights of a campaign, campaign_runner.py flies them in parallel (campaign_flight.py each),
+metrics.py measures, statistics.py and report.py sum up with confidence intervals. comparison.py flies controllers on the
+same seeds; gain_tuning.py searches gains on such flights.
 """

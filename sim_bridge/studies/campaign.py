@@ -28,7 +28,7 @@ from pydantic import Field, model_validator
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.toml_loader import Section
 
-DIGITS = 6  # of what is drawn: enough for any key, and a command that can be read
+DIGITS = 6  # significant digits of drawn values, so that commands stay readable
 
 Bound = float | tuple[float, ...]
 
@@ -65,7 +65,7 @@ class Draw(Section):
 
 
 class Campaign(Section):
-    """The whole file."""
+    """The campaign's file."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$")]
     title: str = ""
@@ -78,7 +78,7 @@ class Campaign(Section):
 
     @property
     def flights(self) -> int:
-        """How many flights there are."""
+        """Number of flights."""
         return self.seeds * math.prod(len(values) for values in self.sweep.values())
 
     @property
@@ -95,42 +95,43 @@ class Campaign(Section):
 
 
 @dataclass(frozen=True)
-class Flight:
-    """One run of a campaign."""
+class CampaignFlight:
+    """One flight of a campaign."""
 
     index: int
     seed: int
-    values: dict[str, Any]  # what is swept or drawn
+    values: dict[str, Any]  # of the keys that are swept or drawn
 
     def settings(self, campaign: Campaign) -> list[str]:
-        """As `--set` takes them, the seed apart."""
+        """Settings for `--set`, without the seed."""
         return [*campaign.settings, *(f"{key}={_toml(value)}" for key, value in self.values.items())]
 
     def command(self, campaign: Campaign) -> str:
-        """What flies this run again, with log and report."""
+        """The command that flies this flight again, with log and report."""
         sets = "".join(f" --set {shlex.quote(setting)}" for setting in self.settings(campaign))
         return f"sim-bridge numeric {shlex.quote(campaign.experiment)} --seed {self.seed}{sets}"
 
 
 def command_of(campaign: Campaign, row: Mapping[str, Any]) -> str:
-    """What flies the flight of a result's row again."""
+    """The command that flies the flight of a result's row again."""
     values = {key: row[key] for key in (*campaign.sweep, *campaign.draw)}
-    return Flight(row["index"], row["seed"], values).command(campaign)
+    return CampaignFlight(row["index"], row["seed"], values).command(campaign)
 
 
-def flights(campaign: Campaign) -> Iterator[Flight]:
-    """All runs, in order. What is drawn depends on the run's place alone: a longer campaign begins with the same runs."""
+def flights(campaign: Campaign) -> Iterator[CampaignFlight]:
+    """All flights, in order. Drawn values depend on the flight's index alone: a longer campaign begins with the same
+    flights."""
     index = 0
     for seed in range(campaign.first_seed, campaign.first_seed + campaign.seeds):
         for combination in itertools.product(*campaign.sweep.values()):
             random = generator(campaign.first_seed, Stream.DRAWS, index)
             drawn = {key: draw.sample(random) for key, draw in campaign.draw.items()}
-            yield Flight(index, seed, {**dict(zip(campaign.sweep, combination, strict=True)), **drawn})
+            yield CampaignFlight(index, seed, {**dict(zip(campaign.sweep, combination, strict=True)), **drawn})
             index += 1
 
 
 def _short(value: Any) -> Any:
-    """A number, or a list of them, as few digits as DIGITS."""
+    """A number, or a list of them, rounded to DIGITS."""
     if np.ndim(value):
         return tuple(_short(item) for item in np.asarray(value).tolist())
     return float(f"{float(value):.{DIGITS}g}")

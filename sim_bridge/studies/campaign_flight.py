@@ -1,4 +1,7 @@
-"""SHELL: one flight of a campaign, in whatever process or on whatever machine it lands: text in, plain numbers out."""
+"""SHELL: one flight of a campaign, in any process on any machine: text in, plain numbers out.
+
+A module of its own, because worker processes import it and nothing of the campaign's reports.
+"""
 
 import json
 import os
@@ -8,15 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from sim_bridge.in_process.fleet import AgentFleet, BareWater, fly
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant, fly
 from sim_bridge.in_process.run import plan
 from sim_bridge.studies.metrics import broken_limits, measures
 from wire.config.experiment import Experiment
 from wire.messages.messages import Trajectory
 from wire.toml_loader import ConfigError, check
 
-PLANS_KEPT = 8  # a worker flies the same few trajectories again and again
-UNPLANNED = ("sim", "limits", "article", "seed", "name", "title")  # what no plan depends on
+PLANS_KEPT = 8  # plans cached per worker, which flies the same few trajectories many times
+UNPLANNED = ("sim", "limits", "article", "seed", "name", "title")  # sections that no plan depends on
 
 
 def one_thread() -> None:
@@ -26,7 +29,7 @@ def one_thread() -> None:
 
 
 def fly_one(experiment_json: str) -> dict[str, Any]:
-    """Fly an experiment; what came of it as a row: status flown, refused or failed, the reason, the measures."""
+    """Fly an experiment. Returns its row: status flown, refused or failed, the reason, the metrics."""
     begin_s = time.perf_counter()
     experiment = check(Experiment, json.loads(experiment_json), "campaign")
     row: dict[str, Any] = {"status": "flown", "reason": ""}
@@ -41,7 +44,7 @@ def fly_one(experiment_json: str) -> dict[str, Any]:
 
 def _flown(experiment: Experiment) -> dict[str, Any]:
     trajectories, starts = _planned(planning_text(experiment))
-    water = BareWater(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
+    water = DirectPlant(experiment, experiment.seed, np.array([starts[robot] for robot in experiment.robot_ids]))
     fleet = AgentFleet(experiment, trajectories, water, experiment.seed)
     fleet.start()
     for _ in fly(fleet, water):
@@ -52,7 +55,7 @@ def _flown(experiment: Experiment) -> dict[str, Any]:
 
 
 def planning_text(experiment: Experiment) -> str:
-    """The experiment as its plan sees it, in JSON, the same for all flights that differ in nothing else."""
+    """The experiment in JSON without the parts that no plan depends on: equal for flights that share a plan."""
     neutral = Experiment.model_fields
     changes = {key: neutral[key].default for key in UNPLANNED if key not in ("name",)}
     return experiment.model_copy(update={**changes, "name": "planned"}).model_dump_json()

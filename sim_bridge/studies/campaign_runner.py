@@ -1,6 +1,6 @@
-"""SHELL: `sim-bridge campaign`: flights on all cores, or on a Dask cluster; a journal to resume from; Parquet and a report.
+"""SHELL: `sim-bridge campaign`: flights on all cores or on a Dask cluster; a journal to resume from; Parquet and a report.
 
-Every finished flight is a line of journal.jsonl at once, so a campaign that dies loses only what was in the air.
+Every finished flight is appended to journal.jsonl at once, so a campaign that dies loses only the flights under way.
 """
 
 import json
@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sim_bridge import fault_schedule
-from sim_bridge.studies.campaign import Campaign, Flight, command_of, flights
+from sim_bridge.studies.campaign import Campaign, CampaignFlight, command_of, flights
 from sim_bridge.studies.campaign_flight import fly_one, one_thread
 from sim_bridge.studies.report import write_report
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
@@ -32,14 +32,14 @@ from wire.toml_loader import ConfigError
 JOURNAL, RESULTS, REPORT = "journal.jsonl", "results.parquet", "report.html"
 LOOK_EVERY_S = 0.5
 CLUSTER_WITHIN_S = 10.0
-IN_THE_AIR = 4  # flights a worker that are handed out at a time
+IN_THE_AIR = 4  # flights per worker that are handed out at a time
 
 
 def run(
     campaign: Campaign, folder: Path, *, workers: int | None, scheduler: str | None, resume: bool, stop: Stop, console: Console
 ) -> int:
-    """Fly what is not flown yet, or failed. Returns the exit code: 0 all flown, 1 some were refused or failed, 130
-    interrupted. Raises ConfigError, before anything flies, for a value that the experiment refuses."""
+    """Fly the flights that are not flown yet, or failed. Returns the exit code: 0 all flown, 1 some were refused or
+    failed, 130 interrupted. Raises ConfigError, before any flight, for a value that the experiment refuses."""
     _check_all(campaign, stop)
     journal = folder / JOURNAL
     if journal.exists() and not resume:
@@ -75,7 +75,7 @@ def run(
 
 
 def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
-    """How many flights flew, and the first reason of those that did not."""
+    """Print the number of flights that flew, and the first reason of those that did not."""
     count = Counter(row["status"] for row in rows)
     told = f"{count['flown']} of {total} flights flown, {count['refused']} refused, {count['failed']} failed"
     console.print(told, style="green" if count["flown"] == total else "red", highlight=False)
@@ -86,8 +86,8 @@ def _say(rows: Sequence[dict[str, Any]], total: int, console: Console) -> None:
 
 
 def _check_all(campaign: Campaign, stop: Stop) -> None:
-    """Load what every flight would fly, and keep none of it. Flights that differ in the seed alone are checked for the first
-    and the last seed."""
+    """Load every flight's experiment, and keep none. Of flights that differ in the seed alone only the first and the last
+    seed are loaded."""
     some = flights(campaign) if campaign.draw else (f for f in flights(campaign) if f.seed in campaign.end_seeds)
     for flight in some:
         if stop.requested:
@@ -95,19 +95,19 @@ def _check_all(campaign: Campaign, stop: Stop) -> None:
         _experiment(campaign, flight)
 
 
-def _experiment(campaign: Campaign, flight: Flight) -> Experiment:
+def _experiment(campaign: Campaign, flight: CampaignFlight) -> Experiment:
     experiment = load_experiment(campaign.experiment, [*flight.settings(campaign), f"seed={flight.seed}", NO_CAMERA])
-    fault_schedule.only(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
+    fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
     return experiment
 
 
 def _window(workers: int | None) -> int:
-    """How many flights are handed out at a time: enough that no worker waits. A cluster's workers are not known here."""
+    """Number of flights handed out at a time, enough that no worker waits. The size of a cluster is not known here."""
     return IN_THE_AIR * (workers or os.cpu_count() or 1)
 
 
 def _rows(journal: str) -> Iterator[dict[str, Any]]:
-    """Its lines; the last may be torn."""
+    """Rows of the journal; the last line may be torn."""
     for line in journal.splitlines():
         try:
             yield json.loads(line)
@@ -143,9 +143,9 @@ def _ignore_interrupts() -> None:
 def _fly(
     executor: Executor, campaign: Campaign, kept: Mapping[str, dict[str, Any]], window: int, stop: Stop, console: Console
 ) -> Iterator[tuple[dict[str, Any], bool]]:
-    """Rows, as flights come back, and whether they are new; those of `kept`, by hash, as they are. No more than `window`
-    flights are prepared at a time. What is in the air when a stop is asked for is lost."""
-    pending: dict[Future[dict[str, Any]], tuple[Flight, str]] = {}
+    """Rows as flights come back, each with True if it is new. Rows of `kept`, by hash, are not flown again. No more than
+    `window` flights are prepared at a time. Flights under way when a stop is requested are lost."""
+    pending: dict[Future[dict[str, Any]], tuple[CampaignFlight, str]] = {}
     found: set[str] = set()  # hashes of `kept` that have been met
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
@@ -180,14 +180,14 @@ def _fly(
 
 
 def _table(campaign: Campaign, rows: list[dict[str, Any]]) -> pa.Table:
-    """All rows with all columns; how to fly a row again is a column too."""
+    """All rows with all columns, and the command that flies each row again."""
     columns = list(dict.fromkeys(key for row in rows for key in row))
     data = {column: _column([row.get(column) for row in rows]) for column in columns}
     return pa.table({**data, "command": [command_of(campaign, row) for row in rows]})
 
 
 def _column(values: list[Any]) -> pa.Array:
-    """As they are; as JSON where a key was given values of several kinds, such as a number and a list."""
+    """Values as a column; as JSON if a key was given values of several kinds, such as a number and a list."""
     try:
         return pa.array(values)
     except (pa.ArrowException, OverflowError):

@@ -1,23 +1,89 @@
-"""SHELL: `sim-bridge compare`: flies variants of an experiment on the same seeds, in parallel; the station reports."""
+"""SHELL: `sim-bridge compare`: control laws and variants flown on the same seeds, in parallel; the station reports."""
 
+import math
 import multiprocessing
 import os
 import subprocess
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from sim_bridge.in_process.run import STATION, plan
-from sim_bridge.studies.variants import VARIANTS, Task, fly, scattered
+from sim_bridge.plant.random_streams import Stream, generator
+from sim_bridge.studies.metrics import flight_figures, flight_traces
+from wire.config.baseline_controllers import LawName
 from wire.config.controller_benchmark import SETTLED_S, Comparison, FlightRecord, Variant
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
+from wire.frames import Array
+from wire.messages.messages import Trajectory
 from wire.process.output_files import replace_text
 from wire.toml_loader import ConfigError
+
+MOST_DRAWS = 1000  # attempts to draw starts that keep robots apart
+
+ARTICLE = (  # as printed: one working point, no sway, no lag, heading along the path
+    "controller.estimator.sway=false",
+    "controller.guidance.enabled=false",
+    "controller.mpc.horizon=25",
+    "controller.mpc.blocks=[1,1,1,1,1,1,1,1,1,1,1,1,1,1,1]",
+    "controller.mpc.linearise=point",
+    "controller.mpc.model_lag=false",
+)
+VARIANTS: dict[str, tuple[str, ...]] = {
+    **{law: (f"controller.law={law}",) for law in get_args(LawName)},
+    "backstepping-without-eso": ("controller.law=backstepping", "controller.estimator.enabled=false"),
+    "mpc-without-eso": ("controller.estimator.enabled=false",),
+    "mpc-without-sway": ("controller.estimator.sway=false",),
+    "mpc-leader-follower": ("formation.kind=leader-follower",),
+    "mpc-as-printed": ARTICLE,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FlightTask:
+    """One flight to fly."""
+
+    experiment: Experiment
+    trajectories: Mapping[int, Trajectory]
+    starts: Array  # (n, 4)
+    seed: int
+    with_traces: bool  # keep traces
+
+
+def scattered(starts: Array, scatter: float, seed: int, apart_m: float = 0.0) -> Array:
+    """Starts (n, 4) moved by up to `scatter` m and rad in each coordinate; the same for every variant of a seed.
+
+    Drawn again while two are nearer than `apart_m`, horizontally and in depth. Raises ConfigError after MOST_DRAWS
+    attempts.
+    """
+    random = generator(seed, Stream.SCATTER)
+    for _ in range(MOST_DRAWS):
+        moved = starts + scatter * random.uniform(-1.0, 1.0, starts.shape)
+        gaps = [moved[a] - moved[b] for a, b in combinations(range(len(moved)), 2)]
+        if all(math.hypot(gap[0], gap[1]) >= apart_m or abs(gap[2]) >= apart_m for gap in gaps):
+            return moved
+    raise ConfigError(f"--scatter {scatter:g}: no starts of seed {seed} keep the robots {apart_m:g} m apart")
+
+
+def fly(task: FlightTask) -> FlightRecord:
+    """Fly one variant on one seed. Raises ConfigError if the robots cannot start there."""
+    water = DirectPlant(task.experiment, task.seed, task.starts)
+    fleet = AgentFleet(task.experiment, task.trajectories, water, task.seed)
+    fleet.start()
+    while fleet.time_s < task.experiment.duration_s - 1e-9:
+        fleet.step()
+    states, truth = [robot.states[fleet.begin :] for robot in fleet.robots], np.array(fleet.truth[fleet.begin :])
+    error = fleet.errors()
+    traces = flight_traces(task.experiment.controller.period_s, states, error) if task.with_traces else None
+    return FlightRecord(task.seed, flight_figures(task.experiment, states, truth, error), traces)
 
 
 def run(
@@ -56,30 +122,30 @@ def run(
     return subprocess.run([*STATION, "comparison", str(folder)], check=False).returncode
 
 
-def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> list[Task]:
+def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> list[FlightTask]:
     """The flights of one experiment, the first with traces. Raises ConfigError if it cannot be planned."""
     trajectories, starts = plan(experiment)
     places = np.array([starts[robot] for robot in experiment.robot_ids])
     apart_m = 2.0 * experiment.safety.radius_m
-    return [Task(experiment, trajectories, scattered(places, scatter, s, apart_m), s, s == seeds[0]) for s in seeds]
+    return [FlightTask(experiment, trajectories, scattered(places, scatter, s, apart_m), s, s == seeds[0]) for s in seeds]
 
 
 def workers(jobs: int) -> ProcessPoolExecutor:
-    """Processes that fly, of which results never depend: they start afresh, and on one thread each."""
+    """Worker processes, started anew and with one thread each, so that no result depends on them."""
     for library in ("OMP", "OPENBLAS"):
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     return ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn"))
 
 
 def _watched(flights: Iterable[FlightRecord], count: int, console: Console) -> Iterator[FlightRecord]:
-    """The same, with a progress bar."""
+    """The flights, with a progress bar."""
     columns = (TextColumn("flights"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, transient=True) as progress:
         yield from progress.track(flights, total=count)
 
 
 def _distinct(experiments: dict[str, Experiment], console: Console) -> dict[str, Experiment]:
-    """Without those that are the same as one before: the numeric scenes know no sway anyway."""
+    """The experiments without those that equal an earlier one, as a numeric scene without sway equals its variant."""
     kept: dict[str, Experiment] = {}
     for name, experiment in experiments.items():
         twin = next((other for other, known in kept.items() if known.hash == experiment.hash), None)

@@ -1,7 +1,13 @@
-"""SHELL: `sim-bridge tune`: searches the gains of a law on flights of its own (evolution_strategy.py says how), with a fixed
-budget."""
+"""SHELL: `sim-bridge tune`: search for a law's gains on simulated flights, with a fixed budget, the same search for all laws.
 
-from collections.abc import Iterator, Sequence
+Every gain is searched on a logarithmic scale. A quarter of the budget goes to random draws around the first guess, by a
+factor of 4 up or down; the rest to a (1+1) evolution strategy from the best of them, whose step follows the one-fifth
+success rule (Rechenberg 1973; Beyer and Schwefel 2002). It needs no gradients and no parameters of its own, and tolerates
+the kinks that limits cause.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,15 +16,14 @@ import numpy as np
 import tomli_w
 from rich.console import Console
 
-from sim_bridge.studies.comparison import tasks_of, workers
-from sim_bridge.studies.evolution_strategy import Trial, cost, search
-from sim_bridge.studies.variants import Task, fly
+from sim_bridge.studies.comparison import FlightTask, fly, tasks_of, workers
 from wire.config.baseline_controllers import FeedbackLawConfig
+from wire.config.controller_benchmark import FlightMetrics
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
-NOISE = ("sim.numeric.pose_noise_m=0.0015", "sim.numeric.yaw_noise_rad=0.008")  # what the localizer reaches
+NOISE = ("sim.numeric.pose_noise_m=0.0015", "sim.numeric.yaw_noise_rad=0.008")  # the localizer's, as measured
 SCENES: dict[str, tuple[float, tuple[str, ...]]] = {  # scatter of the starts, settings
     "numeric-disturbed": (0.5, ()),
     "pool": (0.1, (*NOISE, "sim.plant.step_s=0.025")),
@@ -27,7 +32,7 @@ DURATION_S = 28.0
 
 
 @dataclass(frozen=True)
-class Tuned:
+class TuningResult:
     """The outcome for one law."""
 
     law: str
@@ -36,7 +41,7 @@ class Tuned:
     section: dict[str, Any]  # of the experiment file
 
     def toml(self) -> str:
-        """As a section of an experiment file."""
+        """The gains as a section of an experiment file."""
         return tomli_w.dumps({"controller": {self.law.replace("-", "_"): self.section}})
 
 
@@ -48,12 +53,12 @@ def run(
     budget: int,
     jobs: int,
     console: Console,
-) -> Iterator[Tuned]:
+) -> Iterator[TuningResult]:
     """Tune one law after another."""
     unknown = [scene for scene in scenes if scene not in SCENES]
     if unknown:
         raise ConfigError(f"scene {unknown[0]!r}: nothing is known of its scatter (allowed: {', '.join(SCENES)})")
-    tasks: list[Task] = []
+    tasks: list[FlightTask] = []
     for scene in scenes:
         scatter, own = SCENES[scene]
         tasks += tasks_of(load_experiment(scene, [f"duration_s={DURATION_S}", *own, *settings, NO_CAMERA]), seeds, scatter)
@@ -62,12 +67,12 @@ def run(
             yield _tune(law, tasks, budget, pool, console)
 
 
-def _tune(law: str, tasks: Sequence[Task], budget: int, pool: ProcessPoolExecutor, console: Console) -> Tuned:
+def _tune(law: str, tasks: Sequence[FlightTask], budget: int, pool: ProcessPoolExecutor, console: Console) -> TuningResult:
     first: FeedbackLawConfig = getattr(tasks[0].experiment.controller, law.replace("-", "_"))
 
     def flown(gains: Array) -> float:
         section = with_gains(first, gains)
-        changed = [replace(task, experiment=_under(task.experiment, law, section), look=False) for task in tasks]
+        changed = [replace(task, experiment=_under(task.experiment, law, section), with_traces=False) for task in tasks]
         return cost([flight.figures for flight in pool.map(fly, changed)])
 
     trials: list[Trial] = []
@@ -76,7 +81,7 @@ def _tune(law: str, tasks: Sequence[Task], budget: int, pool: ProcessPoolExecuto
         if best is trial:
             console.print(f"{law}, trial {len(trials) + 1} of {budget}: cost {trial.cost:.3f}", soft_wrap=True)
         trials.append(trial)
-    return Tuned(law, trials[0].cost, best.cost, with_gains(first, best.gains).model_dump())
+    return TuningResult(law, trials[0].cost, best.cost, with_gains(first, best.gains).model_dump())
 
 
 def values(section: FeedbackLawConfig) -> list[float]:
@@ -97,3 +102,56 @@ def with_gains(section: FeedbackLawConfig, gains: Array) -> FeedbackLawConfig:
 def _under(experiment: Experiment, law: str, section: FeedbackLawConfig) -> Experiment:
     controller = experiment.controller.model_copy(update={"law": law, law.replace("-", "_"): section})
     return experiment.model_copy(update={"controller": controller})
+
+
+DRAWN = 0.25  # share of the budget for random draws
+REACH = math.log(4.0)  # largest logarithm of a draw over the first guess
+FIRST_STEP = 0.4  # first standard deviation of a gain's logarithm
+GROW = 1.5  # growth of the step after a success; four failures undo it
+FLOOR_M = 0.001  # m added to errors, so that smaller ones do not count
+WEAR = 2.0  # cost of the largest input change at all times: as much as both errors e times as large
+FAILED = 10.0  # cost of robots that never get under way
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One set of gains that was flown, with its cost."""
+
+    gains: Array
+    cost: float
+
+
+def cost(flights: Sequence[FlightMetrics]) -> float:
+    """Mean over flights of ln(error in the whole run, m and rad) + ln(distance after 20 s, m) + WEAR x change of inputs.
+
+    By the logarithms scenes count alike whose errors differ by a factor of a hundred.
+    """
+    return sum(_cost(figures) for figures in flights) / len(flights)
+
+
+def _cost(figures: FlightMetrics) -> float:
+    whole, settled = math.hypot(figures.rms_m, figures.rms_yaw_rad), figures.rms_after_20s_m + FLOOR_M
+    return math.log(whole) + math.log(settled) + WEAR * figures.input_step_rms + FAILED * (1.0 - figures.under_way)
+
+
+def search(first: Array, budget: int, seed: int, fly: Callable[[Array], float]) -> Iterator[Trial]:
+    """`budget` trials; the first is the guess itself."""
+    random = np.random.default_rng(seed)
+    best = Trial(first, fly(first))
+    yield best
+    for _ in range(max(1, round(DRAWN * budget)) - 1):
+        trial = _trial(first * np.exp(random.uniform(-REACH, REACH, first.shape)), fly)
+        best = min(best, trial, key=lambda t: t.cost)
+        yield trial
+    step = FIRST_STEP
+    for _ in range(budget - max(1, round(DRAWN * budget))):
+        trial = _trial(best.gains * np.exp(step * random.standard_normal(first.shape)), fly)
+        better = trial.cost < best.cost
+        best = trial if better else best
+        step *= GROW if better else GROW**-0.25
+        yield trial
+
+
+def _trial(gains: Array, fly: Callable[[Array], float]) -> Trial:
+    rounded = np.array([float(f"{gain:.3g}") for gain in gains])  # flown as they will be written
+    return Trial(rounded, fly(rounded))

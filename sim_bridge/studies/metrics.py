@@ -1,16 +1,20 @@
-"""What a campaign keeps of a numeric flight: a handful of numbers, and whether the limits held. Pure."""
+"""Metrics of a numeric flight: those that a campaign keeps, with the limits, and those of a comparison. Pure."""
 
 from itertools import combinations
 
 import numpy as np
 
 from sim_bridge.in_process.fleet import AgentFleet
-from wire.config.controller_benchmark import SETTLED_S, settled
+from wire.config.controller_benchmark import SETTLED_S, FlightMetrics, Traces, settled
 from wire.config.experiment import Experiment
 from wire.frames import Array, pose_error
-from wire.messages.messages import Mode, Solve
+from wire.messages.messages import Mode, RobotState, Solve
 
-# What each number is, in the order in which it is reported.
+ERROR_STRIDE = 10  # of control steps, in what is kept to look at
+
+SHOWN_S = 20.0  # of the inputs
+
+# Meaning of each metric, in the order of the report.
 MEASURES = {
     "rms_m": "RMS error, worst axis of any robot or pair, whole run [m]",
     "rms_after_20s_m": "the same after 20 s [m]",
@@ -26,7 +30,8 @@ MEASURES = {
 
 
 def measures(fleet: AgentFleet) -> dict[str, float | None]:
-    """Of a fleet that has flown, against the plant's truth; None for what so short or lonely a flight cannot tell."""
+    """Metrics of a fleet that has flown, against the plant's truth; None for those that a short or single-robot flight
+    cannot give."""
     error = fleet.errors()
     states = [robot.states[-len(error) :] for robot in fleet.robots]
     n = len(states)
@@ -56,9 +61,9 @@ def measures(fleet: AgentFleet) -> dict[str, float | None]:
 
 
 def broken_limits(experiment: Experiment, found: dict[str, float | None]) -> list[str]:
-    """Names of the limits that do not hold: the experiment's, and as in a run's report those of every run, that centres stay
-    twice safety.radius_m apart and that no robot tells of a fault. What comes after 20 s is not asked of a shorter flight. A
-    figure that is no number has not been shown to be good."""
+    """Names of the limits that do not hold: the experiment's, and those of every run, that centres stay twice
+    safety.radius_m apart and that no robot reports a fault. Limits after 20 s do not apply to a shorter flight. A
+    figure that is None or NaN breaks its limit."""
     later = ("rms_after_20s_m", "rms_yaw_after_20s_rad", "max_after_20s_m", "wrench_step_rms")
     broken = []
     for name in ("rms_m", "arrived_m", *(later if settled(experiment.duration_s) else ())):
@@ -74,5 +79,64 @@ def broken_limits(experiment: Experiment, found: dict[str, float | None]) -> lis
 
 
 def _rms(errors: list[Array]) -> Array:
-    """(subjects, 4) of errors (steps, 4)."""
+    """RMS (subjects, 4) of errors (steps, 4)."""
     return np.array([np.sqrt(np.mean(e**2, axis=0)) for e in errors])
+
+
+def flight_figures(experiment: Experiment, states: list[list[RobotState]], truth: Array, error: Array) -> FlightMetrics:
+    """A comparison's figures of a flight. `truth` and `error` (steps, n, 4); `states` per robot and step."""
+    limits, settled = experiment.vehicle.limits, round(SETTLED_S / experiment.controller.period_s)
+    distance = np.linalg.norm(error[:, :, :3], axis=2)
+    formation, separation = _pairs(truth, error)
+    wanted = _rows(states, "wrench_wanted") / np.array(limits.wrench)
+    quick = np.diff(wanted, axis=1) * np.array(limits.wrench) / experiment.wrench_step
+    large = (np.abs(wanted) > 1.0 + 1e-9).any(axis=2)[:, 1:]
+    fast = (np.abs(quick) > 1.0 + 1e-9).any(axis=2)
+    steps = _rows(states, "wrench_step") / experiment.wrench_step
+    return FlightMetrics(
+        rms_m=_rms_all(distance),
+        rms_after_20s_m=_rms_all(distance[settled:]),
+        max_after_20s_m=float(distance[settled:].max()),
+        rms_yaw_rad=_rms_all(error[:, :, 3]),
+        rms_yaw_after_20s_rad=_rms_all(error[settled:, :, 3]),
+        formation_rms_m=_rms_all(formation),
+        formation_after_20s_m=_rms_all(formation[settled:]),
+        min_separation_m=separation,
+        input_step_rms=float(np.sqrt(np.mean(steps**2, axis=1)).max()),
+        wanted_too_large=float(large.mean()),
+        wanted_too_fast=float(fast.mean()),
+        wanted_beyond=float((large | fast).mean()),
+        wanted_most=float(np.abs(wanted).max()),
+        under_way=float(np.mean([[state.mode is Mode.TRACKING for state in each] for each in states])),
+    )
+
+
+def _pairs(truth: Array, error: Array) -> tuple[Array, float | None]:
+    """Formation errors (steps, pairs) in m, and the least distance of two robots."""
+    pairs = list(combinations(range(error.shape[1]), 2))
+    if not pairs:
+        return np.zeros((len(error), 1)), None
+    apart = [np.linalg.norm(pose_error(error[:, a], error[:, b])[:, :3], axis=1) for a, b in pairs]
+    return np.array(apart).T, min(float(np.linalg.norm((truth[:, a] - truth[:, b])[:, :3], axis=1).min()) for a, b in pairs)
+
+
+def flight_traces(period_s: float, states: list[list[RobotState]], error: Array) -> Traces:
+    """Error and inputs over time, for a comparison's plots."""
+    shown = round(SHOWN_S / period_s)
+    root = np.sqrt(np.mean(np.sum(error[::ERROR_STRIDE, :, :3] ** 2, axis=2), axis=1))
+    return Traces(
+        error_period_s=round(ERROR_STRIDE * period_s, 9),
+        error_m=[round(value, 6) for value in root.tolist()],
+        input_period_s=round(period_s, 9),
+        wanted_n=np.round(_rows(states, "wrench_wanted")[:, :shown, 0], 4).tolist(),
+        applied_n=np.round(_rows(states, "wrench")[:, :shown, 0], 4).tolist(),
+    )
+
+
+def _rows(states: list[list[RobotState]], key: str) -> Array:
+    """A field of all states, (n, steps, 3)."""
+    return np.array([[getattr(state, key) for state in each] for each in states])
+
+
+def _rms_all(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,4 +1,5 @@
-"""SHELL: a campaign's report: distributions, what depends on what, the worst flights and how to fly them again."""
+"""SHELL: a campaign's report: distributions, dependence on the varied keys, the worst flights and the commands that repeat
+them."""
 
 import io
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from sim_bridge.studies.metrics import MEASURES
 from sim_bridge.studies.statistics import Interval, distribution, rate
 from wire.process.output_files import replace_text
 
-SHOWN = ("rms_after_20s_m", "max_after_20s_m", "wrench_step_rms")  # beside what was varied
+SHOWN = ("rms_after_20s_m", "max_after_20s_m", "wrench_step_rms")  # metrics shown against the varied keys
 WORST = 10
 BLUE, INK = "#0072b2", "#1c2733"
 
@@ -23,7 +24,7 @@ Row = dict[str, Any]
 
 
 def write_report(campaign: Campaign, rows: Sequence[Row], wanted: int, file: Path) -> None:
-    """Write the page. `rows` are the journal's, at least one; `wanted` is how many flights there should be."""
+    """Write the page. `rows` are the journal's, at least one; `wanted` is the campaign's number of flights."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("sim_bridge.studies"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
     )

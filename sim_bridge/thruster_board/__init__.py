@@ -1,4 +1,5 @@
-"""The simulated thruster board: a real MAVLink end with the rules a firmware has to keep.
+"""The simulated thruster board: a real MAVLink end with the rules that a firmware has to keep.
 
-Bytes in; arming, watchdog and pulses by state_machine.py; parameters and their memory; sensor telemetry out (board.py).
+Bytes come in (board.py); state_machine.py has arming, watchdog and pulses; parameters.py and nonvolatile.py the parameters
+and their memory; telemetry goes out.
 """

@@ -1,7 +1,7 @@
-"""The parameters of a thruster board: their table, their bounds, and what must hold between them. Pure.
+"""The parameters of a thruster board: their table, bounds, and relations. Pure.
 
-On the wire every one is a MAV_PARAM_TYPE_REAL32, also those that are whole numbers: MAVLink has two ways to send an integer,
-and the clients that exist disagree on which. So a value is kept as single precision from the start.
+On the wire every one is a MAV_PARAM_TYPE_REAL32, whole numbers too: MAVLink has two ways to send an integer, and clients
+disagree on which. So a value is single precision from the start.
 """
 
 import math
@@ -15,13 +15,13 @@ from itertools import pairwise
 from wire.config.experiment import Experiment
 from wire.mavlink.agent_link import PULSE_RANGE_US
 
-TRIM_US = 100.0  # more is a fault of the linkage, not of the trim
+TRIM_US = 100.0  # us, largest trim; a larger one hides a fault of the linkage
 MOST_VOLTS = 60.0
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One row of the table: at most 16 characters of name, and the range that a value may have."""
+    """One row of the table: at most 16 characters of name, and the range of its value."""
 
     name: str
     low: float
@@ -31,11 +31,11 @@ class Parameter:
 
     @property
     def bounds(self) -> str:
-        """In words."""
+        """The range as text."""
         return f"{self.low:g} to {self.high:g}{', whole' if self.whole else ''}"
 
     def takes(self, value: float) -> bool:
-        """Whether a value is in range; NaN is in none."""
+        """True if a value is in range; NaN never is."""
         return self.low <= value <= self.high and (not self.whole or value == int(value))
 
 
@@ -70,7 +70,7 @@ def _curve(points: int) -> tuple[Parameter, ...]:
 
 
 class Refusal(Enum):
-    """Why a parameter keeps its value: MAV_PARAM_ERROR, and words for people."""
+    """Reason for refusing a parameter: MAV_PARAM_ERROR, and text."""
 
     UNKNOWN = (1, "no such parameter")
     RANGE = (2, "out of range")
@@ -100,7 +100,7 @@ class Parameters:
 
     @classmethod
     def of(cls, experiment: Experiment) -> "Parameters":
-        """As the experiment's vehicle and board have them."""
+        """The parameters of the experiment's vehicle and board."""
         thruster, legs, battery = experiment.vehicle.thruster, experiment.vehicle.legs, experiment.vehicle.battery
         rules = experiment.sim.board
         values = [
@@ -112,7 +112,7 @@ class Parameters:
         return cls(FIXED + _curve(len(thruster.curve)), tuple(map(single, values)))
 
     def changed(self, name: str, value: float) -> "Parameters | Refusal":
-        """With one value changed, if that can be."""
+        """The parameters with one value changed, or the refusal."""
         index = self.index.get(name)
         if index is None:
             return Refusal.UNKNOWN
@@ -122,12 +122,12 @@ class Parameters:
         return new if new.is_consistent() else Refusal.INCONSISTENT
 
     def restored(self, values: Mapping[str, float]) -> "Parameters":
-        """With the values that were kept, if together they are acceptable; those of an older table may be missing."""
+        """The parameters with stored values, if together they are acceptable; those of an older table may be missing."""
         new = replace(self, values=tuple(single(values.get(row.name, self[row.name])) for row in self.table))
         return new if all(row.takes(new[row.name]) for row in self.table) and new.is_consistent() else self
 
     def is_consistent(self) -> bool:
-        """Whether the values fit one another."""
+        """True if the values fit one another."""
         points = self.curve
         rising = all(a[0] < b[0] and a[1] <= b[1] for a, b in pairwise(points))
         low, high = self.thruster_us
@@ -164,12 +164,12 @@ class Parameters:
 
     @cached_property
     def thruster_us(self) -> tuple[float, float]:
-        """Pulses taken for a thruster."""
+        """Range of pulses taken for a thruster."""
         return self["THR_MIN_US"], self["THR_MAX_US"]
 
     @cached_property
     def ankle_us(self) -> tuple[float, float]:
-        """Pulses taken for an ankle."""
+        """Range of pulses taken for an ankle."""
         return self["ANK_MIN_US"], self["ANK_MAX_US"]
 
     @cached_property
@@ -179,11 +179,11 @@ class Parameters:
 
     @cached_property
     def trims_us(self) -> tuple[float, ...]:
-        """Added to the 8 outputs."""
+        """Offsets added to the 8 outputs."""
         first = self.index["THR1_TRIM_US"]
         return self.values[first : first + 8]
 
     @cached_property
     def thresholds_v(self) -> tuple[float, float, float]:
-        """Battery: below these it warns, does not arm, disarms."""
+        """Battery voltages below which it warns, does not arm, disarms."""
         return self["BAT_WARN_V"], self["BAT_NOARM_V"], self["BAT_NEUTRAL_V"]

@@ -1,8 +1,8 @@
-"""The rules of a thruster board as one pure state machine: what a lab's firmware has to do, in the order of docs/board.md.
+"""The rules of a thruster board as one pure state machine, in the order of docs/board.md: the specification of a lab's
+firmware.
 
-No clock, no link, no sensors: sim_bridge/thruster_board/board.py has those. Times are ns of the board's own clock. Whatever is
-called in whatever order, the thrusters of a board that is stepped stand still unless it is armed and a valid override is
-young.
+No clock, no link, no sensors: sim_bridge/thruster_board/board.py has those. Times are ns of the board's own clock. For any
+order of calls, the thrusters of a board that is stepped stand still unless it is armed and a valid override is young.
 """
 
 import math
@@ -17,12 +17,12 @@ from wire.mavlink.signing import Key, SignatureVerifier
 THRUSTERS = 4
 S_NS = 1_000_000_000
 NEVER_NS = -(2**62)
-BATTERY_FILTER_S = 1.0  # thrust pulls the voltage down for moments; that is no empty battery
+BATTERY_FILTER_S = 1.0  # s, time constant of the voltage filter: thrust lowers the voltage for moments
 CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
 
 
 class Charge(IntEnum):
-    """How low the battery is, and what that forbids."""
+    """Battery level, and the actions that it forbids."""
 
     GOOD = 0
     WARN = 1
@@ -31,15 +31,15 @@ class Charge(IntEnum):
 
 
 @dataclass(frozen=True)
-class Said:
-    """A change of state in words."""
+class StatusText:
+    """A change of state as text."""
 
     severity: int
     text: str
 
 
-class Rules:
-    """One board."""
+class BoardStateMachine:
+    """The state of one board."""
 
     def __init__(self, parameters: Parameters, computer: Peer, key: Key | None = None, floor: int = 0) -> None:
         """Overrides count from `computer` only. With a `key`, frames must be signed, later than `floor`."""
@@ -47,8 +47,8 @@ class Rules:
         self.gate = SignatureVerifier(key, floor)
         self.armed = False
         self.charge = Charge.GOOD
-        self.said: list[Said] = []  # whoever tells it takes it out
-        self.overrides_received = 0  # every one that was for this board, refused ones too
+        self.said: list[StatusText] = []  # texts to send; the sender removes them
+        self.overrides_received = 0  # all that were for this board, refused ones too
         self.overrides_refused = 0
         self._computer = computer
         self._command = (IGNORED,) * CHANNELS
@@ -60,12 +60,12 @@ class Rules:
 
     @property
     def echo_us(self) -> tuple[int, ...]:
-        """What is put out, in the scale of a command: 4 thrusters, 4 ankles."""
+        """Pulses on the outputs without trims: 4 thrusters, 4 ankles."""
         return tuple(round(pulse) for pulse in (*self._thrusters_us, *self._ankles_us))
 
     @property
     def outputs_us(self) -> tuple[int, ...]:
-        """What is put out, trims included."""
+        """Pulses on the outputs, trims included."""
         trims = self.parameters.trims_us
         return tuple(pulse + int(trim) for pulse, trim in zip(self.echo_us, trims, strict=True))
 
@@ -88,22 +88,22 @@ class Rules:
         )
 
     def arm(self, wanted: bool, now_ns: int) -> int:
-        """Arm or disarm, whoever asks; returns the MAV_RESULT. Disarming always works."""
+        """Arm or disarm for any peer; returns the MAV_RESULT. Disarming always works."""
         if not wanted:
             if self.armed:
                 self._disarm(INFO, "disarmed")
             return ACCEPTED
         if self.armed:
             return ACCEPTED
-        reason = self._why_not_arm(now_ns)
+        reason = self._arming_refusal(now_ns)
         if reason:
-            self.said.append(Said(WARNING, f"not armed: {reason}"))
+            self.said.append(StatusText(WARNING, f"not armed: {reason}"))
             return REJECTED
         self.armed = True
-        self.said.append(Said(INFO, "armed"))
+        self.said.append(StatusText(INFO, "armed"))
         return ACCEPTED
 
-    def _why_not_arm(self, now_ns: int) -> str:
+    def _arming_refusal(self, now_ns: int) -> str:
         still_low, still_high = self.parameters.dead_zone_us
         if self._is_stale(now_ns):
             return "no override is arriving"
@@ -114,7 +114,8 @@ class Rules:
         return ""
 
     def change(self, name: str, value: float) -> Refusal | None:
-        """Give a parameter another value; why not, if not. The last override was checked against the old ones: forget it."""
+        """Change a parameter; returns the refusal, if any. The last override is dropped, as it was checked against the old
+        values."""
         changed = self.parameters.changed(name, value)
         if changed is not Refusal.UNKNOWN and self.armed:
             changed = Refusal.ARMED
@@ -124,14 +125,16 @@ class Rules:
         return None
 
     def set_key(self, key: Key, newest: int) -> str:
-        """Have frames signed with this key, later than `newest` and than all taken so far; why not, if not."""
+        """Require frames signed with this key, later than `newest` and than all taken so far. Returns the reason for a
+        refusal, else ""."""
         if self.armed:
             return "armed"
         self.gate, self._command_ns = SignatureVerifier(key, max(newest, self.gate.newest)), NEVER_NS
         return ""
 
     def battery(self, voltage: float, elapsed_s: float) -> None:
-        """A measurement, `elapsed_s` after the one before. A level is entered below its threshold, left only well above it."""
+        """Take a voltage, `elapsed_s` after the one before. A level is entered below its threshold, and left well above
+        it."""
         voltage = voltage if math.isfinite(voltage) else 0.0
         before = voltage if self._voltage is None else self._voltage
         smooth = self._voltage = before + (voltage - before) * -math.expm1(-elapsed_s / BATTERY_FILTER_S)
@@ -142,14 +145,14 @@ class Rules:
         if self.charge is was:
             return
         severity = CRITICAL if self.charge is Charge.NEUTRAL else WARNING if self.charge > was else INFO
-        self.said.append(Said(severity, f"battery {self.charge.name}: {voltage:.1f} V"))
+        self.said.append(StatusText(severity, f"battery {self.charge.name}: {voltage:.1f} V"))
         if self.charge is Charge.NEUTRAL and self.armed:
             self._disarm(CRITICAL, "disarmed: battery empty")
 
     # --- time goes on
 
     def step(self, now_ns: int) -> None:
-        """Look at the age of the last override and move the outputs."""
+        """Check the age of the last override and move the outputs."""
         if self.armed and self._is_stale(now_ns):
             self._disarm(WARNING, f"disarmed: no override for {self.parameters.age_ns // 1_000_000} ms")
         elapsed_s = 0.0 if self._stepped_ns is None else max((now_ns - self._stepped_ns) / S_NS, 0.0)
@@ -163,7 +166,7 @@ class Rules:
         return now_ns - self._command_ns > self.parameters.age_ns
 
     def _move(self, reach_us: float) -> None:
-        """Towards the command, thrusters no faster than the slew rate."""
+        """Move towards the command, thrusters no faster than the slew rate."""
         for i in range(THRUSTERS):
             thruster, ankle = self._command[i], self._command[THRUSTERS + i]
             self._thrusters_us[i] += min(max(thruster - self._thrusters_us[i], -reach_us), reach_us)
@@ -172,4 +175,4 @@ class Rules:
 
     def _disarm(self, severity: int, reason: str) -> None:
         self.armed = False
-        self.said.append(Said(severity, reason))
+        self.said.append(StatusText(severity, reason))

@@ -63,7 +63,7 @@ class CrewedPool(DryPool):
         plans = {r: robot.plan for r, robot in zip(self.experiment.robot_ids, self.robots, strict=True)}
         for i in range(len(self.robots)):
             if self.agents_work[i]:
-                self.think(i, plans)
+                self.control_step(i, plans)
                 self._heard_ns[i] = self.now_ns
         self.references.append(np.array([_goal(robot.agent) for robot in self.robots]))
         self.pulses.append(np.array([board.pulses for board in self.world._boards]))

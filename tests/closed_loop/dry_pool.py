@@ -95,9 +95,9 @@ class DryPool(AgentFleet):
         if self.camera_works:
             super().expose(stamp_ns)
 
-    def think(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
+    def control_step(self, i: int, plans: Mapping[int, StampedPlan | None]) -> None:
         if self.agents_work[i]:
-            super().think(i, plans)
+            super().control_step(i, plans)
 
     def station(self) -> StationView:
         if self.station_works:

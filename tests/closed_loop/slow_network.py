@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 
 from groundstation.station import process as station_process
-from localizer import node as localizer_shell
+from localizer import node as localizer_node
 from robot_agent import node as agent_node
-from sim_bridge.node.pool import Pool
-from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.node.pool import PoolNode
+from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.sil.ports import free_base_port
 from wire.config.experiment import Experiment, dump_experiment
 from wire.mavlink.board_port import UdpLink
@@ -105,7 +105,7 @@ class Slow(MemoryTransport):
 
 
 @dataclass
-class Told:
+class OnLocalized:
     """All that was published, by key: what every message was about, and what it said but for what must differ."""
 
     messages: dict[str, list[tuple[int, Any]]] = field(default_factory=dict)
@@ -114,7 +114,7 @@ class Told:
         said = _plain(decode(topic.type, payload, "test", topic.name))
         self.messages.setdefault(key, []).append((header.stamp_ns, said))
 
-    def differs(self, other: "Told") -> str:
+    def differs(self, other: "OnLocalized") -> str:
         """The first message, by its stamp, that is not the same; empty if all are, as far as both go."""
         found = []
         for key in sorted(self.messages.keys() | other.messages.keys()):
@@ -134,9 +134,9 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = True) -> Told:
+def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = True) -> OnLocalized:
     """Fly an experiment to its end, everything held up as `seed` says (None: nothing); with `poses` without the camera."""
-    hub, told, stop = MemoryHub(), Told(), Stop(install=False)
+    hub, told, stop = MemoryHub(), OnLocalized(), Stop(install=False)
     handlers = log.handlers[:]
     folder.mkdir()
     toml = dump_experiment(experiment)
@@ -150,14 +150,14 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for topic in COMPARED:
             witness.subscribe(topic, None, told.note)
         ports = free_base_port(experiment.robot_ids)
-        sockets = Sockets(ports, experiment.robot_ids, experiment.seed)
-        shells = [Pool(experiment, bus("sim-bridge"), sockets, stop, True, poses).run]
+        sockets = BoardPorts(ports, experiment.robot_ids, experiment.seed)
+        shells = [PoolNode(experiment, bus("sim-bridge"), sockets, stop, True, poses).run]
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
             closing.callback(link.close)
             shells.append(agent_node.AgentNode(experiment, robot, bus(f"agent-{robot}"), link, True, stop).run)
         if not poses:
-            shells.append(localizer_shell.Shell(experiment, bus("localizer"), stop, LockstepClock()).run)
+            shells.append(localizer_node.LocalizerNode(experiment, bus("localizer"), stop, LockstepClock()).run)
         threads = [threading.Thread(target=run, daemon=True) for run in shells]
         closing.callback(log.handlers.__setitem__, slice(None), handlers)
         try:

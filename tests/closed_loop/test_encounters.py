@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.encounters import SCENES, meet
 from groundstation.planning import planner
-from sim_bridge.in_process.fleet import AgentFleet, BareWater
+from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode
 
@@ -27,7 +27,7 @@ def test_robots_that_begin_inside_one_another_s_space_come_out_of_it(apart_m: fl
     planned = planner.start_poses(experiment, trajectories)
     starts = np.array([planned[robot] for robot in experiment.robot_ids])
     starts[1] = starts[0] + [apart_m, 0.0, 0.0, 0.5]
-    water = BareWater(experiment, 1, starts)
+    water = DirectPlant(experiment, 1, starts)
     fleet = AgentFleet(experiment, trajectories, water, 1)
     fleet.start()
     while fleet.time_s < 10.0:

@@ -153,7 +153,7 @@ def test_a_robot_that_was_off_its_path_flies_again_when_it_is_told_to() -> None:
     settings.append("safety.off_depth_m=5")
     pool = DryPool(load_experiment("pool", settings, [f"t=1 for=9 thruster 1/{k} dead" for k in (1, 2, 3, 4)]))
     world, step = pool.world, pool.world.step
-    world.step = lambda: (world.break_things(), step())[1]  # type: ignore[method-assign]
+    world.step = lambda: (world.apply_faults(), step())[1]  # type: ignore[method-assign]
     pool.take_off()
     world.start_ns = world.now_ns
     agent, states = pool.robots[0].agent, pool.robots[0].states

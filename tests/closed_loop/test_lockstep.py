@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.sil.ports import free_base_port
-from sim_bridge.thruster_board.board import SENT_BETWEEN, Board
+from sim_bridge.thruster_board.board import SENT_BETWEEN, ThrusterBoard
 from sim_bridge.world import World
 from tests.closed_loop.slow_network import fly
 from wire.config.experiment import Experiment, load_experiment
@@ -69,10 +69,10 @@ def test_a_robot_that_has_lost_itself_tells_no_plan_and_nobody_waits_for_one(tmp
 def test_a_board_that_was_greeted_for_a_minute_takes_the_first_pulses(greetings: int, key: Key | None) -> None:
     """While the others start, a robot greets its board ten times a second; of what nobody reads a port drops the last."""
     ports = free_base_port(POOL.robot_ids)
-    sockets = Sockets(ports, POOL.robot_ids, POOL.seed)
+    sockets = BoardPorts(ports, POOL.robot_ids, POOL.seed)
     link, computer = UdpLink("127.0.0.1", ports + 1), AgentLink(1, key, lambda: LATER)
     starts = np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 0.0]])
-    world = World(POOL, POOL.seed, starts, lambda experiment, robot, seed: Board(experiment, robot, seed, key))
+    world = World(POOL, POOL.seed, starts, lambda experiment, robot, seed: ThrusterBoard(experiment, robot, seed, key))
     try:
         for _ in range(greetings):
             link.send(computer.heartbeat())

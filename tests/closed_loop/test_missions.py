@@ -6,7 +6,7 @@ import pytest
 from groundstation.mission.mission import START_IN_S
 from groundstation.mission.state_machine import Phase
 from groundstation.planning.segment import at
-from sim_bridge.plant.fleet import Harm
+from sim_bridge.plant.fleet import ActuatorFaults
 from tests.closed_loop.crewed_pool import CrewedPool
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order
@@ -206,10 +206,10 @@ def lagging(*settings: str) -> tuple[CrewedPool, float]:
     """A formation with a robot that has a sixth of its thrust from 3 s on, and its worst error in the 14 s after that."""
     pool = flying("blocked-path", "sim.drifters=[]", "path.speed_mps=0.25", "duration_s=45", *settings)
     pool.run(3.0)
-    harm = pool.world.faults.harm
-    thrust = harm.thrust.copy()
+    healthy = pool.world.faults.actuators
+    thrust = healthy.thrust.copy()
     thrust[1] = 0.15
-    pool.world.faults.harm = Harm(thrust, harm.sag_v)
+    pool.world.faults.actuators = ActuatorFaults(thrust, healthy.sag_v)
     begin = len(pool.truth)
     pool.run(14.0)
     return pool, max(float(np.hypot(*(s.eta - s.eta_reference)[:2])) for s in pool.robots[1].states[begin:])

@@ -24,7 +24,7 @@ from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
 from groundstation.logs.reader import read_log
 from sim_bridge.sil import launcher
-from sim_bridge.sil.commands import Program, Way
+from sim_bridge.sil.commands import Program, RunOptions
 from sim_bridge.sil.processes import Child, Children
 from wire.config.experiment import load_experiment
 from wire.messages import codec, topics
@@ -316,7 +316,7 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
     stop, started = Stop(install=False), []
 
     def silent(
-        robots: tuple[int, ...], way: Way, run_dir: Path, address: str, ports: int, boards: Path | None
+        robots: tuple[int, ...], way: RunOptions, run_dir: Path, address: str, ports: int, boards: Path | None
     ) -> list[Program]:
         return [Program("groundstation", "http.server", (address.rpartition(":")[2], "--bind", "127.0.0.1"))]
 
@@ -335,6 +335,6 @@ def test_a_run_is_interrupted_while_it_connects(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(launcher, "Children", Watched)
     monkeypatch.setattr(launcher, "ZenohTransport", open_and_stop)
     said = Console(record=True, file=io.StringIO())
-    assert launcher.run(load_experiment("pool"), tmp_path / "run", Way(), stop, said) == 130
+    assert launcher.run(load_experiment("pool"), tmp_path / "run", RunOptions(), stop, said) == 130
     assert "interrupted: every process is stopped" in said.export_text()
     assert [child.exit_code is not None for child in started] == [True]

@@ -29,7 +29,7 @@ from rich.console import Console
 from rich.table import Table
 
 from groundstation.logs.reader import read_log
-from sim_bridge.sil.commands import Way, check
+from sim_bridge.sil.commands import RunOptions, check
 from tests.faults.onlooker import Stuck
 from tests.faults.rig import Rig, moment
 from tests.faults.table import ROWS
@@ -218,7 +218,7 @@ def _can_be_flown(name: str, way: str) -> bool:
     if way != "camera":
         return True
     try:
-        check(load_experiment(name), Way())
+        check(load_experiment(name), RunOptions())
     except ConfigError:
         return False
     return True

@@ -22,11 +22,11 @@ from groundstation.planning.planner import plan
 from groundstation.planning.segment import Leg
 from groundstation.telemetry import RobotView
 from groundstation.web.protocol import BadRequest, read_request
-from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer
 from robot_agent.agent import Agent
 from robot_agent.inputs import Inputs, StampedObstacles, StampedPlan, StampedPose, StationView
 from robot_agent.safety.modes import POWERED
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.faults.bites import Bites
 from tests.wire.strategies import CLASSES, example
 from wire.config.experiment import Experiment, load_experiment
@@ -175,7 +175,7 @@ def orders(data: bytes) -> None:
 def locator(data: bytes) -> None:
     """Any pictures at any instants."""
     experiment, bites = _pool(*SMALL), Bites(data)
-    eyes, now_ns = Locator(experiment), 0
+    eyes, now_ns = FleetLocalizer(experiment), 0
     width, height = experiment.camera.size_px
     while bites.left:
         shape = ((height, width), (height, width), (height, width), (width, height))[bites.byte(4)]
@@ -188,7 +188,7 @@ def locator(data: bytes) -> None:
 def board(data: bytes) -> None:
     """Any bytes on its wire: never a pulse beyond its range, never thrust without arming."""
     bites, now_ns = Bites(data), 0
-    thrusters = Board(_pool(), 1, 1)
+    thrusters = ThrusterBoard(_pool(), 1, 1)
     agent_end, still = AgentLink(1), np.zeros(4)
     while bites.left:
         kind = bites.byte(4)

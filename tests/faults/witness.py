@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 
 import sim_bridge.node.pool
-from sim_bridge.fault_schedule import Faults
-from sim_bridge.node.pool import Pool
-from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.fault_schedule import FaultSchedule
+from sim_bridge.node.pool import PoolNode
+from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.plant.sensors import Reading
-from sim_bridge.thruster_board.board import Board
-from sim_bridge.thruster_board.nonvolatile import MakeBoard
+from sim_bridge.thruster_board.board import ThrusterBoard
+from sim_bridge.thruster_board.nonvolatile import BoardFactory
 from sim_bridge.world import World
 from tests.faults.patched import end_thread
 from wire.config.experiment import Experiment, load_experiment
@@ -65,10 +65,10 @@ class Line:
         return found
 
 
-def watched_board(line: Line) -> type[Board]:
+def watched_board(line: Line) -> type[ThrusterBoard]:
     """A board that tells of every override which it takes or refuses."""
 
-    class WatchedBoard(Board):
+    class WatchedBoard(ThrusterBoard):
         def __init__(self, experiment: Experiment, robot_id: int, seed: int) -> None:
             super().__init__(experiment, robot_id, seed)
             self.crossed = False
@@ -105,12 +105,12 @@ def watched_world(line: Line) -> type[World]:
     """A world that tells of every change at the boards' outputs, and is broken by the harness."""
 
     class WatchedWorld(World):
-        def __init__(self, experiment: Experiment, seed: int, starts: Array, make: MakeBoard, held: bool) -> None:
+        def __init__(self, experiment: Experiment, seed: int, starts: Array, make: BoardFactory, held: bool) -> None:
             super().__init__(experiment, seed, starts, make, held)
             self._experiment = experiment
             self._said: list[tuple[bool, bool] | None] = [None] * len(starts)
 
-        def break_things(self) -> list[str]:
+        def apply_faults(self) -> list[str]:
             asked = line.asked()
             if asked is None:
                 return []
@@ -122,7 +122,7 @@ def watched_world(line: Line) -> type[World]:
                 end_thread("camera")
             faults = tuple(Fault(at_s=0.0, what=what) for what in asked if what.split()[0] not in OWN)
             sim = self._experiment.sim.model_copy(update={"faults": faults})
-            self.faults = Faults(self._experiment.model_copy(update={"sim": sim}))
+            self.faults = FaultSchedule(self._experiment.model_copy(update={"sim": sim}))
             said = self.faults.at(0.0)
             for board, error in zip(self._boards, self.faults.imu_error.tolist(), strict=True):
                 board.sensors.error = (error[0], error[1])
@@ -148,11 +148,11 @@ def main() -> None:
     name, station, ports, harness, *options = sys.argv[1:]
     start_log("sim-bridge")
     line, stop, experiment = Line(int(harness)), Stop(), load_experiment(name)
-    sockets = Sockets(int(ports), experiment.robot_ids, experiment.seed)
+    sockets = BoardPorts(int(ports), experiment.robot_ids, experiment.seed)
     vars(sim_bridge.node.pool)["World"] = watched_world(line)
     with Bus(ZenohTransport(Endpoint(station))) as bus:
         poses, make = "--poses" in options, watched_board(line)
-        Pool(experiment, bus, sockets, stop, lockstep=False, poses=poses, make=make).run()
+        PoolNode(experiment, bus, sockets, stop, lockstep=False, poses=poses, make=make).run()
     stop.raise_failure()
 
 

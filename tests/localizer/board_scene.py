@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
-from localizer.calibration.targets import BoardView
+from localizer.calibration.targets import TargetView
 from sim_bridge.camera.optics import Rays, project, rays
 from wire.config.perception import Camera
 from wire.frames import Array
@@ -60,11 +60,11 @@ class Bench:
                 found.append((turn, move))
         return found
 
-    def views(self, count: int, board_m: Array, seed: int, noise_px: float) -> list[BoardView]:
+    def views(self, count: int, board_m: Array, seed: int, noise_px: float) -> list[TargetView]:
         """Views of a board without the trouble of pictures."""
         random = np.random.default_rng(seed + 1000)
         return [
-            BoardView(
+            TargetView(
                 f"view-{i}", board_m, self.see(board_m @ turn.T + move) + noise_px * random.normal(size=(len(board_m), 2))
             )
             for i, (turn, move) in enumerate(self.poses(count, board_m, seed))

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer
 from tests.localizer.scene import Scene
 from wire.config.experiment import load_experiment
 from wire.frames import Array, wrap
@@ -42,7 +42,7 @@ class Encounter:
 
 def check_encounter(seed: int) -> None:
     """Raises AssertionError if a swap goes unnoticed."""
-    encounter, locator = Encounter(seed), Locator(EXPERIMENT)
+    encounter, locator = Encounter(seed), FleetLocalizer(EXPERIMENT)
     for k in range(FRAMES):
         truth = encounter.eta(k * STEP_S)
         frame = SCENE.frame(truth, encounter.blinded if k in BLIND else frozenset())

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from localizer.camera_model import PoolView
+from localizer.camera_model import RefractiveCamera
 from wire.config.experiment import Experiment
 from wire.frames import Array, pool_to_body
 
@@ -25,7 +25,7 @@ class Scene:
     """Draws an experiment's robots where it is told to."""
 
     def __init__(self, experiment: Experiment, seed: int = 1, noise: float = 2.0) -> None:
-        self._view = PoolView(experiment.camera)
+        self._view = RefractiveCamera(experiment.camera)
         self._size_px = experiment.camera.size_px
         self._radius_m = experiment.vehicle.radius_m
         self._marker = experiment.vehicle.marker
@@ -54,7 +54,7 @@ class Scene:
 
     def _draw(self, picture: NDArray[np.float32], eta: Array, marker: int | None) -> None:
         plate_m = eta[2] - self._marker.height_m
-        centre = self._view.pixel(np.array([eta[0], eta[1], plate_m]))
+        centre = self._view.pool_to_pixel(np.array([eta[0], eta[1], plate_m]))
         reach = round(self._radius_m * 420)
         left, top = (max(int(c) - reach, 0) // 2 * 2 for c in centre)
         right, bottom = (min(int(c) + reach, s) // 2 * 2 for c, s in zip(centre, self._size_px, strict=True))
@@ -74,7 +74,7 @@ class Scene:
     def _plate_points(self, u: Array, v: Array, plate_m: float) -> Array:
         """Pool points (len(v), len(u), 2) under a grid of pixels: cubics through a coarse grid, true to 1e-6 m."""
         coarse = [np.linspace(axis[0], axis[-1], 7) for axis in (u, v)]
-        known = self._view.pool(np.stack(np.meshgrid(*coarse), axis=-1).reshape(-1, 2), plate_m)
+        known = self._view.pixel_to_pool(np.stack(np.meshgrid(*coarse), axis=-1).reshape(-1, 2), plate_m)
         unit = np.linspace(-1.0, 1.0, 7)
         across, down = np.meshgrid(unit, unit)
         base = polynomial.polyvander2d(across.ravel(), down.ravel(), [3, 3])

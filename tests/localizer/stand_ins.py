@@ -1,11 +1,11 @@
-"""What the tests of sources share: a clock moved by hand, and pictures that are told apart by their brightness."""
+"""Stand-ins for the tests of sources: a clock moved by hand, and pictures that differ in brightness."""
 
 from typing import Any
 
 import numpy as np
 
 from localizer.detection.image_regions import Pixels
-from localizer.sources.base import Shot
+from localizer.sources.base import CapturedFrame
 from wire.transport.bus import Received
 
 MS = 1_000_000
@@ -27,10 +27,10 @@ class HandClock:
         self.ns += round(seconds * 1e9)
 
 
-def level(shot: Shot | None) -> int:
+def level(captured: CapturedFrame | None) -> int:
     """Which picture it was: its brightness."""
-    assert shot is not None
-    return round(float(shot.pixels.mean()))
+    assert captured is not None
+    return round(float(captured.pixels.mean()))
 
 
 def flat(value: int, height: int = 48, width: int = 64) -> Pixels:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from localizer.camera_model import PoolView
+from localizer.camera_model import RefractiveCamera
 from wire.config.experiment import load_experiment
 from wire.config.perception import Camera
 from wire.frames import Array
@@ -27,13 +27,13 @@ CAMERAS = pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["pool", "tilt
 @CAMERAS
 @given(u=st.floats(0, 1279), v=st.floats(0, 959), depth_m=st.floats(-0.3, 1.2))
 def test_pixel_to_pool_and_back(camera: Camera, u: float, v: float, depth_m: float) -> None:
-    view = PoolView(camera)
-    x, y = view.pool(np.array([u, v]), depth_m)
-    assert view.pixel(np.array([x, y, depth_m])) == pytest.approx([u, v], abs=1e-7)
+    view = RefractiveCamera(camera)
+    x, y = view.pixel_to_pool(np.array([u, v]), depth_m)
+    assert view.pool_to_pixel(np.array([x, y, depth_m])) == pytest.approx([u, v], abs=1e-7)
 
 
 def _crossing_by_fermat(camera: Camera, point: Array) -> Array:
-    """Where light from a point under water crosses the surface: the place of least travel time."""
+    """The point at which light from a point under water crosses the surface: the one of least travel time."""
     lens = np.array(camera.position_m)
 
     def travel(xy: Array) -> float:
@@ -52,59 +52,59 @@ def test_refraction_follows_fermat(camera: Camera, point: tuple[float, float, fl
     matrix = np.array([[camera.focal_px[0], 0, camera.centre_px[0]], [0, camera.focal_px[1], camera.centre_px[1]], [0, 0, 1]])
     seen = rotation @ (_crossing_by_fermat(camera, place) - np.array(camera.position_m))
     expected = cv2.projectPoints(seen[None], np.zeros(3), np.zeros(3), matrix, np.array(camera.distortion))[0].ravel()
-    view = PoolView(camera)
-    assert view.pixel(place) == pytest.approx(expected, abs=2e-3)
-    assert view.pool(expected, place[2]) == pytest.approx(place[:2], abs=1e-5)
+    view = RefractiveCamera(camera)
+    assert view.pool_to_pixel(place) == pytest.approx(expected, abs=2e-3)
+    assert view.pixel_to_pool(expected, place[2]) == pytest.approx(place[:2], abs=1e-5)
 
 
 def test_the_first_pixels_centre_is_zero() -> None:
     """A pinhole with its axis on the middle of the picture looks straight down between the two middle pixels."""
     plain = CAMERA.model_copy(update={"distortion": (0.0,) * 5})
-    view = PoolView(plain)
-    assert view.pixel(np.zeros(3)) == pytest.approx([639.5, 479.5])
+    view = RefractiveCamera(plain)
+    assert view.pool_to_pixel(np.zeros(3)) == pytest.approx([639.5, 479.5])
     metres_per_px = 2.8 / 1005.0
-    assert view.pool(np.array([0.0, 0.0]), 0.0) == pytest.approx([-639.5 * metres_per_px, -479.5 * metres_per_px])
-    assert view.pool(np.array([1279.0, 959.0]), 0.0) == pytest.approx([639.5 * metres_per_px, 479.5 * metres_per_px])
+    assert view.pixel_to_pool(np.array([0.0, 0.0]), 0.0) == pytest.approx([-639.5 * metres_per_px, -479.5 * metres_per_px])
+    assert view.pixel_to_pool(np.array([1279.0, 959.0]), 0.0) == pytest.approx([639.5 * metres_per_px, 479.5 * metres_per_px])
 
 
 def test_axes_of_picture_and_pool_agree() -> None:
-    view = PoolView(CAMERA)
-    middle = view.pixel(np.array([0.0, 0.0, 0.3]))
-    assert view.pixel(np.array([0.1, 0.0, 0.3]))[0] > middle[0] + 20
-    assert view.pixel(np.array([0.0, 0.1, 0.3]))[1] > middle[1] + 20
+    view = RefractiveCamera(CAMERA)
+    middle = view.pool_to_pixel(np.array([0.0, 0.0, 0.3]))
+    assert view.pool_to_pixel(np.array([0.1, 0.0, 0.3]))[0] > middle[0] + 20
+    assert view.pool_to_pixel(np.array([0.0, 0.1, 0.3]))[1] > middle[1] + 20
 
 
 def test_points_above_the_water_are_not_refracted() -> None:
-    dry = PoolView(CAMERA.model_copy(update={"water_index": 1.0}))
-    wet = PoolView(CAMERA)
+    dry = RefractiveCamera(CAMERA.model_copy(update={"water_index": 1.0}))
+    wet = RefractiveCamera(CAMERA)
     above, below = np.array([1.0, 0.5, -0.05]), np.array([1.0, 0.5, 0.05])
-    assert wet.pixel(above) == pytest.approx(dry.pixel(above), abs=1e-9)
-    assert np.linalg.norm(wet.pixel(below) - dry.pixel(below)) > 0.5
+    assert wet.pool_to_pixel(above) == pytest.approx(dry.pool_to_pixel(above), abs=1e-9)
+    assert np.linalg.norm(wet.pool_to_pixel(below) - dry.pool_to_pixel(below)) > 0.5
 
 
 def test_depth_moves_a_robot_by_a_quarter_of_its_error() -> None:
     """The figure that the design rests on: 2.5 mm per cm of depth, 1 m off the camera's foot."""
-    view = PoolView(CAMERA)
-    pixel = view.pixel(np.array([1.0, 0.0, 0.15]))
-    shift_m = view.pool(pixel, 0.16) - view.pool(pixel, 0.15)
+    view = RefractiveCamera(CAMERA)
+    pixel = view.pool_to_pixel(np.array([1.0, 0.0, 0.15]))
+    shift_m = view.pixel_to_pool(pixel, 0.16) - view.pixel_to_pool(pixel, 0.15)
     assert shift_m[0] == pytest.approx(0.0025, rel=0.1)
 
 
 @CAMERAS
 @given(x=st.floats(-1.2, 1.2), y=st.floats(-0.9, 0.9), depth_m=st.floats(-0.2, 0.9))
 def test_tangent_is_the_derivative(camera: Camera, x: float, y: float, depth_m: float) -> None:
-    view = PoolView(camera)
-    tangent = view.tangents([np.array([x, y])], [depth_m])[0]
-    assert tangent.pixel == pytest.approx(view.pixel(np.array([x, y, depth_m])))
+    view = RefractiveCamera(camera)
+    tangent = view.linearize([np.array([x, y])], [depth_m])[0]
+    assert tangent.pixel == pytest.approx(view.pool_to_pixel(np.array([x, y, depth_m])))
     step = np.array([0.004, -0.003])
-    assert tangent.to_px(np.array([x, y]) + step) == pytest.approx(
-        view.pixel(np.array([x + step[0], y + step[1], depth_m])), abs=0.01
+    assert tangent.nearby_px(np.array([x, y]) + step) == pytest.approx(
+        view.pool_to_pixel(np.array([x + step[0], y + step[1], depth_m])), abs=0.01
     )
     h = 1e-4
     for column, (du, dv, dz) in enumerate(((h, 0, 0), (0, h, 0), (0, 0, h if depth_m > 0 else -h))):
-        moved = view.pool(tangent.pixel + np.array([du, dv]), depth_m + dz) - np.array([x, y])
+        moved = view.pixel_to_pool(tangent.pixel + np.array([du, dv]), depth_m + dz) - np.array([x, y])
         assert tangent.jacobian[:, column] == pytest.approx(moved / (du + dv + dz), abs=2e-5)
 
 
 def test_no_points_is_no_trouble() -> None:
-    assert PoolView(CAMERA).tangents([], []) == []
+    assert RefractiveCamera(CAMERA).linearize([], []) == []

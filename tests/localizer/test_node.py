@@ -16,13 +16,13 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer.camera_model import PoolView
+from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import Pixels
-from localizer.detection.obstacles import ObstacleWatch
-from localizer.node import Options, Shell, run
-from localizer.sources.base import Shot
-from localizer.tracking.fleet_localizer import Located, Locator
-from localizer.view.preview import Previews, Rate
+from localizer.detection.obstacles import ObstacleDetector
+from localizer.node import LocalizerNode, NodeOptions, run
+from localizer.sources.base import CapturedFrame
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
+from localizer.view.preview import PreviewPublisher, RateLimiter
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.sil.ports import free_port
 from tests.localizer.scene import Scene
@@ -122,7 +122,7 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
     def well(count: int) -> list[Pixels]:
         return [scene.frame(ETA) for _ in range(count)]
 
-    def located() -> None:
+    def result() -> None:
         """A status may overtake the poses of its picture: they travel on another topic."""
         stamp_ns = localizer.stamps_ns[-1]
 
@@ -139,7 +139,7 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
 
     localizer.feed(*well(6))
     localizer.until(CameraHealth.OK)
-    located()
+    result()
 
     stuck = scene.frame(ETA)
     localizer.feed(*[stuck] * (FROZEN_FRAMES + 2))
@@ -148,7 +148,7 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
 
     localizer.feed(*well(6))
     localizer.until(CameraHealth.OK)
-    located()
+    result()
     frozen_ns = [
         stamp
         for stamp, said in zip(localizer.stamps_ns, localizer.statuses, strict=False)
@@ -171,7 +171,7 @@ def test_every_ill_of_a_camera_is_noticed_and_over_when_it_is_over(start: Callab
     assert "nothing new in" in localizer.until(CameraHealth.ABSENT).message
     localizer.feed(*well(6))
     localizer.until(CameraHealth.OK)
-    located()
+    result()
 
     localizer.process.send_signal(signal.SIGINT)
     _, said = localizer.process.communicate(timeout=PATIENCE_S)
@@ -211,14 +211,14 @@ def test_what_cannot_be_is_said_without_waiting_for_a_station() -> None:
 @pytest.mark.parametrize(
     ("lockstep", "options", "complaint"),
     [
-        (False, Options(source="webcam"), "allowed: bus"),
-        (False, Options(source="video:/nowhere.mp4"), "no such file"),
-        (False, Options(publish_frames=True), "on the bus already"),
-        (True, Options(source="folder:/tmp"), "the simulator is the camera"),
-        (False, Options(source="folder:/tmp", page_port=99999), "--show-port 99999"),
+        (False, NodeOptions(source="webcam"), "allowed: bus"),
+        (False, NodeOptions(source="video:/nowhere.mp4"), "no such file"),
+        (False, NodeOptions(publish_frames=True), "on the bus already"),
+        (True, NodeOptions(source="folder:/tmp"), "the simulator is the camera"),
+        (False, NodeOptions(source="folder:/tmp", page_port=99999), "--show-port 99999"),
     ],
 )
-def test_options_that_cannot_be_are_explained(lockstep: bool, options: Options, complaint: str) -> None:
+def test_options_that_cannot_be_are_explained(lockstep: bool, options: NodeOptions, complaint: str) -> None:
     nobody = Endpoint(f"tcp/127.0.0.1:{free_port()}")
     with pytest.raises(ConfigError, match=complaint):
         run(EXPERIMENT, nobody, "shoal", Stop(install=False), lockstep, options)
@@ -228,13 +228,13 @@ def test_options_that_cannot_be_are_explained(lockstep: bool, options: Options, 
 
 
 @pytest.fixture
-def hub() -> Iterator[tuple[Bus, Callable[..., Shell]]]:
+def hub() -> Iterator[tuple[Bus, Callable[..., LocalizerNode]]]:
     """A bus for the test, and a way to have the localizer run on another one, by a clock."""
     network, stop, handlers = MemoryHub(), Stop(install=False), list(log.handlers)
     ours, threads = Bus(MemoryTransport(network)), []
 
-    def localize(clock: Clock, experiment: Experiment = EXPERIMENT) -> Shell:
-        shell = Shell(experiment, Bus(MemoryTransport(network)), stop, clock)
+    def localize(clock: Clock, experiment: Experiment = EXPERIMENT) -> LocalizerNode:
+        shell = LocalizerNode(experiment, Bus(MemoryTransport(network)), stop, clock)
         threads.append(threading.Thread(target=shell.run))
         threads[-1].start()
         return shell
@@ -247,7 +247,7 @@ def hub() -> Iterator[tuple[Bus, Callable[..., Shell]]]:
     log.handlers[:] = handlers
 
 
-def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callable[..., Shell]]) -> None:
+def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callable[..., LocalizerNode]]) -> None:
     """The camera's clock is an hour ahead: its stamp is passed on for the logs, ages are measured."""
     bus, localize = hub
     poses, statuses = bus.inbox(topics.POSE, Pose, 1), bus.inbox(topics.LOCALIZER, LocalizerStatus)
@@ -265,7 +265,7 @@ def test_a_pose_carries_the_cameras_stamp_and_a_true_age(hub: tuple[Bus, Callabl
     assert 40 * MS <= received.header.age_ns <= 40 * MS + elapsed_ns
 
 
-def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[..., Shell]]) -> None:
+def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[..., LocalizerNode]]) -> None:
     """A robot that is already a step ahead has reported a depth that does not count yet."""
     bus, localize = hub
     pose = bus.inbox(topics.POSE, Pose, 1)
@@ -286,7 +286,7 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[.
     assert received.header.age_ns == 30 * MS
 
 
-def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, Callable[..., Shell]]) -> None:
+def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, Callable[..., LocalizerNode]]) -> None:
     """A ball comes after 5 s, at the robots' depth: outlined ten times a second, with its speed; robots never are. A black
     camera has nothing to say."""
     ball = "sim.drifters=[{start_m=[-1.1, 0.5, 0.3], velocity_mps=[0.1, 0.0, 0.0], from_s=5.0}]"
@@ -332,21 +332,21 @@ def expose(bus: Bus, statuses: Inbox[LocalizerStatus], pixels: Pixels, frame_ns:
 
 
 def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
-    hub: tuple[Bus, Callable[..., Shell]], monkeypatch: pytest.MonkeyPatch
+    hub: tuple[Bus, Callable[..., LocalizerNode]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nine errors, a good picture, then ten: only these end it. The status of a skipped picture names no robots, so that
     nobody waits for their poses."""
     bus, localize = hub
     statuses, scene, wrong = bus.inbox(topics.LOCALIZER, LocalizerStatus), Scene(EXPERIMENT), [False]
     shell = localize(LockstepClock())
-    step = Locator.step
+    step = FleetLocalizer.step
 
-    def sometimes(*args: Any) -> Located:
+    def sometimes(*args: Any) -> LocalizationResult:
         if wrong[0]:
             raise np.linalg.LinAlgError("Singular matrix")
         return step(*args)
 
-    monkeypatch.setattr(Locator, "step", sometimes)
+    monkeypatch.setattr(FleetLocalizer, "step", sometimes)
     assert eventually(lambda: "localizer" in bus.present)
     failed = 0
     for k in range(22):
@@ -366,7 +366,7 @@ def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
 
 
 def test_an_obstacle_watch_that_fails_says_that_it_watches_nothing(
-    hub: tuple[Bus, Callable[..., Shell]], monkeypatch: pytest.MonkeyPatch
+    hub: tuple[Bus, Callable[..., LocalizerNode]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Poses go on."""
     bus, localize = hub
@@ -376,7 +376,7 @@ def test_an_obstacle_watch_that_fails_says_that_it_watches_nothing(
     def fails(*args: Any) -> None:
         raise cv2.error("no memory")
 
-    monkeypatch.setattr(ObstacleWatch, "step", fails)
+    monkeypatch.setattr(ObstacleDetector, "step", fails)
     shell = localize(LockstepClock())
     assert eventually(lambda: "localizer" in bus.present)
     for k in range(3):
@@ -392,17 +392,17 @@ def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() 
     hub, stop, wrong = MemoryHub(), Stop(install=False), [False]
     previews = Bus(MemoryTransport(hub)).inbox(topics.PREVIEW, Preview)
 
-    def draw(pixels: Pixels, located: Located, obstacles: Obstacles) -> Pixels:
+    def draw(pixels: Pixels, result: LocalizationResult, obstacles: Obstacles) -> Pixels:
         if wrong[0]:
             raise ValueError("cannot convert float NaN to integer")
         return np.full((480, 640, 3), 200, np.uint8)
 
-    made = Previews(draw, Bus(MemoryTransport(hub)), WallClock(), stop, 5.0)
-    located = Located((), LocalizerStatus(), PoolView(EXPERIMENT.camera))
+    made = PreviewPublisher(draw, Bus(MemoryTransport(hub)), WallClock(), stop, 5.0)
+    result = LocalizationResult((), LocalizerStatus(), RefractiveCamera(EXPERIMENT.camera))
     shown = []
     for k in range(3):
         wrong[0], stamp_ns = k == 1, 10**9 * (k + 1)
-        made.offer(Shot(np.zeros((8, 8), np.uint8), stamp_ns, stamp_ns, stamp_ns), located, Obstacles())
+        made.offer(CapturedFrame(np.zeros((8, 8), np.uint8), stamp_ns, stamp_ns, stamp_ns), result, Obstacles())
         assert eventually(lambda at=stamp_ns: (h := previews.newest_header()) is not None and h.stamp_ns == at)  # type: ignore[misc]
         received = previews.newest()
         assert received is not None
@@ -418,22 +418,24 @@ def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() 
 def test_nobody_looks_for_obstacles_who_was_not_asked_or_moves(scene: str, settings: list[str]) -> None:
     """Under a drone all of the background moves."""
     bus = Bus(MemoryTransport(MemoryHub()))
-    assert Shell(load_experiment(scene, settings), bus, Stop(install=False), LockstepClock())._watch is None
-    assert Shell(EXPERIMENT, bus, Stop(install=False), LockstepClock())._watch is not None
+    assert (
+        LocalizerNode(load_experiment(scene, settings), bus, Stop(install=False), LockstepClock())._obstacle_detector is None
+    )
+    assert LocalizerNode(EXPERIMENT, bus, Stop(install=False), LockstepClock())._obstacle_detector is not None
 
 
 def test_previews_keep_their_rate_and_survive_a_clock_set_back() -> None:
-    rate = Rate(5.0)
+    rate = RateLimiter(5.0)
     stamps = [1000, 1100, 1201, 1300, 1399, 1500, 20, 100, 220]
     assert [stamp for stamp in stamps if rate.due(stamp * MS)] == [1000, 1201, 1399, 20, 220]
-    assert not any(Rate(0.0).due(stamp) for stamp in stamps)
+    assert not any(RateLimiter(0.0).due(stamp) for stamp in stamps)
 
 
 @pytest.mark.parametrize(("camera_hz", "wanted_hz"), [(20, 20.0), (20, 15.0), (20, 5.0), (30, 20.0), (60, 25.0), (10, 20.0)])
 def test_as_many_go_through_as_asked_for_however_unevenly_a_camera_ticks(camera_hz: int, wanted_hz: float) -> None:
     jitter_ns = np.random.default_rng(1).normal(0.0, 0.5e6, 60 * camera_hz)
     stamps = 10**18 + np.arange(60 * camera_hz) * 1_000_000_000 // camera_hz + jitter_ns.astype(np.int64)
-    rate = Rate(wanted_hz)
+    rate = RateLimiter(wanted_hz)
     passed = np.array([stamp for stamp in stamps.tolist() if rate.due(stamp)])
     assert len(passed) == pytest.approx(60 * min(wanted_hz, camera_hz), abs=2)
     assert np.diff(passed).max() < 1e9 / min(wanted_hz, camera_hz) + 1e9 / camera_hz

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from sim_bridge.sil.ports import free_port
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import AgentLink
 from wire.mavlink.board_link import Arm, BoardLink, Override
@@ -56,7 +56,7 @@ class Bench:
     """A thruster board on UDP, and what it was told, in order."""
 
     def __init__(self, port: int) -> None:
-        self.board, self._ear = Board(POOL, 1, 1), BoardLink(1)
+        self.board, self._ear = ThrusterBoard(POOL, 1, 1), BoardLink(1)
         self.told: list[Arm | Override] = []
         self.heard = AgentLink(1)  # what the board says
         self._socket, self._over = socket(AF_INET, SOCK_DGRAM), threading.Event()

@@ -1,4 +1,4 @@
-"""What somebody would write with MAVSDK alone. Says on stdout, after "client", how it went; waits for a line now and then."""
+"""A client written with MAVSDK alone. It says on stdout, after "client", how it went; waits for a line now and then."""
 
 import math
 import sys

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from sim_bridge.camera import faults as camera_faults
-from sim_bridge.camera.faults import CameraTrouble
+from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.fault_schedule import Faults, LinkTrouble, never, only
-from sim_bridge.node.lossy_link import LossyLink
+from sim_bridge.fault_schedule import FaultSchedule, LinkFaults, faults_after_the_end, require_kinds
+from sim_bridge.node.udp_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.world import World
@@ -26,12 +26,12 @@ APART = np.array([[-9.0, 0.0, 5.0, 0.0], [9.0, 0.0, 5.0, 0.0]])
 def thrust(line: str, pulses: list[float]) -> Array:
     """Force (2, 4) that the thrusters reach when this holds and these pulses have been on for a second, 1600 us before."""
     experiment = load_experiment("pool", CALM, [f"t=0.5 {line}"])
-    fleet, faults = Plant(experiment, 1), Faults(experiment)
+    fleet, faults = Plant(experiment, 1), FaultSchedule(experiment)
     state = fleet.start(APART)
     for k in range(300):
         faults.at(k * 0.005)
         wanted = [1600.0] * 4 if k <= 100 else pulses
-        state = fleet.step(state, faults.pulses(np.tile([*wanted, *[1500.0] * 4], (2, 1))), faults.harm)
+        state = fleet.step(state, faults.pulses(np.tile([*wanted, *[1500.0] * 4], (2, 1))), faults.actuators)
     return state.motors.force_n
 
 
@@ -44,12 +44,12 @@ def test_a_broken_thruster(effect: str, factor: float) -> None:
 
 
 def test_it_says_what_breaks_and_what_is_whole_again() -> None:
-    faults = Faults(load_experiment("pool", faults=["t=1 for=2 camera dark", "t=2 battery 1 sag 2"]))
+    faults = FaultSchedule(load_experiment("pool", faults=["t=1 for=2 camera dark", "t=2 battery 1 sag 2"]))
     assert faults.at(0.99) == []
     assert faults.at(1.0) == ["fault: camera dark"]
     assert faults.at(2.5) == ["fault: battery 1 sag 2"]
     assert faults.at(3.0) == ["fault over: camera dark"]
-    assert faults.harm.sag_v.tolist() == [2.0, 0.0] and faults.camera == ()
+    assert faults.actuators.sag_v.tolist() == [2.0, 0.0] and faults.camera == ()
 
 
 def test_a_sagging_battery_is_measured_and_felt() -> None:
@@ -59,18 +59,18 @@ def test_a_sagging_battery_is_measured_and_felt() -> None:
     world.start_ns = 0
     texts = []
     for _ in range(260):
-        texts += world.break_things()
+        texts += world.apply_faults()
         world.step()
     assert texts == ["fault: battery 2 sag 2"]
-    volts = world._plant.rest_v(world._state, world.faults.harm)
+    volts = world._plant.rest_v(world._state, world.faults.actuators)
     assert volts[0] - volts[1] == pytest.approx(2.0, abs=1e-9)
 
 
 def test_before_the_start_nothing_breaks() -> None:
     world = World(load_experiment("pool", faults=["t=0 camera dark"]), 1, np.array([[-0.5, 0, 0.3, 0], [0.5, 0, 0.3, 0.0]]))
-    assert world.break_things() == []
+    assert world.apply_faults() == []
     world.start_ns = 0
-    assert world.break_things() == ["fault: camera dark"]
+    assert world.apply_faults() == ["fault: camera dark"]
 
 
 def test_a_broken_imu() -> None:
@@ -86,7 +86,7 @@ def test_a_broken_imu() -> None:
 
 
 def test_a_frozen_camera_sends_its_last_picture() -> None:
-    camera, random = CameraTrouble(), np.random.default_rng(1)
+    camera, random = CameraFaults(), np.random.default_rng(1)
     first, second = (random.integers(0, 255, (48, 64), dtype=np.uint8) for _ in range(2))
     assert (camera.apply(first, ()) == first).all()
     frozen = (read_what("camera frozen"),)
@@ -97,7 +97,7 @@ def test_a_frozen_camera_sends_its_last_picture() -> None:
 def test_dark_occluded_and_dazzled() -> None:
     picture = np.full((400, 600), 96, dtype=np.uint8)
     dark, hidden, dazzled = (
-        CameraTrouble().apply(picture, (read_what(f"camera {effect}"),)) for effect in ("dark", "occluded 0.25", "glare 0.2")
+        CameraFaults().apply(picture, (read_what(f"camera {effect}"),)) for effect in ("dark", "occluded 0.25", "glare 0.2")
     )
     assert (dark == 6).all()
     assert (hidden[:, :150] == 12).all() and (hidden[:, 150:] == 96).all()
@@ -106,7 +106,7 @@ def test_dark_occluded_and_dazzled() -> None:
 
 
 def test_a_glare_is_made_once_for_all_pictures_of_a_size() -> None:
-    camera, glare = CameraTrouble(), (read_what("camera glare 0.3"),)
+    camera, glare = CameraFaults(), (read_what("camera glare 0.3"),)
     before = camera_faults._glare.cache_info().misses
     pictures = [camera.apply(np.full((96, 128), level, np.uint8), glare) for level in (10, 20, 30)]
     assert camera_faults._glare.cache_info().misses == before + 1
@@ -121,18 +121,18 @@ def test_a_lost_marker_is_not_in_the_picture() -> None:
     eta = np.array([[-0.5, 0.0, 0.3, 0.0], [0.5, 0.0, 0.3, 0.0]])
     renderer = Renderer(experiment, 1)
     before = renderer.render(eta, np.zeros((2, 4)), 0.0, 0).astype(int)
-    renderer.lose_markers({1})
-    bare = renderer.render(eta, np.zeros((2, 4)), 0.0, 0).astype(int)
-    renderer.lose_markers(())
+    renderer.hide_markers({1})
+    unmarked = renderer.render(eta, np.zeros((2, 4)), 0.0, 0).astype(int)
+    renderer.hide_markers(())
     assert (renderer.render(eta, np.zeros((2, 4)), 0.0, 0) == before).all()
-    changed = np.abs(bare - before) > 20
+    changed = np.abs(unmarked - before) > 20
     assert changed[:, 160:].sum() > 20 and changed[:, :160].sum() == 0
 
 
 # --- links
 
 
-def through(trouble: LinkTrouble, count: int = 2000) -> list[tuple[int, int]]:
+def through(trouble: LinkFaults, count: int = 2000) -> list[tuple[int, int]]:
     """(time in ms, number) of what comes out when number k goes in at k * 20 ms."""
     link, out = LossyLink(1, 1, 0, 0), []
     for now_ms in range(0, count * 20 + 6000, 5):
@@ -143,24 +143,24 @@ def through(trouble: LinkTrouble, count: int = 2000) -> list[tuple[int, int]]:
 
 
 def test_a_whole_link_changes_nothing() -> None:
-    assert through(LinkTrouble()) == [(20 * k, k) for k in range(2000)]
+    assert through(LinkFaults()) == [(20 * k, k) for k in range(2000)]
 
 
 def test_a_cut_link_lets_nothing_through() -> None:
-    assert through(LinkTrouble(cut=True)) == []
+    assert through(LinkFaults(cut=True)) == []
 
 
 def test_a_slow_link_is_late_and_in_order() -> None:
-    assert through(LinkTrouble(delay_s=0.3)) == [(20 * k + 300, k) for k in range(2000)]
+    assert through(LinkFaults(delay_s=0.3)) == [(20 * k + 300, k) for k in range(2000)]
 
 
 def test_a_noisy_link_loses_doubles_and_reorders() -> None:
-    numbers = [number for _, number in through(LinkTrouble(loss=0.2))]
+    numbers = [number for _, number in through(LinkFaults(loss=0.2))]
     seen = Counter(numbers)
     assert 0.17 < 1 - len(seen) / 2000 < 0.23
     assert 0.17 < sum(count == 2 for count in seen.values()) / len(seen) < 0.23
     assert 0.05 < sum(b < a for a, b in itertools.pairwise(numbers)) / len(numbers) < 0.25
-    assert numbers == [number for _, number in through(LinkTrouble(loss=0.2))]  # the same seed, the same luck
+    assert numbers == [number for _, number in through(LinkFaults(loss=0.2))]  # the same seed, the same luck
 
 
 def test_what_a_flight_cannot_break_is_refused() -> None:
@@ -168,17 +168,17 @@ def test_what_a_flight_cannot_break_is_refused() -> None:
     with pytest.raises(
         ConfigError, match=r"sim.faults.1.what = 'camera dark': in a numeric flight .* \(allowed here: thruster"
     ):
-        only(experiment, ("thruster",), "in a numeric flight there is none")
+        require_kinds(experiment, ("thruster",), "in a numeric flight there is none")
 
 
 def test_the_tag_of_what_was_overtaken_is_gone() -> None:
     link = LossyLink(1, 1, 0, 0)
-    link.push(b"slow", 0, LinkTrouble(delay_s=0.1), tag=7)
-    link.push(b"fast", 10, LinkTrouble(), tag=8)
+    link.push(b"slow", 0, LinkFaults(delay_s=0.1), tag=7)
+    link.push(b"fast", 10, LinkFaults(), tag=8)
     assert link.pop(20) == [(b"fast", 8)]
     assert link.pop(10**9) == [(b"slow", 0)]
 
 
 def test_a_fault_after_the_end_is_told_to_never_happen() -> None:
     experiment = load_experiment("pool", ["duration_s=30"], ["t=29.9 thruster 1/1 dead", "t=500 camera dark"])
-    assert never(experiment) == ["never happens: camera dark at 500 s, for the run ends after 30 s"]
+    assert faults_after_the_end(experiment) == ["never happens: camera dark at 500 s, for the run ends after 30 s"]

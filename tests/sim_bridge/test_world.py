@@ -27,7 +27,7 @@ def fly(looks: bool, *settings: str) -> tuple[list[bytes], list[Motion | None], 
 
     def move(steps: int) -> None:
         for _ in range(steps):
-            world.break_things()
+            world.apply_faults()
             world.step()
             truth = world.truth()
             parts = (world.eta, world.nu, world.tilt, truth.wrench, truth.disturbance)

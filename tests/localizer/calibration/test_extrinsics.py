@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from localizer.calibration.extrinsics import PoseFit, fit_pose
-from localizer.calibration.survey_points import PoolPoint, PoolPoints, seen_pixels
+from localizer.calibration.survey_points import SurveyFile, SurveyPoint, seen_pixels
 from sim_bridge.camera.optics import project, rays
 from tests.localizer.board_scene import Bench, marks
 from wire.config.experiment import load_experiment
@@ -42,8 +42,8 @@ def _hung(seed: int) -> Camera:
     )
 
 
-def _points(places: list[tuple[float, float, float]]) -> list[PoolPoint]:
-    return [PoolPoint(name=f"point {i}", pool_m=place, pixel_px=(0.0, 0.0)) for i, place in enumerate(places)]
+def _points(places: list[tuple[float, float, float]]) -> list[SurveyPoint]:
+    return [SurveyPoint(name=f"point {i}", pool_m=place, pixel_px=(0.0, 0.0)) for i, place in enumerate(places)]
 
 
 def _fit(
@@ -56,14 +56,14 @@ def _fit(
 
 
 def _moved(fit: PoseFit, truth: Camera) -> tuple[float, float]:
-    """How far the found pose is from the true one: m, rad."""
+    """Distance and rotation of the found pose from the true one: m, rad."""
     found, true = (np.asarray(cv2.Rodrigues(np.array(camera.rotation_rad))[0]) for camera in (fit.camera, truth))
     turn = float(np.linalg.norm(cv2.Rodrigues(found @ true.T)[0]))
     return float(np.linalg.norm(np.subtract(fit.camera.position_m, truth.position_m))), turn
 
 
 def _places_off_m(fit: PoseFit, truth: Camera, pixels: Array) -> Array:
-    """How far from their true places at DEPTH_M the fit puts pixels (n, 2)."""
+    """Errors at DEPTH_M of the places that the fit gives for pixels (n, 2)."""
     found, true = (rays(camera, pixels) for camera in (fit.camera, truth))
     apart = found.surface_m + DEPTH_M * found.water - true.surface_m - DEPTH_M * true.water
     return np.asarray(np.linalg.norm(apart, axis=-1), dtype=np.float64)
@@ -164,8 +164,8 @@ def test_noise_alone_makes_no_suspect() -> None:
 # --- what cannot be used
 
 
-def _file(points: list[dict[str, object]], **more: object) -> PoolPoints:
-    return check(PoolPoints, {"pool": {"size_m": [3.5, 2.5, 1.0]}, "points": points} | more, "points.toml")
+def _file(points: list[dict[str, object]], **more: object) -> SurveyFile:
+    return check(SurveyFile, {"pool": {"size_m": [3.5, 2.5, 1.0]}, "points": points} | more, "points.toml")
 
 
 def _entries(places: list[tuple[float, float, float]]) -> list[dict[str, object]]:
@@ -237,8 +237,8 @@ def test_swapped_points_are_refused() -> None:
 # --- points that carry markers
 
 
-def _marked(number: int, place: tuple[float, float, float]) -> PoolPoint:
-    return PoolPoint(name=f"marker {number}", pool_m=place, marker_id=number)
+def _marked(number: int, place: tuple[float, float, float]) -> SurveyPoint:
+    return SurveyPoint(name=f"marker {number}", pool_m=place, marker_id=number)
 
 
 def test_markers_are_found_where_they_are() -> None:

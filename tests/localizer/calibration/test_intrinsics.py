@@ -4,8 +4,16 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer.calibration.intrinsics import CELLS, FEWEST_VIEWS, Lens, LensFit, fit_lens, fold_px, lens_warnings
-from localizer.calibration.targets import BoardView, parse_board
+from localizer.calibration.intrinsics import (
+    CELLS,
+    FEWEST_VIEWS,
+    IntrinsicsFit,
+    fit_intrinsics,
+    fold_px,
+    intrinsics_warnings,
+)
+from localizer.calibration.targets import TargetView, parse_target
+from localizer.camera_model import Intrinsics
 from tests.localizer.board_scene import Bench, charuco, chessboard
 from wire.config.experiment import load_experiment
 from wire.frames import Array
@@ -31,20 +39,20 @@ BENCH, SMALL_BENCH = Bench(WIDE), Bench(SMALL)
 BOARD_M = chessboard(9, 6, 0.03)[2]
 
 
-def _miss(lens: Lens, truth: Lens) -> Array:
+def _miss(lens: Intrinsics, truth: Intrinsics) -> Array:
     """Error of fx, fy, cx, cy in px."""
     found, true = (np.array([*one.focal_px, *one.centre_px]) for one in (lens, truth))
     return np.asarray(found - true, dtype=np.float64)
 
 
-def _assert_near(fit: LensFit, truth: Lens, focal: float = 0.003, centre_px: float = 1.5) -> None:
+def _assert_near(fit: IntrinsicsFit, truth: Intrinsics, focal: float = 0.003, centre_px: float = 1.5) -> None:
     miss = _miss(fit.lens, truth)
     assert np.abs(miss[:2] / truth.focal_px).max() < focal
     assert np.abs(miss[2:]).max() < centre_px
 
 
-def _bending_px(lens: Lens) -> Array:
-    """How far distortion moves points from the middle to four fifths of the way to the right side, (n,) px."""
+def _bending_px(lens: Intrinsics) -> Array:
+    """Shift by distortion of points from the middle to four fifths of the way to the right side, (n,) px."""
     rays = np.linspace(0.0, 0.8, 9)[:, None] * np.array([[lens.size_px[0] / 2.0 / lens.focal_px[0], 0.0]])
     ahead = np.column_stack([rays, np.ones(len(rays))])
     both = (np.array(lens.distortion), np.zeros(5))
@@ -57,7 +65,7 @@ def _bending_px(lens: Lens) -> Array:
 
 def test_lens_from_pictures_of_a_chessboard() -> None:
     texture, corner_m, board_m = chessboard(7, 5, 0.04)
-    board, views = parse_board("chessboard:7x5:0.04"), []
+    board, views = parse_target("chessboard:7x5:0.04"), []
     for i, (turn, move) in enumerate(SMALL_BENCH.poses(9, board_m, seed=3)):
         view = board.find(SMALL_BENCH.picture(texture, corner_m, turn, move), f"picture {i}")
         if view is None:
@@ -69,17 +77,17 @@ def test_lens_from_pictures_of_a_chessboard() -> None:
         assert off < 0.2
         views.append(view)
     assert len(views) >= 7
-    fit = fit_lens(views, SMALL.size_px)
-    _assert_near(fit, Lens.of(SMALL))
+    fit = fit_intrinsics(views, SMALL.size_px)
+    _assert_near(fit, Intrinsics.of(SMALL))
     assert fit.rms_px < 0.1
-    assert np.abs(_bending_px(fit.lens) - _bending_px(Lens.of(SMALL))).max() < 0.2
+    assert np.abs(_bending_px(fit.lens) - _bending_px(Intrinsics.of(SMALL))).max() < 0.2
     assert not fit.rejected
 
 
 def test_lens_from_boards_that_reach_out_of_the_picture() -> None:
-    """What a ChArUco board is for: the picture's edges hold corners too, and each corner is known by its number."""
+    """A ChArUco board may be partly hidden: each corner is known by its number, so the picture's edges hold corners too."""
     board_m = np.array([[x, y, 0.0] for x in (0.0, 0.28) for y in (0.0, 0.2)])
-    texture, board = charuco((7, 5), 0.04, 0.03), parse_board("charuco:7x5:0.04:0.03:DICT_4X4_50")
+    texture, board = charuco((7, 5), 0.04, 0.03), parse_target("charuco:7x5:0.04:0.03:DICT_4X4_50")
     views = []
     for i, (turn, move) in enumerate(SMALL_BENCH.poses(12, board_m, seed=5, margin_px=-60.0)):
         view = board.find(SMALL_BENCH.picture(texture, np.zeros(2), turn, move), f"picture {i}")
@@ -88,16 +96,16 @@ def test_lens_from_boards_that_reach_out_of_the_picture() -> None:
         assert np.abs(off).max() < 0.6 and np.std(off) < 0.12
         views.append(view)
     assert min(len(view.pixels) for view in views) < 20
-    fit = fit_lens(views, SMALL.size_px)
-    _assert_near(fit, Lens.of(SMALL))
-    assert np.abs(_bending_px(fit.lens) - _bending_px(Lens.of(SMALL))).max() < 0.2
+    fit = fit_intrinsics(views, SMALL.size_px)
+    _assert_near(fit, Intrinsics.of(SMALL))
+    assert np.abs(_bending_px(fit.lens) - _bending_px(Intrinsics.of(SMALL))).max() < 0.2
 
 
 @pytest.mark.parametrize(
     "text", ["chessboard:9x6:0.03", "charuco:7x5:0.04:0.03:DICT_4X4_50", "charuco:7x6:0.04:0.03:DICT_4X4_50:legacy"]
 )
 def test_no_board_is_found_where_there_is_none(text: str) -> None:
-    board = parse_board(text)
+    board = parse_target(text)
     for grey in (np.full((240, 320), 90, np.uint8), np.random.default_rng(1).integers(0, 256, (240, 320)).astype(np.uint8)):
         assert board.find(grey, "nothing") is None
 
@@ -121,15 +129,15 @@ def test_no_board_is_found_where_there_is_none(text: str) -> None:
 )
 def test_a_board_that_cannot_be_is_refused(text: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
-        parse_board(text)
+        parse_target(text)
 
 
 # --- from corners
 
 
 def test_exact_corners_give_the_exact_lens() -> None:
-    fit = fit_lens(BENCH.views(10, BOARD_M, seed=1, noise_px=0.0), WIDE.size_px)
-    _assert_near(fit, Lens.of(WIDE), focal=1e-5, centre_px=0.02)
+    fit = fit_intrinsics(BENCH.views(10, BOARD_M, seed=1, noise_px=0.0), WIDE.size_px)
+    _assert_near(fit, Intrinsics.of(WIDE), focal=1e-5, centre_px=0.02)
     assert fit.lens.distortion == pytest.approx(WIDE.distortion, abs=1e-4)
     assert fit.rms_px < 1e-3
 
@@ -138,20 +146,20 @@ def test_deviations_are_honest() -> None:
     """The mean square of error over stated deviation is one: within the 98 % band for 4 x 12 of them, widened for ties."""
     scores = []
     for seed in range(12):
-        fit = fit_lens(BENCH.views(12, BOARD_M, seed, noise_px=0.3), WIDE.size_px)
-        _assert_near(fit, Lens.of(WIDE), focal=0.005, centre_px=6.0)
-        scores.append((_miss(fit.lens, Lens.of(WIDE)) / fit.deviations[:4]) ** 2)
+        fit = fit_intrinsics(BENCH.views(12, BOARD_M, seed, noise_px=0.3), WIDE.size_px)
+        _assert_near(fit, Intrinsics.of(WIDE), focal=0.005, centre_px=6.0)
+        scores.append((_miss(fit.lens, Intrinsics.of(WIDE)) / fit.deviations[:4]) ** 2)
         assert fit.rms_px == pytest.approx(0.3 * np.sqrt(2.0), rel=0.15)
     assert 0.5 < np.mean(scores) < 1.7
 
 
 def test_more_views_make_a_better_lens() -> None:
-    few, many = (fit_lens(BENCH.views(count, BOARD_M, 4, noise_px=0.2), WIDE.size_px) for count in (6, 40))
+    few, many = (fit_intrinsics(BENCH.views(count, BOARD_M, 4, noise_px=0.2), WIDE.size_px) for count in (6, 40))
     assert many.deviations[0] < 0.6 * few.deviations[0]
-    _assert_near(many, Lens.of(WIDE))
+    _assert_near(many, Intrinsics.of(WIDE))
 
 
-def _spoilt(view: BoardView, how: str) -> BoardView:
+def _spoilt(view: TargetView, how: str) -> TargetView:
     random = np.random.default_rng(9)
     pixels = view.pixels.copy()
     if how == "blurred":
@@ -160,37 +168,39 @@ def _spoilt(view: BoardView, how: str) -> BoardView:
         pixels[7] += [14.0, -9.0]
     else:  # the board was bent
         pixels[:, 0] += 6.0 * (view.board_m[:, 1] / 0.1) ** 2
-    return BoardView(f"{view.name} {how}", view.board_m, pixels)
+    return TargetView(f"{view.name} {how}", view.board_m, pixels)
 
 
 def test_bad_views_are_left_out_by_name() -> None:
     good = BENCH.views(12, BOARD_M, seed=6, noise_px=0.15)
     bad = [_spoilt(good[i], how) for i, how in ((2, "blurred"), (5, "one corner misread"), (9, "bent"))]
-    fit = fit_lens([*good[:4], *bad, *good[4:]], WIDE.size_px)
+    fit = fit_intrinsics([*good[:4], *bad, *good[4:]], WIDE.size_px)
     assert {view.name for view, _ in fit.rejected} == {view.name for view in bad}
     assert all(rms > 0.5 for _, rms in fit.rejected)
-    assert _miss(fit.lens, fit_lens(good, WIDE.size_px).lens) == pytest.approx(np.zeros(4), abs=1e-3)
+    assert _miss(fit.lens, fit_intrinsics(good, WIDE.size_px).lens) == pytest.approx(np.zeros(4), abs=1e-3)
     assert [view.name for view in fit.views] == [view.name for view in good]
 
 
 @pytest.mark.parametrize("noise_px", [0.02, 0.3, 1.0])
 def test_equally_noisy_views_all_stay(noise_px: float) -> None:
-    assert not fit_lens(BENCH.views(14, BOARD_M, seed=7, noise_px=noise_px), WIDE.size_px).rejected
+    assert not fit_intrinsics(BENCH.views(14, BOARD_M, seed=7, noise_px=noise_px), WIDE.size_px).rejected
 
 
 def test_when_most_views_are_bad_it_is_said_not_hidden() -> None:
     views = [_spoilt(view, "blurred") for view in BENCH.views(12, BOARD_M, seed=8, noise_px=0.1)]
-    fit = fit_lens(views, WIDE.size_px)
+    fit = fit_intrinsics(views, WIDE.size_px)
     assert len(fit.rejected) <= 4
-    assert any("RMS of" in text for text in lens_warnings(fit))
+    assert any("RMS of" in text for text in intrinsics_warnings(fit))
 
 
 def test_k3_is_fitted_where_it_matters_only() -> None:
     fisher = Bench(WIDE.model_copy(update={"focal_px": (700.0, 700.0), "distortion": (-0.3, 0.12, 0.0, 0.0, -0.03)}))
-    assert fit_lens(fisher.views(20, BOARD_M, 3, noise_px=0.03), WIDE.size_px).lens.distortion[4] == pytest.approx(
+    assert fit_intrinsics(fisher.views(20, BOARD_M, 3, noise_px=0.03), WIDE.size_px).lens.distortion[4] == pytest.approx(
         -0.03, abs=0.015
     )
-    plain = [fit_lens(BENCH.views(10, BOARD_M, seed, noise_px=0.2), WIDE.size_px).lens.distortion[4] for seed in range(6)]
+    plain = [
+        fit_intrinsics(BENCH.views(10, BOARD_M, seed, noise_px=0.2), WIDE.size_px).lens.distortion[4] for seed in range(6)
+    ]
     assert plain.count(0.0) >= 5
 
 
@@ -198,7 +208,7 @@ def test_repeated_views_make_no_false_certainty() -> None:
     """A video shows the board again and again where it rests: five times the same noise is not five times the knowledge."""
     for seed in range(6):
         views = [view for view in BENCH.views(10, BOARD_M, seed, noise_px=0.2) for _ in range(5)]
-        assert fit_lens(views, WIDE.size_px).lens.distortion[4] == 0.0
+        assert fit_intrinsics(views, WIDE.size_px).lens.distortion[4] == 0.0
 
 
 @pytest.mark.parametrize("count", [0, 1, FEWEST_VIEWS - 1])
@@ -207,29 +217,29 @@ def test_too_few_views(count: int) -> None:
     with pytest.raises(
         ConfigError, match=rf"found in {count} pictures \({'view-0' if count else 'none'}.*at least {FEWEST_VIEWS}"
     ):
-        fit_lens(views, WIDE.size_px)
+        fit_intrinsics(views, WIDE.size_px)
 
 
 def test_the_same_view_again_and_again_makes_no_lens() -> None:
     """Nothing but a board that faces the camera tells distance from focal length: refused, or said to be loose."""
-    flat = [BoardView(f"flat-{i}", BOARD_M, BENCH.see(BOARD_M + np.array([-0.12, -0.07, 0.4]))) for i in range(8)]
+    flat = [TargetView(f"flat-{i}", BOARD_M, BENCH.see(BOARD_M + np.array([-0.12, -0.07, 0.4]))) for i in range(8)]
     noisy = [
-        BoardView(v.name, v.board_m, v.pixels + 0.1 * np.random.default_rng(i).normal(size=(54, 2)))
+        TargetView(v.name, v.board_m, v.pixels + 0.1 * np.random.default_rng(i).normal(size=(54, 2)))
         for i, v in enumerate(flat)
     ]
     try:
-        fit = fit_lens(noisy, WIDE.size_px)
+        fit = fit_intrinsics(noisy, WIDE.size_px)
     except ConfigError as error:
         assert "no lens explains" in str(error)
     else:
-        assert any("loose" in text for text in lens_warnings(fit))
+        assert any("loose" in text for text in intrinsics_warnings(fit))
 
 
 # --- what is said about it
 
 
 def test_coverage_counts_every_corner_where_it_lies() -> None:
-    fit = fit_lens(BENCH.views(12, BOARD_M, seed=2, noise_px=0.1), WIDE.size_px)
+    fit = fit_intrinsics(BENCH.views(12, BOARD_M, seed=2, noise_px=0.1), WIDE.size_px)
     counts = fit.coverage
     assert counts.shape == CELLS[::-1]
     assert counts.sum() == 12 * 54
@@ -239,16 +249,16 @@ def test_coverage_counts_every_corner_where_it_lies() -> None:
 
 
 def test_a_good_set_of_views_needs_no_warning_and_a_poor_one_gets_them() -> None:
-    good = fit_lens(BENCH.views(40, BOARD_M, seed=5, noise_px=0.1), WIDE.size_px)
-    assert lens_warnings(good) == []
+    good = fit_intrinsics(BENCH.views(40, BOARD_M, seed=5, noise_px=0.1), WIDE.size_px)
+    assert intrinsics_warnings(good) == []
     left = [view for view in BENCH.views(150, BOARD_M, seed=5, noise_px=0.1) if view.pixels[:, 0].max() < 640][:6]
-    said = " ".join(lens_warnings(fit_lens(left, WIDE.size_px)))
+    said = " ".join(intrinsics_warnings(fit_intrinsics(left, WIDE.size_px)))
     for what in ("only 6 views", "of the picture (wanted: 60%)", "towards a corner of the picture"):
         assert what in said
 
 
 def test_a_lens_that_folds_over_is_noticed() -> None:
     """r (1 - 0.5 r^2) turns back at r = 0.82, which this wide picture reaches."""
-    lens = Lens.of(WIDE.model_copy(update={"focal_px": (600.0, 600.0), "distortion": (-0.5, 0.0, 0.0, 0.0, 0.0)}))
+    lens = Intrinsics.of(WIDE.model_copy(update={"focal_px": (600.0, 600.0), "distortion": (-0.5, 0.0, 0.0, 0.0, 0.0)}))
     assert fold_px(lens) > 10.0
-    assert fold_px(Lens.of(WIDE)) < 1e-6
+    assert fold_px(Intrinsics.of(WIDE)) < 1e-6

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from localizer.calibration.pool_grid import FLOOR, GRID, GRID_M, MARK, SURFACE, draw_grid, figures
-from localizer.camera_model import PoolView
+from localizer.calibration.pool_grid import FLOOR, GRID, GRID_M, MARK, SURFACE, draw_grid, view_figures
+from localizer.camera_model import RefractiveCamera
 from sim_bridge.camera.optics import project
 from wire.config.experiment import load_experiment
 from wire.config.perception import Camera
@@ -27,7 +27,7 @@ def _drawn(camera: Camera, pool: PoolConfig = EXPERIMENT.pool) -> Array:
 
 
 def _share(picture: Array, camera: Camera, point: tuple[float, float, float], colour: tuple[int, int, int]) -> float:
-    """How much of a colour is at the pixel where the simulator sees a point: 1 all, 0 none."""
+    """Share of a colour at the pixel at which the simulator sees a point: 1 all, 0 none."""
     u, v = np.rint(project(camera, np.array([point]))[0]).astype(int)
     return float(picture[v, u] @ np.array(colour) / np.sum(np.square(colour)))
 
@@ -59,7 +59,7 @@ def test_a_lens_that_folds_over_draws_nothing_that_is_not_there() -> None:
     blue, green, red = np.moveaxis(_drawn(camera, large), 2, 0)
     pixels = np.argwhere((blue > 140.0) & (red > 140.0) & (green < 0.7 * blue))[:, ::-1].astype(np.float64)
     assert len(pixels) > 1000
-    place = PoolView(camera).pool(pixels, DEPTH_M)
+    place = RefractiveCamera(camera).pixel_to_pool(pixels, DEPTH_M)
     off = np.abs(place - GRID_M * np.rint(place / GRID_M)).min(axis=1)
     assert np.mean(off > 0.01) < 0.05  # lines are a pixel or two wide, 3 mm each; the rest is text
 
@@ -71,7 +71,7 @@ def test_figures_of_a_plain_camera(depth_m: float) -> None:
     edges = np.array([1280 / 2, 960 / 2]) / focal_px
     in_water = edges / np.sqrt(edges**2 + 1.0) / 1.333
     slope = in_water / np.sqrt(1.0 - in_water**2) if depth_m > 0 else edges
-    found = figures(PLAIN, EXPERIMENT.pool, depth_m)
+    found = view_figures(PLAIN, EXPERIMENT.pool, depth_m)
     assert found.field_m == pytest.approx(2.0 * (height_m * edges + depth_m * slope))
     to_centre = height_m + (depth_m / 1.333 if depth_m > 0 else depth_m)
     assert found.mm_per_px[0] == pytest.approx(1e3 * to_centre / focal_px, rel=1e-4)
@@ -86,4 +86,4 @@ def test_figures_of_a_plain_camera(depth_m: float) -> None:
 def test_how_much_of_the_pool_is_seen() -> None:
     """The picture is 3.57 m x 2.67 m at the surface."""
     twice = PoolConfig(size_m=(2 * 3.566, 2 * 2.675, 1.0))
-    assert figures(PLAIN, twice, 0.0).seen_share == pytest.approx(0.25, abs=0.02)
+    assert view_figures(PLAIN, twice, 0.0).seen_share == pytest.approx(0.25, abs=0.02)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 
 from localizer.calibration.extrinsics import PoseFit
-from localizer.calibration.intrinsics import fit_lens
-from localizer.calibration.report import MAGNIFIED, lens_lines, lens_picture, pose_lines, pose_picture
-from localizer.calibration.survey_points import PoolPoint
-from localizer.calibration.targets import BoardView
+from localizer.calibration.intrinsics import fit_intrinsics
+from localizer.calibration.report import MAGNIFIED, intrinsics_lines, intrinsics_picture, pose_lines, pose_picture
+from localizer.calibration.survey_points import SurveyPoint
+from localizer.calibration.targets import TargetView
 from tests.localizer.board_scene import Bench, chessboard
 from wire.config.experiment import load_experiment
 from wire.config.scene import PoolConfig
@@ -18,30 +18,30 @@ BENCH, BOARD_M = Bench(CAMERA), chessboard(9, 6, 0.03)[2]
 POOL = PoolConfig(size_m=(3.5, 2.5, 1.0))
 
 
-def _pose_fit(errors_px: list[tuple[float, float]], suspect: int | None = None) -> tuple[PoseFit, list[PoolPoint]]:
+def _pose_fit(errors_px: list[tuple[float, float]], suspect: int | None = None) -> tuple[PoseFit, list[SurveyPoint]]:
     """Points in a row along y = 0.4 m, seen off their places."""
     places = [(-1.0 + 0.4 * i, 0.4, 0.3) for i in range(len(errors_px))]
-    points = [PoolPoint(name=f"mark {i}", pool_m=place, pixel_px=(0.0, 0.0)) for i, place in enumerate(places)]
+    points = [SurveyPoint(name=f"mark {i}", pool_m=place, pixel_px=(0.0, 0.0)) for i, place in enumerate(places)]
     seen = np.array([[200.0 + 150.0 * i, 300.0] for i in range(len(points))])
     return PoseFit(CAMERA, seen, np.array(errors_px), 1e-6 * np.eye(6), suspect), points
 
 
 def test_every_view_is_accounted_for() -> None:
     views = BENCH.views(8, BOARD_M, seed=2, noise_px=0.1)
-    bad = BoardView("shaken", BOARD_M, views[3].pixels + 4.0 * np.random.default_rng(1).normal(size=(54, 2)))
-    lines = lens_lines(fit_lens([*views, bad], CAMERA.size_px), ["dark.png"], spare=7)
+    bad = TargetView("shaken", BOARD_M, views[3].pixels + 4.0 * np.random.default_rng(1).normal(size=(54, 2)))
+    lines = intrinsics_lines(fit_intrinsics([*views, bad], CAMERA.size_px), ["dark.png"], spare=7)
     assert next(line for line in lines if "shaken" in line).endswith("left out: bad")
     assert next(line for line in lines if "dark.png" in line).endswith("left out: no board found")
     assert all(any(view.name in line for line in lines) for view in views)
     assert any("7 more views" in line for line in lines)
     assert any("WARNING: only 8 views" in line for line in lines)
     corners = next(line for line in lines if "all that were kept" in line)
-    assert corners.split()[-2:] == [str(8 * 54), f"{fit_lens(views, CAMERA.size_px).rms_px:.3f}"]
+    assert corners.split()[-2:] == [str(8 * 54), f"{fit_intrinsics(views, CAMERA.size_px).rms_px:.3f}"]
 
 
 def test_the_map_is_empty_where_no_corner_fell() -> None:
-    fit = fit_lens(BENCH.views(6, BOARD_M, seed=3, noise_px=0.1), CAMERA.size_px)
-    rows = [line.split() for line in lens_lines(fit, [], 0) if len(line.split()) == 8 and set(line) <= set(" ·-+*#")]
+    fit = fit_intrinsics(BENCH.views(6, BOARD_M, seed=3, noise_px=0.1), CAMERA.size_px)
+    rows = [line.split() for line in intrinsics_lines(fit, [], 0) if len(line.split()) == 8 and set(line) <= set(" ·-+*#")]
     assert np.array_equal(np.array(rows) == "·", fit.coverage == 0)
 
 
@@ -64,9 +64,9 @@ def test_points_that_prove_little_are_said_to() -> None:
 
 def test_arrows_are_the_errors_magnified() -> None:
     """Red from the corner seen to MAGNIFIED times its error away, and nothing beyond."""
-    fit = fit_lens(BENCH.views(6, BOARD_M, seed=3, noise_px=0.1), CAMERA.size_px)
+    fit = fit_intrinsics(BENCH.views(6, BOARD_M, seed=3, noise_px=0.1), CAMERA.size_px)
     lone = replace(fit, views=fit.views[:1], residuals_px=(np.tile([1.0, -0.5], (54, 1)),))
-    picture = lens_picture(np.zeros((960, 1280, 3), np.uint8), lone).astype(int)
+    picture = intrinsics_picture(np.zeros((960, 1280, 3), np.uint8), lone).astype(int)
     for share, there in ((0.5, True), (0.9, True), (1.3, False)):
         u, v = np.rint(lone.views[0].pixels[0] + share * MAGNIFIED * np.array([1.0, -0.5])).astype(int)
         blue, _, red = picture[v - 1 : v + 2, u - 1 : u + 2].reshape(-1, 3).max(axis=0)

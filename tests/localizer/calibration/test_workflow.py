@@ -17,7 +17,7 @@ from localizer.calibration.verify import LivePictures, show_live
 from localizer.detection.image_regions import BAYER_TO_BGR
 from localizer.sources.base import SUFFIXES
 from localizer.sources.files import FolderSource
-from localizer.view.mjpeg_server import Page
+from localizer.view.mjpeg_server import MjpegServer
 from sim_bridge.camera.optics import project, rays
 from tests.localizer.board_scene import Bench, charuco, marks
 from tests.localizer.scene import bayer
@@ -91,7 +91,7 @@ def _experiment(folder: Path) -> Path:
 
 
 def _places_off_m(found: Camera, depth_m: float) -> Array:
-    """How far from their true places a calibration puts pixels all over the pool."""
+    """Errors of the places that a calibration gives for pixels all over the pool."""
     grid = np.stack(np.meshgrid(np.linspace(-1.2, 1.2, 7), np.linspace(-0.85, 0.85, 5), [depth_m]), axis=-1).reshape(-1, 3)
     lines = rays(found, project(TRUTH, grid))
     return np.asarray(np.linalg.norm(lines.surface_m + depth_m * lines.water - grid[:, :2], axis=-1))
@@ -177,7 +177,7 @@ def test_pictures_of_one_channel_mean_the_same_to_a_source_and_to_the_calibratio
     path = tmp_path / "frames" / f"frame{suffix}"
     assert cv2.imwrite(str(path), raw)
     source = FolderSource(tmp_path / "frames", 20.0, WallClock())
-    shot = next(source.shots(Stop(install=False)))
+    shot = next(source.frames(Stop(install=False)))
     assert shot is not None
     colours = read_picture(path)
     assert colours == pytest.approx(cv2.cvtColor(shot.pixels, BAYER_TO_BGR), abs=3)
@@ -190,7 +190,7 @@ def test_pictures_of_one_channel_mean_the_same_to_a_source_and_to_the_calibratio
 def test_a_file_that_one_takes_for_a_picture_the_other_takes_too(tmp_path: Path, suffix: str) -> None:
     shape = (64, 80) if suffix == ".pgm" else (64, 80, 3)
     assert cv2.imwrite(str(tmp_path / f"frame{suffix}"), np.full(shape, 90, np.uint8))
-    shot = next(FolderSource(tmp_path, 20.0, WallClock()).shots(Stop(install=False)))
+    shot = next(FolderSource(tmp_path, 20.0, WallClock()).frames(Stop(install=False)))
     assert shot is not None and shot.pixels.mean() == pytest.approx(90, abs=2)
     ((name, picture),) = pictures([tmp_path], every=1)
     assert name.endswith(suffix) and picture.mean() == pytest.approx(90, abs=2)
@@ -254,7 +254,7 @@ def _files(folder: Path, lab: Path) -> None:
         ("nowhere --board {board}", "nowhere: cannot be read: No such file"),
         ("empty --board {board}", "empty: no pictures in this folder"),
         ("text.png --board {board}", r"text\.png: not a picture that OpenCV reads .allowed: .*png"),
-        ("text.avi --board {board}", r"text\.avi: neither a picture nor a video"),
+        ("text.avi --board {board}", r"text\.avi: cannot be read as a video"),
         ("two large.png --board {board}", r"large\.png: 960x720, but two/00\.png is 480x360: all must come from one camera"),
         ("two --board {board}", r"found in 2 pictures \(two/00\.png, two/01\.png\), at least 5 are needed"),
         ("blank --board {board}", "found in none of 1 pictures"),
@@ -375,7 +375,7 @@ def test_the_live_grid_follows_the_camera_until_stopped_and_complains_of_another
     with (
         Bus(MemoryTransport(hub)) as camera,
         Bus(MemoryTransport(hub)) as viewer,
-        closing(Page(0, Stop(install=False))) as page,
+        closing(MjpegServer(0, Stop(install=False))) as page,
     ):
         pictures, seen = LivePictures(viewer), 0
 

@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer.camera_model import PoolView
+from localizer.camera_model import RefractiveCamera
 from localizer.detection.fiducials import MarkerReader, find_markers, marker_detector, marker_pose
-from localizer.detection.image_regions import Region, cut, whole
+from localizer.detection.image_regions import ImageRegion, cut, whole
 from tests.localizer.scene import Pixels, Scene, bayer
 from wire.config.experiment import load_experiment
 from wire.frames import wrap
 
 EXPERIMENT = load_experiment("pool")
-VIEW = PoolView(EXPERIMENT.camera)
+VIEW = RefractiveCamera(EXPERIMENT.camera)
 PLATE_M = 0.15
 SIDE_M = EXPERIMENT.vehicle.marker.side_m
 
@@ -26,8 +26,8 @@ def _reader() -> MarkerReader:
     return MarkerReader(SIDE_M, {1: 0, 2: 1})
 
 
-def _region(frame: Pixels, x_m: float, y_m: float) -> Region:
-    region = cut(frame, VIEW.pixel(np.array([x_m, y_m, PLATE_M])), 80.0)
+def _region(frame: Pixels, x_m: float, y_m: float) -> ImageRegion:
+    region = cut(frame, VIEW.pool_to_pixel(np.array([x_m, y_m, PLATE_M])), 80.0)
     assert region is not None
     return region
 
@@ -54,7 +54,7 @@ def test_corners_count_from_the_first_pixels_centre(left: int, top: int) -> None
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
     grey[top : top + 36, left : left + 36] = cv2.aruco.generateImageMarker(dictionary, 7, 36)
     blurred = cv2.GaussianBlur(np.repeat(grey[:, :, None], 3, axis=2), (3, 3), 0)
-    found = find_markers(marker_detector(), Region(bayer(np.asarray(blurred, np.uint8)), 200, 100))
+    found = find_markers(marker_detector(), ImageRegion(bayer(np.asarray(blurred, np.uint8)), 200, 100))
     assert [marker.id for marker in found] == [7]
     upper_left, lower_right = np.array([left, top]) - 0.5, np.array([left, top]) + 35.5
     corners = found[0].corners_px - np.array([200.0, 100.0])

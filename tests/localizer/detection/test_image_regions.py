@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localizer.camera_model import PoolView
-from localizer.detection.image_regions import BAYER_TO_BGR, BodyFrame, Hull, Sampler, cut, whole
+from localizer.camera_model import RefractiveCamera
+from localizer.detection.image_regions import BAYER_TO_BGR, BodyProjection, BodySampler, RobotShape, cut, whole
 from tests.localizer.scene import bayer
 from wire.config.experiment import load_experiment
 from wire.frames import Array, body_to_pool
 
-FLAT = Hull(0.15, 0.0, 1.0)
+FLAT = RobotShape(0.15, 0.0, 1.0)
 EXPERIMENT = load_experiment("pool")
 
 
@@ -45,7 +45,7 @@ def test_colours_are_right(shrink: int) -> None:
     plain = np.zeros((32, 32, 3), np.uint8)
     plain[...] = (10, 90, 200)
     region = whole(bayer(plain))
-    colour = region.colour(shrink).bgr
+    colour = region.demosaiced(shrink).bgr
     assert colour.shape == (32 // shrink, 32 // shrink, 3)
     assert np.all(colour == (10, 90, 200))
     assert region.grey()[8, 8] == pytest.approx(0.114 * 10 + 0.587 * 90 + 0.299 * 200, abs=1.5)
@@ -60,37 +60,37 @@ def test_samples_lie_where_the_body_frame_says(shrink: int, x: float, y: float, 
     region = cut(frame, np.array([x, y]), 30.0)
     assert region is not None
     turn = 100.0 * np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    body = BodyFrame(np.array([x, y]), turn, np.zeros(2))
-    sampler = Sampler(24, 0.008, 0.12, FLAT)
-    seen = sampler.patch(region.colour(shrink), body)[:2] / 3.0
+    body = BodyProjection(np.array([x, y]), turn, np.zeros(2))
+    sampler = BodySampler(24, 0.008, 0.12, FLAT)
+    seen = sampler.patch(region.demosaiced(shrink), body)[:2] / 3.0
     offsets = (np.arange(24) - 12) * 0.008
     ahead, starboard = np.meshgrid(offsets, offsets)
     expected = np.moveaxis(np.array([x, y]) + 100.0 * body_to_pool(np.stack([ahead, starboard], axis=-1), yaw), -1, 0)
     assert np.abs(np.mean(seen - expected, axis=(1, 2))).max() < 0.25
     assert np.abs(seen - expected).max() < 0.7
-    rings = sampler.rings(region.colour(shrink), body).reshape(3, 10, 128)[:2] / 3.0
+    rings = sampler.rings(region.demosaiced(shrink), body).reshape(3, 10, 128)[:2] / 3.0
     assert rings[:, -1, 0] == pytest.approx([x + 12 * np.cos(yaw), y + 12 * np.sin(yaw)], abs=0.5)
     assert rings[:, -1, 32] == pytest.approx([x - 12 * np.sin(yaw), y + 12 * np.cos(yaw)], abs=0.5)
 
 
 def test_relief_puts_the_rim_where_the_camera_sees_it() -> None:
     """Points on the sphere, projected exactly, against the linear placement: to 2 px of the 17 px by which they slide."""
-    view, hull = PoolView(EXPERIMENT.camera), Hull(0.15, 0.15, 0.0)
+    view, hull = RefractiveCamera(EXPERIMENT.camera), RobotShape(0.15, 0.15, 0.0)
     x, y, z = 1.2, -0.7, 0.3
-    tangent = view.tangents([np.array([x, y])], [z - 0.15])[0]
+    tangent = view.linearize([np.array([x, y])], [z - 0.15])[0]
     turn = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     points = 0.12 * np.stack([np.cos(turn), np.sin(turn)])
     drop = hull.drop_m(points)
     assert drop == pytest.approx(0.15 - 0.09)
     linear = tangent.pixel + (tangent.pool_to_px @ points + tangent.down_px[:, None] * drop).T
-    exact = view.pixel(np.column_stack([x + points[0], y + points[1], z - 0.15 + drop]))
+    exact = view.pool_to_pixel(np.column_stack([x + points[0], y + points[1], z - 0.15 + drop]))
     flat = tangent.pixel + (tangent.pool_to_px @ points).T
     assert np.linalg.norm(np.mean(exact - linear, axis=0)) < 0.3
     assert np.linalg.norm(np.mean(exact - flat, axis=0)) > 5.0
 
 
 def test_the_plate_is_flat_and_the_sphere_ends_at_its_rim() -> None:
-    hull = Hull(0.15, 0.15, 0.05)
+    hull = RobotShape(0.15, 0.15, 0.05)
     assert np.all(hull.drop_m(np.array([[0.0, 0.05, -0.04], [0.0, 0.05, 0.04]])) == 0.0)
     assert hull.drop_m(np.array([[0.0, 0.2], [0.1, 0.2]])) == pytest.approx([0.15 - np.sqrt(0.15**2 - 0.1**2), 0.15])
 
@@ -98,7 +98,7 @@ def test_the_plate_is_flat_and_the_sphere_ends_at_its_rim() -> None:
 def test_half_scale_is_the_mean_of_its_four_pixels() -> None:
     random = np.random.default_rng(1)
     smooth = cv2.GaussianBlur(random.uniform(0, 255, (64, 64, 3)), (0, 0), 3.0).astype(np.uint8)
-    half = whole(bayer(smooth)).colour(2).bgr.astype(float)
+    half = whole(bayer(smooth)).demosaiced(2).bgr.astype(float)
     means = smooth.astype(float).reshape(32, 2, 32, 2, 3).mean(axis=(1, 3))
     assert np.abs(half - means)[2:-2, 2:-2].mean() < 1.0
 
@@ -110,7 +110,7 @@ def test_fine_detail_has_no_false_colour() -> None:
         stripes = np.rint(128 + 60 * np.sin(np.pi / 2 * (column + phase))).astype(np.uint8)
         region = whole(bayer(np.repeat(np.tile(stripes, (64, 1))[..., None], 3, axis=2)))
         plain = np.asarray(cv2.cvtColor(region.bayer, BAYER_TO_BGR), dtype=float)
-        fine = region.colour(1).bgr.astype(float)
+        fine = region.demosaiced(1).bgr.astype(float)
         chroma = [np.ptp(picture[8:-8, 8:-8], axis=2).mean() for picture in (plain, fine)]
         assert chroma[1] < 0.35 * chroma[0]
 

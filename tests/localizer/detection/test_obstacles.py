@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from localizer.detection import background_model
-from localizer.detection.background_model import Background, Calm
-from localizer.detection.blob_tracker import Region, ThingTracker, convex_outline
-from localizer.detection.obstacles import ObstacleWatch
+from localizer.detection.background_model import BackgroundModel, TemporalSmoother
+from localizer.detection.blob_tracker import Blob, BlobTracker, convex_outline
+from localizer.detection.obstacles import ObstacleDetector
 from sim_bridge.camera import scene, static_background, water_optics
-from sim_bridge.camera.faults import CameraTrouble
+from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.camera.scenery import water_colour
+from sim_bridge.camera.scene import water_colour
 from tests.localizer.scene import Pixels, bayer
 from wire.config.experiment import load_experiment
 from wire.config.fault_injection import read_what
@@ -141,7 +141,7 @@ def watch(
 ) -> list[Look]:
     """Look at the pool ten times a second; intruders appear at LEARNT_S. `told`: what the watch hears of the robots."""
     renderer, random = _renderer(settings, seed), np.random.default_rng(seed)
-    watcher, looks = ObstacleWatch(load_experiment("pool", [f"localizer.obstacle_min_m={least_m}"])), []
+    watcher, looks = ObstacleDetector(load_experiment("pool", [f"localizer.obstacle_min_m={least_m}"])), []
     for k in range(round(seconds / LOOK_S)):
         t_s = k * LOOK_S
         eta = robots(t_s)
@@ -211,8 +211,8 @@ def test_what_is_small_is_no_obstacle() -> None:
 
 
 def disturbed(fault: str, fault_s: float, seconds: float, *intruders: Intruder) -> list[Obstacles]:
-    """What is told, ten times a second, of intruders that appear at LEARNT_S and a camera that something happens to."""
-    renderer, watcher, trouble = _renderer(), ObstacleWatch(EXPERIMENT), CameraTrouble()
+    """Obstacles, ten times a second, with intruders that appear at LEARNT_S and a disturbed camera."""
+    renderer, watcher, trouble = _renderer(), ObstacleDetector(EXPERIMENT), CameraFaults()
     random, broken, told = np.random.default_rng(1), read_what(f"camera {fault}"), []
     for k in range(round(seconds / LOOK_S)):
         t_s = k * LOOK_S
@@ -259,7 +259,7 @@ def test_when_the_camera_is_bumped_the_pool_never_looks_empty() -> None:
 
 
 def test_frames_between_looks_and_of_another_size_are_left_out() -> None:
-    watcher, frame, nobody = ObstacleWatch(EXPERIMENT), np.full((960, 1280), 90, np.uint8), np.zeros((0, 3))
+    watcher, frame, nobody = ObstacleDetector(EXPERIMENT), np.full((960, 1280), 90, np.uint8), np.zeros((0, 3))
     looked = [watcher.step(frame, stamp_ns, nobody) is not None for stamp_ns in (0, 50_000_000, 100_000_000, 120_000_000, 7)]
     assert looked == [True, False, True, False, True], "twenty frames a second are ten looks; a clock may be set back"
     assert watcher.step(frame[::2, ::2].copy(), 10**12, nobody) is None
@@ -279,13 +279,13 @@ def test_same_frames_same_bits() -> None:
 
 def test_background_forgives_what_it_has_seen_flicker_and_nothing_else() -> None:
     """Cells flicker in brightness only; then one is as bright as ever but greener, another darker than ever."""
-    random, background_model, shape = np.random.default_rng(1), Background((12, 16)), (12, 16)
+    random, background_model, shape = np.random.default_rng(1), BackgroundModel((12, 16)), (12, 16)
     nowhere = np.zeros(shape, np.bool_)
     usual = np.array([4.0, 4.8, 4.9], np.float32)[:, None, None]
     for _ in range(60):
         colours = (usual + 0.3 * random.standard_normal(shape)).astype(np.float32)
         background_model.learn(colours, background_model.distance(colours, nowhere), ~nowhere, 0.2)
-    assert background_model.known.all()
+    assert background_model.is_known.all()
     probe = np.broadcast_to(usual, (3, *shape)).copy()
     probe[:, 2, 2] += 0.5
     probe[1, 5, 5] += 0.3
@@ -299,7 +299,7 @@ def test_background_forgives_what_it_has_seen_flicker_and_nothing_else() -> None
 @given(st.integers(0, 2**31))
 def test_distances_are_mahalanobis_by_plain_algebra(seed: int) -> None:
     random, shape = np.random.default_rng(seed), (8, 8)
-    background_model = Background(shape)
+    background_model = BackgroundModel(shape)
     nowhere = np.zeros(shape, np.bool_)
     mixing = random.normal(0.0, 0.3, (3, 3))
     for _ in range(25):
@@ -317,13 +317,13 @@ def test_distances_are_mahalanobis_by_plain_algebra(seed: int) -> None:
 
 
 def test_a_cell_is_calm_only_a_while_after_it_was_hidden() -> None:
-    calm, shape = Calm((2, 2)), (2, 2)
+    calm, shape = TemporalSmoother((2, 2)), (2, 2)
     hidden = np.array([[True, False], [False, False]])
     old, new = np.full((3, *shape), 2.0, np.float32), np.full((3, *shape), 5.0, np.float32)
     for _ in range(10):
-        _, steady = calm.take(old, hidden, LOOK_S)
+        _, steady = calm.update(old, hidden, LOOK_S)
     assert steady.tolist() == [[False, True], [True, True]]
-    averages, steady = calm.take(new, ~hidden & False, LOOK_S)
+    averages, steady = calm.update(new, ~hidden & False, LOOK_S)
     assert averages[0, 0, 0] == 5.0 and not steady[0, 0], "nothing is left of what hid it"
     assert 2.0 < averages[0, 0, 1] < 4.0 and steady[0, 1]
 
@@ -351,35 +351,35 @@ def test_the_outline_of_a_rectangle_is_the_rectangle(yaw_rad: float, length_m: f
     assert area == pytest.approx(length_m * width_m, rel=1e-3)
 
 
-def region(x_m: float, y_m: float = 0.0) -> Region:
+def region(x_m: float, y_m: float = 0.0) -> Blob:
     middle = np.array([x_m, y_m])
-    return Region(np.zeros((2, 2), np.bool_), middle, middle + np.zeros((12, 2)))
+    return Blob(np.zeros((2, 2), np.bool_), middle, middle + np.zeros((12, 2)))
 
 
-def follow(tracker: ThingTracker, looks: Sequence[Sequence[Region]]) -> list[list[int]]:
+def follow(tracker: BlobTracker, looks: Sequence[Sequence[Blob]]) -> list[list[int]]:
     """Numbers shown after each look, ten a second."""
     numbers = []
     for k, regions in enumerate(looks):
-        tracker.take(regions, k * 100_000_000)
-        numbers.append([thing.id for thing in tracker.things if thing.id])
+        tracker.update(regions, k * 100_000_000)
+        numbers.append([blob.id for blob in tracker.blobs if blob.id])
     return numbers
 
 
 def test_what_persists_is_shown_and_what_flickers_is_not() -> None:
-    steady, gap = [region(0.0)], list[Region]()
-    assert follow(ThingTracker(), [steady] * 6) == [[], [], [], [], [1], [1]]
-    assert follow(ThingTracker(), [steady, steady, steady, gap] * 5) == [[]] * 20
-    shown = follow(ThingTracker(), [*[steady] * 5, *[gap] * 3, steady, *[gap] * 7, *[steady] * 5])
+    steady, gap = [region(0.0)], list[Blob]()
+    assert follow(BlobTracker(), [steady] * 6) == [[], [], [], [], [1], [1]]
+    assert follow(BlobTracker(), [steady, steady, steady, gap] * 5) == [[]] * 20
+    shown = follow(BlobTracker(), [*[steady] * 5, *[gap] * 3, steady, *[gap] * 7, *[steady] * 5])
     assert shown[8] == [1] and shown[12] == [1] and shown[13] == [], "0.4 s unseen is gone"
     assert shown[-1] == [2], "no number is used twice"
 
 
 def test_things_that_pass_each_other_keep_their_numbers_and_speeds() -> None:
-    tracker = ThingTracker()
+    tracker = BlobTracker()
     follow(tracker, [[region(-1.0 + 0.02 * k, 0.08), region(1.0 - 0.03 * k, -0.08)] for k in range(100)])
-    assert [thing.id for thing in tracker.things] == [1, 2]
-    assert tracker.things[0].velocity_mps == pytest.approx([0.2, 0.0])
-    assert tracker.things[1].velocity_mps == pytest.approx([-0.3, 0.0])
+    assert [blob.id for blob in tracker.blobs] == [1, 2]
+    assert tracker.blobs[0].velocity_mps == pytest.approx([0.2, 0.0])
+    assert tracker.blobs[1].velocity_mps == pytest.approx([-0.3, 0.0])
 
 
 # --- minutes of water

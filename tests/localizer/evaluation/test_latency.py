@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from localizer.__main__ import cli
 from localizer.detection.image_regions import Pixels
-from localizer.detection.obstacles import ObstacleWatch
-from localizer.evaluation.latency import WARM_UP, Latency, Timing, Told, in_this_process, judge, measure
-from localizer.sources.base import Shot, Source
-from localizer.tracking.fleet_localizer import Located, Locator
+from localizer.detection.obstacles import ObstacleDetector
+from localizer.evaluation.latency import WARM_UP, Latency, OnLocalized, Timing, assess, localize_in_process, measure
+from localizer.sources.base import CapturedFrame, FrameSource
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from tests.localizer.stand_ins import MS, HandClock
 from wire.config.experiment import load_experiment
 from wire.frames import Array
@@ -34,7 +34,7 @@ def timings(count: int = 101, period_ms: float = 50.0, transfer_ms: float = 12.0
 
 
 def judged(found: list[Timing], dropped: int = 0) -> Latency:
-    result = judge(found, dropped, 20.0)
+    result = assess(found, dropped, 20.0)
     assert result is not None
     return result
 
@@ -72,8 +72,8 @@ def test_each_ill_is_warned_of_by_itself() -> None:
 
 
 def test_one_picture_is_no_measurement() -> None:
-    assert judge(timings(1), 0, 20.0) is None
-    assert judge([], 0, 20.0) is None
+    assert assess(timings(1), 0, 20.0) is None
+    assert assess([], 0, 20.0) is None
 
 
 def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
@@ -82,20 +82,20 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
     class Camera:
         trouble, silent_after_s = "", 0.25
 
-        def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
             for k in range(100):
                 clock.sleep(0.05)
-                yield None if k == 7 else Shot(np.zeros((4, 4), np.uint8), k, clock.ns - 9 * MS, clock.ns, 10 + k)
+                yield None if k == 7 else CapturedFrame(np.zeros((4, 4), np.uint8), k, clock.ns - 9 * MS, clock.ns, 10 + k)
 
         def close(self) -> None:
             """Nothing to do."""
 
-    def localize(source: Source, told: Told) -> None:
+    def localize(source: FrameSource, told: OnLocalized) -> None:
         """Poses are out after 2 ms, previews after 3 more."""
-        for shot in source.shots(stop):
+        for captured in source.frames(stop):
             clock.sleep(0.002)
-            if shot is not None:
-                told(shot.stamp_ns, "")
+            if captured is not None:
+                told(captured.stamp_ns, "")
                 clock.sleep(0.003)
 
     found, dropped = measure(Camera(), localize, clock, 1.0)
@@ -108,19 +108,19 @@ def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch
     """Each picture is told of once, before the obstacles of the picture are looked for."""
     order: list[str] = []
 
-    def look(watch: ObstacleWatch, frame: Pixels, stamp_ns: int, robots_m: Array) -> Obstacles | None:
+    def look(watch: ObstacleDetector, frame: Pixels, stamp_ns: int, robots_m: Array) -> Obstacles | None:
         order.append(f"obstacles {stamp_ns}")
         return None
 
-    monkeypatch.setattr(ObstacleWatch, "step", look)
+    monkeypatch.setattr(ObstacleDetector, "step", look)
 
     class Camera:
         trouble, silent_after_s = "", 0.25
 
-        def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
             random = np.random.default_rng(1)
             for k in (1, 2, 3):
-                yield Shot(random.integers(60, 120, (960, 1280), np.uint8), k, k, k)
+                yield CapturedFrame(random.integers(60, 120, (960, 1280), np.uint8), k, k, k)
 
         def close(self) -> None:
             """Nothing to do."""
@@ -128,37 +128,39 @@ def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch
     def told(stamp_ns: int, trouble: str) -> None:
         order.append(f"told {stamp_ns}{trouble}")
 
-    in_this_process(load_experiment("pool"), HandClock(), Stop(install=False), Camera(), told)
+    localize_in_process(load_experiment("pool"), HandClock(), Stop(install=False), Camera(), told)
     assert order == ["told 1", "obstacles 1", "told 2", "obstacles 2", "told 3", "obstacles 3"]
 
 
 def test_pictures_that_no_pose_comes_of_are_no_good_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
     """A covered lens is quickly looked at, and so is a picture that an error costs: their times are not those of poses."""
-    random, clock, step = np.random.default_rng(1), WallClock(), Locator.step
+    random, clock, step = np.random.default_rng(1), WallClock(), FleetLocalizer.step
     begin_ns = clock.now_ns()
 
-    def fail_once(locator: Locator, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> Located:
+    def fail_once(locator: FleetLocalizer, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> LocalizationResult:
         if frame[0, 0] == 99:
             raise ValueError("no solution")
         return step(locator, frame, stamp_ns, depths_m)
 
-    monkeypatch.setattr(Locator, "step", fail_once)
+    monkeypatch.setattr(FleetLocalizer, "step", fail_once)
 
     class Camera:
         trouble, silent_after_s = "", 0.25
 
-        def shots(self, stop: Stop) -> Iterator[Shot | None]:
+        def frames(self, stop: Stop) -> Iterator[CapturedFrame | None]:
             for k, (low, high) in enumerate(
                 ((60, 90),) * WARM_UP + ((60, 90), (99, 100), (60, 90), (0, 4), (60, 90)), start=1
             ):
-                yield Shot(
+                yield CapturedFrame(
                     random.integers(low, high, (960, 1280), np.uint8), k, begin_ns + k * 50 * MS, begin_ns + k * 50 * MS
                 )
 
         def close(self) -> None:
             """Nothing to do."""
 
-    found, _ = measure(Camera(), partial(in_this_process, load_experiment("pool"), clock, Stop(install=False)), clock, 60.0)
+    found, _ = measure(
+        Camera(), partial(localize_in_process, load_experiment("pool"), clock, Stop(install=False)), clock, 60.0
+    )
     assert [t.trouble for t in found] == ["", "picture skipped: ValueError: no solution", "", "camera black", ""]
     assert "no poses of 2 pictures (camera black)" in judged(found).warnings
 

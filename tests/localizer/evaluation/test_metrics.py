@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from groundstation.logs.recorder import Recorder
 from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from localizer.evaluation.metrics import Found, PoseRow, Way, pose_rows
+from localizer.evaluation.metrics import GroundTruthTrajectory, PoseRow, PublishedPose, pose_rows
 from localizer.evaluation.runner import evaluate_plain
 from tests.localizer.scene import Scene
 from wire.config.experiment import load_experiment
@@ -34,12 +34,12 @@ def rows_by_subject(rows: list[PoseRow]) -> dict[str, PoseRow]:
     return {row.subject: row for row in rows}
 
 
-def still(*place: float) -> Way:
-    return Way(np.array([0, 400 * MS]), np.array([place, place]))
+def still(*place: float) -> GroundTruthTrajectory:
+    return GroundTruthTrajectory(np.array([0, 400 * MS]), np.array([place, place]))
 
 
-def line(start: Array, end: Array, seconds: float = 0.4) -> Way:
-    return Way(np.array([0, round(seconds * 1e9)]), np.array([start, end]))
+def line(start: Array, end: Array, seconds: float = 0.4) -> GroundTruthTrajectory:
+    return GroundTruthTrajectory(np.array([0, round(seconds * 1e9)]), np.array([start, end]))
 
 
 # --- arithmetic
@@ -47,12 +47,12 @@ def line(start: Array, end: Array, seconds: float = 0.4) -> Way:
 
 def test_known_errors_give_known_figures() -> None:
     """(3, 4) mm and 0.01 rad off, then nothing: RMS 5 / sqrt 2; e' P^-1 e = (3/2)^2 + (4/4)^2 + 1 = 4.25, then 0."""
-    way = line(np.array([0.0, 0.0, 0.0]), np.array([0.4, 0.2, 0.2]))
+    trajectory = line(np.array([0.0, 0.0, 0.0]), np.array([0.4, 0.2, 0.2]))
     found = [
-        Found(1, 100 * MS, pose(0.103, 0.054, 0.06)),
-        Found(1, 300 * MS, pose(0.3, 0.15, 0.15)),
+        PublishedPose(1, 100 * MS, pose(0.103, 0.054, 0.06)),
+        PublishedPose(1, 300 * MS, pose(0.3, 0.15, 0.15)),
     ]
-    row = rows_by_subject(pose_rows(found, {1: way}))["all but lost"]
+    row = rows_by_subject(pose_rows(found, {1: trajectory}))["all but lost"]
     assert (row.poses, row.swapped, row.unflagged) == (2, 0, 0)
     assert row.rms_mm == pytest.approx(5.0 / np.sqrt(2.0)) and row.max_mm == pytest.approx(5.0)
     assert row.rms_deg == pytest.approx(np.degrees(0.01) / np.sqrt(2.0))
@@ -62,13 +62,13 @@ def test_known_errors_give_known_figures() -> None:
 def test_the_band_of_the_nees_holds_for_errors_of_the_stated_size_and_not_for_others() -> None:
     """By simulation: 100 sets of 40 errors drawn from the covariance; about 95 % of their means lie in the band."""
     random = np.random.default_rng(3)
-    way = {1: still(0.0, 0.0, 0.0)}
+    trajectory = {1: still(0.0, 0.0, 0.0)}
 
     def inside(scale: float) -> float:
         hits = 0
         for _ in range(100):
             errors = scale * random.normal(0.0, SIGMA, (40, 3))
-            row = pose_rows([Found(1, 0, pose(*e)) for e in errors], way)[-1]
+            row = pose_rows([PublishedPose(1, 0, pose(*e)) for e in errors], trajectory)[-1]
             hits += row.nees_low <= row.nees <= row.nees_high
         return hits / 100
 
@@ -78,20 +78,20 @@ def test_the_band_of_the_nees_holds_for_errors_of_the_stated_size_and_not_for_ot
 
 
 def test_headings_are_compared_across_the_seam() -> None:
-    way = line(np.array([0.0, 0.0, np.pi - 0.1]), np.array([0.0, 0.0, -np.pi + 0.1]))  # 0.2 rad on, not 6.1 back
-    found = [Found(1, 200 * MS, pose(0.0, 0.0, wrap(np.pi + 0.01))), Found(1, 0, pose(0.0, 0.0, np.pi - 0.09))]
-    row = pose_rows(found, {1: way})[-1]
+    trajectory = line(np.array([0.0, 0.0, np.pi - 0.1]), np.array([0.0, 0.0, -np.pi + 0.1]))  # 0.2 rad on, not 6.1 back
+    found = [PublishedPose(1, 200 * MS, pose(0.0, 0.0, wrap(np.pi + 0.01))), PublishedPose(1, 0, pose(0.0, 0.0, np.pi - 0.09))]
+    row = pose_rows(found, {1: trajectory})[-1]
     assert row.max_deg == pytest.approx(np.degrees(0.01)) == row.rms_deg
 
 
 def test_a_swap_is_counted_and_doubly_if_it_was_not_flagged() -> None:
-    ways = {1: still(0.0, 0.0, 0.0), 2: still(1.0, 0.0, 0.0)}
+    trajectories = {1: still(0.0, 0.0, 0.0), 2: still(1.0, 0.0, 0.0)}
     found = [
-        Found(1, 0, pose(0.0, 0.0, 0.0)), Found(2, 0, pose(1.0, 0.0, 0.0)),
-        Found(1, MS, pose(0.9, 0.0, 0.0)), Found(2, MS, pose(0.1, 0.0, 0.0, Track.KCF, verified=False)),
-        Found(2, 2 * MS, pose(0.0, 0.0, 0.0, Track.LOST)),
+        PublishedPose(1, 0, pose(0.0, 0.0, 0.0)), PublishedPose(2, 0, pose(1.0, 0.0, 0.0)),
+        PublishedPose(1, MS, pose(0.9, 0.0, 0.0)), PublishedPose(2, MS, pose(0.1, 0.0, 0.0, Track.KCF, verified=False)),
+        PublishedPose(2, 2 * MS, pose(0.0, 0.0, 0.0, Track.LOST)),
     ]  # fmt: skip
-    rows = rows_by_subject(pose_rows(found, ways))
+    rows = rows_by_subject(pose_rows(found, trajectories))
     assert {subject: (row.poses, row.swapped, row.unflagged) for subject, row in rows.items()} == {
         "robot 1": (2, 1, 1), "robot 2": (2, 1, 0), "marker": (3, 1, 1), "kcf": (1, 1, 0), "lost": (1, 1, 1),
         "all but lost": (4, 2, 1),
@@ -99,16 +99,16 @@ def test_a_swap_is_counted_and_doubly_if_it_was_not_flagged() -> None:
 
 
 def test_where_the_truth_has_a_gap_or_ends_nothing_is_made_up() -> None:
-    way = Way(np.array([0, 100 * MS, 2000 * MS]), np.zeros((3, 3)))
+    trajectory = GroundTruthTrajectory(np.array([0, 100 * MS, 2000 * MS]), np.zeros((3, 3)))
     instants = (-1, 0, 50, 100, 101, 1999, 2000, 2001)
-    row = pose_rows([Found(1, at * MS, pose(0.0, 0.0, 0.0)) for at in instants], {1: way})[-1]
+    row = pose_rows([PublishedPose(1, at * MS, pose(0.0, 0.0, 0.0)) for at in instants], {1: trajectory})[-1]
     assert row.poses == 4
-    assert pose_rows([Found(3, 0, pose(0.0, 0.0, 0.0))], {1: way}) == []
+    assert pose_rows([PublishedPose(3, 0, pose(0.0, 0.0, 0.0))], {1: trajectory}) == []
 
 
 def test_a_matrix_that_is_no_covariance_leaves_the_nees_out() -> None:
     bad = replace(pose(0.003, 0.0, 0.0), covariance=np.diag([1e-6, -1e-6, 1e-6]))
-    row = pose_rows([Found(1, 0, bad)], {1: still(0.0, 0.0, 0.0)})[-1]
+    row = pose_rows([PublishedPose(1, 0, bad)], {1: still(0.0, 0.0, 0.0)})[-1]
     assert np.isnan(row.nees) and row.rms_mm == pytest.approx(3.0)
 
 

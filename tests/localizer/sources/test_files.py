@@ -13,7 +13,7 @@ import pytest
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
 from localizer.sources import files
-from localizer.sources.base import Shot, as_bayer
+from localizer.sources.base import CapturedFrame, as_bayer
 from localizer.sources.bus import BusSource
 from localizer.sources.factory import open_own
 from localizer.sources.files import FolderSource, VideoSource
@@ -83,19 +83,19 @@ def test_raw_pictures_pass_alpha_is_dropped_and_other_depths_are_refused() -> No
 def test_the_newest_frame_wins_and_the_ones_it_overtook_are_counted() -> None:
     hub, stop = MemoryHub(), Stop(install=False)
     camera, mine = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    shots = BusSource(mine, WallClock(), RATE_HZ).shots(stop)
+    shots = BusSource(mine, WallClock(), RATE_HZ).frames(stop)
 
     def publish(*values: int) -> None:
         for value in values:
             camera.publish(topics.FRAME, Frame(flat(value)[..., 0]), value, age_ns=3 * MS)
 
-    def later(*values: int) -> Shot:
+    def later(*values: int) -> CapturedFrame:
         thread = threading.Timer(0.05, publish, values)
         thread.start()
-        shot = next(shots)
+        captured = next(shots)
         thread.join()
-        assert shot is not None
-        return shot
+        assert captured is not None
+        return captured
 
     first = later(1)
     assert (level(first), first.dropped, first.stamp_ns) == (1, 0, 1)
@@ -114,7 +114,7 @@ def test_two_cameras_at_once_are_none_until_one_is_gone() -> None:
     hub, stop = MemoryHub(), Stop(install=False)
     cameras, mine = [Bus(MemoryTransport(hub)) for _ in range(2)], Bus(MemoryTransport(hub))
     source = BusSource(mine, WallClock(), RATE_HZ)
-    shots, ending, number = source.shots(stop), threading.Event(), itertools.count(1)
+    shots, ending, number = source.frames(stop), threading.Event(), itertools.count(1)
 
     def film(both: threading.Event) -> None:
         while not ending.wait(0.01):
@@ -130,7 +130,9 @@ def test_two_cameras_at_once_are_none_until_one_is_gone() -> None:
         assert None in itertools.islice(shots, 50)
         assert next(shots) is None and source.trouble == "two cameras publish frames: end one of them"
         both.clear()
-        assert {level(shot) for shot in itertools.islice((shot for shot in shots if shot is not None), 3)} == {2}
+        assert {
+            level(captured) for captured in itertools.islice((captured for captured in shots if captured is not None), 3)
+        } == {2}
     finally:
         ending.set()
         filming.join()
@@ -139,16 +141,16 @@ def test_two_cameras_at_once_are_none_until_one_is_gone() -> None:
 def test_instants_are_by_our_clock_and_the_stated_age_whatever_the_cameras_clock_says() -> None:
     hub, stop, ours = MemoryHub(), Stop(install=False), WallClock()
     camera, mine = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
-    shots = BusSource(mine, ours, RATE_HZ).shots(stop)
+    shots = BusSource(mine, ours, RATE_HZ).frames(stop)
     before_ns = ours.now_ns()
     stamp_ns = before_ns + 3600 * 1_000_000_000  # an hour ahead
     thread = threading.Timer(0.05, camera.publish, (topics.FRAME, Frame(flat(1)[..., 0]), stamp_ns), {"age_ns": 40 * MS})
     thread.start()
-    shot = next(shots)
+    captured = next(shots)
     thread.join()
-    assert shot is not None and shot.stamp_ns == stamp_ns
-    assert before_ns < shot.arrived_ns < ours.now_ns()
-    assert shot.instant_ns == shot.arrived_ns - 40 * MS
+    assert captured is not None and captured.stamp_ns == stamp_ns
+    assert before_ns < captured.arrived_ns < ours.now_ns()
+    assert captured.instant_ns == captured.arrived_ns - 40 * MS
 
 
 def test_what_cannot_be_read_is_no_picture_and_no_old_one_again() -> None:
@@ -157,7 +159,7 @@ def test_what_cannot_be_read_is_no_picture_and_no_old_one_again() -> None:
     camera = Bus(transport)
     raw = transport.publisher(f"shoal/{topics.FRAME.name}", topics.FRAME.qos)
     source = BusSource(mine, WallClock(), RATE_HZ)
-    shots = source.shots(stop)
+    shots = source.frames(stop)
     thread = threading.Timer(0.02, camera.publish, (topics.FRAME, Frame(flat(1)[..., 0]), 1))
     thread.start()
     assert level(next(shots)) == 1
@@ -181,7 +183,7 @@ def test_what_cannot_be_read_is_no_picture_and_no_old_one_again() -> None:
     restarted = Bus(MemoryTransport(hub))
     thread = threading.Timer(0.02, restarted.publish, (topics.FRAME, Frame(flat(9)[..., 0]), 1))
     thread.start()
-    assert level(next(shot for shot in shots if shot is not None)) == 9
+    assert level(next(captured for captured in shots if captured is not None)) == 9
     thread.join()
 
 
@@ -199,7 +201,7 @@ def test_a_camera_is_absent_after_five_frames(rate_hz: float, silent_s: float, t
 
 def test_a_bus_without_frames_says_so_again_and_again() -> None:
     stop = Stop(install=False)
-    shots = BusSource(Bus(MemoryTransport(MemoryHub())), WallClock(), RATE_HZ).shots(stop)
+    shots = BusSource(Bus(MemoryTransport(MemoryHub())), WallClock(), RATE_HZ).frames(stop)
     assert [next(shots), next(shots)] == [None, None]
     stop.request()
     assert list(shots) == []
@@ -220,9 +222,9 @@ def test_as_fast_as_possible_every_picture_comes_one_period_apart(tmp_path: Path
     levels = list(range(10, 130, 10))
     source = VideoSource(write_video(tmp_path / "v.avi", levels), None, clock, as_fast_as_possible=True)
     found = []
-    for shot in source.shots(Stop(install=False)):
-        assert shot is not None
-        found.append(shot)
+    for captured in source.frames(Stop(install=False)):
+        assert captured is not None
+        found.append(captured)
         clock.sleep(0.3)  # however slow the localizer is
     assert [level(s) for s in found] == levels
     assert set(np.diff([s.instant_ns for s in found])) == {PERIOD_MS * MS}
@@ -235,9 +237,9 @@ def test_played_in_real_time_a_slow_localizer_gets_the_newest(tmp_path: Path, cl
     start_ns = clock.ns
     source = VideoSource(write_video(tmp_path / "v.avi", levels), None, clock)
     found = []
-    for shot in source.shots(Stop(install=False)):
-        assert shot is not None
-        found.append((level(shot), (shot.instant_ns - start_ns) // MS, (clock.ns - start_ns) // MS, shot.dropped))
+    for captured in source.frames(Stop(install=False)):
+        assert captured is not None
+        found.append((level(captured), (captured.instant_ns - start_ns) // MS, (clock.ns - start_ns) // MS, captured.dropped))
         clock.sleep(0.17)
     assert found[:4] == [(10, 0, 0, 0), (40, 150, 170, 2), (70, 300, 340, 4), (110, 500, 510, 7)]
 
@@ -245,7 +247,7 @@ def test_played_in_real_time_a_slow_localizer_gets_the_newest(tmp_path: Path, cl
 def test_played_in_real_time_a_quick_localizer_waits_for_each(tmp_path: Path, clock: HandClock) -> None:
     start_ns = clock.ns
     source = VideoSource(write_video(tmp_path / "v.avi", [10, 20, 30]), 10.0, clock)  # not the file's 20 Hz
-    assert [(level(s), (clock.ns - start_ns) // MS) for s in source.shots(Stop(install=False))] == [
+    assert [(level(s), (clock.ns - start_ns) // MS) for s in source.frames(Stop(install=False))] == [
         (10, 0),
         (20, 100),
         (30, 200),
@@ -264,7 +266,7 @@ def put(folder: Path, name: str, picture: Pixels) -> None:
     part.rename(folder / name)
 
 
-def take(shots: Iterator[Shot | None], count: int) -> list[int]:
+def take(shots: Iterator[CapturedFrame | None], count: int) -> list[int]:
     return [level(next(shots)) for _ in range(count)]
 
 
@@ -273,7 +275,7 @@ def test_a_folder_is_played_in_the_order_of_its_numbers_and_then_followed(tmp_pa
         put(tmp_path, f"frame{number}.png", flat(number))
     (tmp_path / "notes.txt").write_text("no picture")
     source = FolderSource(tmp_path, 20.0, clock)
-    shots = source.shots(Stop(install=False))
+    shots = source.frames(Stop(install=False))
     assert take(shots, 3) == [1, 2, 10]
     assert next(shots) is None and "nothing new" in source.trouble
     put(tmp_path, "frame11.png", flat(11))
@@ -285,7 +287,7 @@ def test_a_folder_is_played_in_the_order_of_its_numbers_and_then_followed(tmp_pa
 def test_of_a_folder_that_grows_faster_than_it_is_read_the_newest_counts(tmp_path: Path, clock: HandClock) -> None:
     for number in range(10, 30):
         put(tmp_path, f"{number}.png", flat(number))
-    shots = FolderSource(tmp_path, 20.0, clock).shots(Stop(install=False))
+    shots = FolderSource(tmp_path, 20.0, clock).frames(Stop(install=False))
     first = next(shots)
     clock.sleep(0.33)
     second = next(shots)
@@ -304,7 +306,7 @@ def test_a_broken_image_is_left_out_and_a_folder_may_come_back(tmp_path: Path, c
     cv2.imwrite(str(folder / "3.png"), np.full((48, 64), 5000, np.uint16))
     put(folder, "4.png", flat(4))
     source = FolderSource(folder, 20.0, clock)
-    shots = source.shots(Stop(install=False))
+    shots = source.frames(Stop(install=False))
     assert take(shots, 2) == [1, 4]
     folder.rename(tmp_path / "gone")
     assert next(shots) is None and "No such file" in source.trouble
@@ -316,8 +318,8 @@ def test_a_broken_image_is_left_out_and_a_folder_may_come_back(tmp_path: Path, c
 def test_a_grey_image_is_taken_as_raw(tmp_path: Path, clock: HandClock) -> None:
     raw = np.random.default_rng(2).integers(0, 255, (48, 64), dtype=np.uint8)
     put(tmp_path, "raw.png", raw)
-    shot = next(FolderSource(tmp_path, 20.0, clock).shots(Stop(install=False)))
-    assert shot is not None and np.array_equal(shot.pixels, raw)
+    captured = next(FolderSource(tmp_path, 20.0, clock).frames(Stop(install=False)))
+    assert captured is not None and np.array_equal(captured.pixels, raw)
 
 
 # --- names of sources
@@ -359,7 +361,7 @@ def test_a_rate_behind_the_name_and_a_colon_in_it(tmp_path: Path, clock: HandClo
         put(folder, f"{number}.png", flat(number))
     camera: Camera = CAMERA
     for name, period_ms in ((f"folder:{folder}", 50), (f"folder:{folder}:8", 125), (f"folder:{folder}:max", 50)):
-        shots = open_own(name, camera, clock).shots(Stop(install=False))
+        shots = open_own(name, camera, clock).frames(Stop(install=False))
         first, second = next(shots), next(shots)
         assert first is not None and second is not None
         assert second.instant_ns - first.instant_ns == period_ms * MS

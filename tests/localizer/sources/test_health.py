@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from localizer.sources.health import CameraWatch
+from localizer.sources.health import FrameHealthMonitor
 from wire.messages.messages import CameraHealth
 
 SIZE_PX = (1280, 960)
@@ -14,51 +14,51 @@ def _still_scene(random: np.random.Generator, noise: float) -> np.ndarray:
 
 
 def test_frozen_at_the_fifth_identical_frame_and_well_at_the_first_new_one() -> None:
-    watch = CameraWatch(SIZE_PX, frozen_frames=5)
+    watch = FrameHealthMonitor(SIZE_PX, frozen_frames=5)
     random = np.random.default_rng(1)
     frame = _still_scene(random, 2.0)
-    assert [watch.judge(frame.copy()) for _ in range(7)] == [CameraHealth.OK] * 4 + [CameraHealth.FROZEN] * 3
-    assert watch.judge(_still_scene(random, 2.0)) is CameraHealth.OK
+    assert [watch.assess(frame.copy()) for _ in range(7)] == [CameraHealth.OK] * 4 + [CameraHealth.FROZEN] * 3
+    assert watch.assess(_still_scene(random, 2.0)) is CameraHealth.OK
     assert not watch.repeated
 
 
 def test_a_still_scene_with_the_faintest_noise_is_not_frozen() -> None:
     """0.2 grey levels of noise move one pixel in a hundred; nothing else changes for 50 frames."""
-    watch = CameraWatch(SIZE_PX, frozen_frames=5)
+    watch = FrameHealthMonitor(SIZE_PX, frozen_frames=5)
     random = np.random.default_rng(2)
     for _ in range(50):
-        assert watch.judge(_still_scene(random, 0.2)) is CameraHealth.OK
+        assert watch.assess(_still_scene(random, 0.2)) is CameraHealth.OK
         assert not watch.repeated
 
 
 def test_a_repeated_frame_is_known_at_once() -> None:
-    watch = CameraWatch(SIZE_PX, frozen_frames=5)
+    watch = FrameHealthMonitor(SIZE_PX, frozen_frames=5)
     frame = _still_scene(np.random.default_rng(3), 2.0)
-    watch.judge(frame)
+    watch.assess(frame)
     assert not watch.repeated
-    watch.judge(frame)
+    watch.assess(frame)
     assert watch.repeated
 
 
 def test_the_watch_keeps_no_reference_to_the_callers_buffer() -> None:
     """Cameras reuse their buffers: a picture changed in place is a new picture."""
-    watch = CameraWatch(SIZE_PX, frozen_frames=2)
+    watch = FrameHealthMonitor(SIZE_PX, frozen_frames=2)
     frame = _still_scene(np.random.default_rng(3), 2.0)
-    watch.judge(frame)
+    watch.assess(frame)
     frame += 1
-    assert watch.judge(frame) is CameraHealth.OK
+    assert watch.assess(frame) is CameraHealth.OK
 
 
 @pytest.mark.parametrize(("level", "health"), [(0, CameraHealth.BLACK), (3, CameraHealth.BLACK), (25, CameraHealth.OK)])
 def test_black(level: int, health: CameraHealth) -> None:
     noise = np.random.default_rng(4).integers(0, 3, (960, 1280))
-    assert CameraWatch(SIZE_PX, 5).judge((level + noise).astype(np.uint8)) is health
+    assert FrameHealthMonitor(SIZE_PX, 5).assess((level + noise).astype(np.uint8)) is health
 
 
 @pytest.mark.parametrize(
     "frame", [np.full((480, 640), 90, np.uint8), np.full((960, 1280, 3), 90, np.uint8), np.full((960, 1280), 90.0)]
 )
 def test_wrong_size(frame: np.ndarray) -> None:
-    watch = CameraWatch(SIZE_PX, 5)
-    assert watch.judge(frame) is CameraHealth.WRONG_SIZE
-    assert watch.judge(np.full((960, 1280), 90, np.uint8)) is CameraHealth.OK
+    watch = FrameHealthMonitor(SIZE_PX, 5)
+    assert watch.assess(frame) is CameraHealth.WRONG_SIZE
+    assert watch.assess(np.full((960, 1280), 90, np.uint8)) is CameraHealth.OK

@@ -118,28 +118,28 @@ def test_the_drivers_stamp_becomes_an_instant_of_our_clock(plug: Plug) -> None:
     plug.stamp_ms = lambda: monotonic_ns / MS - 20.0
     source = V4l2Source("/dev/video7", CAMERA, ours, plug.open, lambda: monotonic_ns)
     plug.expose(1)
-    shot = next(source.shots(Stop(install=False)))
+    captured = next(source.frames(Stop(install=False)))
     source.close()
-    assert shot is not None and shot.stamped
-    assert shot.instant_ns == shot.stamp_ns == ours.ns - 24 * MS
-    assert shot.arrived_ns == ours.ns
+    assert captured is not None and captured.stamped
+    assert captured.instant_ns == captured.stamp_ns == ours.ns - 24 * MS
+    assert captured.arrived_ns == ours.ns
 
 
 def test_the_newest_picture_of_a_camera_wins_and_the_overtaken_are_counted(plug: Plug) -> None:
     source = V4l2Source("/dev/video7", CAMERA, WallClock(), plug.open)
-    shots = source.shots(Stop(install=False))
+    shots = source.frames(Stop(install=False))
     plug.expose(1)
     assert level(next(shots)) == 1
     plug.expose(20)  # while the localizer is busy
     assert eventually(lambda: source._newest.overtaken == 19)
-    shot = next(shots)
+    captured = next(shots)
     source.close()
-    assert shot is not None and (level(shot), shot.dropped) == (21, 19)
+    assert captured is not None and (level(captured), captured.dropped) == (21, 19)
 
 
 def test_an_unplugged_camera_is_said_to_be_gone_and_taken_up_again(plug: Plug) -> None:
     source = V4l2Source("/dev/video7", CAMERA, WallClock(), plug.open)
-    shots = source.shots(Stop(install=False))
+    shots = source.frames(Stop(install=False))
     plug.expose(1)
     assert level(next(shots)) == 1
     plug.unplug()
@@ -148,24 +148,24 @@ def test_an_unplugged_camera_is_said_to_be_gone_and_taken_up_again(plug: Plug) -
     assert source.trouble == "/dev/video7 cannot be opened"
     plug.plugged = True
     plug.expose(1)
-    while (shot := next(shots)) is None:
+    while (captured := next(shots)) is None:
         pass
     source.close()
-    assert level(shot) == 2
+    assert level(captured) == 2
     assert source.trouble == ""
 
 
 def test_a_camera_that_is_not_there_yet_is_waited_for(plug: Plug) -> None:
     plug.plugged = False
     source = V4l2Source("/dev/video7", CAMERA, WallClock(), plug.open)
-    shots = source.shots(Stop(install=False))
+    shots = source.frames(Stop(install=False))
     assert next(shots) is None
     plug.plugged = True
     plug.expose(1)
-    while (shot := next(shots)) is None:
+    while (captured := next(shots)) is None:
         pass
     source.close()
-    assert level(shot) == 1
+    assert level(captured) == 1
 
 
 def test_a_drivers_error_costs_one_attempt_and_not_the_camera(plug: Plug) -> None:
@@ -180,11 +180,11 @@ def test_a_drivers_error_costs_one_attempt_and_not_the_camera(plug: Plug) -> Non
     stop = Stop(install=False)
     source = V4l2Source("/dev/video7", CAMERA, WallClock(), open_device)
     plug.expose(1)
-    shots = source.shots(stop)
-    while (shot := next(shots)) is None:
+    shots = source.frames(stop)
+    while (captured := next(shots)) is None:
         pass
     source.close()
-    assert level(shot) == 1 and not stop.requested
+    assert level(captured) == 1 and not stop.requested
 
 
 def test_a_camera_that_is_not_there_is_refused_with_those_that_are(plug: Plug, tmp_path: Path) -> None:
@@ -230,9 +230,9 @@ def test_the_exposure_that_the_camera_really_uses_counts_for_the_instant(plug: P
     plug.refuses = {cv2.CAP_PROP_EXPOSURE: 100.0}
     source = V4l2Source("/dev/video7", CAMERA, ours, plug.open, lambda: monotonic_ns)
     plug.expose(1)
-    shot = next(source.shots(Stop(install=False)))
+    captured = next(source.frames(Stop(install=False)))
     source.close()
-    assert shot is not None and shot.instant_ns == ours.ns - 25 * MS
+    assert captured is not None and captured.instant_ns == ours.ns - 25 * MS
 
 
 REAL = os.environ.get("SHOAL_TEST_CAMERA", "/dev/video0")
@@ -242,7 +242,7 @@ REAL = os.environ.get("SHOAL_TEST_CAMERA", "/dev/video0")
 def test_a_real_camera_delivers_stamped_pictures() -> None:
     stop = Stop(install=False)
     source = V4l2Source(REAL, CAMERA, WallClock())
-    found = [shot for _, shot in zip(range(30), source.shots(stop), strict=False) if shot is not None]
+    found = [captured for _, captured in zip(range(30), source.frames(stop), strict=False) if captured is not None]
     source.close()
-    assert len(found) > 5 and all(shot.stamped for shot in found[2:])
+    assert len(found) > 5 and all(captured.stamped for captured in found[2:])
     assert all(later.instant_ns > earlier.instant_ns for earlier, later in pairwise(found))

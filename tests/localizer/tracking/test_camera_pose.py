@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer.tracking.camera_pose import STALE_AFTER_S, LandmarkCamera, _fit
-from localizer.tracking.fleet_localizer import Located, Locator
+from localizer.tracking.camera_pose import STALE_AFTER_S, CameraPoseTracker, _fit
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
 from tests.localizer.scene import Pixels
@@ -45,15 +45,15 @@ def _true_camera(k: int) -> Camera:
 
 
 def _run(
-    locator: Locator, frames: range, spoil: Callable[[int, Pixels], None] = lambda k, frame: None
-) -> Iterator[tuple[Array, Located]]:
+    locator: FleetLocalizer, frames: range, spoil: Callable[[int, Pixels], None] = lambda k, frame: None
+) -> Iterator[tuple[Array, LocalizationResult]]:
     for k in frames:
         frame, eta = _frame(k), _eta(k * PERIOD_S)
         spoil(k, frame)
         yield eta, locator.step(frame, round(k * PERIOD_S * 1e9), {1: float(eta[0, 2]), 2: float(eta[1, 2])})
 
 
-def _errors(run: list[tuple[Array, Located]]) -> Array:
+def _errors(run: list[tuple[Array, LocalizationResult]]) -> Array:
     """x, y, yaw: (frames, robots, 3)."""
     rows = [[(p.x_m, p.y_m, p.yaw_rad) - e[[0, 1, 3]] for (_, p), e in zip(x.poses, eta, strict=True)] for eta, x in run]
     errors = np.array(rows)
@@ -75,7 +75,7 @@ def _hide(keep: int) -> Callable[[int, Pixels], None]:
 
 
 def test_robots_are_found_from_a_swaying_camera() -> None:
-    _, *run = _run(Locator(DRONE), range(200))
+    _, *run = _run(FleetLocalizer(DRONE), range(200))
     errors = _errors(run)
     rms = np.sqrt(np.mean(errors**2, axis=(0, 1)))
     assert np.hypot(*rms[:2]) < 2.5e-3 and rms[2] < np.deg2rad(0.5), "the limit to keep is 10 mm"
@@ -84,16 +84,16 @@ def test_robots_are_found_from_a_swaying_camera() -> None:
     covariances = np.array([[pose.covariance for _, pose in located.poses] for _, located in run])
     squared = np.sum(errors * np.linalg.solve(covariances, errors[..., None])[..., 0], axis=-1)
     assert 1.0 < np.mean(squared) < 4.7
-    still = Locator(DRONE.model_copy(update={"landmarks": ()}))
+    still = FleetLocalizer(DRONE.model_copy(update={"landmarks": ()}))
     blind = _errors([step for step in _run(still, range(20)) if len(step[1].poses) == 2])
     assert np.abs(blind[..., :2]).max() > 0.05, "with the camera taken to be still the poses would be worthless"
 
 
 def test_the_camera_itself_is_found() -> None:
-    eye = LandmarkCamera(DRONE.camera, DRONE.landmarks)
+    eye = CameraPoseTracker(DRONE.camera, DRONE.landmarks)
     for k in range(15):
-        eye.wait(PERIOD_S)
-        eye.look(_frame(k))
+        eye.advance(PERIOD_S)
+        eye.update(_frame(k))
         truth, found = _true_camera(k), eye._pose.camera
         assert eye.fresh and eye.trouble == ""
         assert np.linalg.norm(np.subtract(truth.position_m, found.position_m)) < 0.02
@@ -127,23 +127,23 @@ def test_a_landmark_that_was_kicked_does_not_count() -> None:
         DRONE.landmarks[2].model_copy(update={"position_m": (x + 0.1, y, z)}),
         *DRONE.landmarks[3:],
     )
-    eye = LandmarkCamera(DRONE.camera, kicked)
-    eye.look(_frame(0))
+    eye = CameraPoseTracker(DRONE.camera, kicked)
+    eye.update(_frame(0))
     assert eye.fresh and eye.trouble == ""
     assert np.linalg.norm(np.subtract(_true_camera(0).position_m, eye._pose.camera.position_m)) < 0.02
-    few = LandmarkCamera(DRONE.camera, kicked[:4])
-    few.look(_frame(0))
+    few = CameraPoseTracker(DRONE.camera, kicked[:4])
+    few.update(_frame(0))
     assert not few.fresh and not few.usable
     assert "of 4 landmarks" in few.trouble
 
 
 def test_without_four_landmarks_poses_grow_stale_and_come_back() -> None:
-    locator = Locator(DRONE)
+    locator = FleetLocalizer(DRONE)
     before = list(_run(locator, range(8)))
     hidden = list(_run(locator, range(8, 24), _hide(keep=3)))
     after = list(_run(locator, range(24, 34)))
-    sure, less_sure = (np.trace(step[1].poses[0][1].covariance[:2, :2]) for step in (before[-1], hidden[0]))
-    assert less_sure > 4.0 * sure
+    verified_now, less_sure = (np.trace(step[1].poses[0][1].covariance[:2, :2]) for step in (before[-1], hidden[0]))
+    assert less_sure > 4.0 * verified_now
     for k, (eta, located) in enumerate(hidden, start=1):
         assert "camera's pose unknown" in located.status.message and "3 of 4 landmarks" in located.status.message
         for i, (_, pose) in enumerate(located.poses):
@@ -156,14 +156,14 @@ def test_without_four_landmarks_poses_grow_stale_and_come_back() -> None:
 
 
 def test_no_pose_before_the_camera_was_found() -> None:
-    locator = Locator(DRONE)
+    locator = FleetLocalizer(DRONE)
     for _, located in _run(locator, range(3), _hide(keep=2)):
         assert located.poses == () and "2 of 4 landmarks" in located.status.message
 
 
 def test_same_frames_same_bits() -> None:
     def run() -> list[bytes]:
-        steps = _run(Locator(DRONE), range(6))
+        steps = _run(FleetLocalizer(DRONE), range(6))
         return [np.array([p.x_m, p.yaw_rad, *p.covariance.ravel()]).tobytes() for _, x in steps for _, p in x.poses]
 
     assert run() == run()

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer.tracking.fleet_localizer import Located, Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from localizer.view.overlay import draw
 from tests.localizer.scene import Pixels, Scene
 from wire.config.experiment import Experiment, load_experiment
@@ -24,10 +24,10 @@ SIDE = Scene(EXPERIMENT, seed=3)  # drawn once: its textures are the slow part
 
 @dataclass(frozen=True)
 class Step:
-    """What was true in a frame, and what the localizer made of it."""
+    """The truth of a frame, and the localizer's result."""
 
     truth: Mapping[int, Array]
-    located: Located
+    located: LocalizationResult
 
     def pose(self, robot: int) -> Pose:
         return dict(self.located.poses)[robot]
@@ -49,7 +49,7 @@ def _circling(t_s: float) -> dict[int, Array]:
 
 
 def _fly(
-    locator: Locator,
+    locator: FleetLocalizer,
     frames: int,
     truth: Callable[[float], Mapping[int, Array]] = _circling,
     hidden: Callable[[int], frozenset[int]] = lambda k: frozenset(),
@@ -61,9 +61,9 @@ def _fly(
         yield Step(poses, locator.step(SIDE.frame(poses, hidden(k)), k * STEP_NS, depths_m))
 
 
-def _found(truth: Callable[[float], Mapping[int, Array]] = _circling) -> Locator:
+def _found(truth: Callable[[float], Mapping[int, Array]] = _circling) -> FleetLocalizer:
     """A localizer that has read each marker once, a frame before the first."""
-    locator = Locator(EXPERIMENT)
+    locator = FleetLocalizer(EXPERIMENT)
     locator.step(SIDE.frame(truth(0.0)), -STEP_NS, DEPTHS_M)
     return locator
 
@@ -79,7 +79,7 @@ def _without_markers() -> Experiment:
 
 
 def test_markers_are_found_in_the_first_frame_and_believed_in_the_second() -> None:
-    first, *steps = _fly(Locator(EXPERIMENT), 30)
+    first, *steps = _fly(FleetLocalizer(EXPERIMENT), 30)
     assert first.located.poses == (), "one reading may be a misreading"
     for step in steps:
         assert [robot for robot, _ in step.located.poses] == [1, 2]
@@ -92,7 +92,7 @@ def test_markers_are_found_in_the_first_frame_and_believed_in_the_second() -> No
 def test_looks_alone_follow_fast_turning_robots() -> None:
     """No marker in sight for 5 s: the correlation filters carry on, and carry the identity."""
     everyone = frozenset({1, 2})
-    steps = list(_fly(Locator(_without_markers()), 100, hidden=lambda k: everyone))
+    steps = list(_fly(FleetLocalizer(_without_markers()), 100, hidden=lambda k: everyone))
     assert all(step.pose(robot).track is Track.KCF for step in steps[1:] for robot in (1, 2))
     assert all(step.pose(robot).identity_verified for step in steps for robot in (1, 2))
     assert _rms(steps)[:2].max() < 3e-3 and _rms(steps)[2] < np.deg2rad(1.0)
@@ -100,7 +100,7 @@ def test_looks_alone_follow_fast_turning_robots() -> None:
 
 def test_a_cable_over_the_marker_is_bridged() -> None:
     """A dark bar across each robot spoils its marker and a part of its look; the rest of the look is enough."""
-    locator = Locator(EXPERIMENT)
+    locator = FleetLocalizer(EXPERIMENT)
     errors = []
     for k in range(50):
         truth = _circling(0.05 * k)
@@ -109,7 +109,7 @@ def test_a_cable_over_the_marker_is_bridged() -> None:
             for eta in truth.values():
                 bar = np.array([[-0.08, -0.02], [0.08, -0.02], [0.08, 0.005], [-0.08, 0.005]])
                 places = eta[:2] + body_to_pool(bar, eta[3])
-                corners = locator.view.pixel(np.column_stack([places, np.full(4, DEPTH_M - locator.marker_height_m)]))
+                corners = locator.view.pool_to_pixel(np.column_stack([places, np.full(4, DEPTH_M - locator.marker_height_m)]))
                 cv2.fillPoly(frame, [np.rint(corners).astype(np.int32)], (40,))
         step = Step(truth, locator.step(frame, k * STEP_NS, DEPTHS_M))
         if k >= 12:
@@ -120,7 +120,7 @@ def test_a_cable_over_the_marker_is_bridged() -> None:
 
 def test_covariance_is_honest() -> None:
     """Errors lie within what is published: not by a wide margin in either direction. These robots are level."""
-    _, *steps = _fly(Locator(LEVEL), 40)
+    _, *steps = _fly(FleetLocalizer(LEVEL), 40)
     squared = [step.error(r) @ np.linalg.solve(step.pose(r).covariance, step.error(r)) for step in steps for r in (1, 2)]
     assert 0.2 < np.mean(squared) / 3.0 < 1.5
     assert np.max(squared) < 25.0
@@ -130,7 +130,7 @@ def test_depth_error_is_covered_by_the_covariance() -> None:
     """A robot reports 1 cm too deep: 2 sigma of its sensor. The error grows by 2.5 mm per metre off the axis, and so does
     the published uncertainty, in that direction only."""
     still = {1: np.array([1.2, 0.0, DEPTH_M, 0.3]), 2: np.array([-0.4, 0.0, DEPTH_M, 0.0])}
-    steps = list(_fly(Locator(EXPERIMENT), 5, lambda t: still, depths_m={1: DEPTH_M + 0.01, 2: DEPTH_M}))
+    steps = list(_fly(FleetLocalizer(EXPERIMENT), 5, lambda t: still, depths_m={1: DEPTH_M + 0.01, 2: DEPTH_M}))
     error, covariance = steps[-1].error(1), steps[-1].pose(1).covariance
     assert error[0] == pytest.approx(0.003, abs=1e-3)
     assert abs(error[0]) < 3.0 * np.sqrt(covariance[0, 0])
@@ -138,9 +138,9 @@ def test_depth_error_is_covered_by_the_covariance() -> None:
 
 
 def test_unreported_depth_is_the_experiments_and_less_sure() -> None:
-    steps = list(_fly(Locator(EXPERIMENT), 3, depths_m={2: float("nan")}))
+    steps = list(_fly(FleetLocalizer(EXPERIMENT), 3, depths_m={2: float("nan")}))
     assert steps[-1].pose(1).depth_m == DEPTH_M and steps[-1].pose(2).depth_m == DEPTH_M
-    known = list(_fly(Locator(EXPERIMENT), 3))
+    known = list(_fly(FleetLocalizer(EXPERIMENT), 3))
     assert np.trace(steps[-1].pose(1).covariance) > 1.5 * np.trace(known[-1].pose(1).covariance)
 
 
@@ -168,7 +168,7 @@ def test_lost_and_found_elsewhere() -> None:
 
 def test_a_robot_nobody_saw_has_no_pose() -> None:
     only_second = {2: np.array([-0.4, 0.1, DEPTH_M, 0.5])}
-    steps = list(_fly(Locator(EXPERIMENT), 7, lambda t: only_second))
+    steps = list(_fly(FleetLocalizer(EXPERIMENT), 7, lambda t: only_second))
     assert all([robot for robot, _ in step.located.poses] == [2] for step in steps[1:])
     assert "lost: robot 1" in steps[-1].located.status.message
 
@@ -214,7 +214,7 @@ def test_swapped_labels_are_noticed_at_once() -> None:
         places = [np.array([0.4, 0.0, DEPTH_M, 0.5]), np.array([-0.4, 0.0, DEPTH_M, -0.5])]
         return dict(zip((1, 2), places if t_s < 0.49 else places[::-1], strict=True))
 
-    steps = list(_fly(Locator(EXPERIMENT), 14, truth))
+    steps = list(_fly(FleetLocalizer(EXPERIMENT), 14, truth))
     for robot in (1, 2):
         assert not steps[10].pose(robot).identity_verified
         assert (
@@ -229,7 +229,7 @@ def test_two_false_markers_at_different_places_move_nobody() -> None:
     pose stays where it was lost. The same thing at one place for two frames is believed."""
     third = EXPERIMENT.robots[0].model_copy(update={"id": 3, "marker_id": EXPERIMENT.robots[0].marker})
     three = EXPERIMENT.model_copy(update={"robots": (*EXPERIMENT.robots, third)})
-    scene, locator = Scene(three, seed=3), Locator(EXPERIMENT)
+    scene, locator = Scene(three, seed=3), FleetLocalizer(EXPERIMENT)
     still = {2: np.array([-0.4, 0.1, DEPTH_M, 0.5])}
     false = {31: (-1.0, -0.7, 0.3), 32: (-0.85, -0.6, -2.0), 36: (1.1, 0.6, -2.0), 37: (1.1, 0.6, -2.0)}  # scanned at 31, 36
 
@@ -240,19 +240,19 @@ def test_two_false_markers_at_different_places_move_nobody() -> None:
             there = there | {3: np.array([x, y, DEPTH_M, yaw])}
         return dict(locator.step(scene.frame(there), k * STEP_NS, DEPTHS_M).poses)
 
-    seen = [poses(k) for k in range(1, 38)]
-    assert seen[29][1].track is Track.LOST
+    measurement = [poses(k) for k in range(1, 38)]
+    assert measurement[29][1].track is Track.LOST
     for k in (31, 32, 36):
-        pose = seen[k - 1][1]
+        pose = measurement[k - 1][1]
         assert pose.track is Track.LOST and not pose.identity_verified
         assert np.hypot(pose.x_m - 0.5, pose.y_m) < 2e-3
-    assert seen[36][1].track is Track.MARKER and seen[36][1].identity_verified
-    assert abs(seen[36][1].x_m - 1.1) < 3e-3
-    assert all(pose[2].track is Track.MARKER for pose in seen[1:])
+    assert measurement[36][1].track is Track.MARKER and measurement[36][1].identity_verified
+    assert abs(measurement[36][1].x_m - 1.1) < 3e-3
+    assert all(pose[2].track is Track.MARKER for pose in measurement[1:])
 
 
 def test_frozen_black_and_missized_pictures_give_no_poses() -> None:
-    locator = Locator(EXPERIMENT)
+    locator = FleetLocalizer(EXPERIMENT)
     *_, last = _fly(locator, 5)
     frame = SIDE.frame(last.truth)
     tracks = []
@@ -271,7 +271,7 @@ def test_frozen_black_and_missized_pictures_give_no_poses() -> None:
 
 
 def test_stamps_may_jump_either_way() -> None:
-    locator = Locator(EXPERIMENT)
+    locator = FleetLocalizer(EXPERIMENT)
     still = _circling(0.0)
     locator.step(SIDE.frame(still), 10**18 - STEP_NS, DEPTHS_M)
     for stamp_ns in (10**18, 10**18 + STEP_NS, 5, 10**15, 10**15 - 7 * STEP_NS):
@@ -285,7 +285,7 @@ def test_same_frames_same_bits() -> None:
     frames = [SIDE.frame(_circling(0.05 * k), frozenset({1}) if k > 8 else frozenset()) for k in range(16)]
 
     def run() -> list[bytes]:
-        locator = Locator(EXPERIMENT)
+        locator = FleetLocalizer(EXPERIMENT)
         results = [locator.step(frame, k * STEP_NS, DEPTHS_M) for k, frame in enumerate(frames)]
         return [
             np.array([p.x_m, p.y_m, p.yaw_rad, p.peak, *p.covariance.ravel()]).tobytes() for r in results for _, p in r.poses
@@ -297,7 +297,7 @@ def test_same_frames_same_bits() -> None:
 def test_the_frame_is_only_read() -> None:
     frame: Pixels = SIDE.frame(_circling(0.0))
     frame.setflags(write=False)  # as it comes out of a message
-    locator = Locator(EXPERIMENT)
+    locator = FleetLocalizer(EXPERIMENT)
     locator.step(frame, 0, DEPTHS_M)
     again = SIDE.frame(_circling(0.0))
     again.setflags(write=False)
@@ -305,7 +305,7 @@ def test_the_frame_is_only_read() -> None:
 
 
 def test_a_marker_of_nobody_is_named_until_the_right_one_is_on() -> None:
-    wrong, locator = Scene(load_experiment("pool", ["robots.1.marker_id=9"]), seed=3), Locator(EXPERIMENT)
+    wrong, locator = Scene(load_experiment("pool", ["robots.1.marker_id=9"]), seed=3), FleetLocalizer(EXPERIMENT)
     said = [locator.step(wrong.frame(_circling(0.05 * k)), k * STEP_NS, DEPTHS_M).status.message for k in range(12)]
     assert said[0] == "lost: robot 1, 2" and said[1] == "lost: robot 2", "one sight of it may be a misreading"
     assert said[-1] == "lost: robot 2; in view, but no robot's: marker 9"
@@ -314,7 +314,7 @@ def test_a_marker_of_nobody_is_named_until_the_right_one_is_on() -> None:
 
 
 def test_overlay_marks_robots_where_they_are() -> None:
-    locator = Locator(EXPERIMENT)
+    locator = FleetLocalizer(EXPERIMENT)
     *_, step = _fly(locator, 2)
     frame = SIDE.frame(step.truth)
     nobody = replace(step.located, poses=())
@@ -323,14 +323,14 @@ def test_overlay_marks_robots_where_they_are() -> None:
     changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
     for robot in (1, 2):
         eta = step.truth[robot]
-        centre = (locator.view.pixel(np.array([eta[0], eta[1], eta[2] - locator.marker_height_m])) + 0.5) / 2 - 0.5
+        centre = (locator.view.pool_to_pixel(np.array([eta[0], eta[1], eta[2] - locator.marker_height_m])) + 0.5) / 2 - 0.5
         near = changed[np.linalg.norm(changed - centre, axis=1) < 80]
         assert len(near) > 200 and np.linalg.norm(near - centre, axis=1).min() < 3
     assert draw(locator, np.zeros((200, 300), np.uint8), nobody, Obstacles()).shape == (480, 640, 3)
 
 
 def test_overlay_outlines_obstacles_where_they_are() -> None:
-    locator = Locator(EXPERIMENT)
+    locator = FleetLocalizer(EXPERIMENT)
     *_, step = _fly(locator, 1)
     frame, middle = SIDE.frame(step.truth), np.array([-1.0, 0.6])
     turn = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
@@ -339,5 +339,5 @@ def test_overlay_outlines_obstacles_where_they_are() -> None:
     bare, marked = draw(locator, frame, step.located, Obstacles()), draw(locator, frame, step.located, obstacles)
     changed = np.argwhere(np.any(bare != marked, axis=2))[:, ::-1]
     for point in (*outline, middle + np.array([0.15, 0.0])):  # its rim, and the way it drifts
-        seen = (locator.view.pixel(np.append(point, 0.5)) + 0.5) / 2 - 0.5
-        assert np.linalg.norm(changed - seen, axis=1).min() < 2.0
+        measurement = (locator.view.pool_to_pixel(np.append(point, 0.5)) + 0.5) / 2 - 0.5
+        assert np.linalg.norm(changed - measurement, axis=1).min() < 2.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localizer.tracking.kalman import GATE, begin, innovation, predict, rest, surprise, update
+from localizer.tracking.kalman import GATE, initial_state, innovation, mahalanobis_squared, predict, stopped, update
 from wire.frames import wrap
 
 NOISE = np.diag([4e-6, 9e-6, 1e-4])
@@ -17,9 +17,9 @@ NOISE[0, 1] = NOISE[1, 0] = 2e-6
 def test_equals_weighted_least_squares() -> None:
     """Two measurements and the first speed's prior: the filter's answer is the least-squares one over all unknowns."""
     first, second, step = np.array([0.1, 0.2, 0.3]), np.array([0.13, 0.18, 0.36]), 0.1
-    filtered = update(predict(begin(first, NOISE), step), second, NOISE)
+    filtered = update(predict(initial_state(first, NOISE), step), second, NOISE)
 
-    start = begin(first, NOISE)
+    start = initial_state(first, NOISE)
     moved = predict(start, step)
     still = np.eye(6)
     still[[0, 1, 2], [3, 4, 5]] = step
@@ -46,11 +46,11 @@ def test_equals_weighted_least_squares() -> None:
 
 def test_gate_lets_through_what_the_covariance_promises() -> None:
     random = np.random.default_rng(1)
-    motion = update(predict(begin(np.zeros(3), NOISE), 0.05), np.array([0.001, 0.0, 0.01]), NOISE)
+    motion = update(predict(initial_state(np.zeros(3), NOISE), 0.05), np.array([0.001, 0.0, 0.01]), NOISE)
     ahead = predict(motion, 0.05)
     spread = ahead.covariance[:3, :3] + NOISE
     samples = random.multivariate_normal(ahead.mean[:3], spread, 4000)
-    distances = np.array([surprise(ahead, sample, NOISE) for sample in samples])
+    distances = np.array([mahalanobis_squared(ahead, sample, NOISE) for sample in samples])
     assert distances.mean() == pytest.approx(3.0, rel=0.05)  # chi-square with 3 degrees of freedom
     assert np.quantile(distances, 0.95) == pytest.approx(7.81, rel=0.05)
     assert distances.max() < GATE
@@ -58,7 +58,7 @@ def test_gate_lets_through_what_the_covariance_promises() -> None:
 
 @given(yaw=st.floats(-10, 10), turn=st.floats(-0.3, 0.3))
 def test_heading_is_filtered_across_the_wrap(yaw: float, turn: float) -> None:
-    motion = begin(np.array([0.0, 0.0, wrap(yaw)]), NOISE)
+    motion = initial_state(np.array([0.0, 0.0, wrap(yaw)]), NOISE)
     measured = np.array([0.0, 0.0, wrap(yaw + turn)])
     assert innovation(motion, measured)[2] == pytest.approx(turn, abs=1e-9)
     after = update(motion, measured, NOISE)
@@ -68,7 +68,7 @@ def test_heading_is_filtered_across_the_wrap(yaw: float, turn: float) -> None:
 
 def test_follows_a_robot_that_turns_steadily() -> None:
     """0.3 m/s on a circle of 0.15 m: the hardest turn a robot can fly stays well inside the gate, and turns do not lag."""
-    motion = begin(np.array([0.15, 0.0, np.pi / 2]), NOISE)
+    motion = initial_state(np.array([0.15, 0.0, np.pi / 2]), NOISE)
     for k in range(1, 60):
         angle = 2.0 * 0.05 * k
         motion = predict(motion, 0.05)
@@ -76,16 +76,16 @@ def test_follows_a_robot_that_turns_steadily() -> None:
         if k > 20:
             assert np.linalg.norm(innovation(motion, pose)[:2]) < 4e-3
             assert abs(innovation(motion, pose)[2]) < 0.01
-            assert surprise(motion, pose, NOISE) < GATE / 2
+            assert mahalanobis_squared(motion, pose, NOISE) < GATE / 2
         motion = update(motion, pose, NOISE)
 
 
 def test_uncertainty_grows_in_the_dark_and_stops_at_rest() -> None:
-    motion = update(predict(begin(np.zeros(3), NOISE), 0.05), np.zeros(3), NOISE)
+    motion = update(predict(initial_state(np.zeros(3), NOISE), 0.05), np.zeros(3), NOISE)
     sigmas = []
     for _ in range(10):
         motion = predict(motion, 0.05)
         sigmas.append(motion.position_sigma_m)
     assert all(b > a for a, b in pairwise(sigmas))
-    still = rest(motion)
+    still = stopped(motion)
     assert still.mean[3:] == pytest.approx(0.0) and still.position_m == pytest.approx(motion.position_m)

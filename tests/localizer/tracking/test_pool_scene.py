@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from localizer.tracking.fleet_localizer import Located, Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, pool_to_body, wrap
@@ -49,7 +49,7 @@ def _nu(t_s: float) -> Array:
     return np.column_stack([pool_to_body(rate[:, :2], _eta(t_s)[:, 3]), rate[:, 2:]])
 
 
-def _run(locator: Locator, markers: bool, frames: range) -> Iterator[tuple[Array, Located]]:
+def _run(locator: FleetLocalizer, markers: bool, frames: range) -> Iterator[tuple[Array, LocalizationResult]]:
     random = np.random.default_rng(SEED)
     for k in frames:
         t_s = k * PERIOD_S
@@ -59,7 +59,7 @@ def _run(locator: Locator, markers: bool, frames: range) -> Iterator[tuple[Array
         yield eta, locator.step(frame, round(t_s * 1e9), {1: float(depths[0]), 2: float(depths[1])})
 
 
-def _errors(run: list[tuple[Array, Located]]) -> Array:
+def _errors(run: list[tuple[Array, LocalizationResult]]) -> Array:
     """x, y, yaw errors (frames * robots, 3)."""
     return np.array([
         [pose.x_m - eta[i, 0], pose.y_m - eta[i, 1], wrap(pose.yaw_rad - float(eta[i, 3]))]
@@ -67,7 +67,7 @@ def _errors(run: list[tuple[Array, Located]]) -> Array:
     ])  # fmt: skip
 
 
-def _surprises(run: list[tuple[Array, Located]]) -> Array:
+def _surprises(run: list[tuple[Array, LocalizationResult]]) -> Array:
     """Squared errors in units of the published covariance; 3 on average if that is exactly right."""
     covariances = np.array([pose.covariance for _, located in run for _, pose in located.poses])
     errors = _errors(run)
@@ -75,7 +75,7 @@ def _surprises(run: list[tuple[Array, Located]]) -> Array:
 
 
 def test_with_markers() -> None:
-    run = list(_run(Locator(_experiment(True)), True, range(70)))
+    run = list(_run(FleetLocalizer(_experiment(True)), True, range(70)))
     assert all(pose.track is Track.MARKER and pose.identity_verified for _, located in run for _, pose in located.poses)
     rms = np.sqrt(np.mean(_errors(run) ** 2, axis=0))
     assert rms[:2].max() < 1e-3 and rms[2] < np.deg2rad(0.4)
@@ -85,7 +85,7 @@ def test_with_markers() -> None:
 
 def test_without_markers_over_a_whole_lap() -> None:
     """Every heading and every side of the sphere: parallax, shading and background all change on the way."""
-    run = list(_run(Locator(_experiment(False)), False, range(200)))[1:]
+    run = list(_run(FleetLocalizer(_experiment(False)), False, range(200)))[1:]
     assert all(pose.track is Track.KCF for _, located in run for _, pose in located.poses)
     rms = np.sqrt(np.mean(_errors(run) ** 2, axis=0))
     assert rms[:2].max() < 2.5e-3 and rms[2] < np.deg2rad(0.8)
@@ -95,7 +95,7 @@ def test_without_markers_over_a_whole_lap() -> None:
 @pytest.mark.parametrize("marker_id", [1, 2])
 def test_a_marker_that_cannot_be_read_is_bridged(marker_id: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """One robot's marker is never read after the first second; it is followed by its look, the other one is not affected."""
-    locator = Locator(_experiment(True))
+    locator = FleetLocalizer(_experiment(True))
     list(_run(locator, True, range(20)))
     reader = locator._reader
     read = reader.read
@@ -117,12 +117,14 @@ def test_a_look_counts_only_while_the_robots_middle_is_in_the_picture() -> None:
 
     starts = [f"robots.{i}.start={place}" for i, place in enumerate(eta(0.0).tolist())]
     experiment = load_experiment("pool", ["localizer.markers=false", "pool.size_m=[6.0, 4.0, 1.0]", *starts])
-    renderer, locator, seen = Renderer(experiment, SEED), Locator(experiment), []
+    renderer, locator, measurement = Renderer(experiment, SEED), FleetLocalizer(experiment), []
     for k in range(80):
         t_s = k * PERIOD_S
         nu = np.array([[0.06 * np.cos(0.3 * t_s), -0.06 * np.sin(0.3 * t_s), 0.0, 0.3], [0.0] * 4])
         located = locator.step(renderer.render(eta(t_s), nu, t_s, k), round(t_s * 1e9), {1: 0.3, 2: 0.3})
-        seen += [(eta(t_s), replace(located, poses=located.poses[:1]))] if located.poses[0][1].track is Track.KCF else []
-    errors = np.abs(_errors(seen))
+        measurement += (
+            [(eta(t_s), replace(located, poses=located.poses[:1]))] if located.poses[0][1].track is Track.KCF else []
+        )
+    errors = np.abs(_errors(measurement))
     assert len(errors) > 30
     assert errors[:, :2].max() < 0.005 and errors[:, 2].max() < np.deg2rad(4.0)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localizer.tracking.observation import Measurement
-from localizer.tracking.robot_track import RobotTrack, near_pairs
+from localizer.tracking.observation import PoseMeasurement
+from localizer.tracking.robot_track import RobotTrack, close_pairs
 from wire.messages.messages import Track
 
 SIGMA = np.diag([1e-6, 1e-6, 1e-5])
@@ -16,20 +16,20 @@ JUMP_M = 0.15
 STEP_S = 0.05
 
 
-def _seen(x: float, y: float = 0.0, yaw: float = 0.0, peak: float = 0.0) -> Measurement:
-    return Measurement(np.array([x, y, yaw]), SIGMA, peak)
+def _seen(x: float, y: float = 0.0, yaw: float = 0.0, peak: float = 0.0) -> PoseMeasurement:
+    return PoseMeasurement(np.array([x, y, yaw]), SIGMA, peak)
 
 
 def _followed() -> RobotTrack:
     """A robot at rest at the origin whose marker was read for a second."""
     track = RobotTrack()
     for _ in range(20):
-        track = track.advanced(STEP_S).read(_seen(0.0), JUMP_M).settled(LOST_AFTER_S)
+        track = track.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
     return track
 
 
 def test_never_seen_is_never_published() -> None:
-    track = RobotTrack().advanced(STEP_S).found(_seen(0.0, peak=1.0), 0.3).settled(LOST_AFTER_S)
+    track = RobotTrack().predicted(STEP_S).with_match(_seen(0.0, peak=1.0), 0.3).end_of_frame(LOST_AFTER_S)
     assert track.message(0.3, LEVEL) is None and track.state is Track.LOST
 
 
@@ -41,16 +41,16 @@ def test_the_first_marker_starts_it() -> None:
 
 def test_published_is_the_measurement_itself() -> None:
     """No smoothing, no lag: the agent's observer wants white errors."""
-    track = _followed().advanced(STEP_S).read(_seen(0.004, -0.003, 0.02), JUMP_M)
+    track = _followed().predicted(STEP_S).with_marker(_seen(0.004, -0.003, 0.02), JUMP_M)
     pose = track.message(0.3, LEVEL)
     assert pose is not None and (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((0.004, -0.003, 0.02), abs=1e-12)
 
 
 def test_coasts_then_is_lost_then_stays_put() -> None:
-    track = _followed().advanced(STEP_S).read(_seen(0.005), JUMP_M).advanced(STEP_S).read(_seen(0.01), JUMP_M)
+    track = _followed().predicted(STEP_S).with_marker(_seen(0.005), JUMP_M).predicted(STEP_S).with_marker(_seen(0.01), JUMP_M)
     states, places = [], []
     for _ in range(20):
-        track = track.advanced(STEP_S).settled(LOST_AFTER_S)
+        track = track.predicted(STEP_S).end_of_frame(LOST_AFTER_S)
         states.append(track.state)
         assert track.motion is not None
         places.append(track.motion.position_m[0])
@@ -60,16 +60,16 @@ def test_coasts_then_is_lost_then_stays_put() -> None:
 
 
 def test_a_look_must_fit_and_be_where_the_robot_can_be() -> None:
-    track = _followed().advanced(STEP_S)
-    assert track.found(_seen(0.002, peak=0.8), 0.3).state is Track.KCF
-    assert track.found(_seen(0.002, peak=0.29), 0.3).settled(LOST_AFTER_S).state is Track.COAST
-    assert track.found(_seen(0.10, peak=0.9), 0.3).settled(LOST_AFTER_S).state is Track.COAST
-    assert track.found(_seen(0.0, yaw=0.5, peak=0.9), 0.3).settled(LOST_AFTER_S).state is Track.COAST
-    assert track.found(_seen(0.0, peak=0.29), 0.3).peak == 0.29, "a low peak is reported even if it is not used"
+    track = _followed().predicted(STEP_S)
+    assert track.with_match(_seen(0.002, peak=0.8), 0.3).state is Track.KCF
+    assert track.with_match(_seen(0.002, peak=0.29), 0.3).end_of_frame(LOST_AFTER_S).state is Track.COAST
+    assert track.with_match(_seen(0.10, peak=0.9), 0.3).end_of_frame(LOST_AFTER_S).state is Track.COAST
+    assert track.with_match(_seen(0.0, yaw=0.5, peak=0.9), 0.3).end_of_frame(LOST_AFTER_S).state is Track.COAST
+    assert track.with_match(_seen(0.0, peak=0.29), 0.3).peak == 0.29, "a low peak is reported even if it is not used"
 
 
 def test_a_marker_outranks_a_look() -> None:
-    track = _followed().advanced(STEP_S).read(_seen(0.001), JUMP_M).found(_seen(0.003, peak=0.9), 0.3)
+    track = _followed().predicted(STEP_S).with_marker(_seen(0.001), JUMP_M).with_match(_seen(0.003, peak=0.9), 0.3)
     pose = track.message(0.3, LEVEL)
     assert pose is not None and pose.track is Track.MARKER and pose.x_m == pytest.approx(0.001) and pose.peak == 0.9
 
@@ -77,56 +77,64 @@ def test_a_marker_outranks_a_look() -> None:
 def test_a_lost_robot_is_regained_by_a_good_look_but_not_believed() -> None:
     track = _followed()
     for _ in range(20):
-        track = track.advanced(STEP_S).settled(LOST_AFTER_S)
-    assert track.advanced(STEP_S).found(_seen(0.05, peak=0.4), 0.3).settled(LOST_AFTER_S).state is Track.LOST
-    regained = track.advanced(STEP_S).found(_seen(0.05, peak=0.7), 0.3).settled(LOST_AFTER_S)
+        track = track.predicted(STEP_S).end_of_frame(LOST_AFTER_S)
+    assert track.predicted(STEP_S).with_match(_seen(0.05, peak=0.4), 0.3).end_of_frame(LOST_AFTER_S).state is Track.LOST
+    regained = track.predicted(STEP_S).with_match(_seen(0.05, peak=0.7), 0.3).end_of_frame(LOST_AFTER_S)
     assert regained.state is Track.KCF and not regained.verified
-    claimed = track.advanced(STEP_S).read(_seen(1.0), JUMP_M).settled(LOST_AFTER_S)
+    claimed = track.predicted(STEP_S).with_marker(_seen(1.0), JUMP_M).end_of_frame(LOST_AFTER_S)
     assert claimed.state is Track.LOST and not claimed.verified
-    marked = claimed.advanced(STEP_S).read(_seen(1.01), JUMP_M).settled(LOST_AFTER_S)
+    marked = claimed.predicted(STEP_S).with_marker(_seen(1.01), JUMP_M).end_of_frame(LOST_AFTER_S)
     assert marked.state is Track.MARKER and marked.verified
 
 
 def test_a_contradicting_marker_first_doubts_then_wins() -> None:
-    track = _followed().advanced(STEP_S).read(_seen(0.8), JUMP_M).found(_seen(0.0, peak=0.9), 0.3).settled(LOST_AFTER_S)
+    track = (
+        _followed()
+        .predicted(STEP_S)
+        .with_marker(_seen(0.8), JUMP_M)
+        .with_match(_seen(0.0, peak=0.9), 0.3)
+        .end_of_frame(LOST_AFTER_S)
+    )
     assert track.state is Track.COAST and not track.verified
     pose = track.message(0.3, LEVEL)
     assert pose is not None and abs(pose.x_m) < 0.01
-    track = track.advanced(STEP_S).read(_seen(0.8), JUMP_M).settled(LOST_AFTER_S)
+    track = track.predicted(STEP_S).with_marker(_seen(0.8), JUMP_M).end_of_frame(LOST_AFTER_S)
     pose = track.message(0.3, LEVEL)
     assert pose is not None and pose.identity_verified and pose.x_m == pytest.approx(0.8)
 
 
 def test_a_push_is_no_contradiction() -> None:
     """Or a stamp that is a frame off: the marker counts at once, the speed is learnt anew."""
-    track = _followed().advanced(STEP_S).read(_seen(0.06), JUMP_M).settled(LOST_AFTER_S)
+    track = _followed().predicted(STEP_S).with_marker(_seen(0.06), JUMP_M).end_of_frame(LOST_AFTER_S)
     assert track.state is Track.MARKER and track.verified
     assert track.motion is not None and track.motion.mean[3:] == pytest.approx(0.0)
 
 
 def test_one_misread_marker_does_not_throw_a_track() -> None:
-    track = _followed().advanced(STEP_S).read(_seen(0.8), JUMP_M).settled(LOST_AFTER_S)
+    track = _followed().predicted(STEP_S).with_marker(_seen(0.8), JUMP_M).end_of_frame(LOST_AFTER_S)
     for verified in (False, True):
-        track = track.advanced(STEP_S).read(_seen(0.0), JUMP_M).settled(LOST_AFTER_S)
+        track = track.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
         pose = track.message(0.3, LEVEL)
         assert pose is not None and pose.identity_verified is verified and pose.x_m == pytest.approx(0.0, abs=1e-3)
 
 
 def test_identity_is_doubted_when_robots_touch_until_a_marker_is_read() -> None:
-    track = _followed().advanced(STEP_S).found(_seen(0.0, peak=0.9), 0.3)
+    track = _followed().predicted(STEP_S).with_match(_seen(0.0, peak=0.9), 0.3)
     assert track.verified
-    track = track.doubted().settled(LOST_AFTER_S)
+    track = track.identity_doubted().end_of_frame(LOST_AFTER_S)
     assert not track.verified
-    later = track.advanced(STEP_S).found(_seen(0.0, peak=0.9), 0.3).settled(LOST_AFTER_S)
+    later = track.predicted(STEP_S).with_match(_seen(0.0, peak=0.9), 0.3).end_of_frame(LOST_AFTER_S)
     assert later.state is Track.KCF and not later.verified, "going apart again is no proof of who is who"
-    once = later.advanced(STEP_S).read(_seen(0.0), JUMP_M)
+    once = later.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M)
     assert once.state is Track.MARKER and not once.verified, "one reading may be a misreading"
-    assert once.advanced(STEP_S).read(_seen(0.0), JUMP_M).verified
-    assert _followed().advanced(STEP_S).read(_seen(0.0), JUMP_M).doubted().verified, "the marker is being read all the while"
+    assert once.predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).verified
+    assert _followed().predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).identity_doubted().verified, (
+        "the marker is being read all the while"
+    )
 
 
 def test_placed_robots_are_vouched_for() -> None:
-    track = RobotTrack.placed(np.array([0.5, 0.2, 1.0])).advanced(0.0).found(_seen(0.51, 0.19, 1.05, peak=0.8), 0.3)
+    track = RobotTrack.at_start(np.array([0.5, 0.2, 1.0])).predicted(0.0).with_match(_seen(0.51, 0.19, 1.05, peak=0.8), 0.3)
     assert track.state is Track.KCF and track.verified
 
 
@@ -142,16 +150,16 @@ def test_placed_robots_are_vouched_for() -> None:
 def test_any_history_leaves_a_sound_track(steps: list[tuple[str, float, float, float, float, float]]) -> None:
     track = RobotTrack()
     for what, x, y, yaw, peak, step_s in steps:
-        track = track.advanced(step_s)
+        track = track.predicted(step_s)
         if what == "marker":
-            track = track.read(_seen(x, y, yaw), JUMP_M)
+            track = track.with_marker(_seen(x, y, yaw), JUMP_M)
         elif what == "look":
-            track = track.found(_seen(x, y, yaw, peak), 0.3)
+            track = track.with_match(_seen(x, y, yaw, peak), 0.3)
         elif what == "contradict":
             track = track.contradicted()
         if what == "doubt":
-            track = track.doubted()
-        track = track.settled(LOST_AFTER_S)
+            track = track.identity_doubted()
+        track = track.end_of_frame(LOST_AFTER_S)
         pose = track.message(0.3, LEVEL)
         if pose is None:
             assert track.state is Track.LOST
@@ -165,10 +173,12 @@ def test_any_history_leaves_a_sound_track(steps: list[tuple[str, float, float, f
 
 
 def test_near_pairs() -> None:
-    tracks = [RobotTrack().read(_seen(x), JUMP_M).read(_seen(x), JUMP_M) for x in (0.0, 0.3, 0.9)] + [RobotTrack()]
-    assert near_pairs(tracks, 0.35) == [(0, 1)]
-    assert near_pairs(tracks, 0.65) == [(0, 1), (1, 2)]
-    assert near_pairs([RobotTrack()] * 3, 10.0) == []
+    tracks = [RobotTrack().with_marker(_seen(x), JUMP_M).with_marker(_seen(x), JUMP_M) for x in (0.0, 0.3, 0.9)] + [
+        RobotTrack()
+    ]
+    assert close_pairs(tracks, 0.35) == [(0, 1)]
+    assert close_pairs(tracks, 0.65) == [(0, 1), (1, 2)]
+    assert close_pairs([RobotTrack()] * 3, 10.0) == []
 
 
 # --- misreadings
@@ -181,11 +191,11 @@ def _doubted_by(what: str) -> RobotTrack:
         return RobotTrack()
     if what == "lost":
         for _ in range(20):
-            track = track.advanced(STEP_S).settled(LOST_AFTER_S)
+            track = track.predicted(STEP_S).end_of_frame(LOST_AFTER_S)
     if what == "near another":
-        track = track.advanced(STEP_S).found(_seen(0.0, peak=0.9), 0.3).doubted().settled(LOST_AFTER_S)
+        track = track.predicted(STEP_S).with_match(_seen(0.0, peak=0.9), 0.3).identity_doubted().end_of_frame(LOST_AFTER_S)
     if what == "contradicted":
-        track = track.advanced(STEP_S).contradicted().settled(LOST_AFTER_S)
+        track = track.predicted(STEP_S).contradicted().end_of_frame(LOST_AFTER_S)
     return track
 
 
@@ -193,11 +203,11 @@ def _doubted_by(what: str) -> RobotTrack:
 @pytest.mark.parametrize(
     "second", [_seen(0.8, -0.9), _seen(-1.0, 0.5, 2.0), _seen(1.0, 0.5, 1.5)], ids=["elsewhere", "both", "another heading"]
 )
-def test_two_misreadings_that_disagree_move_no_track(why: str, second: Measurement) -> None:
+def test_two_misreadings_that_disagree_move_no_track(why: str, second: PoseMeasurement) -> None:
     track = _doubted_by(why)
     before = track.message(0.3, LEVEL)
-    for seen in (_seen(1.0, 0.5), second):
-        track = track.advanced(STEP_S).read(seen, JUMP_M).settled(LOST_AFTER_S)
+    for measurement in (_seen(1.0, 0.5), second):
+        track = track.predicted(STEP_S).with_marker(measurement, JUMP_M).end_of_frame(LOST_AFTER_S)
         pose = track.message(0.3, LEVEL)
         assert track.state is not Track.MARKER and not track.verified
         if before is None:
@@ -209,32 +219,32 @@ def test_two_misreadings_that_disagree_move_no_track(why: str, second: Measureme
 @pytest.mark.parametrize("why", ["never seen", "lost", "near another", "contradicted", "verified"])
 def test_two_readings_that_agree_are_believed(why: str) -> None:
     """The robot swims at 0.4 m/s and turns meanwhile; a frame without a reading lies between."""
-    track = _doubted_by(why).advanced(STEP_S).read(_seen(1.0, 0.5, 3.1), JUMP_M).settled(LOST_AFTER_S)
-    track = track.advanced(STEP_S).settled(LOST_AFTER_S)
-    track = track.advanced(STEP_S).read(_seen(1.04, 0.5, -3.08), JUMP_M).settled(LOST_AFTER_S)
+    track = _doubted_by(why).predicted(STEP_S).with_marker(_seen(1.0, 0.5, 3.1), JUMP_M).end_of_frame(LOST_AFTER_S)
+    track = track.predicted(STEP_S).end_of_frame(LOST_AFTER_S)
+    track = track.predicted(STEP_S).with_marker(_seen(1.04, 0.5, -3.08), JUMP_M).end_of_frame(LOST_AFTER_S)
     pose = track.message(0.3, LEVEL)
     assert pose is not None and pose.track is Track.MARKER and pose.identity_verified
     assert (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((1.04, 0.5, -3.08))
 
 
 def test_a_claim_is_forgotten_after_half_a_second() -> None:
-    track = RobotTrack().read(_seen(1.0), JUMP_M)
+    track = RobotTrack().with_marker(_seen(1.0), JUMP_M)
     for _ in range(11):
-        track = track.advanced(STEP_S).settled(LOST_AFTER_S)
-    assert track.read(_seen(1.0), JUMP_M).message(0.3, LEVEL) is None
+        track = track.predicted(STEP_S).end_of_frame(LOST_AFTER_S)
+    assert track.with_marker(_seen(1.0), JUMP_M).message(0.3, LEVEL) is None
 
 
 def test_a_camera_of_one_picture_a_second_confirms_a_claim_too() -> None:
-    track = RobotTrack().advanced(1.0).read(_seen(1.0), JUMP_M).advanced(1.0).read(_seen(1.1), JUMP_M)
+    track = RobotTrack().predicted(1.0).with_marker(_seen(1.0), JUMP_M).predicted(1.0).with_marker(_seen(1.1), JUMP_M)
     assert track.state is Track.MARKER and track.verified
 
 
 def test_what_is_not_finite_is_no_measurement() -> None:
-    track, nan = _followed().advanced(STEP_S), float("nan")
-    bad = [_seen(nan), _seen(0.0, 0.0, nan), _seen(0.0, peak=nan), Measurement(np.zeros(3), np.full((3, 3), np.inf), 0.9)]
-    for seen in bad:
-        assert track.read(seen, JUMP_M) is track
-        assert track.found(seen, 0.3) is track
+    track, nan = _followed().predicted(STEP_S), float("nan")
+    bad = [_seen(nan), _seen(0.0, 0.0, nan), _seen(0.0, peak=nan), PoseMeasurement(np.zeros(3), np.full((3, 3), np.inf), 0.9)]
+    for measurement in bad:
+        assert track.with_marker(measurement, JUMP_M) is track
+        assert track.with_match(measurement, 0.3) is track
 
 
 def test_what_is_added_for_a_lean_is_published_and_does_not_move_the_track() -> None:

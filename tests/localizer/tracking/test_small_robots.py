@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from localizer.tracking.fleet_localizer import Locator
+from localizer.tracking.fleet_localizer import FleetLocalizer
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import load_experiment
 from wire.frames import Array, wrap
@@ -21,7 +21,7 @@ def test_small_robots_are_followed_by_their_look() -> None:
     hall = ("pool.size_m=[16, 16, 1]", "camera.position_m=[0, 0, -16.75]", "camera.distortion=[0, 0, 0, 0, 0]")
     starts = [f"robots.{i}.start={eta}" for i, eta in enumerate(_eta(0.0).tolist())]
     experiment = load_experiment("pool", [*hall, "localizer.markers=false", *starts])
-    renderer, locator, errors = Renderer(experiment, 1), Locator(experiment), []
+    renderer, locator, errors = Renderer(experiment, 1), FleetLocalizer(experiment), []
     for k in range(120):
         eta = _eta(k * PERIOD_S)
         frame = renderer.render(eta, np.zeros((2, 4)), k * PERIOD_S, k)

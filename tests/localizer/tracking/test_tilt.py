@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from localizer.tracking.fleet_localizer import Locator
-from localizer.tracking.tilt import Course, LeanLaw
+from localizer.tracking.fleet_localizer import FleetLocalizer
+from localizer.tracking.tilt import MotionEstimate, TiltModel
 from sim_bridge.camera.renderer import Renderer
 from tests.closed_loop.dry_pool import DryPool
 from wire.config.experiment import Experiment, load_experiment
@@ -12,15 +12,15 @@ from wire.frames import Array, wrap
 from wire.messages.messages import Pose
 
 EXPERIMENT = load_experiment("pool")
-LAW = LeanLaw.of(EXPERIMENT.vehicle, 0.002, 0.026)
+LAW = TiltModel.of(EXPERIMENT.vehicle, 0.002, 0.026)
 PERIOD_S = 0.05
 
 
-def follow(places_m: Array, period_s: float = PERIOD_S, law: LeanLaw = LAW) -> Course:
+def follow(places_m: Array, period_s: float = PERIOD_S, law: TiltModel = LAW) -> MotionEstimate:
     """A course through places (n, 2), one a period."""
-    course = Course.begin(places_m[0], 0.0)
+    course = MotionEstimate.at_rest(places_m[0], 0.0)
     for place_m in places_m[1:]:
-        course = course.advanced(period_s).measured(place_m, law)
+        course = course.predicted(period_s).with_position(place_m, law)
     return course
 
 
@@ -38,7 +38,7 @@ def test_a_steady_speed_takes_the_thrust_that_its_drag_does() -> None:
     """0.3 m/s: 3 N s/m * 0.3 m/s + 20 kg/m * 0.09 m^2/s^2 = 2.7 N, times 0.026 rad/N."""
     t_s = np.arange(0.0, 20.0, PERIOD_S)[:, None]
     course = follow(t_s * np.array([0.3, 0.0]))
-    assert course.swung_rad == pytest.approx(0.0702, rel=0.02)
+    assert course.residual_tilt_rad == pytest.approx(0.0702, rel=0.02)
     assert np.sqrt(LAW.covariance(course, np.zeros(2))[0, 0]) == pytest.approx(0.15 * np.hypot(0.0702, 0.002), rel=0.02)
 
 
@@ -54,7 +54,7 @@ def test_a_swing_dies_down_when_the_robot_has_stopped() -> None:
     moving, still = np.arange(100)[:, None] * np.array([0.01, 0.0]), np.full((100, 2), [0.99, 0.0])
     stopped = follow(np.concatenate([moving, still[:20]]))
     later = follow(np.concatenate([moving, still]))
-    assert later.swung_rad < 0.5 * stopped.swung_rad
+    assert later.residual_tilt_rad < 0.5 * stopped.residual_tilt_rad
 
 
 def test_seen_askew_a_lean_looks_like_a_turn() -> None:
@@ -65,7 +65,7 @@ def test_seen_askew_a_lean_looks_like_a_turn() -> None:
     moved = corners + np.outer(corners[:, 1] * lean, [slope, 0.0])
     cross = corners[:, 0] * moved[:, 1] - corners[:, 1] * moved[:, 0]
     turned_rad = abs(np.arctan2(np.sum(cross), np.sum(corners * moved)))
-    law = LeanLaw.of(EXPERIMENT.vehicle, lean, 0.0)
+    law = TiltModel.of(EXPERIMENT.vehicle, lean, 0.0)
     assert np.sqrt(law.covariance(None, np.array([slope, 0.0]))[2, 2]) == pytest.approx(turned_rad, rel=0.01)
 
 
@@ -74,7 +74,7 @@ class SeenPool(DryPool):
 
     def __init__(self, experiment: Experiment) -> None:
         super().__init__(experiment)
-        self._renderer, self._locator, self._frames = Renderer(self.experiment, 1), Locator(self.experiment), 0
+        self._renderer, self._locator, self._frames = Renderer(self.experiment, 1), FleetLocalizer(self.experiment), 0
         self.nees: list[float] = []
         self.lean_rad: list[float] = []
 

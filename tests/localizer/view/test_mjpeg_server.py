@@ -7,21 +7,21 @@ from collections.abc import Iterator
 import pytest
 
 from localizer.view import mjpeg_server as page_module
-from localizer.view.mjpeg_server import MAX_VIEWERS, Page
+from localizer.view.mjpeg_server import MAX_VIEWERS, MjpegServer
 from tests.waiting import eventually
 from wire.process.runtime import Stop
 from wire.toml_loader import ConfigError
 
 
 @pytest.fixture
-def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[Page]:
+def page(monkeypatch: pytest.MonkeyPatch) -> Iterator[MjpegServer]:
     monkeypatch.setattr(page_module, "_WAIT_S", 0.05)
-    opened = Page(0, Stop(install=False))
+    opened = MjpegServer(0, Stop(install=False))
     yield opened
     opened.close()
 
 
-def ask(page: Page, path: str, host: str | None = None) -> http.client.HTTPResponse:
+def ask(page: MjpegServer, path: str, host: str | None = None) -> http.client.HTTPResponse:
     connection = http.client.HTTPConnection("127.0.0.1", int(page.address.rstrip("/").rpartition(":")[2]), timeout=5)
     connection.request("GET", path, headers={} if host is None else {"Host": host})
     return connection.getresponse()
@@ -40,7 +40,7 @@ def picture(stream: http.client.HTTPResponse) -> bytes:
     return data
 
 
-def test_the_page_shows_the_stream_and_asks_nobody_else(page: Page) -> None:
+def test_the_page_shows_the_stream_and_asks_nobody_else(page: MjpegServer) -> None:
     answer = ask(page, "/")
     text = answer.read().decode()
     assert answer.status == 200 and 'src="/stream"' in text
@@ -48,7 +48,7 @@ def test_the_page_shows_the_stream_and_asks_nobody_else(page: Page) -> None:
     assert ask(page, "/etc/passwd").status == 404
 
 
-def test_a_viewer_gets_the_newest_picture_and_then_each_new_one(page: Page) -> None:
+def test_a_viewer_gets_the_newest_picture_and_then_each_new_one(page: MjpegServer) -> None:
     for number in range(100):
         page.show(b"old %d" % number)
     stream = ask(page, "/stream")
@@ -59,7 +59,7 @@ def test_a_viewer_gets_the_newest_picture_and_then_each_new_one(page: Page) -> N
     assert seen == b"new"
 
 
-def test_a_viewer_that_does_not_read_holds_nobody_up(page: Page) -> None:
+def test_a_viewer_that_does_not_read_holds_nobody_up(page: MjpegServer) -> None:
     """More than all socket buffers hold; the picture after is served to the next viewer at once."""
     page.show(b"first")
     assert picture(ask(page, "/stream")) == b"first"
@@ -70,7 +70,7 @@ def test_a_viewer_that_does_not_read_holds_nobody_up(page: Page) -> None:
     assert picture(ask(page, "/stream")) == b"last"
 
 
-def test_there_is_room_for_a_few_and_again_when_one_leaves(page: Page) -> None:
+def test_there_is_room_for_a_few_and_again_when_one_leaves(page: MjpegServer) -> None:
     page.show(b"x")
     viewers = [ask(page, "/stream") for _ in range(MAX_VIEWERS)]
     assert [v.status for v in viewers] == [200] * MAX_VIEWERS
@@ -79,25 +79,25 @@ def test_there_is_room_for_a_few_and_again_when_one_leaves(page: Page) -> None:
     assert eventually(lambda: ask(page, "/stream").status == 200)
 
 
-def test_another_name_for_this_machine_is_refused(page: Page) -> None:
+def test_another_name_for_this_machine_is_refused(page: MjpegServer) -> None:
     """A foreign web page can have its own name lead here; the browser then sends that name."""
     assert ask(page, "/", host="evil.example:8090").status == 403
     assert ask(page, "/stream", host="evil.example").status == 403
     assert ask(page, "/", host="localhost:1234").status == 200
 
 
-def test_only_this_machine_is_served(page: Page) -> None:
+def test_only_this_machine_is_served(page: MjpegServer) -> None:
     assert page._server.server_address[0] == "127.0.0.1"
 
 
-def test_a_port_in_use_is_explained(page: Page) -> None:
+def test_a_port_in_use_is_explained(page: MjpegServer) -> None:
     port = int(page.address.rstrip("/").rpartition(":")[2])
     with pytest.raises(ConfigError, match=f"--show-port {port}: in use"):
-        Page(port, Stop(install=False))
+        MjpegServer(port, Stop(install=False))
 
 
 def test_closing_ends_the_streams(monkeypatch: pytest.MonkeyPatch) -> None:
-    page = Page(0, Stop(install=False))
+    page = MjpegServer(0, Stop(install=False))
     page.show(b"x")
     stream = ask(page, "/stream")
     assert picture(stream) == b"x"

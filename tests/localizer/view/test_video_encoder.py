@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from localizer.detection.image_regions import BAYER_TO_BGR, Pixels
-from localizer.sources.base import Shot
-from localizer.view.video_encoder import VideoMaker, packer
+from localizer.sources.base import CapturedFrame
+from localizer.view.video_encoder import VideoEncoder, packer
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
@@ -98,9 +98,9 @@ def test_stills_are_plain_jpegs_of_the_size_asked_for(pictures: list[Pixels]) ->
     assert (frame.width, frame.height) == (width // 2, height // 2)
 
 
-def shot(pixels: Pixels, k: int) -> Shot:
+def captured(pixels: Pixels, k: int) -> CapturedFrame:
     stamp_ns = SECOND + k * SECOND // 20
-    return Shot(pixels, stamp_ns, stamp_ns, stamp_ns)
+    return CapturedFrame(pixels, stamp_ns, stamp_ns, stamp_ns)
 
 
 @pytest.mark.parametrize(("video", "topic", "kind"), [("h264", topics.VIDEO, Video), ("jpeg", topics.PICTURE, Picture)])
@@ -116,10 +116,10 @@ def test_it_goes_out_on_its_topic_with_the_pictures_stamp(
         enough.set()
 
     Bus(MemoryTransport(hub)).subscribe(topic, None, hear)
-    maker = VideoMaker(experiment(video, video_rate_hz=10), Bus(MemoryTransport(hub)), Stop(install=False))
+    maker = VideoEncoder(experiment(video, video_rate_hz=10), Bus(MemoryTransport(hub)), Stop(install=False))
     for k, pixels in enumerate(pictures[:6]):
         enough.clear()
-        maker.offer(shot(pixels, k))
+        maker.offer(captured(pixels, k))
         if k % 2 == 0:
             assert enough.wait(10.0)
     maker.close()
@@ -137,15 +137,15 @@ def test_offering_never_waits_and_the_newest_counts(pictures: list[Pixels], monk
         return b""
 
     monkeypatch.setattr("localizer.view.video_encoder.packer", lambda recording, size_px: slow)
-    maker = VideoMaker(experiment("jpeg"), Bus(MemoryTransport(MemoryHub())), Stop(install=False))
-    maker.offer(shot(pictures[0], 0))
+    maker = VideoEncoder(experiment("jpeg"), Bus(MemoryTransport(MemoryHub())), Stop(install=False))
+    maker.offer(captured(pictures[0], 0))
     assert busy.wait(10.0)
     for k in range(1, 12):
-        maker.offer(shot(pictures[k], k))  # would block for ever if it waited
+        maker.offer(captured(pictures[k], k))  # would block for ever if it waited
     go_on.set()
     assert again.wait(10.0)
     maker.close()
-    assert packed == [SECOND, shot(pictures[0], 11).stamp_ns]
+    assert packed == [SECOND, captured(pictures[0], 11).stamp_ns]
 
 
 @pytest.mark.parametrize("error", [RuntimeError("the codec is broken"), cv2.error("another size"), MemoryError()])
@@ -173,9 +173,9 @@ def test_a_picture_that_cannot_be_packed_costs_that_picture_and_the_packer(
     Bus(MemoryTransport(hub)).subscribe(
         topics.PICTURE, None, lambda topic, key, header, payload: heard.append(decode(Picture, payload, "", "").jpeg)
     )
-    maker = VideoMaker(experiment("jpeg"), Bus(MemoryTransport(hub)), stop)
+    maker = VideoEncoder(experiment("jpeg"), Bus(MemoryTransport(hub)), stop)
     for k in range(3):
-        maker.offer(shot(pictures[k], 4 * k))
+        maker.offer(captured(pictures[k], 4 * k))
         assert done.acquire(timeout=10.0)
     maker.close()
     assert heard == [b"1", b"2"]

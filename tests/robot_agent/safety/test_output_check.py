@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from robot_agent.safety.output_check import OutputCheck
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import AgentLink, Telemetry
 
@@ -78,7 +78,7 @@ def test_a_board_that_is_disarmed_or_silent_about_it_is_not_wrong() -> None:
 @pytest.mark.parametrize(("swapped", "every_ms"), [(False, 50), (False, 1000), (True, 1000)])
 def test_a_real_board_is_right_whatever_it_is_told_and_wrong_with_crossed_outputs(swapped: bool, every_ms: int) -> None:
     experiment = load_experiment("pool")
-    board, link, check, random = Board(experiment, 1, 1), AgentLink(1), OutputCheck(), np.random.default_rng(1)
+    board, link, check, random = ThrusterBoard(experiment, 1, 1), AgentLink(1), OutputCheck(), np.random.default_rng(1)
     worst_s, pulse_us = 0.0, STILL
     for step_ms in range(5, 10_000, 5):
         now_ns = step_ms * MS

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim_bridge.board_conformance.probe import Probe
+from sim_bridge.board_conformance.probe import BoardProbe
 from sim_bridge.board_conformance.rules import RULES
-from sim_bridge.board_conformance.runner import Outcome, Verdict, examine
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.board_conformance.runner import RuleResult, RuleVerdict, examine
+from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
-from sim_bridge.thruster_board.state_machine import THRUSTERS, Rules
+from sim_bridge.thruster_board.state_machine import THRUSTERS, BoardStateMachine
 from wire.config.experiment import load_experiment
 from wire.mavlink import framing
 from wire.mavlink.agent_link import ACCEPTED, IGNORED
@@ -33,7 +33,7 @@ class Bench:
     """A wire to a board that is stepped as time is asked for."""
 
     def __init__(self, key: Key | None = None) -> None:
-        self.board, self._now_ns = Board(POOL, 1, 1, key), 0
+        self.board, self._now_ns = ThrusterBoard(POOL, 1, 1, key), 0
         self.worst_us = 0.0  # thruster output furthest from neutral
 
     def now_ns(self) -> int:
@@ -54,27 +54,27 @@ class Bench:
         return None
 
 
-def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, Outcome], Bench]:
+def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, RuleResult], Bench]:
     bench = Bench(key)
-    outcomes = {outcome.rule: outcome for outcome in examine(Probe(bench, 1, key, lambda: 1000), dry, RULES)}
+    outcomes = {outcome.rule: outcome for outcome in examine(BoardProbe(bench, 1, key, lambda: 1000), dry, RULES)}
     return outcomes, bench
 
 
-def failures(outcomes: dict[str, Outcome]) -> set[str]:
-    return {name for name, outcome in outcomes.items() if outcome.verdict is Verdict.FAILED}
+def failures(outcomes: dict[str, RuleResult]) -> set[str]:
+    return {name for name, outcome in outcomes.items() if outcome.verdict is RuleVerdict.FAILED}
 
 
 def tried(*names: str) -> set[str]:
     """Which of these rules fail on an unsigned board."""
     rules = [rule for rule in RULES if rule.name in {"parameters", *names}]
-    return failures({outcome.rule: outcome for outcome in examine(Probe(Bench(), 1), False, rules)})
+    return failures({outcome.rule: outcome for outcome in examine(BoardProbe(Bench(), 1), False, rules)})
 
 
 def test_the_reference_board_passes() -> None:
-    before = Board(POOL, 1, 1).rules.parameters
+    before = ThrusterBoard(POOL, 1, 1).rules.parameters
     outcomes, bench = run(KEY)
     assert [o.rule for o in outcomes.values()] == [rule.name for rule in RULES]
-    assert [o for o in outcomes.values() if o.verdict is not Verdict.PASSED] == []
+    assert [o for o in outcomes.values() if o.verdict is not RuleVerdict.PASSED] == []
     assert bench.board.rules.parameters == before  # everything was put back
     assert not bench.board.armed
     assert bench.worst_us == 60  # and nothing ever turned faster than slowly
@@ -84,7 +84,7 @@ def test_a_dry_run_turns_nothing_and_says_what_it_left_out() -> None:
     outcomes, bench = run(dry=True)
     assert failures(outcomes) == set()
     assert bench.worst_us == 0
-    skipped = {name for name, outcome in outcomes.items() if outcome.verdict is Verdict.SKIPPED}
+    skipped = {name for name, outcome in outcomes.items() if outcome.verdict is RuleVerdict.SKIPPED}
     assert skipped == {rule.name for rule in RULES if rule.spins or rule.signed}
 
 
@@ -93,100 +93,100 @@ def test_a_dry_run_turns_nothing_and_says_what_it_left_out() -> None:
 Broken = dict[str, Callable[..., Any]]
 
 
-def _override_without_range(self: Rules, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
+def _override_without_range(self: BoardStateMachine, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
     self.overrides_received += 1
     if sender == self._computer:
         self._command, self._command_ns = pulses_us, now_ns
 
 
-def _override_clipped(self: Rules, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
+def _override_clipped(self: BoardStateMachine, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
     (low, high), ankles = self.parameters.thruster_us, self.parameters.ankle_us
     clipped = [round(min(max(pulse, low), high)) for pulse in pulses_us[:4]]
     clipped += [pulse if pulse == IGNORED else round(min(max(pulse, ankles[0]), ankles[1])) for pulse in pulses_us[4:]]
     Rules_override(self, sender, tuple(clipped), now_ns)
 
 
-def _override_of_anybody(self: Rules, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
+def _override_of_anybody(self: BoardStateMachine, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
     Rules_override(self, self._computer, pulses_us, now_ns)
 
 
-def _override_refused_but_counted(self: Rules, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
+def _override_refused_but_counted(self: BoardStateMachine, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
     Rules_override(self, sender, pulses_us, now_ns)
     self._command_ns = now_ns
 
 
-def _arm_always(self: Rules, wanted: bool, now_ns: int) -> int:
+def _arm_always(self: BoardStateMachine, wanted: bool, now_ns: int) -> int:
     self.armed = wanted
     return ACCEPTED
 
 
-def _arm_at_any_pulse(self: Rules, now_ns: int) -> str:
+def _arm_at_any_pulse(self: BoardStateMachine, now_ns: int) -> str:
     return "old" if self._is_stale(now_ns) else ""
 
 
-def _arm_on_any_age(self: Rules, now_ns: int) -> str:
+def _arm_on_any_age(self: BoardStateMachine, now_ns: int) -> str:
     return Rules_why(self, self._command_ns)
 
 
-def _arm_on_any_battery(self: Rules, now_ns: int) -> str:
+def _arm_on_any_battery(self: BoardStateMachine, now_ns: int) -> str:
     reason = Rules_why(self, now_ns)
     return "" if reason == "battery low" else reason
 
 
-def _never_disarm(self: Rules, wanted: bool, now_ns: int) -> int:
+def _never_disarm(self: BoardStateMachine, wanted: bool, now_ns: int) -> int:
     return Rules_arm(self, True, now_ns) if wanted else ACCEPTED
 
 
-def _keep_thrust(self: Rules, now_ns: int) -> None:
+def _keep_thrust(self: BoardStateMachine, now_ns: int) -> None:
     held = list(self._thrusters_us)
     Rules_step(self, now_ns)
     if not self.armed:
         self._thrusters_us = held
 
 
-def _slewed_to_neutral(self: Rules, now_ns: int) -> None:
+def _slewed_to_neutral(self: BoardStateMachine, now_ns: int) -> None:
     held = list(self._thrusters_us)
     Rules_step(self, now_ns)
     if not self.armed:
         self._thrusters_us = [pulse + min(max(1500 - pulse, -1.0), 1.0) for pulse in held]
 
 
-def _follow_while_disarmed(self: Rules, now_ns: int) -> None:
+def _follow_while_disarmed(self: BoardStateMachine, now_ns: int) -> None:
     was, self.armed = self.armed, True
     stale = self._is_stale(now_ns)
     Rules_step(self, now_ns)
     self.armed = was and not stale
 
 
-def _jump(self: Rules, reach_us: float) -> None:
+def _jump(self: BoardStateMachine, reach_us: float) -> None:
     Rules_move(self, 1e6)
 
 
-def _ankle_to_zero(self: Rules, reach_us: float) -> None:
+def _ankle_to_zero(self: BoardStateMachine, reach_us: float) -> None:
     Rules_move(self, reach_us)
     self._ankles_us = [1500 if goal != IGNORED else 1000 for goal in self._command[4:]]
 
 
-def _swap(self: Rules, reach_us: float) -> None:
+def _swap(self: BoardStateMachine, reach_us: float) -> None:
     Rules_move(self, reach_us)
     self._thrusters_us[:2] = self._thrusters_us[1::-1]
 
 
-def _slow_age(self: Rules, now_ns: int) -> bool:
+def _slow_age(self: BoardStateMachine, now_ns: int) -> bool:
     return now_ns - self._command_ns > 400_000_000
 
 
-def _hasty_age(self: Rules, now_ns: int) -> bool:
+def _hasty_age(self: BoardStateMachine, now_ns: int) -> bool:
     return now_ns - self._command_ns > 120_000_000
 
 
-def _wake_up(self: Rules, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
+def _wake_up(self: BoardStateMachine, sender: Peer, pulses_us: tuple[int, ...], now_ns: int) -> None:
     was_silent = self._is_stale(now_ns) and self._command_ns > 0
     Rules_override(self, sender, pulses_us, now_ns)
     self.armed = self.armed or was_silent
 
 
-def _change_while_armed(self: Rules, name: str, value: float) -> Refusal | None:
+def _change_while_armed(self: BoardStateMachine, name: str, value: float) -> Refusal | None:
     was, self.armed = self.armed, False
     answer = Rules_change(self, name, value)
     self.armed = was
@@ -200,7 +200,7 @@ def _change_unchecked(self: Parameters, name: str, value: float) -> Parameters |
     return Parameters(self.table, (*self.values[:index], value, *self.values[index + 1 :]))
 
 
-def _change_nothing(self: Rules, name: str, value: float) -> Refusal | None:
+def _change_nothing(self: BoardStateMachine, name: str, value: float) -> Refusal | None:
     return None if name in self.parameters.index else Refusal.UNKNOWN
 
 
@@ -220,32 +220,32 @@ def _any_signature(self: SignatureVerifier, frame: bytes, system: int, component
     )
 
 
-Rules_override, Rules_arm, Rules_why = Rules.override, Rules.arm, Rules._why_not_arm
-Rules_step, Rules_move, Rules_change = Rules.step, Rules._move, Rules.change
+Rules_override, Rules_arm, Rules_why = BoardStateMachine.override, BoardStateMachine.arm, BoardStateMachine._arming_refusal
+Rules_step, Rules_move, Rules_change = BoardStateMachine.step, BoardStateMachine._move, BoardStateMachine.change
 accept_verified = SignatureVerifier.verify
 AGE = {"age", "age-heartbeat", "age-refused", "age-repeated", "age-damaged", "age-stranger", "age-target", "age-thrust"}
 
 WRONG: list[tuple[type, str, Any, set[str], bool]] = [
-    (Rules, "override", _override_without_range, {"age-refused", "range", "ankles"}, False),
-    (Rules, "override", _override_clipped, {"age-refused", "range", "ankles"}, False),
-    (Rules, "override", _override_of_anybody, {"arming-strange", "age-stranger"}, False),
-    (Rules, "override", _override_refused_but_counted, {"age-refused"}, False),
-    (Rules, "override", _wake_up, {"revival"}, False),
-    (Rules, "arm", _arm_always, {"arming-without", "arming-late", "arming-thrust"}, False),
-    (Rules, "arm", _never_disarm, {"disarming"}, False),
-    (Rules, "_why_not_arm", _arm_at_any_pulse, {"arming-thrust"}, False),
-    (Rules, "_why_not_arm", _arm_on_any_age, {"arming-late"}, False),
-    (Rules, "_why_not_arm", _arm_on_any_battery, {"arming-battery"}, False),
-    (Rules, "step", _keep_thrust, {"at-once", "age-thrust"}, False),
-    (Rules, "step", _slewed_to_neutral, {"at-once", "age-thrust"}, False),
-    (Rules, "step", _follow_while_disarmed, {"disarmed-neutral"}, False),
-    (Rules, "_move", _jump, {"slew"}, False),
-    (Rules, "_move", _ankle_to_zero, {"ankles"}, False),
-    (Rules, "_move", _swap, {"follows"}, False),
-    (Rules, "_is_stale", _slow_age, AGE, False),
-    (Rules, "_is_stale", _hasty_age, {"gap"}, False),
-    (Rules, "change", _change_while_armed, {"parameter-armed"}, False),
-    (Rules, "change", _change_nothing, {"parameter-set"}, False),
+    (BoardStateMachine, "override", _override_without_range, {"age-refused", "range", "ankles"}, False),
+    (BoardStateMachine, "override", _override_clipped, {"age-refused", "range", "ankles"}, False),
+    (BoardStateMachine, "override", _override_of_anybody, {"arming-strange", "age-stranger"}, False),
+    (BoardStateMachine, "override", _override_refused_but_counted, {"age-refused"}, False),
+    (BoardStateMachine, "override", _wake_up, {"revival"}, False),
+    (BoardStateMachine, "arm", _arm_always, {"arming-without", "arming-late", "arming-thrust"}, False),
+    (BoardStateMachine, "arm", _never_disarm, {"disarming"}, False),
+    (BoardStateMachine, "_arming_refusal", _arm_at_any_pulse, {"arming-thrust"}, False),
+    (BoardStateMachine, "_arming_refusal", _arm_on_any_age, {"arming-late"}, False),
+    (BoardStateMachine, "_arming_refusal", _arm_on_any_battery, {"arming-battery"}, False),
+    (BoardStateMachine, "step", _keep_thrust, {"at-once", "age-thrust"}, False),
+    (BoardStateMachine, "step", _slewed_to_neutral, {"at-once", "age-thrust"}, False),
+    (BoardStateMachine, "step", _follow_while_disarmed, {"disarmed-neutral"}, False),
+    (BoardStateMachine, "_move", _jump, {"slew"}, False),
+    (BoardStateMachine, "_move", _ankle_to_zero, {"ankles"}, False),
+    (BoardStateMachine, "_move", _swap, {"follows"}, False),
+    (BoardStateMachine, "_is_stale", _slow_age, AGE, False),
+    (BoardStateMachine, "_is_stale", _hasty_age, {"gap"}, False),
+    (BoardStateMachine, "change", _change_while_armed, {"parameter-armed"}, False),
+    (BoardStateMachine, "change", _change_nothing, {"parameter-set"}, False),
     (Parameters, "changed", _change_unchecked, {"parameter-bounds"}, False),
     (Sequence8, "accept", lambda self, sequence, now_ns: True, {"age-repeated", "repeated"}, False),
     (SignatureVerifier, "verify", _any_frame, {"unsigned", "forged"}, True),
@@ -254,7 +254,7 @@ WRONG: list[tuple[type, str, Any, set[str], bool]] = [
 ]
 
 
-def speaking(board: Board, flag: list[bool]) -> None:
+def speaking(board: ThrusterBoard, flag: list[bool]) -> None:
     """Raise the flag while the board runs: the examiner shares code with it, and only the board's is to be wrong."""
     for method in ("receive", "step"):
         original = getattr(board, method)
@@ -279,7 +279,7 @@ def test_a_board_that_breaks_a_rule_is_found(
         bench = Bench(KEY if signed else None)
         speaking(bench.board, flag)
         rules = [rule for rule in RULES if rule.name in ("parameters", broken)]
-        outcomes = {o.rule: o for o in examine(Probe(bench, 1, KEY if signed else None, lambda: 1000), False, rules)}
+        outcomes = {o.rule: o for o in examine(BoardProbe(bench, 1, KEY if signed else None, lambda: 1000), False, rules)}
         assert failures(outcomes) == {broken}, outcomes[broken].measured
 
 
@@ -316,4 +316,4 @@ def test_a_board_that_sleeps_is_found() -> None:
 
     names = {"parameters", "telemetry", "power-on", "clock", "arming", "arming-battery", "resync"}
     rules = [rule for rule in RULES if rule.name in names]
-    assert failures({o.rule: o for o in examine(Probe(Asleep(), 1), True, rules)}) == names
+    assert failures({o.rule: o for o in examine(BoardProbe(Asleep(), 1), True, rules)}) == names

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from sim_bridge.camera.moving_background import Motion
+from sim_bridge.camera.moving_background import CameraSway
 from sim_bridge.camera.optics import project
-from sim_bridge.camera.rays import View
+from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.renderer import Renderer
 from wire.config.experiment import Experiment, load_experiment
 from wire.config.perception import Camera
@@ -94,7 +94,7 @@ def test_swings_are_smooth_bounded_and_repeatable() -> None:
     camera, motion = load_experiment("drone").camera, CameraMotion(sway_m=0.25, tilt_rad=0.05, period_s=9.0)
     times = np.arange(0.0, 120.0, 0.05)
     first, again, other = (
-        [Motion(camera, motion, np.random.default_rng(seed)).at(float(t)) for t in times] for seed in (1, 1, 2)
+        [CameraSway(camera, motion, np.random.default_rng(seed)).at(float(t)) for t in times] for seed in (1, 1, 2)
     )
     assert first == again and first != other
     places = np.array([c.position_m for c in first]) - camera.position_m
@@ -107,7 +107,7 @@ def test_lines_of_sight_of_a_moved_camera_are_exact() -> None:
     """Every 50th pixel in a tilted pose, down to the floor and back by projection."""
     camera = load_experiment("drone").camera
     tilted = camera.model_copy(update={"rotation_rad": (0.06, -0.05, 0.4), "position_m": (0.3, -0.2, -3.0)})
-    view = View(camera).moved(tilted)
+    view = CameraRays(camera).moved(tilted)
     lines = view.lines(view.whole)[np.s_[::50, ::50]]
     column, row = np.meshgrid(np.arange(1280)[::50], np.arange(960)[::50])
     points = np.stack([lines.surface_x + lines.water_x, lines.surface_y + lines.water_y, np.ones_like(lines.water_x)], axis=-1)

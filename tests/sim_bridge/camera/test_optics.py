@@ -26,7 +26,8 @@ CAMERAS = pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["pool", "tilt
 
 
 def _travel_time_is_least(camera: Camera, point: Array) -> Array:
-    """Where the light crosses the surface: in the vertical plane through both ends, where the optical path stops changing."""
+    """The point at which light crosses the surface: in the vertical plane through both ends, at the stationary optical
+    path."""
     lens = np.array(camera.position_m)
     reach = float(np.hypot(*(point - lens)[:2]))
 

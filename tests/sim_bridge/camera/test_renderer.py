@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sim_bridge.camera.optics import project, rays
-from sim_bridge.camera.rays import seen_raw
+from sim_bridge.camera.rays import sample_mosaic
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.camera.water_optics import Caustics
 from wire.config.experiment import Experiment, load_experiment
@@ -44,7 +44,7 @@ def poses(*eta: tuple[float, ...]) -> Array:
 
 
 def corners_px(setup: Experiment, eta: Array, tilt: tuple[float, float] = (0.0, 0.0)) -> Array:
-    """Where a marker's corners must be seen: front port, front starboard, rear starboard, rear port. `tilt`: roll, pitch."""
+    """Pixels of a marker's corners: front port, front starboard, rear starboard, rear port. `tilt`: roll, pitch."""
     half, height = setup.vehicle.marker.side_m / 2.0, setup.vehicle.marker.height_m
     body = np.array([[half, -half, -height], [half, half, -height], [-half, half, -height], [-half, -half, -height]])
     roll, pitch = tilt
@@ -170,7 +170,7 @@ def test_bayer_order_gives_right_colours() -> None:
     for channel in range(3):
         plain = np.zeros((16, 16, 3), np.uint8)
         plain[..., channel] = 200
-        raw = seen_raw([np.ascontiguousarray(plain[..., k]) for k in (2, 1, 0)], column, row)
+        raw = sample_mosaic([np.ascontiguousarray(plain[..., k]) for k in (2, 1, 0)], column, row)
         assert np.all(bgr(raw)[4:-4, 4:-4] == plain[4:-4, 4:-4])
 
 
@@ -316,14 +316,14 @@ def test_ripples_shift_the_floor_as_tilted_water_does() -> None:
 
 
 def _through_tilted_water(surface: Array, air: Array, slope: Array, index: float, depth_m: float) -> Array:
-    """Where rays end at a depth when the surface rises by `slope` (z is down, so its upward normal is (-slope, -1))."""
+    """Ends of rays at a depth when the surface rises by `slope` (z is down, so its upward normal is (-slope, -1))."""
     normal = np.concatenate([-slope.transpose(1, 2, 0), -np.ones((*air.shape[:2], 1))], axis=-1)
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     ray = np.concatenate([air, np.ones((*air.shape[:2], 1))], axis=-1)
     ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
     cosine = -np.sum(ray * normal, axis=-1, keepdims=True)
-    bent = ray / index + (cosine / index - np.sqrt(1 - (1 - cosine**2) / index**2)) * normal
-    return np.asarray(surface + depth_m * bent[..., :2] / bent[..., 2:])
+    deflected = ray / index + (cosine / index - np.sqrt(1 - (1 - cosine**2) / index**2)) * normal
+    return np.asarray(surface + depth_m * deflected[..., :2] / deflected[..., 2:])
 
 
 def test_ripples_shift_robots_with_the_same_sign() -> None:

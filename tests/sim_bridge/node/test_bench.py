@@ -13,10 +13,10 @@ from typer.testing import CliRunner
 
 from robot_agent.host.params import cli as params
 from sim_bridge.__main__ import cli as sim_bridge
-from sim_bridge.node.bench import Terminal, open_socket
-from sim_bridge.node.udp_ports import Port
+from sim_bridge.node.bench import PseudoTerminal, open_socket
+from sim_bridge.node.udp_ports import BoardPort
 from sim_bridge.sil.ports import free_port
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.sim_bridge.boards import board
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import AgentLink
@@ -38,8 +38,8 @@ def say(*arguments: str) -> tuple[int, str]:
 
 
 @pytest.fixture
-def port() -> Iterator[Port]:
-    found = Port("127.0.0.1", 0)
+def port() -> Iterator[BoardPort]:
+    found = BoardPort("127.0.0.1", 0)
     yield found
     found.close()
 
@@ -141,7 +141,7 @@ def test_a_serial_board_that_is_pulled_out_and_put_back(tmp_path: Path) -> None:
     assert isinstance(link, SerialLink)
     try:
         for _ in range(3):
-            terminal = Terminal(tmp_path / "plug")
+            terminal = PseudoTerminal(tmp_path / "plug")
             said = heard = b""
             deadline = time.monotonic() + 10
             while not (said and heard) and time.monotonic() < deadline:
@@ -160,7 +160,7 @@ def test_a_serial_board_that_is_pulled_out_and_put_back(tmp_path: Path) -> None:
 
 
 def test_a_terminal_that_nobody_reads_does_not_hold_the_board_up(tmp_path: Path) -> None:
-    terminal = Terminal(tmp_path / "plug")
+    terminal = PseudoTerminal(tmp_path / "plug")
     try:
         for _ in range(1000):
             terminal.send(bytes(1000), 0)
@@ -186,7 +186,7 @@ def test_an_unsigned_board_stays_on_this_machine() -> None:
 # --- whom a board answers over UDP
 
 
-def spoken(port: Port, board: Board, link: UdpLink, data: bytes, now_ns: int) -> None:
+def spoken(port: BoardPort, board: ThrusterBoard, link: UdpLink, data: bytes, now_ns: int) -> None:
     """A datagram on its way to the board, as the bench has it."""
     link.send(data)
     select([port.socket], [], [], 5.0)
@@ -195,10 +195,10 @@ def spoken(port: Port, board: Board, link: UdpLink, data: bytes, now_ns: int) ->
             port.hear(peer, now_ns)
 
 
-def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(port: Port) -> None:
+def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(port: BoardPort) -> None:
     """Nine of them, with a byte, an unsigned frame and one of another key, before the robot's computer comes."""
     key, wrong = Key(bytes(range(32))), Key(bytes(32))
-    board = Board(load_experiment("pool"), 1, 1, key)
+    board = ThrusterBoard(load_experiment("pool"), 1, 1, key)
     links = [UdpLink("127.0.0.1", port.socket.getsockname()[1]) for _ in range(10)]
     *strangers, computer = links
     try:
@@ -215,8 +215,8 @@ def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(po
             link.close()
 
 
-def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port: Port) -> None:
-    board = Board(load_experiment("pool"), 1, 1)
+def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port: BoardPort) -> None:
+    board = ThrusterBoard(load_experiment("pool"), 1, 1)
     links = [UdpLink("127.0.0.1", port.socket.getsockname()[1]) for _ in range(9)]
     try:
         for k, link in enumerate((*links[:8], links[0], links[8])):
@@ -229,7 +229,7 @@ def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port
             link.close()
 
 
-def test_a_flooded_port_is_read_a_little_at_a_time(port: Port) -> None:
+def test_a_flooded_port_is_read_a_little_at_a_time(port: BoardPort) -> None:
     link = UdpLink("127.0.0.1", port.socket.getsockname()[1])
     try:
         for k in range(25):

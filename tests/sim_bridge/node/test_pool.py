@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.node.pool import Pool
-from sim_bridge.node.udp_ports import Sockets
+from sim_bridge.node.pool import PoolNode
+from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.sil.ports import free_base_port
 from sim_bridge.world import World
 from wire.config.experiment import load_experiment
@@ -37,8 +37,8 @@ def test_of_every_exposure_there_is_a_pose_however_old_poses_are() -> None:
     witness = Bus(MemoryTransport(hub))
     witness.subscribe(topics.TRUTH, None, count)
     witness.subscribe(topics.POSE, 1, lambda topic, key, header, payload: told.append(header))
-    sockets = Sockets(free_base_port((1,)), (1,), experiment.seed)
-    Pool(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
+    sockets = BoardPorts(free_base_port((1,)), (1,), experiment.seed)
+    PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
     assert [header.stamp_ns for header in told] == exposed
     assert min(header.age_ns for header in told) >= 200_000_000
 
@@ -54,24 +54,24 @@ def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: py
         return np.zeros((960, 1280), np.uint8)
 
     monkeypatch.setattr(Renderer, "render", render)
-    sockets, stop = Sockets(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
-    Pool(experiment, Bus(MemoryTransport(MemoryHub())), sockets, stop, lockstep=False).run()
+    sockets, stop = BoardPorts(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
+    PoolNode(experiment, Bus(MemoryTransport(MemoryHub())), sockets, stop, lockstep=False).run()
     assert seen[0] == 3
     with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
         stop.raise_failure()
 
 
 def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
-    """Whatever arrives between two steps wakes the simulator; the next step waits for its time all the same. The clock stands
+    """A datagram between two steps wakes the simulator; the next step waits for its time all the same. The clock stands
     still but for a millisecond at each look at it."""
     experiment = load_experiment("pool", [ROBOT, "sim.latency_s=0"])
     hub, stop = MemoryHub(), Stop(install=False)
     sockets = Flooded(free_base_port((1,)), (1,), experiment.seed)
-    pool = Pool(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True)
+    pool = PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True)
     clock = HandClock()
     pool._clock = clock
     steps = []
-    move = pool._move
+    move = pool._step_plant
 
     def counted(world: World) -> None:
         move(world)
@@ -79,7 +79,7 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
         if len(steps) == 50:
             stop.request()
 
-    pool._move = counted  # type: ignore[method-assign]
+    pool._step_plant = counted  # type: ignore[method-assign]
     pool.run()
     assert sockets.woken > 100, "the flood has woken it between steps"
     assert all(water_ns - passed_ns <= 2 * 5_000_000 for water_ns, passed_ns in steps)
@@ -101,7 +101,7 @@ class HandClock:
         return received.header.stamp_ns
 
 
-class Flooded(Sockets):
+class Flooded(BoardPorts):
     """There is always something to be read."""
 
     woken = 0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_bridge.plant.actuators import Motors, Thrusters
+from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 
@@ -19,7 +19,7 @@ def pulses(thrusters: float, ankles: float) -> Array:
     return np.tile([*[thrusters] * 4, *[ankles] * 4], (2, 1)).astype(float)
 
 
-def run(legs: Thrusters, motors: Motors, command_us: Array, steps: int) -> list[Motors]:
+def run(legs: ActuatorModel, motors: ActuatorState, command_us: Array, steps: int) -> list[ActuatorState]:
     states = [motors]
     for _ in range(steps):
         states.append(legs.at(legs.command(states[-1], command_us), STEP_S))
@@ -28,7 +28,7 @@ def run(legs: Thrusters, motors: Motors, command_us: Array, steps: int) -> list[
 
 def test_dead_time_then_exponential() -> None:
     """3 N is the curve's end; 0.05 s dead time, 0.10 s lag (vehicle file)."""
-    legs = Thrusters(pool(*EXACT), seed=0)
+    legs = ActuatorModel(pool(*EXACT), seed=0)
     states = run(legs, legs.start(), pulses(1900, 1500), 60)
     force = np.array([state.force_n[1, 2] for state in states])
     time_s = np.arange(61) * STEP_S
@@ -37,18 +37,18 @@ def test_dead_time_then_exponential() -> None:
 
 
 def test_inside_a_step_the_lag_is_exact_too() -> None:
-    legs = Thrusters(pool(*EXACT, "vehicle.thruster.dead_time_s=0"), seed=0)
+    legs = ActuatorModel(pool(*EXACT, "vehicle.thruster.dead_time_s=0"), seed=0)
     move = legs.command(legs.start(), pulses(1900, 1500))
     assert legs.at(move, 0.0025).force_n == pytest.approx(3.0 * (1.0 - np.exp(-0.025)))
 
 
 def test_no_lag_and_no_dead_time() -> None:
-    legs = Thrusters(pool(*EXACT, "vehicle.thruster.dead_time_s=0", "sim.plant.thruster_lag_s=0"), seed=0)
+    legs = ActuatorModel(pool(*EXACT, "vehicle.thruster.dead_time_s=0", "sim.plant.thruster_lag_s=0"), seed=0)
     assert run(legs, legs.start(), pulses(1700, 1500), 1)[-1].force_n == pytest.approx(1.22)
 
 
 def test_each_pulse_acts_once_and_in_order() -> None:
-    legs = Thrusters(pool(*EXACT, "sim.plant.thruster_lag_s=0"), seed=0)
+    legs = ActuatorModel(pool(*EXACT, "sim.plant.thruster_lag_s=0"), seed=0)
     motors, seen = legs.start(), []
     sent = [1500, 1550, 1600, 1700, 1800, 1900] + [1500] * 12
     for value in sent:
@@ -59,13 +59,13 @@ def test_each_pulse_acts_once_and_in_order() -> None:
 
 @pytest.mark.parametrize("pulse", [1477, 1490, 1500, 1523])
 def test_dead_zone(pulse: float) -> None:
-    legs = Thrusters(pool(), seed=0)
+    legs = ActuatorModel(pool(), seed=0)
     assert (run(legs, legs.start(), pulses(pulse, 1500), 100)[-1].force_n == 0.0).all()
 
 
 def test_ankles_wait_and_ramp() -> None:
     """0.02 s dead time, then 5.236 rad/s until +90 degrees."""
-    legs = Thrusters(pool(), seed=0)
+    legs = ActuatorModel(pool(), seed=0)
     states = run(legs, legs.start(), pulses(1500, 2000), 80)
     angle = np.array([state.ankle_rad[0, 3] for state in states])
     ramp = np.clip(5.236 * (np.arange(81) * STEP_S - 0.02), 0.0, 1.5707963)
@@ -75,16 +75,16 @@ def test_ankles_wait_and_ramp() -> None:
 
 
 def test_spread_is_within_its_bounds_and_belongs_to_the_seed() -> None:
-    gains = [Thrusters(pool(), seed).gain for seed in range(200)]
+    gains = [ActuatorModel(pool(), seed).gain for seed in range(200)]
     assert np.min(gains) >= 0.9
     assert np.max(gains) <= 1.1
     assert np.std(gains) == pytest.approx(0.2 / np.sqrt(12), rel=0.05)
-    assert (Thrusters(pool(), 3).gain == gains[3]).all()
+    assert (ActuatorModel(pool(), 3).gain == gains[3]).all()
     assert not (gains[3] == gains[4]).any()
 
 
 def test_a_gain_scales_its_own_thruster() -> None:
-    legs = Thrusters(pool(), seed=5)
+    legs = ActuatorModel(pool(), seed=5)
     force = run(legs, legs.start(), pulses(1800, 1500), 2000)[-1].force_n
     assert force == pytest.approx(2.014 * legs.gain)
 
@@ -100,9 +100,9 @@ def test_a_gain_scales_its_own_thruster() -> None:
     ],
 )
 def test_wrench_of_the_legs(force: list[float], ankle: list[float], wrench: list[float]) -> None:
-    legs = Thrusters(pool(), seed=0)
+    legs = ActuatorModel(pool(), seed=0)
     still = legs.start()
-    motors = Motors(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float), still.pulses_us)
+    motors = ActuatorState(np.array([force, [0.0] * 4], float), np.array([ankle, ankle], float), still.pulses_us)
     found = legs.wrench(motors)
     assert found[0] == pytest.approx(wrench, abs=1e-12)
     assert (found[1] == 0.0).all()
@@ -110,10 +110,10 @@ def test_wrench_of_the_legs(force: list[float], ankle: list[float], wrench: list
 
 def test_wrench_is_the_sum_of_moments() -> None:
     """Against r x F in three dimensions."""
-    legs = Thrusters(pool(), seed=0)
+    legs = ActuatorModel(pool(), seed=0)
     random = np.random.default_rng(1)
     force, ankle = random.uniform(-3, 3, (2, 4)), random.uniform(-1.5, 1.5, (2, 4))
-    found = legs.wrench(Motors(force, ankle, legs.start().pulses_us))
+    found = legs.wrench(ActuatorState(force, ankle, legs.start().pulses_us))
     for robot in range(2):
         vectors = np.array([[f * np.cos(a), 0.0, f * np.sin(a)] for f, a in zip(force[robot], ankle[robot], strict=True)])
         arms = np.column_stack([np.array(pool().vehicle.legs.position_m), np.zeros(4)])
@@ -123,6 +123,6 @@ def test_wrench_is_the_sum_of_moments() -> None:
 
 @pytest.mark.parametrize("bad", [np.full((2, 8), np.nan), np.full((2, 4), 1500.0), np.full((1, 8), 1500.0)])
 def test_pulses_of_a_wrong_shape_are_a_bug(bad: Array) -> None:
-    legs = Thrusters(pool(), seed=0)
+    legs = ActuatorModel(pool(), seed=0)
     with pytest.raises(ValueError, match="pulses_us"):
         legs.command(legs.start(), bad)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_bridge.plant.battery import Supply
+from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.fleet import Plant
 from wire.config.experiment import load_experiment
 
@@ -11,8 +11,8 @@ REST = np.zeros((2, 4))
 NO_SAG = np.zeros(2)
 
 
-def supply(*settings: str) -> Supply:
-    return Supply(load_experiment("pool", settings))
+def supply(*settings: str) -> BatteryModel:
+    return BatteryModel(load_experiment("pool", settings))
 
 
 def test_it_starts_at_the_experiment_s_voltage() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sim_bridge.plant.contact import MANY, Basin
+from sim_bridge.plant.contact import MANY, ContactModel
 from sim_bridge.plant.fleet import Plant
 from wire.config.experiment import load_experiment
 from wire.toml_loader import ConfigError
@@ -31,14 +31,14 @@ def test_nobody_starts_in_an_island() -> None:
 def test_a_crowd_pushes_like_any_pair() -> None:
     """Forces of many, found by a tree, are the sums of the forces of their pairs; and they cancel."""
     random = np.random.default_rng(3)
-    basin = Basin(load_experiment("pool", ["pool.walls=false"]))
+    basin = ContactModel(load_experiment("pool", ["pool.walls=false"]))
     place, speed = random.uniform(-0.8, 0.8, (MANY + 20, 3)), random.uniform(-0.5, 0.5, (MANY + 20, 3))
-    found = basin.push(place, speed)
+    found = basin.contact_force(place, speed)
     expected, touching = np.zeros_like(place), set[int]()
     for i in range(len(place)):
         for j in range(i):
-            expected[[i, j]] += basin.push(place[[i, j]], speed[[i, j]])
+            expected[[i, j]] += basin.contact_force(place[[i, j]], speed[[i, j]])
             touching |= {i, j} if np.linalg.norm(place[i] - place[j]) < 0.3 else set()
     assert found == pytest.approx(expected, abs=1e-9)
     assert found.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-8)
-    assert basin.touches(place) == sorted(touching)
+    assert basin.touching(place) == sorted(touching)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim_bridge.plant.currents_waves import Flow, wave_number
+from sim_bridge.plant.currents_waves import WaterFlow, wave_number
 from sim_bridge.plant.fleet import Plant
 from wire.config.experiment import load_experiment
 from wire.frames import Array
@@ -16,11 +16,11 @@ FLOATING = ("pool.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.tilt.enable
 WAVES = ("sim.plant.waves.height_m=0.1", "sim.plant.waves.period_s=1.3", "sim.plant.waves.direction_rad=0.6")
 
 
-def flow(*settings: str, seed: int = 1) -> Flow:
-    return Flow(load_experiment("pool", settings), seed)
+def flow(*settings: str, seed: int = 1) -> WaterFlow:
+    return WaterFlow(load_experiment("pool", settings), seed)
 
 
-def at(water: Flow, place: tuple[float, float, float], time_s: float) -> Array:
+def at(water: WaterFlow, place: tuple[float, float, float], time_s: float) -> Array:
     return water.velocity(np.array(place)[:, None], time_s)[:, 0]
 
 

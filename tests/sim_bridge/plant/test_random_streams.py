@@ -27,7 +27,7 @@ def test_no_two_uses_of_a_seed_share_their_numbers() -> None:
 
 
 def test_a_generator_is_made_in_one_place() -> None:
-    """What has no number of its own in the table may share that of another. The seed of a search in gains is no flight's."""
+    """A stream without a number in the table may share that of another. The seed of a search for gains is no flight's."""
     made = set()
     for path in Path(sim_bridge.__file__).parent.glob("*.py"):
         calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from sim_bridge.plant.currents_waves import Flow
+from sim_bridge.plant.currents_waves import WaterFlow
 from sim_bridge.plant.fleet import Plant, PlantState
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
@@ -132,7 +132,7 @@ def test_against_a_second_integrator(extra: tuple[str, ...]) -> None:
     experiment = load_experiment("pool", (*OPEN, *extra))
     simulated = plant(*extra)
     pulses = np.array([[1640, 1580, 1400, 1600, 1700, 1450, 1520, 1300], [1420, 1900, 1650, 1580, 1350, 1600, 1900, 1480.0]])
-    flow = Flow(experiment, 1)
+    flow = WaterFlow(experiment, 1)
     start = simulated.start(APART + np.array([0.0, 0.0, 0.0, 0.7]))
     tilt = np.array([[0.3, -0.2, 0.0, 0.0], [-0.5, 0.4, 0.0, 0.0]])
     found = run(simulated, replace(start, tilt=tilt), 800, pulses)[-1]

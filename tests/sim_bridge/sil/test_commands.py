@@ -1,4 +1,4 @@
-"""What can keep a run from being one."""
+"""Checks before a run in software is started."""
 
 import io
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from sim_bridge.sil import launcher
-from sim_bridge.sil.commands import Way, check
+from sim_bridge.sil.commands import RunOptions, check
 from wire.config.experiment import load_experiment
 from wire.toml_loader import ConfigError
 
@@ -23,9 +23,9 @@ def test_who_cannot_be_seen_flies_without_the_camera_or_not_at_all(
     name: str, settings: tuple[str, ...], complaint: str
 ) -> None:
     experiment = load_experiment(name, settings)
-    check(experiment, Way(poses=True))
+    check(experiment, RunOptions(poses=True))
     with pytest.raises(ConfigError, match=f"{complaint}.*--poses"):
-        check(experiment, Way())
+        check(experiment, RunOptions())
 
 
 @pytest.mark.parametrize("earlier", [None, '{"passed": true}'])

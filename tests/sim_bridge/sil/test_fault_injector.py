@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from sim_bridge.sil.fault_injector import Saboteur
+from sim_bridge.sil.fault_injector import ProcessFaultInjector
 from sim_bridge.sil.processes import Child, Children
 from wire.config.experiment import load_experiment
 from wire.transport.bus import Bus
@@ -23,17 +23,17 @@ def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:
     try:
         one, two = (children.start(f"agent-{i}", "http.server", ["0"]) for i in (1, 2))
         with Bus(MemoryTransport(MemoryHub())) as bus:
-            saboteur = Saboteur(load_experiment("pool", faults=lines), children, bus)
-            saboteur.act(0.0)
-            assert saboteur._start_s is None  # the robots have not started: nothing breaks
+            injector = ProcessFaultInjector(load_experiment("pool", faults=lines), children, bus)
+            injector.act(0.0)
+            assert injector._start_s is None  # the robots have not started: nothing breaks
             until_s, was_stopped = time.monotonic() + 20.0, False
-            while time.monotonic() < until_s and (not was_stopped or len(saboteur._broken) != 1 or two.exit_code is None):
-                saboteur.act(0.01)
+            while time.monotonic() < until_s and (not was_stopped or len(injector._broken) != 1 or two.exit_code is None):
+                injector.act(0.01)
                 was_stopped |= psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
                 time.sleep(0.01)
             assert was_stopped and two.exit_code == -9
             assert psutil.Process(one.process.pid).status() != psutil.STATUS_STOPPED
-            assert saboteur.killed == {"agent-2"}
+            assert injector.killed == {"agent-2"}
     finally:
         children.stop()
 
@@ -46,11 +46,11 @@ def test_what_holds_on_outlives_a_shorter_fault_of_the_same_program(tmp_path: Pa
     try:
         one, _ = (children.start(f"agent-{i}", "http.server", ["0"]) for i in (1, 2))
         with Bus(MemoryTransport(MemoryHub())) as bus:
-            saboteur = Saboteur(load_experiment("pool", faults=lasting + passing), children, bus)
+            injector = ProcessFaultInjector(load_experiment("pool", faults=lasting + passing), children, bus)
             begin_s, most = time.monotonic(), 0
-            while time.monotonic() - begin_s < 20.0 and not (most == 4 and len(saboteur._broken) == 2):
-                saboteur.act(0.01)
-                most = max(most, len(saboteur._broken))
+            while time.monotonic() - begin_s < 20.0 and not (most == 4 and len(injector._broken) == 2):
+                injector.act(0.01)
+                most = max(most, len(injector._broken))
                 time.sleep(0.01)
         assert psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
         assert float(children.clock_file("agent-2").read_text()) == 3600.0
@@ -78,12 +78,14 @@ def test_a_clock_is_set_and_set_back(tmp_path: Path, monkeypatch: pytest.MonkeyP
     try:
         children.start("agent-1", "clock_teller", [])
         with Bus(MemoryTransport(MemoryHub())) as bus:
-            saboteur = Saboteur(load_experiment("pool", faults=["t=0.5 for=0.5 clock agent-1 step 3600"]), children, bus)
+            injector = ProcessFaultInjector(
+                load_experiment("pool", faults=["t=0.5 for=0.5 clock agent-1 step 3600"]), children, bus
+            )
             deadline = time.monotonic() + 20.0
             while time.monotonic() < deadline and seen != {0, 3600, "back"}:
                 told = out.read_text() if out.exists() else ""
                 if told:
-                    saboteur.act(0.01)
+                    injector.act(0.01)
                     hour = round(float(told))
                     seen.add("back" if hour == 0 and 3600 in seen else hour)
                 time.sleep(0.02)
@@ -102,10 +104,10 @@ def test_a_full_disk_stops_the_log_and_an_emptied_one_takes_more(tmp_path: Path)
     children = Children(tmp_path / "logs", all=[Child("groundstation", writer, tmp_path / "logs" / "groundstation.log")])  # type: ignore[arg-type]
     try:
         with Bus(MemoryTransport(MemoryHub())) as bus:
-            saboteur = Saboteur(load_experiment("pool", faults=["t=0.01 for=0.5 disk full"]), children, bus)
+            injector = ProcessFaultInjector(load_experiment("pool", faults=["t=0.01 for=0.5 disk full"]), children, bus)
             told: list[int] = []
             while (len(told) < 400 and told[-3:] != [0, 0, 0]) or errno.EFBIG not in told:
-                saboteur.act(0.02)
+                injector.act(0.02)
                 told.append(int(writer.stdout.readline()))
     finally:
         writer.kill()

@@ -1,4 +1,4 @@
-"""What a person reads in a log while robots fly."""
+"""The lines that the monitor writes into a log while robots fly."""
 
 import numpy as np
 

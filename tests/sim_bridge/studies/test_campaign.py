@@ -198,7 +198,7 @@ def test_a_campaign_of_a_numeric_scene_flies(scene: str, tmp_path: Path) -> None
 
 @pytest.mark.parametrize("scene", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 def test_a_campaign_plans_every_scene_as_the_station_does(scene: str) -> None:
-    """What planning drops for the sake of a shared plan does not change the plan."""
+    """The parts that are dropped for a shared plan do not change the plan."""
     whole = load_experiment(scene, [NO_CAMERA])
     reduced = check(Experiment, json.loads(planning_text(whole)), scene)
     trajectories = planner.plan(whole)
@@ -264,7 +264,7 @@ def test_a_planner_that_is_killed_has_refused_nothing(monkeypatch: pytest.Monkey
 
 
 def test_a_flight_that_failed_is_flown_again_by_resume(flown: Path, tmp_path: Path) -> None:
-    """What made it fail, such as a machine without memory, may be over; what was refused would be refused again."""
+    """The cause of a failure, such as a machine without memory, may be over; a refusal would be repeated."""
     first, second, *others = [json.loads(line) for line in (flown / "journal.jsonl").read_text().splitlines()]
     spoilt = [
         {**first, "status": "failed", "reason": "MemoryError: "},

@@ -1,14 +1,17 @@
 """Tuning as a command: gains come back as a section of an experiment file that can be flown."""
 
+import dataclasses
 import tomllib
 from typing import get_args
 
 import numpy as np
 import pytest
 
-from sim_bridge.studies.gain_tuning import Tuned, values, with_gains
+from sim_bridge.studies.gain_tuning import WEAR, TuningResult, cost, search, values, with_gains
 from wire.config.baseline_controllers import LawName
+from wire.config.controller_benchmark import FlightMetrics
 from wire.config.experiment import load_experiment
+from wire.frames import Array
 
 FEEDBACK = [law.replace("-", "_") for law in get_args(LawName) if law != "eso-mpc"]
 CONTROLLER = load_experiment("pool").controller
@@ -28,7 +31,64 @@ def test_gains_go_out_and_come_back_in_the_order_of_the_section(name: str) -> No
 def test_what_is_printed_is_a_section_of_an_experiment_file(name: str) -> None:
     section = getattr(CONTROLLER, name)
     changed = with_gains(section, 1.5 * np.array(values(section)))
-    table = tomllib.loads(Tuned(name.replace("_", "-"), 0.0, 0.0, changed.model_dump()).toml())
+    table = tomllib.loads(TuningResult(name.replace("_", "-"), 0.0, 0.0, changed.model_dump()).toml())
     assert list(table) == ["controller"] and list(table["controller"]) == [name]
     flown = load_experiment("pool", [f"controller.{name}.{key}={value}" for key, value in table["controller"][name].items()])
     assert getattr(flown.controller, name) == changed
+
+
+GOOD = FlightMetrics(
+    rms_m=0.1, rms_after_20s_m=0.01, max_after_20s_m=0.02, rms_yaw_rad=0.0, rms_yaw_after_20s_rad=0.0, formation_rms_m=0.1,
+    formation_after_20s_m=0.01, min_separation_m=None, input_step_rms=0.1, wanted_too_large=0.0, wanted_too_fast=0.0,
+    wanted_beyond=0.0, wanted_most=1.0, under_way=1.0,
+)  # fmt: skip
+BEST = np.array([0.3, 7.0, 0.02, 40.0])
+
+
+def bowl(gains: Array) -> float:
+    return float(np.sum(np.log(gains / BEST) ** 2))
+
+
+def test_it_spends_its_budget_and_begins_with_the_guess() -> None:
+    flown: list[Array] = []
+
+    def fly(gains: Array) -> float:
+        flown.append(gains)
+        return bowl(gains)
+
+    trials = list(search(np.ones(4), 30, 1, fly))
+    assert len(trials) == len(flown) == 30
+    np.testing.assert_array_equal(trials[0].gains, 1.0)
+    for trial, gains in zip(trials, flown, strict=True):
+        np.testing.assert_array_equal(trial.gains, gains)
+        assert trial.cost == bowl(gains) and np.all(gains > 0.0)
+
+
+def test_it_finds_gains_two_decades_away() -> None:
+    costs = [min(t.cost for t in search(np.ones(4), 200, seed, bowl)) for seed in range(5)]
+    assert bowl(np.ones(4)) > 30.0 and max(costs) < 0.1
+
+
+def test_the_same_seed_tries_the_same_gains_and_another_does_not() -> None:
+    def last(seed: int) -> Array:
+        return list(search(np.ones(3), 20, seed, lambda g: float(np.sum(g))))[-1].gains
+
+    np.testing.assert_array_equal(last(3), last(3))
+    assert not np.array_equal(last(3), last(4))
+
+
+def test_gains_that_are_zero_stay_out_of_it() -> None:
+    assert all(t.gains[1] == 0.0 for t in search(np.array([1.0, 0.0]), 20, 1, lambda g: float(g[0])))
+
+
+@pytest.mark.parametrize(
+    "worse", [{"rms_m": 0.2}, {"rms_after_20s_m": 0.02}, {"rms_yaw_rad": 0.3}, {"input_step_rms": 0.2}, {"under_way": 0.99}]
+)
+def test_what_is_worse_costs_more(worse: dict[str, float]) -> None:
+    assert cost([GOOD, dataclasses.replace(GOOD, **worse)]) > cost([GOOD, GOOD])
+
+
+def test_wear_weighs_as_it_says() -> None:
+    rough = dataclasses.replace(GOOD, input_step_rms=1.1)
+    far = dataclasses.replace(GOOD, rms_m=np.exp(WEAR) * GOOD.rms_m)
+    assert cost([rough]) == pytest.approx(cost([far]))

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common as dialect
 
 from sim_bridge.plant.sensors import BoardSensors
-from sim_bridge.thruster_board.board import Board
+from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.parameters import Parameters
-from sim_bridge.thruster_board.state_machine import Charge, Rules
+from sim_bridge.thruster_board.state_machine import BoardStateMachine, Charge
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.mavlink import agent_link
@@ -43,7 +43,7 @@ class Bench:
     """A board and the computer beside it, on one clock. Commands arrive just before a step."""
 
     def __init__(self, *settings: str, robot_id: int = 1, seed: int = 1, start_ns: int = 0) -> None:
-        self.board = Board(load_experiment("pool", settings), robot_id, seed)
+        self.board = ThrusterBoard(load_experiment("pool", settings), robot_id, seed)
         self.agent = AgentLink(robot_id)
         self.now_ns = start_ns
         self.supply_v: float | None = None
@@ -74,7 +74,7 @@ class BatteryWatch:
     """The rules, seen through the battery alone."""
 
     def __init__(self) -> None:
-        self.rules = Rules(Parameters.of(load_experiment("pool")), (1, agent_link.AGENT_COMPONENT))
+        self.rules = BoardStateMachine(Parameters.of(load_experiment("pool")), (1, agent_link.AGENT_COMPONENT))
 
     def update(self, voltage: float, elapsed_s: float) -> Charge:
         self.rules.battery(voltage, elapsed_s)
@@ -370,7 +370,7 @@ def test_voltage_sags_with_thrust() -> None:
 
 
 def test_bursts_come_at_their_rate_and_end_with_attitude() -> None:
-    board, parser = Board(load_experiment("pool"), 1, 1), dialect.MAVLink(None)
+    board, parser = ThrusterBoard(load_experiment("pool"), 1, 1), dialect.MAVLink(None)
     bursts = [data for t in range(0, 3 * S, STEP) if (data := board.step(t, STILL, STILL, STILL))]
     kinds = [[message.get_type() for message in parser.parse_buffer(data) or []] for data in bursts]
     assert len(bursts) == 150
@@ -382,7 +382,7 @@ def test_bursts_come_at_their_rate_and_end_with_attitude() -> None:
 
 @pytest.mark.parametrize("rate_hz", [30.0, 33.0, 7.0, 400.0])
 def test_status_and_heartbeat_come_at_any_sensor_rate(rate_hz: float) -> None:
-    board, parser = Board(load_experiment("pool", [f"sim.sensors.rate_hz={rate_hz}"]), 1, 1), dialect.MAVLink(None)
+    board, parser = ThrusterBoard(load_experiment("pool", [f"sim.sensors.rate_hz={rate_hz}"]), 1, 1), dialect.MAVLink(None)
     data = b"".join(board.step(t, STILL, STILL, STILL) for t in range(0, 4 * S, MS))
     kinds = [message.get_type() for message in parser.parse_buffer(data) or []]
     assert kinds.count("ATTITUDE") == pytest.approx(4 * rate_hz, abs=1)

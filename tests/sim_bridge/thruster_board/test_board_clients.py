@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import common as dialect
 
-from sim_bridge.thruster_board.board import Board, Kept
+from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import boards_in
 from wire.config.experiment import load_experiment
 from wire.mavlink import agent_link
@@ -32,9 +32,9 @@ NOW = 47_338_560_000_000
 class Bench:
     """A board, the robot's computer, and a ground station that speaks plain pymavlink."""
 
-    def __init__(self, key: Key | None = None, kept: Kept | None = None, start: int = NOW) -> None:
-        self.kept: list[Kept] = []
-        self.board = Board(POOL, 1, 1, key, kept, self.kept.append)
+    def __init__(self, key: Key | None = None, stored: NonvolatileState | None = None, start: int = NOW) -> None:
+        self.stored: list[NonvolatileState] = []
+        self.board = ThrusterBoard(POOL, 1, 1, key, stored, self.stored.append)
         self.computer = AgentLink(1, key, lambda: start)
         self.station = Sender(STATION, key, lambda: start)
         self.now_ns = 0
@@ -153,7 +153,7 @@ def test_setting_is_acknowledged_kept_and_counts() -> None:
     bench = Bench()
     (value,) = bench.set("THR_MAX_US", 1700)
     assert (value.param_id, value.param_value) == ("THR_MAX_US", 1700)
-    again = Bench(kept=bench.kept[-1])
+    again = Bench(stored=bench.stored[-1])
     assert again.board.rules.parameters["THR_MAX_US"] == 1700
     again.step(again.computer.pulses((1701, *NEUTRAL[1:])))
     assert again.board.rules.overrides_refused == 1
@@ -210,7 +210,7 @@ def test_no_order_counts_again_after_the_board_lost_power_at_any_moment() -> Non
     """Everything that was ever sent is sent again to a board that starts with what the first had kept when each came."""
     first = Bench(KEY)
     recorded: list[bytes] = []
-    moments: list[tuple[int, Kept]] = []
+    moments: list[tuple[int, NonvolatileState]] = []
     for i in range(30):
         frames = [first.computer.pulses(NEUTRAL)]
         if i in (5, 9, 21):
@@ -221,22 +221,22 @@ def test_no_order_counts_again_after_the_board_lost_power_at_any_moment() -> Non
             frames.append(first.station.pack(dialect.MAVLink_param_set_message(1, 1, b"SLEW_US_S", 500.0, 9)))
         recorded += frames
         first.step(*frames, times=10)
-        if first.kept:
-            moments.append((len(recorded), first.kept[-1]))
+        if first.stored:
+            moments.append((len(recorded), first.stored[-1]))
     assert first.board.rules.parameters["SLEW_US_S"] == 500
-    for length, kept in moments:
-        board = Board(POOL, 1, 1, KEY, kept)
+    for length, stored in moments:
+        board = ThrusterBoard(POOL, 1, 1, KEY, stored)
         for i, frame in enumerate(recorded[:length]):
             board.receive(frame, i * 20 * STEP)
             board.step(i * 20 * STEP, STILL, STILL, STILL)
             assert not board.armed
-        assert board.rules.parameters["SLEW_US_S"] == kept.parameters["SLEW_US_S"]
+        assert board.rules.parameters["SLEW_US_S"] == stored.parameters["SLEW_US_S"]
 
 
 def test_after_a_restart_both_ends_understand_each_other_at_once() -> None:
     first = Bench(KEY)
     first.step(first.computer.pulses(NEUTRAL), first.computer.arm(True), times=300)
-    second = Bench(KEY, first.kept[-1])
+    second = Bench(KEY, first.stored[-1])
     second.computer, second.now_ns = first.computer, first.now_ns + 1_000_000_000  # it ran on
     second.step(second.computer.pulses(NEUTRAL), second.computer.arm(True), times=5)
     assert second.board.armed
@@ -248,10 +248,10 @@ def test_memory_is_written_once_a_second_while_signed_frames_come() -> None:
     bench = Bench(KEY)
     for _ in range(100):
         bench.step(bench.computer.pulses(NEUTRAL), times=10)
-    assert 4 <= len(bench.kept) <= 6  # 5 s
-    quiet = len(bench.kept)
+    assert 4 <= len(bench.stored) <= 6  # 5 s
+    quiet = len(bench.stored)
     bench.step(times=1000)
-    assert len(bench.kept) <= quiet + 1
+    assert len(bench.stored) <= quiet + 1
 
 
 def test_a_folder_keeps_what_boards_must_not_forget(tmp_path: Path) -> None:
@@ -287,10 +287,10 @@ def test_a_key_over_the_link_counts_from_the_next_byte_on_and_survives_a_loss_of
     bench.board.receive(bench.station.pack(setup(KEY.secret)) + unsigned.pulses(NEUTRAL) + unsigned.arm(True), 0)
     bench.step()
     assert bench.board.signed and not bench.board.armed
-    kept = bench.kept[-1]
-    assert kept.key == KEY and kept.heard == 5
-    assert KEY.secret.hex() not in repr(kept)
-    for board in (bench.board, Board(POOL, 1, 1, kept.key, kept)):
+    stored = bench.stored[-1]
+    assert stored.key == KEY and stored.heard == 5
+    assert KEY.secret.hex() not in repr(stored)
+    for board in (bench.board, ThrusterBoard(POOL, 1, 1, stored.key, stored)):
         late, now_ns = AgentLink(1, KEY, lambda: 100), 10 * STEP
         for computer, armed in ((unsigned, False), (AgentLink(1, Key(bytes(range(32)))), False), (late, True)):
             board.receive(computer.pulses(NEUTRAL) + computer.arm(True), now_ns)
@@ -312,9 +312,9 @@ def test_a_key_of_zeros_and_a_key_for_an_armed_board_are_refused(secret: bytes |
 def test_a_signed_board_takes_another_key_only_from_who_has_its_own() -> None:
     bench, other = Bench(KEY), Key(bytes(range(32)))
     bench.step(Sender(STATION).pack(setup(other.secret)), Sender(STATION, other, lambda: 1000).pack(setup(other.secret)))
-    assert bench.kept == [] or bench.kept[-1].key == KEY
+    assert bench.stored == [] or bench.stored[-1].key == KEY
     bench.step(Sender(STATION, KEY, lambda: 1000).pack(setup(other.secret)))
-    assert bench.kept[-1].key == other and bench.kept[-1].heard >= 1000
+    assert bench.stored[-1].key == other and bench.stored[-1].heard >= 1000
 
 
 def test_a_folder_keeps_a_key_for_its_owners_eyes_only(tmp_path: Path) -> None:

@@ -135,8 +135,8 @@ def test_unknown_names() -> None:
 
 
 def test_what_was_kept_comes_back() -> None:
-    kept = dict(zip(POOL.index, changed("THR2_TRIM_US", -20).values, strict=True))
-    assert POOL.restored(kept)["THR2_TRIM_US"] == -20
+    stored = dict(zip(POOL.index, changed("THR2_TRIM_US", -20).values, strict=True))
+    assert POOL.restored(stored)["THR2_TRIM_US"] == -20
     assert POOL.restored({}) == POOL
     assert POOL.restored({"SLEW_US_S": 500.0, "GONE_SINCE": 1.0})["SLEW_US_S"] == 500
 

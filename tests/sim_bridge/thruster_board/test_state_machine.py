@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from sim_bridge.thruster_board.parameters import Parameter, Parameters, Refusal
-from sim_bridge.thruster_board.state_machine import Charge, Rules, Said
+from sim_bridge.thruster_board.state_machine import BoardStateMachine, Charge, StatusText
 from wire.config.experiment import load_experiment
 from wire.mavlink.agent_link import ACCEPTED, IGNORED, REJECTED
 from wire.mavlink.signing import Key, SignatureVerdict, Signer
@@ -21,16 +21,16 @@ NEUTRAL = LEVEL * 2
 AHEAD = (1700, 1650, 1400, 1600, 1500, 1200, 1800, 1500)
 
 
-def fresh(**changes: float) -> Rules:
+def fresh(**changes: float) -> BoardStateMachine:
     parameters = PARAMETERS
     for name, value in changes.items():
         changed = parameters.changed(name, value)
         assert isinstance(changed, Parameters)
         parameters = changed
-    return Rules(parameters, COMPUTER)
+    return BoardStateMachine(parameters, COMPUTER)
 
 
-def armed(**changes: float) -> Rules:
+def armed(**changes: float) -> BoardStateMachine:
     """Armed at 0 with a neutral override of that instant."""
     rules = fresh(**changes)
     rules.step(0)
@@ -40,7 +40,7 @@ def armed(**changes: float) -> Rules:
     return rules
 
 
-def flying(pulses: tuple[int, ...] = AHEAD) -> Rules:
+def flying(pulses: tuple[int, ...] = AHEAD) -> BoardStateMachine:
     """Armed, and with its outputs where the pulses are, commanded at 200 ms."""
     rules = armed()
     rules.override(COMPUTER, pulses, 200 * MS)
@@ -67,16 +67,16 @@ def test_arming_says_so() -> None:
     rules.override(COMPUTER, NEUTRAL, 7)
     assert rules.arm(True, 7) == ACCEPTED
     assert rules.armed
-    assert rules.said == [Said(6, "armed")]
+    assert rules.said == [StatusText(6, "armed")]
     assert rules.arm(True, 8) == ACCEPTED
-    assert rules.said == [Said(6, "armed")]
+    assert rules.said == [StatusText(6, "armed")]
 
 
 def test_no_arming_at_power_on() -> None:
     rules = fresh()
     assert rules.arm(True, 0) == REJECTED
     assert not rules.armed
-    assert rules.said == [Said(4, "not armed: no override is arriving")]
+    assert rules.said == [StatusText(4, "not armed: no override is arriving")]
 
 
 @pytest.mark.parametrize(("age_ns", "result"), [(250 * MS, ACCEPTED), (250 * MS + 1, REJECTED)])
@@ -94,7 +94,7 @@ def test_arming_needs_pulses_in_the_dead_zone(thruster: int, pulse: int, result:
     assert rules.arm(True, 0) == result
     assert rules.armed == (result == ACCEPTED)
     if result == REJECTED:
-        assert rules.said == [Said(4, "not armed: thruster pulses are not neutral")]
+        assert rules.said == [StatusText(4, "not armed: thruster pulses are not neutral")]
 
 
 def test_an_override_of_a_stranger_is_none() -> None:
@@ -111,7 +111,7 @@ def test_disarming_works_from_every_state() -> None:
     rules = flying()
     assert rules.arm(False, 201 * MS) == ACCEPTED
     assert not rules.armed
-    assert rules.said == [Said(6, "disarmed")]
+    assert rules.said == [StatusText(6, "disarmed")]
     rules.step(205 * MS)
     assert rules.echo_us == (*LEVEL, *AHEAD[4:])  # at once, not slewed; ankles hold
 
@@ -134,7 +134,7 @@ def test_silence_disarms_after_the_age_and_not_before() -> None:
     assert (rules.armed, rules.echo_us) == (True, AHEAD)
     rules.step(450 * MS + 1)
     assert (rules.armed, rules.echo_us) == (False, (*LEVEL, *AHEAD[4:]))
-    assert rules.said == [Said(4, "disarmed: no override for 250 ms")]
+    assert rules.said == [StatusText(4, "disarmed: no override for 250 ms")]
 
 
 def test_the_age_is_a_parameter() -> None:
@@ -142,7 +142,7 @@ def test_the_age_is_a_parameter() -> None:
     rules.step(100 * MS)
     assert rules.armed
     rules.step(100 * MS + 1)
-    assert rules.said == [Said(4, "disarmed: no override for 100 ms")]
+    assert rules.said == [StatusText(4, "disarmed: no override for 100 ms")]
 
 
 def test_refused_overrides_keep_nothing_alive_and_overrides_do() -> None:
@@ -264,15 +264,15 @@ def test_battery_levels_and_what_they_say() -> None:
     rules = fresh()
     steps = [
         (10.81, Charge.GOOD, None),
-        (10.79, Charge.WARN, Said(4, "battery WARN: 10.8 V")),
+        (10.79, Charge.WARN, StatusText(4, "battery WARN: 10.8 V")),
         (11.09, Charge.WARN, None),
-        (11.11, Charge.GOOD, Said(6, "battery GOOD: 11.1 V")),
-        (10.49, Charge.NO_ARM, Said(4, "battery NO_ARM: 10.5 V")),
+        (11.11, Charge.GOOD, StatusText(6, "battery GOOD: 11.1 V")),
+        (10.49, Charge.NO_ARM, StatusText(4, "battery NO_ARM: 10.5 V")),
         (10.79, Charge.NO_ARM, None),
-        (10.81, Charge.WARN, Said(6, "battery WARN: 10.8 V")),
-        (9.89, Charge.NEUTRAL, Said(2, "battery NEUTRAL: 9.9 V")),
+        (10.81, Charge.WARN, StatusText(6, "battery WARN: 10.8 V")),
+        (9.89, Charge.NEUTRAL, StatusText(2, "battery NEUTRAL: 9.9 V")),
         (10.19, Charge.NEUTRAL, None),
-        (10.21, Charge.NO_ARM, Said(6, "battery NO_ARM: 10.2 V")),
+        (10.21, Charge.NO_ARM, StatusText(6, "battery NO_ARM: 10.2 V")),
     ]
     for volts, charge, said in steps:
         rules.said.clear()
@@ -315,7 +315,7 @@ def test_a_measurement_that_is_no_number_counts_as_none(volts: float) -> None:
     assert rules.said == []  # one alone is smoothed away
     rules.battery(volts, 1.0)
     assert rules.charge is Charge.NEUTRAL
-    assert rules.said == [Said(2, "battery NEUTRAL: 0.0 V")]
+    assert rules.said == [StatusText(2, "battery NEUTRAL: 0.0 V")]
 
 
 def test_what_the_levels_forbid() -> None:
@@ -327,7 +327,7 @@ def test_what_the_levels_forbid() -> None:
     rules.said.clear()
     rules.arm(False, 0)
     assert rules.arm(True, 0) == REJECTED
-    assert rules.said[-1] == Said(4, "not armed: battery low")
+    assert rules.said[-1] == StatusText(4, "not armed: battery low")
     rules.battery(10.6, 60.0)
     assert rules.arm(True, 0) == REJECTED  # hysteresis
     rules.battery(10.85, 60.0)
@@ -338,7 +338,7 @@ def test_an_empty_battery_disarms() -> None:
     rules = armed()
     rules.battery(9.0, 1.0)
     assert not rules.armed
-    assert rules.said == [Said(2, "battery NEUTRAL: 9.0 V"), Said(2, "disarmed: battery empty")]
+    assert rules.said == [StatusText(2, "battery NEUTRAL: 9.0 V"), StatusText(2, "disarmed: battery empty")]
     rules.said.clear()
     rules.battery(12.0, 60.0)
     assert (rules.charge, rules.armed, rules.arm(True, 0)) == (Charge.GOOD, False, ACCEPTED)
@@ -385,13 +385,16 @@ def test_a_refused_change_forgets_nothing() -> None:
 
 def test_the_gate_is_shut_to_all_without_the_key_and_to_the_past() -> None:
     key, frame = Key(bytes(range(32))), bytes([0xFD, 0, 1])
-    rules = Rules(PARAMETERS, COMPUTER, key, floor=1000)
+    rules = BoardStateMachine(PARAMETERS, COMPUTER, key, floor=1000)
     assert rules.gate.verify(bytes([0xFD, 0, 0]), *COMPUTER) is SignatureVerdict.UNSIGNED
     assert rules.gate.verify(Signer(Key(bytes(32)), lambda: 2000).sign(frame), *COMPUTER) is SignatureVerdict.FORGED
     assert rules.gate.verify(Signer(key, lambda: 1000).sign(frame), *COMPUTER) is SignatureVerdict.REPLAYED
     assert rules.gate.verify(Signer(key, lambda: 1001).sign(frame), *COMPUTER) is SignatureVerdict.GOOD
-    assert Rules(PARAMETERS, COMPUTER).gate.verify(bytes([0xFD, 0, 0]), *STRANGER) is SignatureVerdict.GOOD
-    assert Rules(PARAMETERS, COMPUTER, key).gate.verify(Signer(key, lambda: 1).sign(frame), *COMPUTER) is SignatureVerdict.GOOD
+    assert BoardStateMachine(PARAMETERS, COMPUTER).gate.verify(bytes([0xFD, 0, 0]), *STRANGER) is SignatureVerdict.GOOD
+    assert (
+        BoardStateMachine(PARAMETERS, COMPUTER, key).gate.verify(Signer(key, lambda: 1).sign(frame), *COMPUTER)
+        is SignatureVerdict.GOOD
+    )
 
 
 def test_a_key_over_the_link_shuts_the_gate_and_forgets_the_last_override() -> None:
@@ -405,7 +408,7 @@ def test_a_key_over_the_link_shuts_the_gate_and_forgets_the_last_override() -> N
 
 
 def test_another_key_forgets_no_time_that_was_used() -> None:
-    rules, second = Rules(PARAMETERS, COMPUTER, Key(bytes(range(32))), 500), Key(bytes(range(1, 33)))
+    rules, second = BoardStateMachine(PARAMETERS, COMPUTER, Key(bytes(range(32))), 500), Key(bytes(range(1, 33)))
     assert rules.set_key(second, 3) == ""
     assert rules.gate.verify(Signer(second, lambda: 500).sign(bytes([0xFD, 0, 1])), *COMPUTER) is SignatureVerdict.REPLAYED
 

@@ -1,4 +1,4 @@
-"""What is compared, from where, and that a flight's figures are those of the flight."""
+"""Comparison of control laws: variants, scattered starts, and figures equal to those of single flights."""
 
 import math
 import subprocess
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from groundstation.planning import planner
-from sim_bridge.studies.variants import VARIANTS, Task, fly, scattered
+from sim_bridge.studies.comparison import VARIANTS, FlightTask, fly, scattered
 from tests.closed_loop.numeric import flown
 from wire.config.controller_benchmark import Comparison, Variant
 from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
@@ -20,10 +20,12 @@ from wire.toml_loader import ConfigError
 SHORT = ("duration_s=22",)
 
 
-def task(experiment: Experiment, look: bool = True) -> Task:
+def task(experiment: Experiment, with_traces: bool = True) -> FlightTask:
     trajectories = planner.plan(experiment)
     starts = planner.start_poses(experiment, trajectories)
-    return Task(experiment, trajectories, np.array([starts[r] for r in experiment.robot_ids]), experiment.seed, look)
+    return FlightTask(
+        experiment, trajectories, np.array([starts[r] for r in experiment.robot_ids]), experiment.seed, with_traces
+    )
 
 
 @pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
@@ -82,7 +84,7 @@ def test_the_mpc_wants_nothing_that_is_not_allowed_and_its_flight_is_kept_to_loo
     assert figures.wanted_beyond == figures.wanted_too_large == figures.wanted_too_fast == 0.0 and figures.wanted_most <= 1.0
     assert traces is not None and traces.wanted_n == traces.applied_n and len(traces.wanted_n) == 3
     assert len(traces.applied_n[0]) == 400 and traces.input_period_s == 0.05 and traces.error_period_s == 0.5
-    again = fly(task(load_experiment("numeric", SHORT), look=False))
+    again = fly(task(load_experiment("numeric", SHORT), with_traces=False))
     assert again.figures == figures and again.traces is None
     comparison = Comparison("numeric", "", 22.0, 0.0, [], 6.0, [1, 2, 3], [Variant("eso-mpc", [], [flight, again])])
     assert Comparison.from_json(comparison.to_json()) == comparison
