@@ -64,7 +64,7 @@ def test_where_there_is_no_git_it_is_unknown(tree: Path, monkeypatch: pytest.Mon
     assert commit(tree) == UNKNOWN
 
 
-def test_variables_of_git_lead_nobody_astray(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_git_variables_of_the_environment_do_not_change_the_commit(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clean = commit(tree)
     monkeypatch.setenv("GIT_DIR", "/nowhere")
     assert commit(tree) == clean
