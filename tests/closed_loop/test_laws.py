@@ -61,7 +61,7 @@ def test_followers_keep_their_offsets_from_a_leader_that_is_lost() -> None:
 
 
 @pytest.mark.parametrize("kind,notices", [("leader-follower", False), ("virtual-structure", True)])
-def test_a_leader_does_not_care_what_its_followers_do(kind: str, notices: bool) -> None:
+def test_a_leader_flies_the_same_whatever_its_followers_do(kind: str, notices: bool) -> None:
     """The article's complaint about leader-follower; under the virtual structure robots wait for one another."""
     one, other = (
         flight("eso-mpc", f"formation.kind={kind}", f"robots.1.start=[{x}, 1.0, -1.0, 0.0]").error[:, 0] for x in (0.8, 0.2)

@@ -34,7 +34,7 @@ BALL = load_experiment("blocked-path", ["duration_s=0.9", ADRIFT])
         pytest.param(BALL, True, range(10, 30), id="obstacle-often", marks=OFTEN),
     ],
 )
-def test_whoever_is_late_everybody_says_the_same(
+def test_a_lockstep_flight_is_the_same_whichever_process_is_late(
     experiment: Experiment, poses: bool, seeds: Sequence[int], tmp_path: Path
 ) -> None:
     """All that goes over the bus but previews and lines for people: truth, poses, plans, states, inputs, orders."""
@@ -54,7 +54,7 @@ def test_poses_are_as_old_as_the_experiment_says(latency_s: float, tmp_path: Pat
         assert ages_ms == {1000.0 * latency_s}
 
 
-def test_a_robot_that_has_lost_itself_tells_no_plan_and_nobody_waits_for_one(tmp_path: Path) -> None:
+def test_a_robot_without_a_pose_publishes_no_plan_and_others_do_not_wait_for_one(tmp_path: Path) -> None:
     experiment = load_experiment("pool", ["duration_s=1.5", "mission.lost=go-on"], ["t=0.1 marker 1 lost"])
     told = fly(experiment, tmp_path / "run", None, poses=False).messages
     first_ns, *_, last_ns = sorted(stamp_ns for stamp_ns, _ in told["shoal/robot/1/plan"])

@@ -13,6 +13,7 @@ import pytest
 
 from sim_bridge.sil.ports import free_base_port, free_port
 from sim_bridge.sil.processes import Children
+from tests.waiting import wait_for_line
 from wire.config.experiment import dump_experiment, load_experiment
 
 pytestmark = pytest.mark.real_time
@@ -62,17 +63,7 @@ class Lab:
             assert text in (self.folder / "logs" / f"{name}-{robot}.log").read_text()
 
     def says(self, name: str, text: str, times: int = 1, timeout_s: float = 30.0) -> None:
-        says(self.folder / "logs" / f"{name}.log", text, times, timeout_s)
-
-
-def says(log: Path, text: str, times: int, timeout_s: float) -> None:
-    """Wait for a line of a program's log."""
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        if log.read_text().count(text) >= times:
-            return
-        time.sleep(0.05)
-    raise AssertionError(f"{log.name} never said {text!r} {times} times:\n{log.read_text()}")
+        wait_for_line(self.folder / "logs" / f"{name}.log", text, timeout_s, times)
 
 
 @pytest.fixture
@@ -120,7 +111,7 @@ def test_a_stop_that_no_robot_hears_is_no_success(tmp_path: Path) -> None:
         "groundstation", "groundstation", ["run", "pool", "--no-web", "--listen", place, "--run-dir", str(tmp_path / "run")]
     )
     try:
-        says(tmp_path / "logs" / "groundstation.log", "waiting for the fleet", 1, 60.0)
+        wait_for_line(tmp_path / "logs" / "groundstation.log", "waiting for the fleet", 60.0)
         for what, last in (("stop", "stop: not done within 5 s"), ("end", "end: done")):
             command = [sys.executable, "-m", "groundstation", what, "--station", place]
             answer = subprocess.run(command, capture_output=True, text=True, timeout=90, check=False)

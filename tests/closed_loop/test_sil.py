@@ -26,6 +26,7 @@ from groundstation.logs.reader import read_log
 from sim_bridge.sil import launcher
 from sim_bridge.sil.commands import Program, RunOptions
 from sim_bridge.sil.processes import Child, Children
+from tests.waiting import wait_for_line
 from wire.config.experiment import load_experiment
 from wire.messages import codec, topics
 from wire.messages.messages import Mode, RobotState
@@ -60,15 +61,6 @@ def states(folder: Path, robot: int) -> list[tuple[int, RobotState]]:
     with (folder / "run.mcap").open("rb") as file:
         messages = make_reader(file).iter_messages(topics=[f"shoal/{topics.STATE.key(robot)}"])
         return [(m.publish_time, codec.decode(RobotState, m.data, "log", "state")) for _, _, m in messages]
-
-
-def wait_for(log: Path, text: str, timeout_s: float = 40.0) -> None:
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        if log.exists() and text in log.read_text():
-            return
-        time.sleep(0.05)
-    raise AssertionError(f"{log.name} never said {text!r}: {log.read_text() if log.exists() else 'no such file'}")
 
 
 @pytest.fixture(scope="module")
@@ -169,7 +161,7 @@ def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, in
     ("arguments", "said"),
     [(("--at", "31"), "at 31 s there is nothing: robot 1 came to 30"), (("--at", "10", "pool"), "the run says what is flown")],
 )
-def test_what_was_not_flown_cannot_be_gone_on_from(
+def test_resuming_from_a_time_that_was_not_flown_is_refused(
     lockstep_run: tuple[Path, int, str], tmp_path: Path, arguments: tuple[str, ...], said: str
 ) -> None:
     code, output = go_on(lockstep_run[0], tmp_path, *arguments)
@@ -214,7 +206,7 @@ def test_a_process_killed_in_flight_leaves_neutral_boards_and_is_named(victim: s
             time.sleep(0.05)
         logs = run_dir(tmp_path) / "logs"
         for robot in (1, 2):
-            wait_for(logs / f"agent-{robot}.log", "tracking")
+            wait_for_line(logs / f"agent-{robot}.log", "tracking")
         time.sleep(1.5)
         (process,) = [p for p in psutil.Process(run.pid).children() if _name(p.cmdline()) == victim]
         killed_at = datetime.now()
@@ -249,7 +241,7 @@ def test_ctrl_c_stops_everything_cleanly(tmp_path: Path) -> None:
     run = start(tmp_path, "--duration", "60")
     while not list(tmp_path.glob("pool-*")):
         time.sleep(0.05)
-    wait_for(run_dir(tmp_path) / "logs" / "agent-1.log", "ready")
+    wait_for_line(run_dir(tmp_path) / "logs" / "agent-1.log", "ready")
     children = psutil.Process(run.pid).children()
     assert len(children) == 5
     run.send_signal(signal.SIGINT)
@@ -276,10 +268,10 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
     try:
         while not list(out.glob("pool-*")):
             time.sleep(0.05)
-        wait_for(run_dir(out) / "logs" / "groundstation.log", "mission: waiting for the fleet\n")
+        wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: waiting for the fleet\n")
         code, said = order("order", "start")
         assert code == 0, said
-        wait_for(run_dir(out) / "logs" / "groundstation.log", "mission: done")
+        wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: done")
         code, said = order("end")
         assert (code, said.splitlines()[-1]) == (0, "end: done"), said
         code, output = finish(run)
@@ -296,7 +288,7 @@ def test_no_process_outlives_a_launcher_that_is_killed(tmp_path: Path) -> None:
     run = start(tmp_path, "--duration", "60")
     while not list(tmp_path.glob("pool-*")):
         time.sleep(0.05)
-    wait_for(run_dir(tmp_path) / "logs" / "agent-1.log", "ready")
+    wait_for_line(run_dir(tmp_path) / "logs" / "agent-1.log", "ready")
     children = psutil.Process(run.pid).children()
     run.kill()
     run.communicate()

@@ -174,7 +174,7 @@ def test_a_change_in_flight_takes_effect_at_one_instant_and_leads_to_the_other_f
         assert np.abs(c[late] - a[late]).mean() < 0.3 * np.abs(b[late] - a[late]).mean()
 
 
-def test_a_bad_value_changes_nothing_and_neither_does_what_one_robot_refuses() -> None:
+def test_gains_stay_when_a_value_is_bad_or_one_robot_refuses() -> None:
     lab = Lab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
@@ -190,7 +190,7 @@ def test_a_bad_value_changes_nothing_and_neither_does_what_one_robot_refuses() -
     assert {state.tuning_id for robot in (0, 1) for state in lab.states(robot)} == {flown}
 
 
-def test_who_has_changed_already_goes_back_when_another_does_not_follow() -> None:
+def test_a_robot_that_changed_its_gains_changes_back_when_another_does_not_follow() -> None:
     lab = Lab(pool())
     flown = tuning(pool().controller).id
     lab.run(1.0)
@@ -250,7 +250,7 @@ def waiting_for_a_lap() -> Lab:
     return lab
 
 
-def test_whoever_leaves_the_run_forgets_what_waits_for_a_lap() -> None:
+def test_leaving_the_run_drops_gains_that_wait_for_a_lap() -> None:
     lab = waiting_for_a_lap()
     for robot in (1, 2):
         assert lab.send(Command(Order.DISARM, robot)).accepted
@@ -261,7 +261,7 @@ def test_whoever_leaves_the_run_forgets_what_waits_for_a_lap() -> None:
     assert {state.tuning_id for state in lab.states()} == {tuning(pool().controller).id}
 
 
-def test_who_flies_on_without_the_one_that_left_forgets_what_waits_for_a_lap_too() -> None:
+def test_the_remaining_robots_drop_gains_that_wait_for_a_lap() -> None:
     """All robots together, or none: it had accepted the set, and would have changed alone."""
     lab = waiting_for_a_lap()
     assert lab.send(Command(Order.DISARM, 2)).accepted

@@ -38,7 +38,7 @@ def test_a_disc_is_outside_by_as_far_as_it_has_to_be_moved_to_be_inside(camera: 
         assert found[edge + 60] == pytest.approx(0.3, abs=0.06), "0.3 m farther on"
 
 
-def test_what_a_lens_bends_back_or_what_is_behind_it_is_outside() -> None:
+def test_places_behind_the_lens_or_folded_by_its_distortion_are_outside() -> None:
     """At an angle where the distortion's polynomial falls again it would put far places into the picture."""
     far = np.array([[0.0, 5.0, 0.3], [9.0, 0.0, 0.3], [30.0, 30.0, 0.3]])
     folded = project(WIDE, far)

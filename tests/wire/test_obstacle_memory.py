@@ -37,7 +37,7 @@ def test_ages_add_up_and_an_unknown_one_is_the_oldest() -> None:
     assert ages_s(Obstacles((4,), OUTLINE[None], np.zeros((1, 2))), 0.25) == [0.25]
 
 
-def test_blind_is_who_is_told_nothing_nothing_new_or_that_nobody_can_see() -> None:
+def test_blindness_without_messages_with_old_ones_and_with_a_blind_localizer() -> None:
     assert blindness(None, 0.0) == BLIND
     assert blindness(Obstacles(), 0.4) == ""
     assert BLIND in blindness(Obstacles(), 0.6)

@@ -219,7 +219,7 @@ def test_a_setting_that_leads_nowhere(setting: str, complaint: str) -> None:
     assert f"--set {setting}" in str(caught.value)
 
 
-def test_what_is_nested_too_deep_is_a_complaint_too() -> None:
+def test_a_table_nested_too_deep_is_refused_with_a_message() -> None:
     table: dict[str, Any] = {}
     apply_setting(table, ".".join("a" * 3000) + "=1")
     with pytest.raises(ConfigError, match=r"^lab: a value is nested too deep"):
@@ -236,7 +236,7 @@ def test_any_setting_is_applied_or_refused(setting: str) -> None:
 
 
 @given(st.dictionaries(st.text("abc", min_size=1), st.integers() | st.floats(allow_nan=False) | st.text() | st.booleans()))
-def test_what_was_written_is_read(tmp_path_factory: pytest.TempPathFactory, table: dict[str, Any]) -> None:
+def test_a_written_toml_table_is_read_back(tmp_path_factory: pytest.TempPathFactory, table: dict[str, Any]) -> None:
     path = tmp_path_factory.getbasetemp() / "round.toml"
     path.write_text(tomli_w.dumps(table), encoding="utf-8", newline="")
     assert read_toml(path) == table

@@ -169,7 +169,7 @@ def test_a_missing_key_has_a_default_or_is_asked_for(tmp_path: Path, key: Key) -
 
 
 @pytest.mark.parametrize("key", ["name", "duration_s", "vehicle", "pool", "path", "robots", "camera"])
-def test_what_nobody_can_guess_has_no_default(tmp_path: Path, key: str) -> None:
+def test_keys_that_cannot_be_guessed_have_no_default(tmp_path: Path, key: str) -> None:
     table = {name: value for name, value in FULL.items() if name != key}
     assert f"{key}: missing" in _complaint(tmp_path, table)
 

@@ -24,7 +24,7 @@ from wire.toml_loader import ConfigError
         ("clock localizer step -3600", Break("clock", "step", -3600.0, process="localizer")),
     ],
 )
-def test_what_it_understands(text: str, meaning: Break) -> None:
+def test_fault_texts_that_are_understood(text: str, meaning: Break) -> None:
     assert read_what(text) == meaning
     assert load_experiment("pool", faults=[f"t=3 {text}"]).sim.faults[0].broken == meaning
 
@@ -52,7 +52,7 @@ def test_what_it_understands(text: str, meaning: Break) -> None:
         ("t=1 for=2 process agent-1 killed", "what is killed does not come back"),
     ],
 )
-def test_what_it_does_not(line: str, complaint: str) -> None:
+def test_fault_texts_that_are_refused(line: str, complaint: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_experiment("pool", faults=[line])
     assert complaint in str(caught.value)

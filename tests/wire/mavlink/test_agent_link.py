@@ -164,7 +164,7 @@ def test_a_burst_without_a_depth_that_can_be_true_is_none(pressure_hpa: float | 
 
 
 @pytest.mark.parametrize("peer", [(2, 191), (1, 190), (0, 0), (255, 190)])
-def test_what_strangers_ask_comes_with_their_name(peer: tuple[int, int]) -> None:
+def test_requests_carry_the_address_of_their_sender(peer: tuple[int, int]) -> None:
     board, stranger = BoardLink(1), Sender(peer)
     override = stranger.pack(dialect.MAVLink_rc_channels_override_message(1, 1, *PULSES))
     assert board.receive(override, 0) == [(peer, Override(PULSES))]
@@ -176,7 +176,7 @@ def test_a_board_does_not_listen_to_itself() -> None:
 
 
 @pytest.mark.parametrize(("system", "component"), [(2, 1), (1, 0), (0, 0), (1, 191)])
-def test_commands_for_somebody_else_are_not_taken(system: int, component: int) -> None:
+def test_commands_for_another_board_are_ignored(system: int, component: int) -> None:
     board, sender = BoardLink(1), Sender((1, agent_link.AGENT_COMPONENT))
     assert board.events(sender.pack(dialect.MAVLink_rc_channels_override_message(system, component, *PULSES)), 0) == []
     assert board.refused_frames == 1
@@ -324,7 +324,7 @@ def test_frames_that_pymavlink_passes_unchecked_are_dropped() -> None:
     assert receiver.foreign_frames == 1
 
 
-def test_frames_inside_somebody_elses_frame_are_not_taken() -> None:
+def test_frames_inside_another_systems_frame_are_ignored() -> None:
     """A log or a tunnel that carries MAVLink must not command thrusters."""
     inner = AgentLink(1).pulses(PULSES)
     payload = list(inner) + [0] * (128 - len(inner))

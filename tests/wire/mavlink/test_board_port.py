@@ -65,7 +65,7 @@ class Answered(socket.socket):
 
 
 @pytest.mark.parametrize("number", [errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENOPROTOOPT])
-def test_what_the_network_says_of_a_datagram_ends_no_program(number: int) -> None:
+def test_network_errors_about_a_datagram_do_not_raise(number: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
         board.bind(("127.0.0.1", 0))
         link = UdpLink(*board.getsockname())
@@ -113,7 +113,7 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
         link.close()
 
 
-def test_a_board_that_takes_nothing_holds_nobody_up() -> None:
+def test_a_board_that_reads_nothing_does_not_block_the_sender() -> None:
     controller, device = pty.openpty()
     link = open_link(f"serial:{os.ttyname(device)}")
     signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits for the board"))

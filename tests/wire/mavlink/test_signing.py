@@ -209,7 +209,7 @@ def test_a_key_is_checked_and_never_shown() -> None:
     assert [Key(SECRET, link).link_id for link in (0, 255)] == [0, 255]
 
 
-def test_a_flood_of_names_shuts_nobody_out_for_long() -> None:
+def test_a_flood_of_system_ids_locks_others_out_only_for_a_while() -> None:
     link = board(key=None)
     for i in range(PEERS + 5):
         link.receive(Sender((2, i)).pack(dialect.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3)), 0)

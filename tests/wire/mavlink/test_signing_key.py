@@ -87,7 +87,7 @@ def test_times_that_cannot_be_written_are_explained(tmp_path: Path) -> None:
         (b"x" * 64, "not a link key (allowed: 64 hexadecimal digits"),
     ],
 )
-def test_what_is_no_key_is_refused_and_not_shown(tmp_path: Path, content: bytes, says: str) -> None:
+def test_a_file_that_is_no_key_is_refused_and_its_content_not_shown(tmp_path: Path, content: bytes, says: str) -> None:
     file = tmp_path / "robot-1.key"
     file.write_bytes(content)
     file.chmod(0o600)

@@ -56,7 +56,7 @@ def _refused(cls: Any, data: bytes) -> DecodeError:
 
 @given(st.data())
 @each_class
-def test_what_is_sent_arrives(cls: Any, data: st.DataObject) -> None:
+def test_an_encoded_message_decodes_to_the_same(cls: Any, data: st.DataObject) -> None:
     message = data.draw(valid(cls))
     assert same(_decode(cls, encode(message)), message)
 
@@ -82,7 +82,7 @@ def test_defaults_survive() -> None:
 
 
 @pytest.mark.parametrize("cls", OWN, ids=lambda cls: cls.__name__)
-def test_what_goes_out_is_what_protobufs_own_classes_write_and_read(cls: Any) -> None:
+def test_encoded_messages_are_those_of_protobufs_own_classes(cls: Any) -> None:
     """Arrays are packed by our own hand. Whoever reads logs has only fleet.proto."""
     message, theirs = example(cls), codec.protobuf_class(cls).FromString(encode(example(cls)))
     assert same(_decode(cls, theirs.SerializeToString()), message)
@@ -444,7 +444,7 @@ def test_a_line_of_the_log_is_cut_where_people_stop_reading() -> None:
     assert _refused(Event, Log(level=Log.Level.INFO, message="x" * 20_000).SerializeToString()).field == "(size)"
 
 
-def test_a_text_that_nobody_would_read_is_cut_by_its_sender_and_refused_from_others() -> None:
+def test_an_overlong_text_is_cut_by_the_sender_and_refused_by_the_receiver() -> None:
     sent = _decode(Reply, encode(Reply(1, False, "x" * 100_000)))
     assert len(sent.reason) == codec.LONGEST_TEXT
     foreign = fleet_pb2.Reply(robot=1, reason="x" * (codec.LONGEST_TEXT + 1)).SerializeToString()

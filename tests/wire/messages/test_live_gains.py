@@ -67,7 +67,7 @@ def test_a_change_is_what_the_file_would_have_given(parameter: TunableParameter)
         ("vehicle.radius_m", 1.0, "cannot be changed in flight"),
     ],
 )
-def test_what_is_out_of_bounds_is_refused_with_the_reason(key: str, value: float, says: str) -> None:
+def test_a_gain_out_of_bounds_is_refused_with_the_reason(key: str, value: float, says: str) -> None:
     with pytest.raises(ConfigError) as refused:
         tuned(POOL.controller, {key: value})
     assert says in str(refused.value)

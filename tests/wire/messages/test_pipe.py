@@ -70,6 +70,6 @@ def test_a_cut_between_messages_is_an_end_and_any_other_cut_is_an_error() -> Non
 @pytest.mark.parametrize(
     "frame", [b"\xff\x00\x04\x00\x00\x00", b"\x00\x00" + (MAX_MESSAGE_BYTES + 1).to_bytes(4, "little"), b"\xff" * 6]
 )
-def test_what_no_writer_wrote_is_refused_at_once(frame: bytes) -> None:
+def test_a_pipe_frame_of_an_unknown_form_is_refused_at_once(frame: bytes) -> None:
     with pytest.raises(DecodeError, match="not written by this version"):
         list(read(frame + bytes(1000)))

@@ -82,7 +82,7 @@ def test_a_periodic_topic_may_lose_one_message_and_stay_fresh(topic: Topic) -> N
         assert topic.qos in (Qos.EVENT, Qos.JOURNAL) and topic.max_age_s == math.inf
 
 
-def test_an_age_that_an_experiment_sets_is_the_same_for_all_who_ask() -> None:
+def test_a_maximum_age_set_by_an_experiment_is_the_same_for_all_processes() -> None:
     """Stations and robots used to have a number each, which could drift apart."""
     limited = {topic.limit: topic for topic in TOPICS if topic.limit}
     assert set(limited) == {"pose_hold_s", "plan_max_age_s", "station_hold_s"}
@@ -94,7 +94,7 @@ def test_an_age_that_an_experiment_sets_is_the_same_for_all_who_ask() -> None:
 
 
 @each_topic
-def test_what_is_recovered_is_kept_and_a_board_has_room_for_it(topic: Topic) -> None:
+def test_recovered_topics_have_a_cache_that_fits_a_boards_memory(topic: Topic) -> None:
     assert (topic.cache_depth > 0) == (topic.qos in topics.RECOVERED)
     path = first_leg(load_experiment("pool")).trajectories[1]
     largest: dict[Topic, Message] = {

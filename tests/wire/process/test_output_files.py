@@ -45,7 +45,7 @@ def test_a_full_disk_leaves_the_old_file_and_names_it(tmp_path: Path) -> None:
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
 
 
-def test_a_place_that_is_none_is_named(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_written_is_named_in_the_error(tmp_path: Path) -> None:
     for place, code in ((tmp_path, errno.EISDIR), (tmp_path / "none" / "file", errno.ENOENT)):
         with pytest.raises(OSError, match=re.escape(str(place))) as caught:
             replace_text(place, "")
@@ -92,7 +92,7 @@ def test_a_pipe_is_written_to(tmp_path: Path) -> None:
     assert Path("/dev/null").is_char_device()
 
 
-def test_what_is_read_is_not_written_over_by_any_name(tmp_path: Path) -> None:
+def test_an_input_file_is_not_overwritten_by_any_name(tmp_path: Path) -> None:
     read, link, hard = tmp_path / "image.png", tmp_path / "link.png", tmp_path / "hard.png"
     read.touch()
     link.symlink_to(read)

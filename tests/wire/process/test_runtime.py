@@ -95,7 +95,7 @@ def test_lockstep_waits_for_every_input_and_goes_on_without_none(
     assert "waiting for localizer/status" in caplog.text and "station/heartbeat" not in caplog.text
 
 
-def test_what_is_seen_counts_when_all_of_it_is_here_in_whatever_order_it_comes() -> None:
+def test_await_sight_returns_when_status_poses_and_obstacles_have_come_in_any_order() -> None:
     """The status of a picture says whose poses to wait for, and which obstacles, told at the picture before."""
     simulator, process = two_buses()
     localizer, obstacles = process.inbox(topics.LOCALIZER, LocalizerStatus), process.inbox(topics.OBSTACLES, Obstacles)
@@ -147,7 +147,7 @@ def test_a_thread_that_ends_by_an_exception_stops_the_process_with_the_reason(er
         stop.raise_failure()
 
 
-def test_a_thread_that_ends_its_work_stops_nobody() -> None:
+def test_a_guarded_thread_that_ends_normally_does_not_stop_the_process() -> None:
     stop = Stop(install=False)
     thread = guarded_thread(stop, "camera", lambda: None)
     thread.start()

@@ -23,8 +23,8 @@ def git(root: Path, *arguments: str) -> str:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    (tmp_path / "wire").mkdir()
-    (tmp_path / "wire" / "version.py").write_text("one = 1\n")
+    (tmp_path / "wire" / "process").mkdir(parents=True)
+    (tmp_path / "wire" / "process" / "version.py").write_text("one = 1\n")
     git(tmp_path, "init", "--quiet")
     git(tmp_path, "add", ".")
     git(tmp_path, "commit", "--quiet", "-m", "one")
@@ -32,7 +32,7 @@ def tree(tmp_path: Path) -> Path:
 
 
 def test_two_states_of_the_code_are_two_and_one_is_one(tree: Path) -> None:
-    clean, file = commit(tree), tree / "wire" / "version.py"
+    clean, file = commit(tree), tree / "wire" / "process" / "version.py"
     assert clean == git(tree, "rev-parse", "HEAD")
     (tree / "notes.txt").write_text("no code")
     assert commit(tree) == clean
@@ -52,8 +52,8 @@ def test_two_states_of_the_code_are_two_and_one_is_one(tree: Path) -> None:
 
 def test_a_package_within_somebody_elses_work_tree_does_not_take_its_commit(tree: Path) -> None:
     installed = tree / ".venv" / "lib"
-    (installed / "wire").mkdir(parents=True)
-    (installed / "wire" / "version.py").write_text("")
+    (installed / "wire" / "process").mkdir(parents=True)
+    (installed / "wire" / "process" / "version.py").write_text("")
     assert commit(installed) == UNKNOWN
     (installed / "wire" / version.RECORDED).write_text("a" * 40 + "\n")
     assert commit(installed) == "a" * 40
@@ -64,7 +64,7 @@ def test_where_there_is_no_git_it_is_unknown(tree: Path, monkeypatch: pytest.Mon
     assert commit(tree) == UNKNOWN
 
 
-def test_variables_of_git_lead_nobody_astray(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_git_variables_of_the_environment_do_not_change_the_commit(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     clean = commit(tree)
     monkeypatch.setenv("GIT_DIR", "/nowhere")
     assert commit(tree) == clean
@@ -96,6 +96,7 @@ def test_the_build_writes_the_commit_down(tmp_path: Path) -> None:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()
     for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE", "wire/process/version.py"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes((ROOT / name).read_bytes())
     git(tmp_path, "init", "--quiet")
     git(tmp_path, "add", ".")

@@ -46,7 +46,7 @@ def test_a_hello_may_come_in_several_records() -> None:
         b"".join(b"\x16\x03\x01\x00\x01" + bytes([byte]) for byte in b"\x01\x00\x30\x00" + bytes(20)),  # a record a byte
     ],
 )
-def test_what_is_no_hello_is_refused(data: bytes) -> None:
+def test_bytes_that_are_no_client_hello_are_refused(data: bytes) -> None:
     with pytest.raises(NotTls):
         hello_is_whole(data)
 
@@ -187,7 +187,7 @@ def test_an_origin_that_is_crowded_loses_its_oldest_silent_connection() -> None:
     assert door.closed == silent[:2] and {ready, member} <= set(dict(door.turns(1.0)))
 
 
-def test_with_the_whole_house_crowded_the_most_crowded_origin_pays() -> None:
+def test_when_all_places_are_taken_the_origin_with_most_connections_loses_one() -> None:
     door = Door()
     hosts = admission.MOST_WAITING // admission.MOST_WAITING_EACH
     for _ in range(admission.MOST_WAITING_EACH):
@@ -242,7 +242,7 @@ def test_links_are_limited() -> None:
     assert door.turns(0.5) == [(waits, NEW)]
 
 
-def test_who_waits_for_tokens_is_looked_at_when_there_is_one() -> None:
+def test_a_connection_waiting_for_tokens_is_admitted_when_there_is_one() -> None:
     door = Door()
     list(failures(door, "10.0.0.1", 0.0, 3.0))
     last = door.come("10.0.0.1", 3.0, hello=True)

@@ -184,7 +184,7 @@ def test_collected_are_all_messages_of_all_robots_once_and_in_order(make_bus: Ma
         assert [entry for entry in found if entry[0] is topic] == [entry for entry in sent if entry[0] is topic]
 
 
-def test_what_nobody_collects_holds_nobody_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_uncollected_messages_do_not_delay_other_topics(monkeypatch: pytest.MonkeyPatch) -> None:
     """The oldest go; orders, poses and heartbeats of the same session come as ever."""
     monkeypatch.setattr(zenoh_transport, "UNCOLLECTED", 4)
     address = f"tcp/127.0.0.1:{free_port()}"
@@ -307,7 +307,7 @@ def test_messages_of_one_topic_from_many_threads_all_arrive(make_bus: MakeBus) -
     assert numbers == sorted(numbers)
 
 
-def test_orders_come_in_the_order_in_which_they_were_sent_whoever_waits_for_the_answers(make_bus: MakeBus) -> None:
+def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any_thread(make_bus: MakeBus) -> None:
     station, robot = make_bus(), Obeying(make_bus())
     assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     robot.told.clear()

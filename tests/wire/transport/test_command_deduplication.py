@@ -28,7 +28,7 @@ def test_a_repeated_order_gets_the_same_answer_and_an_older_one_a_refusal() -> N
     assert deduplicator.known_reply(Header(7, 6, 0), command()) is None
 
 
-def test_an_order_for_another_life_is_refused_and_told_who_lives_now() -> None:
+def test_a_command_for_an_earlier_session_is_refused_with_the_present_session() -> None:
     for recipient in (0, ME + 1):
         reply = CommandDeduplicator(ME).known_reply(Header(7, 1, 0), command(recipient))
         assert reply is not None
@@ -52,7 +52,7 @@ def test_however_orders_are_repeated_mixed_and_reordered_each_is_taken_at_most_o
         assert own == sorted(set(own))
 
 
-def test_what_is_remembered_is_bounded_and_the_newest_senders_are_kept() -> None:
+def test_the_number_of_remembered_senders_is_bounded_and_the_newest_are_kept() -> None:
     deduplicator = CommandDeduplicator(ME)
     for session in range(1, SENDERS + 3):
         deduplicator.record(Header(session, 1, 0), Reply(1, True))

@@ -69,7 +69,7 @@ def test_a_slower_way_is_the_usual_one_after_a_while() -> None:
         assert late_ns <= 2 * MS or 400 <= k < 400 + 2 * WINDOW_NS / PERIOD_NS + 1
 
 
-def test_an_inbox_tells_the_age_of_what_was_held_up(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_inbox_adds_the_delay_of_a_late_message_to_its_age(monkeypatch: pytest.MonkeyPatch) -> None:
     hub, clock = MemoryHub(), WallClock()
     with Bus(MemoryTransport(hub)) as sender, Bus(MemoryTransport(hub)) as receiver:
         inbox, beat = receiver.inbox(topics.HEARTBEAT, StationHeartbeat), StationHeartbeat()

@@ -165,7 +165,7 @@ def test_the_door_needs_no_keys_and_is_only_this_machines(station: Bus, address:
     assert nearest(elsewhere) is elsewhere
 
 
-def test_a_door_that_nobody_is_behind_is_passed_by(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_door_without_a_station_is_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     where = endpoint("tcp/127.0.0.1:7447", "operator", None)
     assert nearest(where) is where  # no folder
@@ -286,7 +286,7 @@ def test_a_lost_end_ends_the_other(passage: Passage) -> None:
         raise ConnectionResetError  # an orderly end says the same
 
 
-def test_what_comes_after_a_hello_waits_for_the_routers_answer(passage: Passage) -> None:
+def test_bytes_after_a_hello_wait_for_the_routers_answer(passage: Passage) -> None:
     """Else a stranger could have the router's first flight counted as the answer to a certificate."""
     client, server = passage.pair(HELLO)
     with client, server:

@@ -58,7 +58,7 @@ def test_beyond_this_machine_keys_are_not_optional(address: str, caplog: pytest.
         "tcp/1.2:x",
     ],
 )  # fmt: skip
-def test_an_address_that_is_none_is_refused(address: str) -> None:
+def test_a_malformed_address_is_refused(address: str) -> None:
     with pytest.raises(ConfigError, match="allowed: tcp/HOST:PORT or tls/HOST:PORT"):
         endpoint(address, "viewer", None, insecure=True)
 
@@ -84,7 +84,7 @@ def test_keys_that_others_can_read_are_refused(ring: Path) -> None:
         endpoint("tls/127.0.0.1:7447", "viewer", ring)
 
 
-def test_what_cannot_be_is_refused(ring: Path) -> None:
+def test_missing_or_damaged_keys_are_refused(ring: Path) -> None:
     made = "(made by `groundstation keys add`, copied by `deploy`)"
     with pytest.raises(ConfigError, match=re.escape(f"--keys {ring}: {ring}/agent-9/ca.pem is missing {made}")):
         endpoint("tls/127.0.0.1:7447", "agent-9", ring)
