@@ -123,7 +123,7 @@ def test_nobody_is_above_a_silent_robot() -> None:
 
 
 def expecting(x: float, y: float = 0.0, z: float = 0.0) -> Array:
-    """What a robot that stays expects of itself."""
+    """Predicted path of a robot that stays in place."""
     return np.repeat(np.array(((x, y), (z, 0.0)))[:, None], STEPS, axis=1)
 
 
