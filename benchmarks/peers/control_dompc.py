@@ -85,7 +85,7 @@ class DoMpc:
         mpc.bounds["lower", "_x", "wrench"] = -np.array(self._limits.wrench)
         mpc.bounds["upper", "_x", "wrench"] = np.array(self._limits.wrench)
 
-    def expected(self, state: State) -> Array:
+    def predicted_path(self, state: State) -> Array:
         """Nobody is near."""
         return np.tile(np.array(state[:4]).reshape(2, 1, 2), (1, self._horizon + 1, 1))
 

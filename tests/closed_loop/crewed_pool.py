@@ -124,5 +124,5 @@ def _goal(agent: Agent) -> Array:
     goal = agent._controller._goal
     if goal is None:
         return np.full(12, np.nan)
-    path = agent._controller._sampler.path(goal)
+    path = agent._controller._sampler.sample(goal)
     return np.concatenate([path.eta[0], path.velocity[0], path.acceleration[0]])

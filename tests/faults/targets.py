@@ -122,7 +122,7 @@ def agent(data: bytes) -> None:
         command = Command(
             order, 1, experiment_hash=_pool().hash, trajectory_id=path.id, trajectory=path if order is Order.LOAD else None
         )
-        robot.order(Header(1, number, now_ns), command, station, now_ns)
+        robot.handle_command(Header(1, number, now_ns), command, station, now_ns)
         now_ns += PERIOD_NS
     while bites.left:
         _agent_step(robot, bites, now_ns)
@@ -165,7 +165,7 @@ def orders(data: bytes) -> None:
     while bites.left:
         command = bites.message(Command)
         header = Header(bites.byte(2), bites.byte(), now_ns - bites.byte() * 10_000_000)
-        reply = robot.order(header, command, StationView(bites.byte(2), now_ns, 0.0), now_ns)
+        reply = robot.handle_command(header, command, StationView(bites.byte(2), now_ns, 0.0), now_ns)
         decode(Reply, encode(reply), "agent", "reply")
         robot.step(dataclasses.replace(robot._inputs, station=StationView(1, now_ns, 0.0)), now_ns)
         now_ns += PERIOD_NS
