@@ -96,6 +96,6 @@ def test_a_robot_keeps_away_from_where_an_unseen_pole_may_be() -> None:
     pool.telling = False
     pool.run(6.0)
     (kept,) = agent._obstacles(agent._inputs, pool.now_ns)
-    assert seen.keep_m == radius_m
-    assert kept.keep_m == pytest.approx(radius_m + pool.experiment.safety.bubble_max_m)
-    assert abs(kept.middle - seen.middle) < 0.08, "it lay still, as far as noise can tell"
+    assert seen.clearance_m == radius_m
+    assert kept.clearance_m == pytest.approx(radius_m + pool.experiment.safety.bubble_max_m)
+    assert abs(kept.centre - seen.centre) < 0.08, "it lay still, as far as noise can tell"
