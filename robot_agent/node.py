@@ -82,7 +82,7 @@ class AgentNode:
         self._obstacles = bus.inbox(topics.OBSTACLES, Obstacles)
         self._obstacles_up_to_ns: int | None = None
         self._turn = threading.Lock()  # an order comes from a network thread; it waits for the step to end
-        self._hurry = threading.Event()  # an order took the power away: the thrusters are not to wait for the next pose
+        self._hurry = threading.Event()  # a command took the power away: the thrusters must not wait for the next pose
         self._link_heartbeat_s = self._clocks_compared_s = 0.0
         self._dropped = 0  # frames of the board, for their signature
         self._trouble = ""  # that the link was last said to have
@@ -198,7 +198,7 @@ class AgentNode:
                 if self._leaving and command.order not in ALWAYS_TAKEN:
                     return Reply(self._robot, False, f"{command.order.name}: the robot's program is ending", self.agent.mode)
                 reply = self._obey(header, command, prepared if agent is self.agent else None)
-        except Exception as error:  # half an order may have been carried out: nobody flies on with that
+        except Exception as error:  # the command may be carried out by half: the robot must not fly on
             self._failure = error
             self._awake()
             return Reply(

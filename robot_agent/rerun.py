@@ -98,7 +98,7 @@ class Rerun:
     def _order(self, now_ns: int, record: OrderTaken) -> None:
         if record.command is None:
             return
-        # Another experiment has another hash; whoever asks for a rerun knows.
+        # Another experiment has another hash: a rerun with other settings is asked for on purpose.
         named_ours = record.reply is None or "is for experiment" not in record.reply.reason
         command = replace(record.command, experiment_hash=self._experiment.hash) if named_ours else record.command
         header = Header(record.order_session, record.order_sequence, record.order_stamp_ns)

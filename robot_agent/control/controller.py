@@ -69,7 +69,7 @@ class ControlOutput:
     depth_age_s: float  # of the last depth that did not contradict the estimate; 0 while there is no estimate
     leap: str  # what was told and what had been believed, in a step that gave up the estimate's place for another one
     depth_leap: str  # the same for the depth
-    is_free: bool  # to go along the path: nobody and nothing leads it round, or pushes it aside
+    is_free: bool  # the robot follows its path: neither giving way nor half-spaces change its plan
 
 
 @dataclass(frozen=True, eq=False)

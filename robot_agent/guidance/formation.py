@@ -18,7 +18,7 @@ from wire.frames import TURN, Array
 from wire.messages.messages import Plan
 
 NS = 1e9
-NEAREST = 4  # robots that can be avoided at once: a sphere's neighbours in the plane, without those it cannot run into first
+NEAREST = 4  # bodies that can be avoided at once: a sphere touches six in the plane, and meets no more than four first
 LONGEST_PLAN = 1000  # rows of a plan that is resampled
 NODES = 5  # of the horizon that keep their distance from each
 TOUCHING_M = 1e-6
@@ -27,9 +27,9 @@ WALL_GIVES = 0.1  # of what a robot's lines give: 2R hold room enough that hulls
 LEANS_M = 0.02  # a plan so near a half-space's border would be another one without it
 SHORTEST_S, ABSURD = 1e-3, 1e4  # limits of what can be a plan: s; m and rad
 MOST_TURNED_RAD = 1e8  # a heading counts its turns: days of laps
-MEANT_S = 1.0  # over which a robot's velocity is taken from what it means to do
-SAME_ERROR_M = 0.02  # tracking errors closer than this rank equal,
-ERROR_RATE_MPS = 0.5  # and so do those that may have been since one was told: no robot moves faster
+MEANT_S = 1.0  # over which a robot's velocity is taken from its planned reference
+SAME_ERROR_M = 0.02  # tracking errors closer than this give equal priority,
+ERROR_RATE_MPS = 0.5  # plus this per second of the message's age: no robot moves faster
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ class Obstacle:
 
     id: int  # the localizer's number of it, or its place among the islands
     edge_points: NDArray[np.complex128]  # (k,) places at `instant_ns`, m
-    clearance_m: float  # how far a robot's centre stays from each
+    clearance_m: float  # distance of a robot's centre from each point, m
     velocity: complex  # m/s
     instant_ns: int  # on our clock
     centre: complex  # of the pieces,

@@ -32,13 +32,13 @@ from wire.frames import Array, wrap
 
 LOOK_AHEAD_S = 8.0  # two robots at 0.1 m/s begin to turn 1.6 m before they would touch
 LOOK_STEP_S = 0.5
-SURE_S = 0.2  # somebody is in the way for so long before the reference is left,
-SURE_STEPS = 2  # and in so many steps at least: mates that start a step earlier than they tell are nobody to avoid
+SURE_S = 0.2  # a conflict lasts so long before the reference is left,
+SURE_STEPS = 2  # and so many steps at least: neighbours that start a step before their plan says so are no conflict
 ROOM_M = 0.15  # beyond what the half-spaces keep, so that these need not act: four robots in a bend lose 13 cm on each other
-SLIGHTEST_MPS = 0.01  # who closes in slower does not meet anybody: formations sway about so
-PARTING = 0.999  # of the distance there is: nearer than they should be, robots may go any way that leads no nearer
-WELL_CLEAR = 0.5  # of the distance to keep: whoever passes so far on the other side stays on it
-ABAFT = -0.38  # cosine of 112.5 degrees from ahead: who comes from there overtakes, and has to keep clear
+SLIGHTEST_MPS = 0.01  # a slower approach is no conflict: robots in formation sway that fast
+PARTING = 0.999  # of the present distance: robots closer than allowed may take any velocity that leads no closer
+WELL_CLEAR = 0.5  # of the distance to keep: a robot that passes so far on the other side stays on it
+ABAFT = -0.38  # cosine of 112.5 degrees from ahead: a robot from there overtakes, and has to keep clear
 RETURN_PER_S = 0.3
 CATCH_UP = 0.5  # of the reference's speed, on top of it, to return with; at least
 CATCH_UP_MPS = 0.06
@@ -133,7 +133,7 @@ class GiveWay:
         self._point: complex | None = None  # None: on the reference
         self._velocity = 0j
         self._turn = 0.0  # of the heading, away from the reference's
-        self._met = 0  # steps for which somebody has been in the way
+        self._met = 0  # consecutive steps with a conflict
 
     def avoidance_path(self, reference: Reference, place: complex, traffic: Traffic) -> Reference:
         """Return the reference to follow instead, for a robot at `place`; `reference` itself if it is free."""
@@ -161,7 +161,7 @@ class GiveWay:
             self.reset()
         return led
 
-    # --- is there anybody
+    # --- conflicts
 
     def _conflicts(self, reference: Reference, place: complex, traffic: Traffic) -> bool:
         """True if the straight line of the coming second, extended, leads too close to any traffic."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from robot_agent.host.config import RealtimeConfig
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
-_MCL_ONFAULT = 4  # what is used, once it is used: threads' stacks and pools that nobody fills would take another 250 MB
+_MCL_ONFAULT = 4  # lock pages at first use: unused stacks and pools of threads would take another 250 MB
 _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 

@@ -65,7 +65,7 @@ class ServiceNotifier:
             return
         try:
             self._socket.sendto(text.encode(), self._address)
-        except OSError:  # nobody listens, or too slowly: the loop does not wait for that
+        except OSError:  # no listener, or a slow one: the loop does not wait
             return
 
     def close(self) -> None:

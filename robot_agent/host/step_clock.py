@@ -11,8 +11,8 @@ import math
 EARLY = 0.25  # of a period: in step with the camera a step may come this much before its place, for a pose that arrives then
 LATE = 0.5  # of a period: and waits this much longer for one; a step with an old pose is worth less than a late one
 APART = 0.49  # of a period: no two steps are nearer; less than what LATE leaves of one, or rounding would cost a step
-FOLLOWS = 0.1  # of what a pose is off the grid, the grid moves with each step: how long poses take varies, this is their mean
-MOST = 0.01  # of a period, that it moves at most with a step: whatever the camera does, the period is within 1 %
+FOLLOWS = 0.1  # share of a pose's distance from the grid by which the grid moves with each step: averages the poses' delay
+MOST = 0.01  # of a period, the grid's largest move in a step: keeps the period within 1 % at any camera rate
 IN_STEP = 0.15  # of a period: poses are in step that are off the grid by less than this in the mean; at 30 Hz it is 0.17
 MOST_LATE_S = 0.5  # of steps that count as late: what made a loop slow while the robot lay there is over that soon after it
 BUDGET = 0.5  # of a period: pulses that leave later than this after their step was due are late

@@ -17,7 +17,7 @@ from wire.messages.codec import Header
 from wire.messages.messages import Command, Order, Plan, Pose, Track, Trajectory
 
 RADIUS_M, SPEED_MPS, DEPTH_M = 0.5, 0.1, 0.3
-APART_M = 1.2  # between circles' centres: plans are heard, and nobody is in the way
+APART_M = 1.2  # between circles' centres: plans are heard, and no robot is in the way
 NOISE = (0.0015, 0.0015, 0.009)  # x, y, yaw: what the localizer has
 STATION = 1  # session
 ARM_AFTER = 20  # steps, 1 s: until the estimate stands

@@ -70,7 +70,7 @@ class HealthMonitor:
         place_m, path_m = (complex(*eta[:2].tolist()) for eta in (output.eta, output.eta_reference))
         self._path.step(place_m, path_m, output.is_free, now_ns)
         depth_m, path_depth_m = (complex(eta[2]) for eta in (output.eta, output.eta_reference))
-        self._depth.step(depth_m, path_depth_m, True, now_ns)  # nobody makes room by depth
+        self._depth.step(depth_m, path_depth_m, True, now_ns)  # no robot gives way by depth
         self._output = output
 
     @property

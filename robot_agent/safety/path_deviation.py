@@ -8,8 +8,8 @@ have to arrive again.
 """
 
 ARRIVED = 0.5  # of the limit
-FORESEEN_S = 1.0  # who will still be that close after this, as things move now, is as fast as its path
-AT_ONCE_MPS = 0.05  # a leap of the path's velocity from one step to the next; a smaller one leaves nobody far behind
+FORESEEN_S = 1.0  # a robot that stays that close for this time at its present speed is as fast as its path
+AT_ONCE_MPS = 0.05  # a leap of the path's velocity from one step to the next; after a smaller one a robot keeps up
 LASTS_S = 0.5
 
 

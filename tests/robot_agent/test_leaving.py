@@ -90,7 +90,7 @@ class Bench:
 
 
 class Station:
-    """What a robot has to hear to fly: heartbeats, and poses."""
+    """Sender of the heartbeats and poses that a robot needs to fly."""
 
     def __init__(self, address: str) -> None:
         self.bus = Bus(ZenohTransport(Endpoint(address), patience_s=5.0))

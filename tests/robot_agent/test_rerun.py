@@ -82,7 +82,7 @@ class Pond:
 
     @property
     def sent_ns(self) -> int:
-        """What the others' clocks say."""
+        """Time of the other processes' clocks."""
         return self.clock.tick_ns - BEHIND_NS
 
     def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -161,7 +161,7 @@ def test_every_step_comes_out_the_same(flown: Pond) -> None:
 
 
 def with_states(flown: Pond) -> list[Line]:
-    """What was flown as a station's log has it: behind each step what came of it."""
+    """The flight as in a station's log: each step followed by its state."""
     states, lines = iter(flown.states), []
     for line in flown.lines:
         lines.append(line)

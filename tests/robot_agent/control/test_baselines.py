@@ -68,7 +68,7 @@ def rate(state: Array, wrench: Array, disturbance: Array) -> Array:
 def flown(
     law: FeedbackLaw, state: Array, seconds: float, disturbance: tuple[float, ...] = STILL, dt: float = DT
 ) -> list[TrackingErrors]:
-    """What the law saw, every `dt`. It is not told of the disturbance."""
+    """Inputs of the law, every `dt`. It is not told of the disturbance."""
     seen = []
     for k in range(round(seconds / dt)):
         now = look(state, k * dt)

@@ -196,8 +196,8 @@ def test_whole_turns_between_path_and_camera_do_not_count() -> None:
 
 @pytest.mark.parametrize("count", [1, 20])
 def test_neighbours_are_told_the_path_without_the_formations_pull(count: int) -> None:
-    """What is told is what deviations are measured from: with the pull in it, a deviation that all share would look smaller
-    the more they are."""
+    """Neighbours measure deviations from the path that is told: with the pull in it, a deviation that all share would look
+    smaller the more they are."""
     eta = np.tile([9.0, 9.0, 0.3, 0.0], (51, 1))
     off = eta - np.array([0.1, -0.2, 0.05, 0.4])
     others = [Neighbour(j, 10 * STEP_NS, Plan(0.05, eta, off), True) for j in range(2, 2 + count)]

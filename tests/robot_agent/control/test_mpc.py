@@ -257,6 +257,6 @@ def surge_damping(horizon: int) -> float:
 
 
 def test_a_short_horizon_does_not_damp_surge() -> None:
-    """Why robots with a short one leave a slow path: the figures of docs/control.md."""
+    """Robots with a short horizon leave a slow path: the figures of docs/control.md."""
     found = [surge_damping(horizon) for horizon in (20, 25, 30, 45, 50)]
     assert found == pytest.approx([0.04, 0.36, 0.59, 0.65, 0.65], abs=0.01)

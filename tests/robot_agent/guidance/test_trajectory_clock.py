@@ -74,7 +74,7 @@ class Robot:
         return self.give(Command(order, ME, trajectory_id=path, trajectory_s=at_s, start_ns=start_ns))
 
     def reaches(self, seconds: float = 0.0) -> float:
-        """How far along its path it is to be after so long."""
+        """Time along the path after so many seconds."""
         for _ in range(max(round(seconds * NS / STEP_NS), 1)):
             self.now_ns += STEP_NS if seconds else 0
             assert self.clock.goal(self.station, self.now_ns) is not None

@@ -155,7 +155,7 @@ def test_a_real_agent_tells_systemd_when_it_is_ready_and_that_its_loop_goes_roun
 
 
 def in_a_child(wanted: RealtimeConfig) -> str:
-    """What `apply` could not do, in a process of its own: the rest must not run with a real-time priority."""
+    """Refusals of `apply` in a child process: the tests themselves must not run with a real-time priority."""
     imports = "from robot_agent.host import realtime; from robot_agent.host.config import RealtimeConfig"
     script = f"{imports}; print(realtime.apply({wanted!r}))"
     limit = (resource.RLIMIT_RTPRIO, (0, 0))

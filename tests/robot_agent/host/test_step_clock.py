@@ -14,7 +14,7 @@ LONG_S = 60.0
 
 
 def steps(arrivals_s: Iterable[float], until_s: float = LONG_S) -> Iterator[tuple[float, float]]:
-    """When a loop steps that does nothing but wait for poses which come at these instants: now, and the age of its pose."""
+    """Instants of steps, and the age of the pose at each, for a loop that only waits for poses that come at these instants."""
     pace, coming, newest_s, taken_s = StepClock(PERIOD_S, 0.0), iter(arrivals_s), None, None
     next_s = next(coming, float("inf"))
     while True:

@@ -1,4 +1,4 @@
-"""Why a robot does not arm, and what it remembers of itself from mode to mode."""
+"""Reasons not to arm, and the memory of health from mode to mode."""
 
 from dataclasses import replace
 

@@ -42,7 +42,7 @@ def fresh() -> LikelihoodRatioTest:
 
 
 def likelier(x: Array, y: Array, noise: float, mean: Array, covariance: Array) -> float:
-    """How much likelier y is with a share missing, over all shares, parts and spans, tried one by one."""
+    """Log-likelihood ratio of y with a share missing, over all shares, parts and spans, tried one by one."""
     found = []
     for span_s in SPANS_S:
         a, b = x[-round(span_s / STEP_S) - 1 :], y[-round(span_s / STEP_S) - 1 :]
@@ -105,7 +105,7 @@ def test_what_is_not_seen_any_more_is_doubted_again() -> None:
 
 
 def test_rough_samples_are_less_evidence() -> None:
-    """Where the noise was larger before, and where they are known to be rough."""
+    """Samples after larger noise, and samples known to be rough."""
     x, y = samples(np.zeros(4), 30.0, 6)
     broken = y - np.where(np.arange(len(y)) > len(y) - 20, x[:, 0], 0.0)
     calm = teach(fresh(), x, broken).evidence

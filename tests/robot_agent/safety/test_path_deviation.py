@@ -1,4 +1,4 @@
-"""When a robot says that it has left its path: by hand, and in flights of the plant with a thruster that is broken."""
+"""Detection of a left path: on constructed motions, and in flights of the plant with a broken thruster."""
 
 from collections.abc import Sequence
 
@@ -78,7 +78,8 @@ def test_once_said_it_stays_so_until_the_goal_is_another() -> None:
 
 
 def harm(broken: str, at_s: float, seed: int, settings: Sequence[str] = ()) -> tuple[float, str]:
-    """How far a robot with a broken thruster gets off its path before it stops, m; and why it stops, if it does in 10 s."""
+    """Largest distance (m) of a robot with a broken thruster from its path before it stops; and the reason, if it stops in 10
+    s."""
     faults = [f"t={at_s} thruster {broken}"]
     fleet = flew(load_experiment("pool", [*STILL, *settings, f"seed={seed}", f"duration_s={at_s + 10.0}"], faults))
     i = int(broken[0]) - 1

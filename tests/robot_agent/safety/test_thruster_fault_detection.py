@@ -1,4 +1,4 @@
-"""What the detector finds in flights of the plant, which knows nothing of it: what is broken, and nothing where nothing is."""
+"""Faults found in flights of the plant, which shares no code with the detector; and no false ones."""
 
 import math
 from collections.abc import Sequence
@@ -78,7 +78,7 @@ def test_no_false_alarm_in_long_flights(name: str, seed: int) -> None:
 
 
 def legs(seconds: float, swing: float = 0.06, largest_nm: float = 0.05) -> Array:
-    """What each leg is told (n, 4), N m: to and fro together, and a little against its neighbour of the same side."""
+    """Moments commanded to each leg (n, 4), N m: to and fro together, and a little against its neighbour of the same side."""
     k = np.arange(round(seconds / 0.05))
     bias_nm = 0.01 + 0.004 * np.sin(0.021 * k)
     together = 0.25 * largest_nm * np.sin(swing * k)

@@ -1,4 +1,4 @@
-"""How low a battery is: one bad measurement, none at all, and what the board says of it."""
+"""State of the battery: after one bad measurement, without any, and by the board's charge state."""
 
 import pytest
 

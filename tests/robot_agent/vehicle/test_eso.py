@@ -196,7 +196,7 @@ def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
 
 
 def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> None:
-    """What no current can explain stays a side force, and leaves the velocity alone."""
+    """The rest that no current can explain stays a side force, and does not change the velocity."""
     observer = Estimator(Model(VEHICLE), EstimatorConfig(), DEAD_S, fastest_mps=0.05)
     for turned in (0.5 * math.pi, 0.5 * math.pi + 0.7):  # from the current to where the side force points
         observer._current = 0.05 * np.exp(1j * (0.7 + 0.5 * math.pi - turned + 0.5 * math.pi))
@@ -264,7 +264,7 @@ def test_yaw_is_continuous_across_half_a_turn() -> None:
 
 
 def test_yaw_stays_continuous_through_a_leap_that_is_believed() -> None:
-    """Whoever keeps station by a heading of three turns ago would unwind them."""
+    """A robot that keeps station by a heading of three turns ago would unwind them."""
     observer, x = estimator(), 0.0
     for k in range(1, 420):
         leap, turned = (0.0 if k < 400 else 0.5), 0.05 * min(k, 400)

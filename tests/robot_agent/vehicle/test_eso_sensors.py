@@ -1,4 +1,4 @@
-"""What an agent does when depth or poses say what cannot be: whole control steps, on the rehearsal's robot."""
+"""Impossible depths and poses: whole control steps of an agent, on the rehearsal's robot."""
 
 import itertools
 from collections.abc import Callable, Iterator
