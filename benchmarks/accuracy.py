@@ -89,19 +89,21 @@ class Run:
         return 1e3 * float(np.sqrt(mean[0] + mean[1])), float(np.degrees(np.sqrt(mean[2])))
 
 
-def _experiment(seed: int, courses: Courses, settings: Sequence[str]) -> Experiment:
-    starts = [f"robots.{i}.start={eta}" for i, eta in enumerate(courses.eta(0.0).tolist())]
+def _experiment(seed: int, slot_offsets: Courses, settings: Sequence[str]) -> Experiment:
+    starts = [f"robots.{i}.start={eta}" for i, eta in enumerate(slot_offsets.eta(0.0).tolist())]
     return load_experiment("pool", [*settings, *starts, f"seed={seed}"])
 
 
-def _fly(seed: int, courses: Courses, settings: Sequence[str], baselines: dict[str, Baseline], depth_error_m: float) -> Run:
-    experiment = _experiment(seed, courses, settings)
+def _fly(
+    seed: int, slot_offsets: Courses, settings: Sequence[str], baselines: dict[str, Baseline], depth_error_m: float
+) -> Run:
+    experiment = _experiment(seed, slot_offsets, settings)
     renderer, locator, random, run = Renderer(experiment, seed), Locator(experiment), np.random.default_rng([seed, 5]), Run()
     n, height_m = len(experiment.robots), experiment.vehicle.marker.height_m
     bias = random.normal(0.0, SENSOR_BIAS_M, n) + depth_error_m
     for k in range(round(RUN_S / PERIOD_S)):
-        eta = courses.eta(k * PERIOD_S)
-        frame = renderer.render(eta, courses.nu(k * PERIOD_S), k * PERIOD_S, k)
+        eta = slot_offsets.eta(k * PERIOD_S)
+        frame = renderer.render(eta, slot_offsets.nu(k * PERIOD_S), k * PERIOD_S, k)
         depths = eta[:, 2] + bias + random.normal(0.0, SENSOR_NOISE_M, n)
         reported = dict(zip(experiment.robot_ids, depths.tolist(), strict=True))
         poses = dict(locator.step(frame, round(k * PERIOD_S * 1e9), reported).poses)
@@ -126,9 +128,9 @@ def _accuracy(
 ) -> Iterator[Row]:  # fmt: skip
     runs = []
     for seed in SEEDS:
-        courses = Courses(seed, *place)
-        beside = baselines(_experiment(seed, courses, settings), courses)
-        runs.append(_fly(seed, courses, settings, beside, depth_error_m))
+        slot_offsets = Courses(seed, *place)
+        beside = baselines(_experiment(seed, slot_offsets, settings), slot_offsets)
+        runs.append(_fly(seed, slot_offsets, settings, beside, depth_error_m))
     for subject in runs[0].errors:
         figures = np.array([run.rms(subject) for run in runs])
         yield Row.of("accuracy", case, subject, "mm RMS", figures[:, 0].tolist())
@@ -239,10 +241,10 @@ def _aruco_alone(experiment: Experiment, _: Courses) -> dict[str, Baseline]:
     return {"ArUco alone": optics, "ArUco, solvePnP, no water": pinhole}
 
 
-def _plain_kcf(experiment: Experiment, courses: Courses) -> dict[str, Baseline]:
+def _plain_kcf(experiment: Experiment, slot_offsets: Courses) -> dict[str, Baseline]:
     """Henriques' tracker as published: patch in the picture's frame, 2.5 robots wide, learning from every frame."""
     view, size, n = PoolView(experiment.camera), 64, len(experiment.robots)
-    start = courses.eta(0.0)
+    start = slot_offsets.eta(0.0)
     plates = start[:, 2] - experiment.vehicle.marker.height_m
     places = view.pixel(np.column_stack([start[:, :2], plates]))
     rim = view.pixel(np.column_stack([start[:, :2] + [experiment.vehicle.radius_m, 0.0], plates]))
@@ -289,14 +291,14 @@ def _reacquisition() -> Iterator[Row]:
     """A robot is gone for 3 s, comes back at another place: until the first pose that is right and verified."""
     samples = []
     for seed in SEEDS:
-        courses = Courses(seed, ((0.8, 0.0), (-0.8, 0.0)), (0.65, 0.9), 0.15)
-        experiment, random = _experiment(seed, courses, ()), np.random.default_rng([seed, 6])
+        slot_offsets = Courses(seed, ((0.8, 0.0), (-0.8, 0.0)), (0.65, 0.9), 0.15)
+        experiment, random = _experiment(seed, slot_offsets, ()), np.random.default_rng([seed, 6])
         renderer, locator, k = Renderer(experiment, seed), Locator(experiment), 0
         for _ in range(6):
             gone, place = k + int(random.integers(5, 15)), random.uniform([-1.4, -1.0], [1.4, 1.0])
             back, found = gone + 60, False
             while not found:
-                eta = courses.eta(k * PERIOD_S)
+                eta = slot_offsets.eta(k * PERIOD_S)
                 if k >= gone:
                     eta[0, :2] = place if k >= back else AWAY_M
                 frame = renderer.render(eta, np.zeros((2, 4)), k * PERIOD_S, k)
@@ -318,16 +320,16 @@ def _identity() -> Iterator[Row]:
     read: list[Any] = []
     for seed in SEEDS:
         n = 10
-        courses = Courses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
+        slot_offsets = Courses(seed, ((0.0, 0.0),) * n, (1.4, 0.95), 0.3)
         pool = load_experiment("pool", [f"seed={seed}", "sim.picture.alike=true"])
         experiment = pool.model_copy(update={"robots": tuple(Robot(id=i + 1, node_m=(0.0, 0.0, 0.0)) for i in range(n))})
         renderer, locator, random = Renderer(experiment, seed), Locator(experiment), np.random.default_rng([seed, 8])
-        aruco = _aruco_alone(experiment, courses)["ArUco alone"]
+        aruco = _aruco_alone(experiment, slot_offsets)["ArUco alone"]
         hidden, silent = np.zeros(n, dtype=bool), np.zeros((round(CROWD_S / PERIOD_S), n), dtype=bool)
         for k in range(len(silent)):
-            eta = courses.eta(k * PERIOD_S)
+            eta = slot_offsets.eta(k * PERIOD_S)
             hidden ^= random.random(n) < np.where(hidden, PERIOD_S / 2.0, PERIOD_S / 4.0)  # for 2 s after 4 s, on average
-            frame = renderer.render(eta, courses.nu(k * PERIOD_S), k * PERIOD_S, k)
+            frame = renderer.render(eta, slot_offsets.nu(k * PERIOD_S), k * PERIOD_S, k)
             for covered in np.flatnonzero(hidden):
                 _paint_over(frame, experiment, eta[covered])
             depths = dict(zip(experiment.robot_ids, eta[:, 2].tolist(), strict=True))

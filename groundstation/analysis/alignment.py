@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from groundstation.analysis.series import CHANNELS, HOPS, Flight, Happening, RobotSeries, Series, States
-from groundstation.logs.reader import Entry, RunLog
+from groundstation.analysis.series import CHANNELS, HOPS, Flight, RobotSeries, Series, States, TimelineEvent
+from groundstation.logs.reader import DecodedMessage, RunLog
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle, PathSpec
 from wire.frames import Array, pose_error
@@ -68,11 +68,11 @@ class _Samples:
 class _Recorded:
     """What one robot left in the log."""
 
-    states: list[Entry[RobotState]]
+    states: list[DecodedMessage[RobotState]]
     trajectory: Trajectory | None
     truth: _Samples
     disturbance: _Samples
-    poses: list[Entry[Pose]]
+    poses: list[DecodedMessage[Pose]]
     inputs: dict[int, StepInputs]  # by their stamps
     lost: dict[str, int]
     clock_ns: Array  # (m,) stamps, and
@@ -114,7 +114,7 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
         robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, known) for robot, r in recorded.items()},
         errors_against=None if not flown or not located else "truth" if known else "localizer",
         frame_ms=_frame_times(log, start_ns),
-        happenings=_happenings(log, recorded, start_ns),
+        timeline_events=_happenings(log, recorded, start_ns),
         sent_home_s=_sent_home_s(log, flights[number - 1], start_ns) if number else None,
         cut_short=whole_s > end_s,
         flights=tuple(flights),
@@ -157,7 +157,7 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     return flights
 
 
-def _robot_flights(states: Sequence[Entry[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
+def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
     """Of one robot: stamps of the first and the last step under way, how far it came, and its number."""
     found: list[tuple[int, int, float, int]] = []
     last_s, stood_at_zero = 0.0, False
@@ -204,7 +204,7 @@ def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float
 # --- one robot
 
 
-def _clock(states: Sequence[Entry[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:
+def _clock(states: Sequence[DecodedMessage[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:
     """Stamps and where on its trajectory the robot was, from its first step under way in a window on, whatever the mode: while
     it holds, its clock stands. Empty if it did not fly."""
     inside = [e for e in states if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
@@ -261,7 +261,7 @@ def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
     return _samples(stamps, [m.eta[row] for _, m, row in found]), _samples(stamps if explained else [], disturbance)
 
 
-def _located(states: Sequence[Entry[RobotState]], poses: Sequence[Entry[Pose]]) -> _Samples:
+def _located(states: Sequence[DecodedMessage[RobotState]], poses: Sequence[DecodedMessage[Pose]]) -> _Samples:
     """Instead of the truth: the localizer's poses, with the depth that the robot measured."""
     stamps = np.array([e.stamp_ns for e in poses], dtype=np.float64)
     depth = np.array([(e.stamp_ns, e.message.depth_m) for e in states], dtype=np.float64).reshape(-1, 2)
@@ -340,7 +340,7 @@ def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) ->
     return np.asarray(trajectory.eta[: round(duration_s / trajectory.period_s) + 1].mean(axis=0))
 
 
-def _hops_ms(state: Entry[RobotState], inputs: StepInputs | None) -> Array:
+def _hops_ms(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Array:
     """How the time from the exposure to the PWM was spent, by HOPS; NaN where the pose was an old one, or nothing is known."""
     unknown = np.full(len(HOPS), np.nan)
     if inputs is None or inputs.pose is None or state.message.exposure_to_pwm_ms <= 0.0:
@@ -351,13 +351,13 @@ def _hops_ms(state: Entry[RobotState], inputs: StepInputs | None) -> Array:
     return hops if age_ms <= OLD_POSE_MS else unknown
 
 
-def _lost(entries: Sequence[Entry[Any]]) -> int:
+def _lost(entries: Sequence[DecodedMessage[Any]]) -> int:
     """Numbers left out; a sender that begins anew begins at 1."""
     steps = np.diff([e.sequence for e in entries]) if len(entries) > 1 else np.zeros(0)
     return int((steps[steps > 1] - 1).sum())
 
 
-def _states(entries: Sequence[Entry[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
+def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
     messages = [e.message for e in entries]
 
     def column(values: Sequence[float]) -> Array:
@@ -397,7 +397,7 @@ def _frame_times(log: RunLog, start_ns: int) -> Array:
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
-def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[Happening, ...]:
+def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[TimelineEvent, ...]:
     """Every change of a robot's mode or fault, and every event, in order."""
     found = []
     for robot, r in recorded.items():
@@ -406,9 +406,9 @@ def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> t
             now = (e.message.mode, e.message.fault)
             if now != before:
                 text = now[0].name.lower() + (f": {now[1]}" if now[1] else "")
-                found.append(Happening((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
+                found.append(TimelineEvent((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
             before = now
     for event in log.of(topics.EVENT, Event):
         m = event.message
-        found.append(Happening((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
+        found.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
     return tuple(sorted(found, key=lambda h: h.time_s))

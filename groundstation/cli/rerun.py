@@ -10,7 +10,7 @@ import typer
 from wire.process.cli_options import AsJson, Settings
 
 if TYPE_CHECKING:
-    from groundstation.replay.step_diff import Again
+    from groundstation.replay.step_diff import StepComparison
 
 
 def rerun(
@@ -58,7 +58,7 @@ def moment(
     hand_over(run_folder, at, robot, sys.stdout.buffer)
 
 
-def _tell(found: "list[Again]") -> None:
+def _tell(found: "list[StepComparison]") -> None:
     """The comparison as tables."""
     from rich.console import Console
     from rich.table import Table

@@ -71,7 +71,7 @@ def compare(
     from rich.table import Table
 
     from groundstation.report import report as reporting
-    from groundstation.report.run_comparison import Run, differences, figures_of
+    from groundstation.report.run_comparison import Run, differences, metric_rows
 
     if len(runs) < 2:
         raise ConfigError("compare: two runs or more are needed")
@@ -89,13 +89,13 @@ def compare(
             typer.echo(f"{name}: {result.log_trouble}", err=True)
     reporting.write_comparison(read, out)
     if as_json:
-        figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in figures_of(read)]
+        figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in metric_rows(read)]
         changed = [{"key": key, "values": values} for key, values in differences(read)]
         typer.echo(json.dumps({"runs": names, "figures": figures, "differences": changed}, indent=1))
         return
     console = Console()
     for title, rows in (
-        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in figures_of(read)]),
+        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in metric_rows(read)]),
         ("what was different", [(key, *values) for key, values in differences(read)]),
     ):
         table = Table(title=title)

@@ -9,7 +9,7 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from groundstation.export.foxglove_layout import layout
-from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, Picture, upright
+from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
 from groundstation.logs.logfile import open_log
 from groundstation.logs.reader import key_topic
 from groundstation.logs.recorder import CHUNK_BYTES
@@ -36,7 +36,7 @@ def export(run: Path, folder: Path) -> list[Path]:
     with open_log(run) as log:
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(copy) as file:
-            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), Picture(experiment)).run(log.readable)
+            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), SceneDrawer(experiment)).run(log.readable)
     replace_text(described, json.dumps(layout(experiment, fleet.removesuffix("/")), indent=1) + "\n")
     return [copy, described]
 
@@ -44,7 +44,7 @@ def export(run: Path, folder: Path) -> list[Path]:
 class _Copy:
     """One pass through a log."""
 
-    def __init__(self, writer: Any, picture: Picture) -> None:
+    def __init__(self, writer: Any, picture: SceneDrawer) -> None:
         self._writer, self._picture = writer, picture
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, int] = {}

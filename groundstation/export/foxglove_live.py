@@ -12,7 +12,7 @@ from typing import Any
 
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, Picture, upright
+from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode, protobuf_class
@@ -39,7 +39,7 @@ class ViewerServer:
         self._clock, self._context = clock, self._sdk.Context()
         self._channels: dict[str, Any] = {}
         self._heard: dict[tuple[Topic, int], tuple[int, bytes]] = {}  # what is drawn: the newest of each
-        self._picture, self._turn = Picture(experiment), threading.Lock()
+        self._picture, self._turn = SceneDrawer(experiment), threading.Lock()
         self._closing = threading.Event()
         try:
             self._server = self._sdk.start_server(name=f"shoal {experiment.name}", host=host, port=port, context=self._context)

@@ -36,7 +36,7 @@ FULL, FAINT, GLASS = 1.0, 0.45, 0.25  # opacities
 PATH_POINTS = 400  # of a trajectory: enough for the eye
 
 
-class Picture:
+class SceneDrawer:
     """The newest of everything that is drawn."""
 
     def __init__(self, experiment: Experiment) -> None:

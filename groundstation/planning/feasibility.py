@@ -28,7 +28,7 @@ class _Worst:
     value: float
 
 
-def too_fast(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
+def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
     """By what factor the worst robot should be slower, at each sample (n,); 1 is at its limit."""
     limited = (entry for m in motions.values() for entry in experiment.vehicle.demands(m.velocity, m.acceleration))
     return np.asarray(np.max([(value / limit) ** (1.0 / power) for _, _, power, limit, value in limited], axis=0))

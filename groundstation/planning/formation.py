@@ -30,7 +30,7 @@ class NodeMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class SlotOffset:
     """Where a node is in the structure at n instants, each (n, 3): place, and its two time derivatives."""
 
     place_m: Array
@@ -38,7 +38,7 @@ class Course:
     bend_mps2: Array
 
 
-def courses(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[Course]:
+def slot_offsets(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[SlotOffset]:
     """From nodes (robots, 3) through all changes of form, one after the other.
 
     A scale and a turn move the structure as a whole. A new shape gives every robot a node of it so that the sum of squared
@@ -69,7 +69,7 @@ def courses(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[Co
             whole[..., 1] += (flat * moved).imag
             whole[..., 2] += deep * sunk
         nodes_m = change.scale * nodes_m @ _turn(change.turn_rad).T
-    return [Course(*course) for course in zip(place, rate, bend, strict=True)]
+    return [SlotOffset(*course) for course in zip(place, rate, bend, strict=True)]
 
 
 def _turn(angle_rad: float) -> Array:
@@ -93,7 +93,7 @@ def structure_rotation(yaw_rad: Array, climb_rad: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def node_motion(centre: PathState, course: Course, mode: Literal["translate", "rotate"], period_s: float) -> NodeMotion:
+def node_motion(centre: PathState, course: SlotOffset, mode: Literal["translate", "rotate"], period_s: float) -> NodeMotion:
     """Motion of one node (14); the centre is sampled every `period_s`."""
     place, rate, bend = course.place_m, course.rate_mps, course.bend_mps2
     if mode == "translate":

@@ -12,10 +12,18 @@ from itertools import combinations
 
 import numpy as np
 
-from groundstation.planning.feasibility import TOLERANCE, PlanError, outside, pair_problems, place, robot_problems, too_fast
-from groundstation.planning.formation import Course, NodeMotion, courses, node_motion
+from groundstation.planning.feasibility import (
+    TOLERANCE,
+    PlanError,
+    outside,
+    pair_problems,
+    place,
+    required_slowdown,
+    robot_problems,
+)
+from groundstation.planning.formation import NodeMotion, SlotOffset, node_motion, slot_offsets
 from groundstation.planning.paths import Path, PathState, make_path
-from groundstation.planning.time_scaling import slowed
+from groundstation.planning.time_scaling import scale_time
 from groundstation.planning.way import ways
 from wire.config.experiment import Experiment
 from wire.config.scene import PathSpec, Robot, Route
@@ -107,17 +115,19 @@ def _flown(
     where they could not follow."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = courses(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
+    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
     path = centre_path(experiment, given, group, nodes)
     if given.slow:
 
         def _excess(slower: Path) -> Array:
-            return too_fast(experiment, node_motions(experiment, slower.at(time_s), group, nodes))
+            return required_slowdown(experiment, node_motions(experiment, slower.at(time_s), group, nodes))
 
-        path = slowed(path, _excess, samples, period_s)
+        path = scale_time(path, _excess, samples, period_s)
     if experiment.duration_s > path.end_s + period_s:
         before_s = time_s[: max(int(np.count_nonzero(time_s <= path.end_s)), 2)]
-        short = [Course(n.place_m[: len(before_s)], n.rate_mps[: len(before_s)], n.bend_mps2[: len(before_s)]) for n in nodes]
+        short = [
+            SlotOffset(n.place_m[: len(before_s)], n.rate_mps[: len(before_s)], n.bend_mps2[: len(before_s)]) for n in nodes
+        ]
         motions = node_motions(experiment, path.at(before_s), group, short)
         problems = robot_problems(experiment, motions, len(before_s))  # first: what is flown too fast is over too soon
         over = f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s"
@@ -126,7 +136,7 @@ def _flown(
     return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
 
 
-def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[Robot], nodes: Sequence[Course]) -> Path:
+def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[Robot], nodes: Sequence[SlotOffset]) -> Path:
     """The centre's path; of a route the first way on which no node touches anything."""
     time_s = np.arange(len(nodes[0].place_m), dtype=np.float64) * experiment.controller.period_s
     try:
@@ -148,13 +158,13 @@ def horizon(experiment: Experiment) -> int:
     return experiment.controller.mpc.horizon
 
 
-def at_centre(samples: int) -> Course:
+def at_centre(samples: int) -> SlotOffset:
     """The node at the centre, which no change of form moves."""
-    return Course(np.zeros((samples, 3)), np.zeros((samples, 3)), np.zeros((samples, 3)))
+    return SlotOffset(np.zeros((samples, 3)), np.zeros((samples, 3)), np.zeros((samples, 3)))
 
 
 def node_motions(
-    experiment: Experiment, centre: PathState, group: Sequence[Robot], nodes: Sequence[Course]
+    experiment: Experiment, centre: PathState, group: Sequence[Robot], nodes: Sequence[SlotOffset]
 ) -> dict[int, NodeMotion]:
     """The robots' motions around the centre's, all sampled every control period."""
     mode, period_s = experiment.formation.mode, experiment.controller.period_s

@@ -12,7 +12,7 @@ import numpy as np
 from groundstation.planning.feasibility import PlanError, beyond_picture, place
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.route_planner import NoRoute
-from groundstation.planning.transfer import Basin, Trip, basin, is_free, joined, padded, planned_trip, with_heading
+from groundstation.planning.transfer import FreeSpace, Transfer, add_heading, free_space, is_free, join, pad, plan_transfer
 from wire.config.experiment import Experiment
 from wire.frames import Array
 
@@ -28,12 +28,12 @@ MAKING_ROOM = 2  # robots that do so at most
 MOST_TRIES = 1500  # orders of robots, in all: a quarter of a minute; a dense fleet has more than anybody can wait for
 
 
-class _Enough(Exception):
+class _TriesExhausted(Exception):
     """MOST_TRIES have been made."""
 
 
-def marshal(
-    experiment: Experiment, starts: Mapping[int, Array], goals: Mapping[int, Array], things: Array
+def plan_transfers(
+    experiment: Experiment, starts: Mapping[int, Array], goals: Mapping[int, Array], obstacles: Array
 ) -> dict[int, NodeMotion]:
     """Motions of all robots, equally long, from `starts` to `goals`, poses (4,). Raises PlanError with the reason."""
     for robot, rest in starts.items():
@@ -41,17 +41,17 @@ def marshal(
             raise PlanError(f"robot {robot} says that it is at ({rest[0]:.3g}, {rest[1]:.3g}, {rest[2]:.3g}) m")
         if not abs(rest[3]) <= ABSURD_RAD:  # true for NaN too
             raise PlanError(f"robot {robot} says that it heads {rest[3]:.3g} rad")
-    around = basin(experiment, things)
+    around = free_space(experiment, obstacles)
     try:
         trips = _marshal(experiment, around, dict(starts), dict(goals), MAKING_ROOM, iter(range(MOST_TRIES)))
-    except _Enough:
+    except _TriesExhausted:
         raise PlanError(f"no ways clear of one another have been found in {MOST_TRIES} tries") from None
     for robot, trip in trips.items():
         _stays_in_sight(experiment, robot, trip)
-    return {robot: with_heading(trip, float(starts[robot][3]), experiment) for robot, trip in trips.items()}
+    return {robot: add_heading(trip, float(starts[robot][3]), experiment) for robot, trip in trips.items()}
 
 
-def _stays_in_sight(experiment: Experiment, robot: int, trip: Trip) -> None:
+def _stays_in_sight(experiment: Experiment, robot: int, trip: Transfer) -> None:
     """Raise PlanError if the camera would lose sight of a robot on its way. One that rests at the picture's edge may leave it
     from there, and come to rest at it."""
     if not experiment.localizer.uses_camera:
@@ -65,12 +65,12 @@ def _stays_in_sight(experiment: Experiment, robot: int, trip: Trip) -> None:
 
 def _marshal(
     experiment: Experiment,
-    around: Basin,
+    around: FreeSpace,
     starts: dict[int, Array],
     goals: dict[int, Array],
     depth: int,
     tries: Iterator[int],
-) -> dict[int, Trip]:
+) -> dict[int, Transfer]:
     reason = "no robots"
     for order in _orders(starts, goals):
         try:
@@ -85,7 +85,7 @@ def _marshal(
                 rest = _marshal(experiment, around, elsewhere, goals, depth - 1, tries)
             except PlanError:
                 continue
-            return {r: joined(first[r], rest[r]) for r in starts}
+            return {r: join(first[r], rest[r]) for r in starts}
     raise PlanError(reason)
 
 
@@ -103,7 +103,7 @@ def _in_sight(experiment: Experiment, eta: Array) -> bool:
 
 
 def _asides(
-    experiment: Experiment, around: Basin, starts: Mapping[int, Array], goals: Mapping[int, Array]
+    experiment: Experiment, around: FreeSpace, starts: Mapping[int, Array], goals: Mapping[int, Array]
 ) -> Iterator[tuple[int, Array]]:
     """Who stands on whose goal, and where it might go meanwhile, near places first."""
     keep_m = 2.0 * experiment.safety.radius_m
@@ -121,38 +121,38 @@ def _asides(
 
 def _one_after_the_other(
     experiment: Experiment,
-    around: Basin,
+    around: FreeSpace,
     starts: Mapping[int, Array],
     goals: Mapping[int, Array],
     order: Sequence[int],
     tries: Iterator[int],
-) -> dict[int, Trip]:
+) -> dict[int, Transfer]:
     if next(tries, None) is None:
-        raise _Enough
-    done: dict[int, Trip] = {}
+        raise _TriesExhausted
+    done: dict[int, Transfer] = {}
     for robot in order:
         waiting = {r: starts[r] for r in order if r not in done and r != robot}
         done[robot] = _earliest(experiment, around, robot, starts, goals, done, waiting)
     longest = max(map(len, done.values()))
-    return {robot: padded(done[robot], 0, longest) for robot in starts}
+    return {robot: pad(done[robot], 0, longest) for robot in starts}
 
 
 def _earliest(
     experiment: Experiment,
-    around: Basin,
+    around: FreeSpace,
     robot: int,
     starts: Mapping[int, Array],
     goals: Mapping[int, Array],
-    done: Mapping[int, Trip],
+    done: Mapping[int, Transfer],
     waiting: Mapping[int, Array],
-) -> Trip:
+) -> Transfer:
     """The first trip of a robot that is clear of everybody: straight there, or around where others stand."""
     reasons = []
     step = round(WAIT_STEP_S / experiment.controller.period_s)
     for detour in (False, True):
         parked = [*waiting.values(), *(goals[r] for r in done)] if detour else []
         try:
-            trip = planned_trip(experiment, around, starts[robot], goals[robot], parked)
+            trip = plan_transfer(experiment, around, starts[robot], goals[robot], parked)
         except NoRoute as error:
             reasons.append(f"robot {robot}: {error}")
             continue
@@ -160,7 +160,7 @@ def _earliest(
             reasons.append(f"robot {robot} would pass too near a robot that waits")
             continue
         for wait in range(round(LONGEST_WAIT_S / WAIT_STEP_S)):
-            later = padded(trip, wait * step, 0)
+            later = pad(trip, wait * step, 0)
             if not _conflict(experiment, robot, later, starts, goals, done, {}):
                 return later
             if wait * step > max(map(len, done.values()), default=0):
@@ -172,16 +172,16 @@ def _earliest(
 def _conflict(
     experiment: Experiment,
     robot: int,
-    trip: Trip,
+    trip: Transfer,
     starts: Mapping[int, Array],
     goals: Mapping[int, Array],
-    done: Mapping[int, Trip],
+    done: Mapping[int, Transfer],
     waiting: Mapping[int, Array],
 ) -> bool:
     for other in (*done, *waiting):
         length = max(len(trip), len(done[other]) if other in done else 0)
-        there = padded(done[other], 0, length).position if other in done else waiting[other][None, :3]
-        apart_m = float(np.linalg.norm(padded(trip, 0, length).position - there, axis=1).min())
+        there = pad(done[other], 0, length).position if other in done else waiting[other][None, :3]
+        apart_m = float(np.linalg.norm(pad(trip, 0, length).position - there, axis=1).min())
         if apart_m < _keep_m(experiment, starts, goals, robot, other):
             return True
     return False

@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import PlanError, pair_problems, robot_problems, too_fast
-from groundstation.planning.formation import NodeMotion, courses, node_motion, own_heading
+from groundstation.planning.feasibility import PlanError, pair_problems, required_slowdown, robot_problems
+from groundstation.planning.formation import NodeMotion, node_motion, own_heading, slot_offsets
 from groundstation.planning.paths import Path
-from groundstation.planning.segment import Leg, at, on_grid
-from groundstation.planning.time_scaling import slowed
+from groundstation.planning.segment import PlanSegment, ceil_to_period, sample
+from groundstation.planning.time_scaling import scale_time
 from wire.config.experiment import Experiment
 from wire.config.scene import Island, PathSpec, Route, Waypoints
 from wire.frames import Array
@@ -33,88 +33,95 @@ ROUTE = Route(kind="route", via_m=((0.0, 0.0), (1.0, 0.0)), speed_mps=1.0)  # fo
 TIGHTER = (1.0, 0.1)  # of mission.detour_clear_m: where there is less room, robots give way as well
 
 
-def can_detour(experiment: Experiment) -> bool:
+def can_replan(experiment: Experiment) -> bool:
     """Whether there is one path, of a kind that leads to places, and level."""
     path = experiment.path
     level = isinstance(path, Route) or (isinstance(path, Waypoints) and path.dive_mps == 0.0)
     return level and all(robot.path is None for robot in experiment.robots)
 
 
-def detour(experiment: Experiment, leg: Leg, begin_s: float, things: Array, via: Sequence[tuple[float, float]] = ()) -> Leg:
+def replan(
+    experiment: Experiment, segment: PlanSegment, begin_s: float, obstacles: Array, via: Sequence[tuple[float, float]] = ()
+) -> PlanSegment:
     """The shortest way from where the centre is at `begin_s` to what is left of the path's places, or to `via`, around things
     (k, 3: x, y, radius); every robot goes over to it smoothly."""
-    if not can_detour(experiment):
+    if not can_replan(experiment):
         raise PlanError("only a level path of waypoints or a route, common to all robots, can be changed under way")
     reason = PlanError("")
     for share in TIGHTER:
-        around = _with_things(experiment, things, share * experiment.mission.detour_clear_m)
+        around = _with_things(experiment, obstacles, share * experiment.mission.detour_clear_m)
         try:
-            return _rerouted(around, leg, begin_s, via)
+            return _rerouted(around, segment, begin_s, via)
         except PlanError as error:
             reason = error
     raise reason
 
 
-def _with_things(experiment: Experiment, things: Array, clear_m: float) -> Experiment:
+def _with_things(experiment: Experiment, obstacles: Array, clear_m: float) -> Experiment:
     """As if things were islands, so wide that a centre stays safety.radius_m and `clear_m` away from them."""
     wider_m = experiment.safety.radius_m - experiment.vehicle.radius_m + clear_m
-    islands = tuple(Island(position_m=(x, y), radius_m=max(r + wider_m, SAME_M)) for x, y, r in things.tolist())
+    islands = tuple(Island(position_m=(x, y), radius_m=max(r + wider_m, SAME_M)) for x, y, r in obstacles.tolist())
     return experiment.model_copy(update={"islands": (*experiment.islands, *islands)})
 
 
 def _rerouted(
-    experiment: Experiment, leg: Leg, begin_s: float, given_via: Sequence[tuple[float, float]], longer: float = 0.4
-) -> Leg:
+    experiment: Experiment, segment: PlanSegment, begin_s: float, given_via: Sequence[tuple[float, float]], longer: float = 0.4
+) -> PlanSegment:
     """`longer`: by how much the new way may be longer than a straight one, as a share of it; more if that is not enough."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     spec = _route_spec(experiment.path)
-    now = at(leg.centre, np.array([begin_s]))
+    now = sample(segment.centre, np.array([begin_s]))
     here = (float(now.eta[0, 0]), float(now.eta[0, 1]))
-    left = tuple(given_via) or _places_left(experiment, leg.via or spec.via_m, leg, begin_s)
+    left = tuple(given_via) or _places_left(experiment, segment.via or spec.via_m, segment, begin_s)
     smooth_m = max(spec.smooth_m, SMOOTH_M)
     given = spec.model_copy(update={"via_m": (here, *left), "depth_m": float(now.eta[0, 2]), "smooth_m": smooth_m})
-    remaining = on_grid(leg.end_s - begin_s, period_s)
+    remaining = ceil_to_period(segment.end_s - begin_s, period_s)
     length_m = float(np.hypot(*np.diff(np.array(given.via_m), axis=0).T).sum())
     samples = round((max(remaining, 0.0) + longer * length_m / spec.speed_mps) / period_s) + planner.horizon(experiment)
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = courses(experiment.nodes_m(), formation.changes, begin_s + time_s)
+    nodes = slot_offsets(experiment.nodes_m(), formation.changes, begin_s + time_s)
     path = planner.centre_path(experiment, given, experiment.robots, nodes)
 
     def excess(slower: Path) -> Array:
-        return too_fast(experiment, planner.node_motions(experiment, slower.at(time_s), experiment.robots, nodes))
+        return required_slowdown(experiment, planner.node_motions(experiment, slower.at(time_s), experiment.robots, nodes))
 
-    path = slowed(path, excess, samples, period_s) if given.slow else path
+    path = scale_time(path, excess, samples, period_s) if given.slow else path
     state = path.at(time_s)
     new = planner.node_motions(experiment, state, experiment.robots, nodes)
     centre = node_motion(state, planner.at_centre(samples), "translate", period_s)
     there = _arrival(centre.eta, left[-1])
     if there >= samples - 2 and longer < LONGEST:
-        return _rerouted(experiment, leg, begin_s, given_via, LONGEST)
+        return _rerouted(experiment, segment, begin_s, given_via, LONGEST)
     there_s = begin_s + period_s * there
-    end_s = there_s + (STAY_S if given_via else leg.end_s - _old_arrival_s(leg, left[-1]))
+    end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, left[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
-    found = _gone_over(experiment, leg, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
-    return replace(found, via=tuple(given_via) or leg.via)
+    found = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
+    return replace(found, via=tuple(given_via) or segment.via)
 
 
 def _gone_over(
-    experiment: Experiment, leg: Leg, begin_s: float, new: Mapping[int, NodeMotion], centre: NodeMotion, end_s: float
-) -> Leg:
+    experiment: Experiment,
+    segment: PlanSegment,
+    begin_s: float,
+    new: Mapping[int, NodeMotion],
+    centre: NodeMotion,
+    end_s: float,
+) -> PlanSegment:
     """The new motions, reached from the old ones over some seconds; the first that can be flown."""
     period_s = experiment.controller.period_s
     flown = min(round((end_s - begin_s) / period_s) + 1, len(centre.eta))
     problems = ["the path's end is too near"]
     for over_s in BLEND_S:
-        if begin_s + over_s > leg.centre.begin_s + (len(leg.centre.eta) - 1) * period_s:
+        if begin_s + over_s > segment.centre.begin_s + (len(segment.centre.eta) - 1) * period_s:
             continue
-        motions = {r: blended(leg.trajectories[r], motion, begin_s, over_s) for r, motion in new.items()}
+        motions = {r: blend_trajectories(segment.trajectories[r], motion, begin_s, over_s) for r, motion in new.items()}
         problems = [
             *robot_problems(experiment, motions, flown, begin_s),
             *pair_problems(experiment, motions, flown, begin_s),
         ]
         if not problems:
-            middle = blended(leg.centre, centre, begin_s, over_s)
-            return Leg(
+            middle = blend_trajectories(segment.centre, centre, begin_s, over_s)
+            return PlanSegment(
                 {r: planner.trajectory(m, period_s, begin_s) for r, m in motions.items()},
                 planner.trajectory(middle, period_s, begin_s),
                 end_s,
@@ -122,13 +129,13 @@ def _gone_over(
     raise PlanError("; ".join(problems))
 
 
-def blended(old: Trajectory, new: NodeMotion, begin_s: float, over_s: float) -> NodeMotion:
+def blend_trajectories(old: Trajectory, new: NodeMotion, begin_s: float, over_s: float) -> NodeMotion:
     """From the old motion at `begin_s` to the new one `over_s` later: position, velocity and acceleration go over with no
     jump (a quintic weight has two derivatives that vanish at both ends). Headings are those of the motion that comes of it."""
     period_s = old.period_s
     count = min(round(over_s / period_s) + 1, len(new.eta))
     time_s = period_s * np.arange(count, dtype=np.float64)
-    before = at(old, begin_s + time_s)
+    before = sample(old, begin_s + time_s)
     tau = np.clip(time_s / over_s, 0.0, 1.0)[:, None]
     s = tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
     s1 = 30.0 * tau**2 * (1.0 - tau) ** 2 / over_s
@@ -159,13 +166,13 @@ def _route_spec(path: PathSpec) -> Route:
 
 
 def _places_left(
-    experiment: Experiment, places: Sequence[tuple[float, float]], leg: Leg, begin_s: float
+    experiment: Experiment, places: Sequence[tuple[float, float]], segment: PlanSegment, begin_s: float
 ) -> tuple[tuple[float, float], ...]:
     """Those that the centre has not come by soon after `begin_s` and that are not right beside something; always the last."""
     *before, last = places
     reach_m = float(np.hypot(*experiment.nodes_m()[:, :2].T).max()) + BESIDE_M
     free = [p for p in before if all(math.dist(p, i.position_m) > i.radius_m + reach_m for i in experiment.islands)]
-    return (*(place for place in free if _old_arrival_s(leg, place) > begin_s + BLEND_S[0]), last)
+    return (*(place for place in free if _old_arrival_s(segment, place) > begin_s + BLEND_S[0]), last)
 
 
 def _arrival(eta: Array, place: tuple[float, float]) -> int:
@@ -174,8 +181,8 @@ def _arrival(eta: Array, place: tuple[float, float]) -> int:
     return int(np.argmax(away <= away.min() + SAME_M))
 
 
-def _old_arrival_s(leg: Leg, place: tuple[float, float]) -> float:
-    return leg.centre.begin_s + leg.centre.period_s * _arrival(leg.centre.eta, place)
+def _old_arrival_s(segment: PlanSegment, place: tuple[float, float]) -> float:
+    return segment.centre.begin_s + segment.centre.period_s * _arrival(segment.centre.eta, place)
 
 
 def _cut(motion: NodeMotion, samples: int) -> NodeMotion:

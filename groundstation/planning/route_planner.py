@@ -54,10 +54,10 @@ def _line(ends: Array, discs: Array, spare_m: float, half_m: tuple[float, float]
     """Corners (n, 2) of the shortest way, `spare_m` further from the discs where there is room."""
     wide = [_but_free(discs, spare_m, a, b) for a, b in pairwise(ends)]
     try:
-        legs = [shortest(a, b, around, half_m) for (a, b), around in zip(pairwise(ends), wide, strict=True)]
+        segments = [shortest(a, b, around, half_m) for (a, b), around in zip(pairwise(ends), wide, strict=True)]
     except NoRoute:
-        legs = [shortest(a, b, discs, half_m) for a, b in pairwise(ends)]
-    return np.concatenate([legs[0], *[leg[1:] for leg in legs[1:]]])
+        segments = [shortest(a, b, discs, half_m) for a, b in pairwise(ends)]
+    return np.concatenate([segments[0], *[segment[1:] for segment in segments[1:]]])
 
 
 def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float]) -> Array:

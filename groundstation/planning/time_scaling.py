@@ -18,10 +18,10 @@ SLOWEST = 0.05  # a robot that would need less turns on the spot; that is anothe
 ROUNDS = 30  # slower slopes brake harder, so the rate is found step by step; 2-8 are usual
 CAUTION = 0.99  # aim this far below the limit: rounds are few then, and interpolation cannot touch it
 
-TooFast = Callable[[Path], Array]  # by what factor a path's worst node should be slower, at every period from 0 on
+SlowdownFunction = Callable[[Path], Array]  # by what factor a path's worst node should be slower, at every period from 0 on
 
 
-class SlowedPath:
+class TimeScaledPath:
     """A path flown at a varying pace. `rate` (k,) is tau' at path times `period_s` apart, from 0."""
 
     def __init__(self, path: Path, rate: Array, period_s: float) -> None:
@@ -49,13 +49,13 @@ class SlowedPath:
         )
 
 
-def slowed(path: Path, too_fast: TooFast, samples: int, period_s: float) -> SlowedPath:
+def scale_time(path: Path, required_slowdown: SlowdownFunction, samples: int, period_s: float) -> TimeScaledPath:
     """`path` at the highest pace found at which it is nowhere too fast for `samples` periods. Where even the slowest pace is
     too fast it stays so: the planner says where."""
     allowed, time_s = np.ones(samples), np.arange(samples) * period_s
     for _ in range(ROUNDS):
-        slow = SlowedPath(path, _smooth(allowed, period_s), period_s)
-        factor = too_fast(slow)
+        slow = TimeScaledPath(path, _smooth(allowed, period_s), period_s)
+        factor = required_slowdown(slow)
         over = np.flatnonzero(factor > 1.0)
         if len(over) == 0:
             break

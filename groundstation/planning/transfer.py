@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from groundstation.planning.feasibility import too_fast
+from groundstation.planning.feasibility import required_slowdown
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.paths import SplinePath
 from groundstation.planning.route_planner import NoRoute, route
@@ -24,7 +24,7 @@ NEAR_M = 1e-3  # less is no way at all
 
 
 @dataclass(frozen=True, eq=False)
-class Trip:
+class Transfer:
     """One robot's motion, samples (n, .) of a control period; it stands before and after."""
 
     position: Array
@@ -36,36 +36,36 @@ class Trip:
 
 
 @dataclass(frozen=True, eq=False)
-class Basin:
+class FreeSpace:
     """What does not move, as a robot's centre sees it: discs (k, 3: x, y, radius) and half the basin's inside."""
 
     discs: Array
     half_m: tuple[float, float]
 
 
-def basin(experiment: Experiment, things: Array) -> Basin:
+def free_space(experiment: Experiment, obstacles: Array) -> FreeSpace:
     """Islands, and things (k, 3: x, y, distance to keep the centre at)."""
     room_m = experiment.vehicle.radius_m + CLEAR_M
     islands = [(*island.position_m, island.radius_m + room_m) for island in experiment.islands]
     length, width, _ = experiment.pool.size_m
     walls = experiment.pool.walls
     half_m = (length / 2.0 - room_m, width / 2.0 - room_m) if walls else (math.inf, math.inf)
-    return Basin(np.vstack([np.array(islands).reshape(-1, 3), things.reshape(-1, 3)]), half_m)
+    return FreeSpace(np.vstack([np.array(islands).reshape(-1, 3), obstacles.reshape(-1, 3)]), half_m)
 
 
-def is_free(place: Array, around: Basin) -> bool:
+def is_free(place: Array, around: FreeSpace) -> bool:
     """Whether a robot's centre may be there, (2,)."""
     inside = bool(np.all(np.abs(place) <= around.half_m))
     return inside and bool(np.all(np.hypot(*(around.discs[:, :2] - place).T) > around.discs[:, 2]))
 
 
-def planned_trip(experiment: Experiment, around: Basin, start: Array, goal: Array, parked: Sequence[Array]) -> Trip:
+def plan_transfer(experiment: Experiment, around: FreeSpace, start: Array, goal: Array, parked: Sequence[Array]) -> Transfer:
     """The shortest way, from rest to rest. Raises NoRoute."""
     rise_m = float(goal[2] - start[2])
     away_m = float(np.hypot(*(goal[:2] - start[:2])))
     period_s = experiment.controller.period_s
     if max(away_m, abs(rise_m)) < NEAR_M:
-        return Trip(start[None, :3].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
+        return Transfer(start[None, :3].copy(), np.zeros((1, 3)), np.zeros((1, 3)))
     path = None
     if away_m >= NEAR_M:
         keep_m = 2.0 * experiment.safety.radius_m
@@ -82,9 +82,12 @@ def planned_trip(experiment: Experiment, around: Basin, start: Array, goal: Arra
     speed = min(experiment.mission.return_mps, 0.8 * limits.speed_mps)
     speed = min(speed, 0.8 * limits.heave_mps * max(flat_m, abs(rise_m)) / max(abs(rise_m), 1e-9))
     while True:
-        way, rate, bend = glide(max(flat_m, abs(rise_m)), speed, period_s)
-        trip = padded(_along(path, start, flat_m, rise_m, way, rate, bend), turn_samples(experiment), 0)
-        if speed < 0.02 or float(np.max(too_fast(experiment, {0: with_heading(trip, float(start[3]), experiment)}))) <= 1.0:
+        way, rate, bend = s_curve_profile(max(flat_m, abs(rise_m)), speed, period_s)
+        trip = pad(_along(path, start, flat_m, rise_m, way, rate, bend), turn_samples(experiment), 0)
+        if (
+            speed < 0.02
+            or float(np.max(required_slowdown(experiment, {0: add_heading(trip, float(start[3]), experiment)}))) <= 1.0
+        ):
             return trip
         speed *= SLOWER
 
@@ -104,7 +107,7 @@ def ramp(time_s: Array) -> tuple[Array, Array, Array]:
     return shown_s, 3.0 * u**2 - 2.0 * u**3, 6.0 * u * (1.0 - u) / RAMP_S
 
 
-def glide(length_m: float, speed_mps: float, period_s: float) -> tuple[Array, Array, Array]:
+def s_curve_profile(length_m: float, speed_mps: float, period_s: float) -> tuple[Array, Array, Array]:
     """Way (n,), and its two time derivatives: from rest to `speed_mps` and to rest again, with no jump in acceleration."""
     speed = min(speed_mps, length_m / RAMP_S)
     cruise_s = length_m / speed - RAMP_S
@@ -114,7 +117,9 @@ def glide(length_m: float, speed_mps: float, period_s: float) -> tuple[Array, Ar
     return np.minimum(way, length_m), rate, bend
 
 
-def _along(path: SplinePath | None, start: Array, flat_m: float, rise_m: float, way: Array, rate: Array, bend: Array) -> Trip:
+def _along(
+    path: SplinePath | None, start: Array, flat_m: float, rise_m: float, way: Array, rate: Array, bend: Array
+) -> Transfer:
     """Over the ground along the path and up or down in step with it; `way` is of whichever is longer."""
     whole = max(flat_m, abs(rise_m))
     position, velocity = np.tile(start[:3], (len(way), 1)), np.zeros((len(way), 3))
@@ -130,30 +135,30 @@ def _along(path: SplinePath | None, start: Array, flat_m: float, rise_m: float, 
     share = rise_m / whole
     position[:, 2] += share * way
     velocity[:, 2], acceleration[:, 2] = share * rate, share * bend
-    return Trip(position, velocity, acceleration)
+    return Transfer(position, velocity, acceleration)
 
 
-def padded(trip: Trip, before: int, length: int) -> Trip:
+def pad(trip: Transfer, before: int, length: int) -> Transfer:
     """Standing `before` samples longer at its start, and at its end until it has `length` samples."""
     behind = max(length - before - len(trip), 0)
     still = np.zeros((before, 3)), np.zeros((behind, 3))
-    return Trip(
+    return Transfer(
         np.vstack([np.tile(trip.position[0], (before, 1)), trip.position, np.tile(trip.position[-1], (behind, 1))]),
         np.vstack([still[0], trip.velocity, still[1]]),
         np.vstack([still[0], trip.acceleration, still[1]]),
     )
 
 
-def joined(first: Trip, then: Trip) -> Trip:
+def join(first: Transfer, then: Transfer) -> Transfer:
     """One after the other."""
-    return Trip(
+    return Transfer(
         np.vstack([first.position, then.position]),
         np.vstack([first.velocity, then.velocity]),
         np.vstack([first.acceleration, then.acceleration]),
     )
 
 
-def with_heading(trip: Trip, yaw_rad: float, experiment: Experiment) -> NodeMotion:
+def add_heading(trip: Transfer, yaw_rad: float, experiment: Experiment) -> NodeMotion:
     """Heading where it goes; where it stands it turns from where it came to where it will go."""
     moving = np.hypot(trip.velocity[:, 0], trip.velocity[:, 1]) > NEAR_M
     course = np.arctan2(trip.velocity[:, 1], trip.velocity[:, 0])
@@ -166,7 +171,7 @@ def with_heading(trip: Trip, yaw_rad: float, experiment: Experiment) -> NodeMoti
         yaw[stood:begin] = turning(before, float(way[0]), begin - stood)
         yaw[begin:end], before, stood = way, float(way[-1]), end
     yaw[stood:] = before
-    rate, bend = spinning(yaw, period_s)
+    rate, bend = heading_rates(yaw, period_s)
     return NodeMotion(
         np.column_stack([trip.position, yaw]),
         np.column_stack([trip.velocity, rate]),
@@ -174,7 +179,7 @@ def with_heading(trip: Trip, yaw_rad: float, experiment: Experiment) -> NodeMoti
     )
 
 
-def spinning(yaw_rad: Array, period_s: float) -> tuple[Array, Array]:
+def heading_rates(yaw_rad: Array, period_s: float) -> tuple[Array, Array]:
     """Rate of a heading that rests at both ends, and the rate's own."""
     if len(yaw_rad) < 2:
         return np.zeros(len(yaw_rad)), np.zeros(len(yaw_rad))
@@ -191,8 +196,8 @@ def turn_samples(experiment: Experiment) -> int:
         pose = np.zeros((samples + 2, 4))
         pose[1:-1, 3], pose[-1, 3] = turning(0.0, math.pi, samples), math.pi
         spin, push = np.zeros_like(pose), np.zeros_like(pose)
-        spin[:, 3], push[:, 3] = spinning(pose[:, 3], period_s)
-        if float(np.max(too_fast(experiment, {0: NodeMotion(pose, spin, push)}))) <= 1.0:
+        spin[:, 3], push[:, 3] = heading_rates(pose[:, 3], period_s)
+        if float(np.max(required_slowdown(experiment, {0: NodeMotion(pose, spin, push)}))) <= 1.0:
             return samples
         turn_s *= SLOWER_TURN
     raise NoRoute(f"this vehicle does not turn half round within {LONGEST_TURN_S:g} s (limits.yaw_rate_radps, limits.wrench)")

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from groundstation.planning.formation import Course
+from groundstation.planning.formation import SlotOffset
 from groundstation.planning.route_planner import NoRoute, route
 from wire.config.experiment import Experiment
 from wire.config.scene import Route, Waypoints
@@ -14,7 +14,7 @@ from wire.frames import Array
 WIDTHS = 6  # from what a turning formation is across, as if the path were straight, to a disc that holds all of it
 
 
-def ways(experiment: Experiment, given: Route, nodes: Sequence[Course]) -> Iterator[Waypoints]:
+def ways(experiment: Experiment, given: Route, nodes: Sequence[SlotOffset]) -> Iterator[Waypoints]:
     """Waypoints of a spline. A formation that keeps its form and orientation has one way; one that turns or changes is taken
     for discs wider and wider, as nodes swing outside the path in bends: whoever asks takes the first that is clear.
 

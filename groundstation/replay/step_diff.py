@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from groundstation.palette import COLOURS
-from groundstation.report.plotting import Line, Panel, stack
+from groundstation.report.plotting import Curve, Panel, stack
 from wire.frames import Array, wrap_angle
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -38,7 +38,7 @@ class Difference:
 
 
 @dataclass(frozen=True, eq=False)
-class Again:
+class StepComparison:
     """One robot's steps, done again."""
 
     robot: int
@@ -64,7 +64,7 @@ class Again:
 
 
 @dataclass
-class Told:
+class StepOutputs:
     """States and plans by their stamps, and what was said about gaps."""
 
     states: dict[int, bytes] = field(default_factory=dict)
@@ -79,7 +79,7 @@ class Told:
             (self.states if topic is topics.STATE else self.plans)[stamp_ns] = payload
 
 
-def compare(robot: int, before: Told, after: Told, same_experiment: bool) -> Again:
+def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment: bool) -> StepComparison:
     """What was, and what would have been. Only in the same experiment its name must be the same."""
     stamps = sorted(before.states.keys() & after.states.keys())
     was = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
@@ -95,7 +95,7 @@ def compare(robot: int, before: Told, after: Told, same_experiment: bool) -> Aga
         if differs.any():
             differences.append(_difference(name, old, new, differs, time_s))
         differing |= differs
-    return Again(
+    return StepComparison(
         robot=robot,
         steps=len(after.states),
         compared=len(stamps),
@@ -108,12 +108,15 @@ def compare(robot: int, before: Told, after: Told, same_experiment: bool) -> Aga
     )
 
 
-def draw(again: Again) -> Figure | None:
+def draw(again: StepComparison) -> Figure | None:
     """What the robot did and what it would have done, over time."""
 
-    def lines(name: str, column: int) -> list[Line]:
+    def lines(name: str, column: int) -> list[Curve]:
         old, new = again.before[name][:, column], again.after[name][:, column]
-        return [Line("as it was", again.time_s, old, COLOURS[0]), Line("rerun", again.time_s, new, COLOURS[1], "--")]
+        return [
+            Curve("as it was", again.time_s, old, COLOURS[0]),
+            Curve("rerun", again.time_s, new, COLOURS[1], "--"),
+        ]
 
     panels = [
         Panel("surge [N]", lines("wrench", 0)),
@@ -132,10 +135,10 @@ def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
     return next(flown, min(stamps, default=0))
 
 
-def _plan_columns(before: Told, after: Told, stamps: Sequence[int]) -> dict[str, tuple[list[Any], list[Any]]]:
+def _plan_columns(before: StepOutputs, after: StepOutputs, stamps: Sequence[int]) -> dict[str, tuple[list[Any], list[Any]]]:
     """The plans' fields at each step; None where there was no plan."""
 
-    def read(told: Told) -> list[Plan | None]:
+    def read(told: StepOutputs) -> list[Plan | None]:
         found = (told.plans.get(stamp) for stamp in stamps)
         return [None if payload is None else decode(Plan, payload, "log", "plan") for payload in found]
 

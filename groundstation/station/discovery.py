@@ -22,7 +22,7 @@ LARGEST_BYTES = 4096
 
 
 @dataclass(frozen=True)
-class Standing:
+class RunningStation:
     """A station that runs."""
 
     endpoint: str  # as it is called from this machine
@@ -44,7 +44,7 @@ def announced(endpoint: Endpoint, fleet: str, experiment: str) -> Iterator[None]
         log.warning("no runtime folder of this user's own: terminals find this station by --station only")
         yield
         return
-    standing = Standing(beside(endpoint).address, fleet, experiment, os.getpid())
+    standing = RunningStation(beside(endpoint).address, fleet, experiment, os.getpid())
     path = place / f"{os.getpid()}.json"
     new = path.with_suffix(".new")
     try:
@@ -58,7 +58,7 @@ def announced(endpoint: Endpoint, fleet: str, experiment: str) -> Iterator[None]
         path.unlink(missing_ok=True)
 
 
-def running() -> list[Standing]:
+def running() -> list[RunningStation]:
     """Every station of this user on this machine. Files of those that are gone are taken away."""
     place, found = folder(), []
     for path in sorted(place.glob("*.json")) if place is not None else []:
@@ -66,7 +66,7 @@ def running() -> list[Standing]:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
-                found.append(Standing(**json.loads(file.read(LARGEST_BYTES))))
+                found.append(RunningStation(**json.loads(file.read(LARGEST_BYTES))))
             else:
                 path.unlink(missing_ok=True)
     return found

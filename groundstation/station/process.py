@@ -9,17 +9,17 @@ import time
 from pathlib import Path
 
 from groundstation.export.foxglove_live import ViewerServer
-from groundstation.inboxes import listen
+from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
-from groundstation.mission.gain_update import Tuner
-from groundstation.mission.lap_statistics import Laps
+from groundstation.mission.gain_update import GainUpdater
+from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
-from groundstation.mission.state_machine import OVER, Phase
+from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning import planner
-from groundstation.planning.segment import first_leg
+from groundstation.planning.segment import first_segment
 from groundstation.station.station import Station, workers
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import Desk, Post
+from groundstation.web.live_backend import LiveBackend, StationApi
 from groundstation.web.server import WebServer
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
@@ -59,8 +59,8 @@ def run(
     """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
     are served. Makes `run_dir`. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
-    leg = first_leg(experiment)
-    trajectories = dict(leg.trajectories)
+    segment = first_segment(experiment)
+    trajectories = dict(segment.trajectories)
     starts = planner.start_poses(experiment, trajectories)
     mode = "lockstep" if lockstep else "real-time"
     metadata = run_metadata(experiment, mode)
@@ -74,9 +74,9 @@ def run(
     try:
         record_everything(bus, recorder, clock)
         with workers(len(trajectories)) as threads, contextlib.ExitStack() as served:
-            mission = Mission(experiment, leg, starts, automatic)
-            heard, tuner = listen(bus, experiment.robot_ids), Tuner(experiment)
-            laps = Laps(tuner.lap_s)
+            mission = Mission(experiment, segment, starts, automatic)
+            heard, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
+            laps = LapStatistics(tuner.lap_s)
             station = Station(
                 experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure
             )
@@ -88,8 +88,8 @@ def run(
             station.publish_paths(clock.now_ns())
             bus.watch_presence()
             if web is not None:
-                post = Post(station.status, station.ask, station.tune, run_dir.resolve(), lambda: station.paths)
-                served.enter_context(WebServer(Desk(experiment, trajectories, bus, heard, clock, post, mode), web))
+                post = StationApi(station.status, station.ask, station.tune, run_dir.resolve(), lambda: station.paths)
+                served.enter_context(WebServer(LiveBackend(experiment, trajectories, bus, heard, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
             if viewer is not None:
                 served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
@@ -101,8 +101,8 @@ def run(
                 _lockstep_loop(station, ticks)
             else:
                 _wall_loop(station, stop)
-            log.info("mission %s after %.1f s", mission.phase.value, time.monotonic() - started_s)
-            return mission.phase is Phase.DONE and not mission.failed and not recorder.error
+            log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
+            return mission.state is MissionState.DONE and not recorder.error
     finally:
         recorder.close()
 
@@ -131,7 +131,7 @@ class _End:
             self._since_s = now_s
         if station.ended:
             return now_s - self._since_s > FAREWELL_S
-        return station.mission.automatic and station.mission.phase in OVER
+        return station.mission.automatic and station.mission.state in TERMINAL
 
 
 def _wall_loop(station: Station, stop: Stop) -> None:

@@ -7,7 +7,7 @@ emergency stop needs no lease.
 SILENT_S = 5.0
 
 
-class Lease:
+class ControlLease:
     """Control of the fleet; watchers are numbered from 1."""
 
     def __init__(self) -> None:

@@ -10,16 +10,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from groundstation.inboxes import Inboxes
-from groundstation.mission.gain_update import TuningStatus
+from groundstation.inboxes import FleetInboxes
+from groundstation.mission.gain_update import GainStatus
 from groundstation.mission.lap_statistics import Lap
-from groundstation.mission.state_machine import Phase, allowed
-from groundstation.telemetry import Finding, Fleet, RobotView, barred, view
+from groundstation.mission.state_machine import MissionState, states_allowing
+from groundstation.telemetry import Finding, Fleet, RobotView, blocking_findings, robot_view
 from groundstation.web import experiment_editor
 from groundstation.web.alarms import alarms
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_paths, scene
-from groundstation.web.snapshot import NEVER_MS, Aged, FleetNews, RobotNews, order_name, snapshot
+from groundstation.web.snapshot import NEVER_MS, AgedMessage, FleetSnapshot, RobotSnapshot, order_name, snapshot
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -32,7 +32,7 @@ MOST_EVENTS = 256  # between two looks
 STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
-class Source(Protocol):
+class Backend(Protocol):
     """Where the page's server gets everything from: the live fleet, or a recorded run. Used from one thread, but for `order`,
     `tune`, `attempt` and `save`, which may take their time in others."""
 
@@ -53,11 +53,11 @@ class Source(Protocol):
 class Status:
     """What the station says of itself."""
 
-    phase: Phase
+    state: MissionState
     reason: str
     recorder_error: str = ""
     insecure: bool = False  # the network is open, as was asked for
-    tuning: TuningStatus | None = None
+    tuning: GainStatus | None = None
     laps: Sequence[Lap] = ()
     preflight: tuple[Finding, ...] | None = None  # why not to arm; None: whoever asks looks for himself
     seen: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
@@ -71,7 +71,7 @@ def _nobody_tunes(values: Mapping[str, float] | None, next_lap: bool) -> tuple[s
 
 
 @dataclass(frozen=True, eq=False)
-class Post:
+class StationApi:
     """What the desk needs of the station. Requests are answered with why not, or nothing, and their number. `paths` are what
     is flown now and until when [s]; None: what was planned before the run."""
 
@@ -82,7 +82,7 @@ class Post:
     paths: Callable[[], tuple[Mapping[int, Trajectory], float] | None] = lambda: None
 
 
-class Desk:
+class LiveBackend:
     """The live fleet."""
 
     def __init__(
@@ -90,9 +90,9 @@ class Desk:
         experiment: Experiment,
         trajectories: Mapping[int, Trajectory],
         bus: Bus,
-        heard: Inboxes,
+        heard: FleetInboxes,
         clock: Clock,
-        station: Post,
+        station: StationApi,
         mode: str,
     ) -> None:
         self._experiment, self._trajectories, self._bus, self._clock = experiment, trajectories, bus, clock
@@ -134,21 +134,21 @@ class Desk:
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
         plans = {r: inbox.newest() for r, inbox in self._heard.plans.items()}
-        fleet = {r: _linked(view(states[r], poses[r], self._clock, plans[r]), status.seen.get(r)) for r in states}
-        why_not = barred(self._experiment, fleet) if status.preflight is None else status.preflight
+        fleet = {r: _linked(robot_view(states[r], poses[r], self._clock, plans[r]), status.seen.get(r)) for r in states}
+        why_not = blocking_findings(self._experiment, fleet) if status.preflight is None else status.preflight
         localizer = _aged(self._heard.localizer)
         return snapshot(
-            FleetNews(
+            FleetSnapshot(
                 time_s=self._clock.now_ns() * 1e-9,
-                robots={r: RobotNews(_age(states[r]), _age(poses[r]), _age(plans[r])) for r in states},
+                robots={r: RobotSnapshot(_age(states[r]), _age(poses[r]), _age(plans[r])) for r in states},
                 localizer=localizer,
                 obstacles=_aged(self._heard.obstacles),
-                phase=status.phase.name,
-                phase_text="ready" if status.phase is Phase.WAITING and not why_not else status.phase.value,
+                phase=status.state.name,
+                phase_text="ready" if status.state is MissionState.WAITING and not why_not else status.state.value,
                 reason=status.reason,
-                allowed=[order_name(order) for order in Order if order is Order.END or status.phase in allowed(order)],
+                allowed=[order_name(order) for order in Order if order is Order.END or status.state in states_allowing(order)],
                 preflight=why_not,
-                emergency_stop=status.phase is Phase.STOPPED,
+                emergency_stop=status.state is MissionState.STOPPED,
                 alarms=alarms(
                     self._experiment,
                     fleet,
@@ -166,7 +166,7 @@ class Desk:
             )
         )
 
-    def _localizer_age_s(self, found: Aged) -> float:
+    def _localizer_age_s(self, found: AgedMessage) -> float:
         """In lockstep a slow machine is no silence: what counts there is whether the robots get poses."""
         return found.age_ms * 1e-3 if self._mode == "real-time" else 0.0
 
@@ -227,12 +227,14 @@ def _linked(seen: RobotView, known: RobotView | None) -> RobotView:
     return replace(seen, clock_offset_s=known.clock_offset_s, loss=known.loss, behind_s=known.behind_s)
 
 
-def _aged(inbox: Inbox[Any]) -> Aged:
+def _aged(inbox: Inbox[Any]) -> AgedMessage:
     return _age(inbox.newest())
 
 
-def _age(received: Received[Any] | None) -> Aged:
+def _age(received: Received[Any] | None) -> AgedMessage:
     """By the machine's own clock, also in lockstep: nothing that has stopped coming may look alive."""
     if received is None:
-        return Aged()
-    return Aged(received.message, min((time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6, NEVER_MS))
+        return AgedMessage()
+    return AgedMessage(
+        received.message, min((time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6, NEVER_MS)
+    )

@@ -39,7 +39,7 @@ class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fi
     """Give control back."""
 
 
-class Wish(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
+class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
     """An order for the whole fleet; `n` comes back with the answer."""
 
     n: Count
@@ -47,7 +47,7 @@ class Wish(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
 
 
-class Tune(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
+class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
     """Other gains for the whole fleet: those that are named; none: those before. `n` comes back with the answer."""
 
     n: Count
@@ -70,7 +70,7 @@ class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     nodes_m: Annotated[dict[Annotated[int, msgspec.Meta(ge=1, le=49)], Vec3], msgspec.Meta(max_length=49)] | None = None
 
 
-class Try(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):
+class PreviewEdit(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):
     """Plan an edit with the real planner and tell what comes of it; nothing flies."""
 
     n: Count
@@ -92,7 +92,7 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
-Request = Hello | Ack | Take | Release | Wish | Tune | Try | Save | Seek
+Request = Hello | Ack | Take | Release | OrderRequest | TuneRequest | PreviewEdit | Save | Seek
 _DECODER = msgspec.json.Decoder(Request)
 
 

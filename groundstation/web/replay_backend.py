@@ -14,13 +14,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundstation.logs.logfile import open_log
-from groundstation.mission.state_machine import Phase
-from groundstation.telemetry import LINK_WINDOW, Ear, RobotView
+from groundstation.mission.state_machine import MissionState
+from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web import experiment_editor
 from groundstation.web.alarms import alarms
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
-from groundstation.web.snapshot import Aged, FleetNews, RobotNews, snapshot
+from groundstation.web.snapshot import AgedMessage, FleetSnapshot, RobotSnapshot, snapshot
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -38,7 +38,7 @@ Said = tuple[list[int], list[bytes], list[Header]]  # arrivals, ascending, paylo
 Block = dict[tuple[str, int], Said]
 
 
-class Tape:
+class LogPlayer:
     """One recorded run: the newest message of a topic at a time, in ns from its first."""
 
     def __init__(self, run: Path) -> None:
@@ -49,18 +49,18 @@ class Tape:
             self._opened = opened.pop_all()
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
         self._blocks: OrderedDict[int, Block] = OrderedDict()
-        self.legs = self._legs()
-        self.trajectories = {robot: told[-1][1] for robot, told in self.legs.items()}
+        self.segments = self._segments()
+        self.trajectories = {robot: told[-1][1] for robot, told in self.segments.items()}
         self.flown_ns = self._first_flown_ns()
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
-        for line in self._log.lines(lambda t, r: t is topic and robot in (None, r)):
+        for line in self._log.messages(lambda t, r: t is topic and robot in (None, r)):
             found = _read(kind, line.payload)
             if found is not None:
                 yield line.robot, line.arrived_ns - self.start_ns, found
 
-    def _legs(self) -> dict[int, list[tuple[int, Trajectory]]]:
+    def _segments(self) -> dict[int, list[tuple[int, Trajectory]]]:
         """What each robot was to fly, and since when: whole runs, each with what was flown before."""
         found: dict[int, list[tuple[int, Trajectory]]] = {}
         for robot, at_ns, trajectory in self._each(topics.TRAJECTORY, Trajectory):
@@ -68,10 +68,10 @@ class Tape:
         return {robot: found[robot] for robot in self.experiment.robot_ids if robot in found}
 
     def _first_ns(self, topic: Topic, robot: int) -> float:
-        line = next(self._log.lines(lambda t, r: t is topic and r == robot), None)
+        line = next(self._log.messages(lambda t, r: t is topic and r == robot), None)
         return math.inf if line is None else line.arrived_ns - self.start_ns
 
-    def plan_age_s(self, plan: Aged, robot: int, at_ns: int) -> float:
+    def plan_age_s(self, plan: AgedMessage, robot: int, at_ns: int) -> float:
         """Of a robot's newest plan, as `Aged` has it: of one that is beyond LOOK_BACK, so long; infinite before the first."""
         if plan.message is not None:
             return plan.age_ms * 1e-3
@@ -90,7 +90,7 @@ class Tape:
         if index not in self._blocks:
             begin = self.start_ns + index * BLOCK_NS
             block: Block = {}
-            for line in self._log.lines(lambda topic, robot: True, begin, begin + BLOCK_NS):
+            for line in self._log.messages(lambda topic, robot: True, begin, begin + BLOCK_NS):
                 arrivals, payloads, headers = block.setdefault((line.topic.name, line.robot), ([], [], []))
                 arrivals.append(line.arrived_ns - self.start_ns)
                 payloads.append(line.payload)
@@ -121,10 +121,10 @@ class Tape:
                     found.append((arrived, message))
         return found
 
-    def ear(self, robot: int, at_ns: int) -> Ear:
+    def ear(self, robot: int, at_ns: int) -> LinkMonitor:
         """What the station knew of a robot's link and clock at a time. The age that a sender stated is not in the log; of a
         state it is about the time that its control step took."""
-        ear, newest = Ear(), self.newest(topics.STATE, RobotState, at_ns, robot)
+        ear, newest = LinkMonitor(), self.newest(topics.STATE, RobotState, at_ns, robot)
         if newest is None:
             return ear
         heard: list[tuple[Header, int]] = []
@@ -135,7 +135,7 @@ class Tape:
         for header, arrived in heard[-LINK_WINDOW:]:
             arrived_ns = arrived + self.start_ns  # in lockstep the stamp itself
             held_ns = round(newest[1].step_us * 1e3) if arrived_ns != header.stamp_ns else 0
-            ear.hear((header,), header, arrived_ns - held_ns)
+            ear.add((header,), header, arrived_ns - held_ns)
         return ear
 
     def close(self) -> None:
@@ -151,12 +151,12 @@ def _read(kind: type[M], payload: bytes) -> M | None:
         return None
 
 
-class Replay:
+class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None) -> None:
-        self._tape = Tape(run)
-        self._against = Tape(against) if against is not None else None
+        self._tape = LogPlayer(run)
+        self._against = LogPlayer(against) if against is not None else None
         self._at_ns, self._rate, self._since_s = self._tape.flown_ns, 0.0, time.monotonic()
         self._changed = True
         self._shown_s = 0.0
@@ -164,7 +164,7 @@ class Replay:
         self._picture_ns = -1
         self._drawn: list[int] = []
 
-    def __enter__(self) -> "Replay":
+    def __enter__(self) -> "ReplayBackend":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
@@ -199,35 +199,35 @@ class Replay:
         self._at_ns, self._since_s, self._changed = at_ns, time.monotonic(), True
         self._rate = self._rate if rate is None else rate
 
-    def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> Aged:
+    def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> AgedMessage:
         found = self._tape.newest(topic, kind, at_ns, robot)
-        return Aged() if found is None else Aged(found[1], (at_ns - found[0]) * 1e-6)
+        return AgedMessage() if found is None else AgedMessage(found[1], (at_ns - found[0]) * 1e-6)
 
     def snapshot(self) -> dict[str, Any]:
         """The fleet at the present time of the replay."""
         self._shown_s = time.monotonic()
         now = self._now_ns()
         robots = {
-            r: RobotNews(*(self._aged(topic, topic.type, now, r) for topic in (topics.STATE, topics.POSE, topics.PLAN)))
+            r: RobotSnapshot(*(self._aged(topic, topic.type, now, r) for topic in (topics.STATE, topics.POSE, topics.PLAN)))
             for r in self.experiment.robot_ids
         }
         views = {r: self._view(r, found, now) for r, found in robots.items()}
         localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
         beat = self._tape.newest(topics.HEARTBEAT, StationHeartbeat, now)
-        phase = beat[1].mission if beat is not None and beat[1].mission in Phase.__members__ else ""
-        news = FleetNews(
+        phase = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
+        news = FleetSnapshot(
             time_s=now * 1e-9,
             robots=robots,
             localizer=localizer,
             obstacles=self._aged(topics.OBSTACLES, topics.OBSTACLES.type, now),
             phase=phase,
-            phase_text=Phase[phase].value if phase else "recorded",  # a numeric flight has no station
+            phase_text=MissionState[phase].value if phase else "recorded",  # a numeric flight has no station
             emergency_stop=beat is not None and beat[1].emergency_stop,
             alarms=alarms(self.experiment, views, localizer.message, localizer.age_ms * 1e-3, ""),
         )
         return snapshot(news) | {"replay": {"time_s": now * 1e-9, "rate": self._rate}, "ghosts": self._ghosts(now)}
 
-    def _view(self, robot: int, news: RobotNews, now_ns: int) -> RobotView:
+    def _view(self, robot: int, news: RobotSnapshot, now_ns: int) -> RobotView:
         ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose)]
         ages_s.append(self._tape.plan_age_s(news.plan, robot, now_ns))
         ear = self._tape.ear(robot, now_ns)
@@ -235,15 +235,15 @@ class Replay:
 
     def paths(self) -> list[dict[str, Any]] | None:
         """What was flown at that time, once when it changes: of a later leg what it does not share with the one before."""
-        now, legs = self._now_ns(), self._tape.legs
-        flown = {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in legs.items()}
+        now, segments = self._now_ns(), self._tape.segments
+        flown = {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in segments.items()}
         if list(flown.values()) == self._drawn:
             return None
         self._drawn = list(flown.values())
         found = []
         for robot, k in flown.items():
-            trajectory = legs[robot][k][1]
-            begin = _differ(legs[robot][k - 1][1], trajectory) if k > 0 else 0
+            trajectory = segments[robot][k][1]
+            begin = _differ(segments[robot][k - 1][1], trajectory) if k > 0 else 0
             end = len(trajectory.eta) if k > 0 else flown_samples(self.experiment)
             found += paths({robot: replace(trajectory, eta=trajectory.eta[begin:])}, max(end - begin, 1))
         return found

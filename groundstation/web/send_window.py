@@ -10,7 +10,7 @@ UNACKNOWLEDGED = 2
 MOST_NOTES = 256
 
 
-class Window:
+class SendWindow:
     """One watcher's side of the stream. Frames are bodies without a number; `next` numbers them."""
 
     def __init__(self) -> None:

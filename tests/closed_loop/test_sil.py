@@ -161,7 +161,9 @@ def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, in
     before, after = flown(lockstep_run[0]), flown(run_dir(tmp_path))
     apart = (after.robots[1].truth - before.robots[1].truth[: len(after.time_s)])[:, :2]
     assert np.nanmax(np.abs(apart)) > 0.01
-    assert any(h.text == "fault: battery 1 sag 0.1" and h.time_s == pytest.approx(12.0, abs=0.11) for h in after.happenings)
+    assert any(
+        h.text == "fault: battery 1 sag 0.1" and h.time_s == pytest.approx(12.0, abs=0.11) for h in after.timeline_events
+    )
 
 
 @pytest.mark.parametrize(

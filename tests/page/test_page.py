@@ -18,15 +18,15 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
-from groundstation.inboxes import listen
+from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.logfile import open_log
 from groundstation.logs.reader import read_log
-from groundstation.mission.state_machine import Phase
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.replay.step_replay import rerun
 from groundstation.telemetry import Finding
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import Desk, Post, Status
+from groundstation.web.live_backend import LiveBackend, StationApi, Status
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.page.conftest import Asked, Flight, open_page, wait_for_port
@@ -248,10 +248,16 @@ def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
     port, hub = free_port(), MemoryHub()
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
-        found = Alone(page, f"http://127.0.0.1:{port}/", Status(Phase.WAITING, ""), robots)
-        post = Post(lambda: found.status, found.order, paths=lambda: found.paths)
-        desk = Desk(
-            experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
+        found = Alone(page, f"http://127.0.0.1:{port}/", Status(MissionState.WAITING, ""), robots)
+        post = StationApi(lambda: found.status, found.order, paths=lambda: found.paths)
+        desk = LiveBackend(
+            experiment,
+            planner.plan(experiment),
+            bus,
+            subscribe_fleet(bus, experiment.robot_ids),
+            WallClock(),
+            post,
+            "real-time",
         )
         with WebServer(desk, WebOptions(port=port)):
             yield found
@@ -578,7 +584,7 @@ def test_it_comes_back_by_itself_when_the_station_is_started_again(page: Page, f
 def first_armed_s(run: Path) -> float:
     """When somebody armed, counted from the log's first message as a replay does: machines differ in how long they idle."""
     with open_log(run) as log:
-        for line in log.lines(lambda topic, robot: topic is topics.STATE):
+        for line in log.messages(lambda topic, robot: topic is topics.STATE):
             if decode(RobotState, line.payload, "log", "state").mode is not Mode.DISARMED:
                 return (line.arrived_ns - log.start_ns) * 1e-9
     raise AssertionError("nobody ever armed")

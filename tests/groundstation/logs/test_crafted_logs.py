@@ -89,7 +89,7 @@ def test_a_small_file_never_takes_much_memory(
         found = read_log(path)
         assert found.damage and not found.complete and not found.entries
         with pytest.raises(ConfigError, match=r"run\.mcap: (cannot be read|holds no messages)"), open_log(tmp_path) as log:
-            list(log.lines(lambda topic, robot: True))
+            list(log.messages(lambda topic, robot: True))
         with pytest.raises(ConfigError):
             evaluate_log(path)
         assert recover(path) is not closed

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli
 from groundstation.logs.repair import is_complete
 from groundstation.report.report import evaluated, write_figures
-from groundstation.report.run_comparison import Run, differences, drawn, figures_of
+from groundstation.report.run_comparison import Run, differences, drawn, metric_rows
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 from wire.toml_loader import ConfigError
 
@@ -44,7 +44,7 @@ def station(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_figures_are_those_of_the_results(runs: list[Path]) -> None:
     both = read(runs)
-    rows = {row.name: row.values for row in figures_of(both)}
+    rows = {row.name: row.values for row in metric_rows(both)}
     assert rows["missed deadlines"] == (0.0, 6.0)
     worst = max(max(error.rms_after_20s_m or (0.0,)) for error in both[0].result.robots.values())
     assert rows["tracking, RMS after 20 s"] == pytest.approx((worst, worst))
@@ -57,7 +57,7 @@ def test_a_run_in_which_one_robot_has_no_errors_has_no_worst_robot(runs: list[Pa
     one, other = read(runs)
     lame = dataclasses.replace(other.result.robots["1"], rms_after_20s_m=None)
     other = dataclasses.replace(other, result=dataclasses.replace(other.result, robots={**other.result.robots, "1": lame}))
-    rows = {row.name: row.values for row in figures_of([one, other])}
+    rows = {row.name: row.values for row in metric_rows([one, other])}
     assert rows["tracking, RMS after 20 s"][0] is not None and rows["tracking, RMS after 20 s"][1] is None
 
 
