@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 from benchmarks.harness import Row, run_peer, time_us
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.replanning import replan
-from groundstation.planning.route_planner import NoRoute, route
+from groundstation.planning.route_planner import NoRoute, find_route
 from groundstation.planning.segment import first_segment
 from wire.config.experiment import load_experiment
 from wire.frames import Array
@@ -66,14 +66,14 @@ def run() -> Iterator[Row]:
     task = _task()
     first = task[0]
     ends, discs, half_m = [first["start"], first["goal"]], np.array(first["discs"]), first["half"]
-    way = time_us(lambda: route(ends, discs, half_m), AGAIN)
+    way = time_us(lambda: find_route(ends, discs, half_m), AGAIN)
     yield Row.of("planner", "way, islands", "ours, smooth and checked", "ms", [t * 1e-3 for t in way])
     lengths: dict[int, float] = {}
     collisions = refused = 0
     for k in range(WORLDS):
         discs = world(k)
         try:
-            curve = flown(route(ENDS, discs, HALF_M))
+            curve = flown(find_route(ENDS, discs, HALF_M))
         except (NoRoute, PlanError):
             refused += 1
             continue

@@ -1,9 +1,9 @@
-"""Ways for robots that hold in the water: into their places of a leg and on along it, or home. Pure.
+"""Plans for robots that hold: into their slots of a segment and on along it, or back to the starts. Pure.
 
-    leg = gathered(experiment, leg, begin_s, reached_s, rests, slots)   # into the places of a leg, and on along it
-    leg = homeward(experiment, begin_s, rests, starts)                  # to where they began
+    leg = gathered(experiment, leg, begin_s, reached_s, rests, slots)   # into their slots, and on
+    leg = homeward(experiment, begin_s, rests, starts)                  # back to the starts
 
-The ways themselves, clear of one another, are groundstation/planning/prioritized_planning.py's.
+groundstation/planning/prioritized_planning.py plans the transfers, clear of one another.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,14 +17,14 @@ from groundstation.planning.feasibility import PlanError
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.prioritized_planning import plan_transfers
 from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
-from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_samples, turning
+from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Trajectory
 
-SETTLE_S = 5.0  # at the end of a way, before anybody disarms
-DRIFT_M = 0.15  # things and robots without control drift while others find their places
-SAME_M = 1e-3  # more than rounding takes away
+SETTLE_S = 5.0  # at the end of a return, before robots are disarmed
+DRIFT_M = 0.15  # obstacles and robots without control drift while the others move into place
+SAME_M = 1e-3  # more than rounding
 
 Rests = Mapping[int, Array]  # poses (4,) of robots that are at rest
 
@@ -32,7 +32,7 @@ Rests = Mapping[int, Array]  # poses (4,) of robots that are at rest
 def plan_return(
     experiment: Experiment, begin_s: float, rests: Rests, starts: Rests, obstacles: Array = NO_OBSTACLES
 ) -> PlanSegment:
-    """From where they rest to where they began; who is not told of in `rests` has no part in it."""
+    """Plan the return of the robots in `rests` from their rest poses to their starts."""
     motions = plan_transfers(experiment, rests, {r: starts[r] for r in rests}, keep_away(experiment, obstacles))
     period_s = experiment.controller.period_s
     trajectories = {r: planner.trajectory(_at_least_two(m), period_s, begin_s) for r, m in motions.items()}
@@ -49,8 +49,8 @@ def plan_regroup(
     slots: Mapping[int, int],
     obstacles: Array = NO_OBSTACLES,
 ) -> PlanSegment:
-    """From where robots rest into their slots of a leg as of `reached_s`, and from rest on along it. Where something lies in a
-    slot, further along the leg, as far as it takes."""
+    """Plan transfers from rest into the slots of a segment at `progress_s`, and on along it. Where an obstacle lies in a slot,
+    the transfers lead further along the segment, until all slots are free."""
     period_s, away = experiment.controller.period_s, keep_away(experiment, obstacles)
     progress_s = _free_from(segment, max(progress_s, segment.transfer_end_s), [slots[r] for r in rests], away)
     places = {r: sample(segment.trajectories[slots[r]], np.array([progress_s])).eta[0] for r in rests}
@@ -68,7 +68,7 @@ def plan_regroup(
 
 
 def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], away: Array) -> float:
-    """The first moment at which nothing lies in these slots, discs (k, 3) as a centre sees them."""
+    """First progress in s at which these slots are clear of `away`, discs (k, 3) that a centre keeps out of."""
     period_s = segment.centre.period_s
     time_s = progress_s + period_s * np.arange(max(round((segment.end_s - progress_s) / period_s), 1), dtype=np.float64)
     free = np.ones(len(time_s), dtype=bool)
@@ -83,8 +83,8 @@ def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], aw
 def _then_on(
     trajectory: Trajectory, move: NodeMotion | None, still: int, turn: int, progress_s: float, samples: int
 ) -> NodeMotion:
-    """A move of `still` samples, or standing as long, a turn of `turn` samples, then the trajectory from `reached_s` on, its
-    clock starting slowly."""
+    """A move of `still` samples (None: rest as long), a turn of `turn` samples, then the trajectory from `progress_s` on with
+    a clock that starts slowly."""
     way_s, rate, bend = ramp(trajectory.period_s * np.arange(samples, dtype=np.float64))
     on = sample(trajectory, progress_s + way_s)
     velocity = on.velocity * rate[:, None]
@@ -94,7 +94,7 @@ def _then_on(
     turns = 2.0 * np.pi * round(float(move.eta[-1, 3] - on.eta[0, 3]) / (2.0 * np.pi))
     eta = on.eta + np.array([0.0, 0.0, 0.0, turns])
     facing = np.tile(move.eta[-1], (turn, 1))
-    facing[:, 3] = turning(float(move.eta[-1, 3]), float(eta[0, 3]), turn)
+    facing[:, 3] = turn_profile(float(move.eta[-1, 3]), float(eta[0, 3]), turn)
     spin, push = np.zeros((turn, 4)), np.zeros((turn, 4))
     spin[:, 3], push[:, 3] = heading_rates(facing[:, 3], trajectory.period_s)
     return NodeMotion(
@@ -105,7 +105,7 @@ def _then_on(
 
 
 def assign_slots(segment: PlanSegment, time_s: float, eta: Rests, slots: Sequence[int]) -> dict[int, int]:
-    """A slot for every robot so that the sum of squared ways is least: nobody crosses anybody."""
+    """Slot of each robot so that the sum of squared distances is least; straight ways then do not cross."""
     robots = list(eta)
     nodes = np.array([sample(segment.trajectories[s], np.array([time_s])).eta[0, :3] for s in slots])
     ways = np.sum((np.array([eta[r][:3] for r in robots])[:, None] - nodes) ** 2, axis=2)
@@ -114,12 +114,12 @@ def assign_slots(segment: PlanSegment, time_s: float, eta: Rests, slots: Sequenc
 
 
 def keep_away(experiment: Experiment, obstacles: Array) -> Array:
-    """Things (k, 3: x, y, radius) as discs that a robot's centre keeps out of."""
+    """Obstacles (k, 3: x, y, radius) as discs that a robot's centre keeps out of."""
     return np.asarray(obstacles.reshape(-1, 3) + np.array([0.0, 0.0, experiment.safety.radius_m + DRIFT_M]))
 
 
 def _at_least_two(motion: NodeMotion) -> NodeMotion:
-    """A trajectory has two samples or more, also of a robot that stays."""
+    """Motion with two samples or more: a trajectory needs them, also of a robot that stays."""
     if len(motion.eta) >= 2:
         return motion
     twice = replace(motion, eta=np.repeat(motion.eta, 2, axis=0))
