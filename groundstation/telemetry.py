@@ -234,7 +234,7 @@ def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Finding
         yield "plan", "warning", False, f"its plan is {seen.plan_age_s:.1f} s old", "others give it room"
     if experiment.mission.thruster_test and not flies and state.thruster_test != "passed":
         text = f"thruster test: {state.thruster_test or 'not done'}"
-        yield "thrusters", "notice", True, text, "groundstation order test"
+        yield "thrusters", "notice", True, text, "groundstation mission test"
 
 
 def _step(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
@@ -270,7 +270,7 @@ def _start(experiment: Experiment, state: RobotState, start: Array) -> FindingFi
     away_m = float(np.hypot(*(state.eta[:2] - start[:2])))
     if state.pose_age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3 and away_m > experiment.mission.start_within_m:
         text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
-        yield "start", "notice", True, text, "bring it there, or: groundstation return"
+        yield "start", "notice", True, text, "bring it there, or: groundstation mission return"
 
 
 def blocking_findings(

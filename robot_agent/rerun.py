@@ -1,4 +1,4 @@
-"""A robot's control steps done again from what the log says of them. Pure; `groundstation rerun` brings the log.
+"""A robot's control steps done again from what the log says of them. Pure; `groundstation log rerun` brings the log.
 
 What comes in is in the order of use: each plan and each obstacles' message before the first step that names it. Nothing here
 flies: the pulses of a step act on nothing, and the next step's inputs are again those of the log. Where the log's own states

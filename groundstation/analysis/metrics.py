@@ -274,7 +274,7 @@ def _of_the_flight(series: Series) -> Iterator[str]:
     if len(series.flights) > 1:
         yield (
             f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "
-            "`groundstation report RUN --flight N` makes one of another."
+            "`groundstation log report RUN --flight N` makes one of another."
         )
     if not series.started:
         yield "No robot was ever under way on its trajectory: there is nothing to evaluate."

@@ -1,4 +1,4 @@
-"""SHELL: `groundstation replay`: a run on the page again, or on the bus."""
+"""SHELL: `groundstation log replay`: a run on the page again, or on the bus."""
 
 import time
 from pathlib import Path
@@ -40,8 +40,8 @@ def replay(
 
     On the bus goes what was seen and said, never what made anything move.
 
-    Examples:  groundstation replay runs/pool-20260101-120000
-               groundstation replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
+    Examples:  groundstation log replay runs/pool-20260101-120000
+               groundstation log replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
     """
     from groundstation.web.auth import web_options
     from groundstation.web.replay_backend import ReplayBackend

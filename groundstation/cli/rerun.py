@@ -1,4 +1,4 @@
-"""SHELL: `groundstation rerun`."""
+"""SHELL: `groundstation log rerun`."""
 
 import json
 import sys
@@ -26,8 +26,8 @@ def rerun(
     move nothing, the next step's poses are again those of the log: `sim-bridge sil --from` shows where it would have led.
     Exit code 1 if nothing was changed and something differs, or the log does not hold all that it takes.
 
-    Examples:  groundstation rerun runs/pool-20260101-120000
-               groundstation rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=60 --figures figures
+    Examples:  groundstation log rerun runs/pool-20260101-120000
+               groundstation log rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=60 --figures figures
     """
     from groundstation.replay.step_diff import draw
     from groundstation.replay.step_replay import rerun as do_again

@@ -96,7 +96,7 @@ def refuse_to_restart(target: Target, probe: Probe) -> None:
     if probe.agent:
         raise ConfigError(
             f"{target.host}: robot {target.robot} is {probe.agent}, and a restart would disarm it at once: "
-            "disarm it first (groundstation order disarm); or --no-restart, or --force"
+            "disarm it first (groundstation mission disarm); or --no-restart, or --force"
         )
 
 

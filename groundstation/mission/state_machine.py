@@ -195,6 +195,16 @@ def states_allowing(order: Order) -> frozenset[MissionState]:
     return frozenset().union(*(row.states for row in TRANSITIONS if row.cause is order))
 
 
+def order_name(order: Order) -> str:
+    """Name of a request in commands and on the page: CLEAR_STOP is clear-stop."""
+    return order.name.lower().replace("_", "-")
+
+
+def order_named(name: str) -> Order:
+    """Request with a name as `order_name` gives it. Raises KeyError."""
+    return Order[name.upper().replace("-", "_")]
+
+
 def rejection_reason(order: Order, state: MissionState) -> str:
     """Reason for which a request is not allowed in a state; empty if it is."""
     requests = [row.cause for row in TRANSITIONS if isinstance(row.cause, Order)]
@@ -204,6 +214,12 @@ def rejection_reason(order: Order, state: MissionState) -> str:
         return ""
     names = ", ".join(p.name for p in MissionState if p in states_allowing(order))
     return f"{order.name} is not possible when {state.name} (only when {names})"
+
+
+# requests without arguments; END is the station's own, and GO has places
+FLEET_REQUESTS = tuple(
+    order_name(order) for order in Order if order is Order.END or (order is not Order.GO and states_allowing(order))
+)
 
 
 def markdown() -> str:

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.auth import WebOptions, origin_allowed, token_allowed
 from groundstation.web.control_lease import ControlLease
@@ -249,7 +250,7 @@ class ClientHub:
         return f"this came {late_s:.0f} s late, and was not done" if late_s > ORDER_VALID_S else ""
 
     async def _order(self, watcher: Client, wish: protocol.OrderRequest) -> None:
-        order, number = Order[wish.order.upper().replace("-", "_")], 0
+        order, number = order_named(wish.order), 0
         if order is Order.STOP:
             reason, number = await self._at(self._stops, self._source.order, order)
         else:

@@ -13,13 +13,13 @@ from typing import Any, Protocol
 from groundstation.inboxes import FleetInboxes
 from groundstation.mission.gain_update import GainStatus
 from groundstation.mission.lap_statistics import Lap
-from groundstation.mission.state_machine import MissionState, states_allowing
+from groundstation.mission.state_machine import MissionState, order_name, states_allowing
 from groundstation.telemetry import Finding, Fleet, RobotView, blocking_findings, robot_view
 from groundstation.web import experiment_editor
 from groundstation.web.alarms import alarms
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_paths, scene
-from groundstation.web.snapshot import NEVER_MS, AgedMessage, FleetSnapshot, RobotSnapshot, order_name, snapshot
+from groundstation.web.snapshot import NEVER_MS, AgedMessage, FleetSnapshot, RobotSnapshot, snapshot
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode

@@ -4,6 +4,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
+from groundstation.mission.state_machine import FLEET_REQUESTS
+
 LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints is 12 kB
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=2**53)]
@@ -11,9 +13,7 @@ Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: the station says what is allowed
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-OrderName = Literal[
-    "load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop", "return", "rejoin", "test", "end"
-]
+OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(FLEET_REQUESTS)})\Z")]
 
 
 class Hello(msgspec.Struct, tag_field="kind", tag="hello", forbid_unknown_fields=True, frozen=True):

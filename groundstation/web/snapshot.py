@@ -13,11 +13,12 @@ import numpy as np
 
 from groundstation.mission.gain_update import GainStage, GainStatus
 from groundstation.mission.lap_statistics import Lap
+from groundstation.mission.state_machine import order_name
 from groundstation.telemetry import Finding
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from wire.frames import Array
-from wire.messages.messages import LocalizerStatus, Obstacles, Order, Outcome, Plan, Pose, RobotState
+from wire.messages.messages import LocalizerStatus, Obstacles, Outcome, Plan, Pose, RobotState
 
 NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
 
@@ -59,11 +60,6 @@ class FleetSnapshot:
     laps: Sequence[Lap] = ()
     requests: Sequence[Outcome] = ()
     ended: bool = False
-
-
-def order_name(order: Order) -> str:
-    """An order as the page and a terminal call it."""
-    return order.name.lower().replace("_", "-")
 
 
 def snapshot(news: FleetSnapshot) -> dict[str, Any]:

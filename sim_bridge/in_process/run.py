@@ -48,7 +48,7 @@ def run(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, conso
 
 def fly_and_report(fleet: AgentFleet, water: BareWater, run_dir: Path, *, stop: Stop, console: Console) -> int:
     """Fly a fleet that has started to its end, into a folder that has its experiment. Returns the exit code as `run`."""
-    recording = subprocess.Popen([*STATION, "record", str(run_dir)], stdin=subprocess.PIPE)
+    recording = subprocess.Popen([*STATION, "log", "record", str(run_dir)], stdin=subprocess.PIPE)
     assert recording.stdin is not None
     start_s = fleet.time_s
     begin_s, begin_cpu_s = time.perf_counter(), time.process_time()

@@ -307,7 +307,7 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
 def test_thrusters_are_tested_on_request_and_a_test_may_be_made_a_condition() -> None:
     pool = CrewedPool(load_experiment("pool", ["mission.thruster_test=true", "duration_s=20"]))
     pool.run(0.5)
-    assert "robot 1: thruster test: not done (groundstation order test)" in pool.wish(Order.START)
+    assert "robot 1: thruster test: not done (groundstation mission test)" in pool.wish(Order.START)
     assert pool.wish(Order.TEST) == ""
     pool.until(MissionState.TESTING, within_s=3.0)
     begin = len(pool.pulses)

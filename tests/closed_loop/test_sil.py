@@ -100,8 +100,8 @@ def test_its_result_is_within_the_figures_to_reach(lockstep_run: tuple[Path, int
 
 
 def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
-    """What `groundstation rerun --json` says of a run."""
-    command = [sys.executable, "-m", "groundstation", "rerun", str(folder), "--json", *arguments]
+    """What `groundstation log rerun --json` says of a run."""
+    command = [sys.executable, "-m", "groundstation", "log", "rerun", str(folder), "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout, done.stderr
     robots: list[dict[str, Any]] = json.loads(done.stdout)
@@ -278,7 +278,7 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
         while not list(out.glob("pool-*")):
             time.sleep(0.05)
         wait_for(run_dir(out) / "logs" / "groundstation.log", "mission: waiting for the fleet\n")
-        code, said = order("order", "start")
+        code, said = order("mission", "start")
         assert code == 0, said
         wait_for(run_dir(out) / "logs" / "groundstation.log", "mission: done")
         code, said = order("end")

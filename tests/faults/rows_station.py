@@ -100,7 +100,7 @@ def _log(rig: Rig) -> Path:
 
 
 def _read_back(log: Path, until_unix_ns: int) -> dict[str, float]:
-    """How much of a log is missing at its end, read by the usual reader after `groundstation recover`."""
+    """How much of a log is missing at its end, read by the usual reader after `groundstation log repair`."""
     copy = Path(shutil.copy(log, Path(tempfile.mkdtemp(prefix="shoal-log-"))))
     try:
         recover(copy)

@@ -511,7 +511,7 @@ def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
 
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
     with alone(browser, load_experiment("pool")) as desk:
-        untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation order test")
+        untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation mission test")
         desk.status = replace(desk.status, preflight=(untested,))
         desk.page.goto(desk.url)
         expect(desk.page.locator(".preflight")).to_contain_text("thruster test: not done")
@@ -636,9 +636,9 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: Flight) -> None
 
 @contextmanager
 def replayed(run: Path) -> Iterator[str]:
-    """`groundstation replay` at work; where its page is."""
+    """`groundstation log replay` at work; where its page is."""
     port = free_port()
-    command = [sys.executable, "-m", "groundstation", "replay", str(run), "--web", f"127.0.0.1:{port}"]
+    command = [sys.executable, "-m", "groundstation", "log", "replay", str(run), "--web", f"127.0.0.1:{port}"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

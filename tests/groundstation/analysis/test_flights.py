@@ -107,7 +107,7 @@ def test_the_report_has_a_table_of_flights(flown: tuple[Experiment, RunLog, Path
     assert [part["flown_s"] for part in json.loads((folder / "result.json").read_text())["flights"]] == pytest.approx(
         [4.0, 6.0]
     )
-    done = CliRunner().invoke(cli, ["report", str(folder), "--flight", "1"])
+    done = CliRunner().invoke(cli, ["log", "report", str(folder), "--flight", "1"])
     assert done.exit_code == 1 and "(failed)" in done.output
 
 

@@ -43,7 +43,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A run's folder, and what was made of it."""
     run, out = tmp_path_factory.mktemp("run"), tmp_path_factory.mktemp("out")
     write_run(run, Script(duration_s=6.0))
-    done = CliRunner().invoke(cli, ["export", str(run), "--out", str(out), "--foxglove"])
+    done = CliRunner().invoke(cli, ["log", "export", str(run), "--out", str(out), "--foxglove"])
     assert done.exit_code == 0, done.output
     return run, out
 
@@ -167,7 +167,7 @@ def test_every_panel_has_its_place() -> None:
 
 
 def test_the_layout_is_printed_for_any_experiment() -> None:
-    done = CliRunner().invoke(cli, ["foxglove-layout", "fleet-20", "--fleet", "lab"])
+    done = CliRunner().invoke(cli, ["foxglove", "layout", "fleet-20", "--fleet", "lab"])
     assert "lab/robot/20/state" in str(sorted(used_topics(json.loads(done.output))))
 
 

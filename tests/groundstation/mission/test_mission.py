@@ -1027,7 +1027,7 @@ def test_a_thruster_test_after_a_cleared_stop_does_not_begin_an_automatic_missio
 def test_nobody_is_armed_for_the_way_home_who_may_not_be_armed_at_all() -> None:
     run = Run(automatic=False, settings=["mission.thruster_test=true"])
     run.step(0.2)
-    untested = "thruster test: not done (groundstation order test)"
+    untested = "thruster test: not done (groundstation mission test)"
     refused = f"no robot is fit to move; robot 1: {untested}; robot 2: {untested}"
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == refused
     assert run.at(MissionState.WAITING)

@@ -53,7 +53,7 @@ def documented() -> dict[tuple[MissionState, str], MissionState]:
 
 
 def test_the_page_is_the_table() -> None:
-    assert markdown() in PAGE, "docs/missions.md is old: groundstation phases shows the table as it is"
+    assert markdown() in PAGE, "docs/missions.md is old: groundstation mission states shows the table as it is"
 
 
 def test_every_pair_of_state_and_cause_leads_where_the_page_says() -> None:
