@@ -66,7 +66,7 @@ class _Samples:
 
 @dataclass(frozen=True, eq=False)
 class _Recorded:
-    """What one robot left in the log."""
+    """Data of one robot from the log."""
 
     states: list[DecodedMessage[RobotState]]
     trajectory: Trajectory | None
@@ -186,7 +186,7 @@ def _chosen(flights: Sequence[Flight], wanted: int | None) -> int:
 
 
 def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
-    """When in a flight the station first said that the fleet is on its way home."""
+    """Time in a flight at which the station first reported the return of the fleet."""
     for beat in log.of(topics.HEARTBEAT, StationHeartbeat):
         if flight.begin_ns <= beat.stamp_ns <= flight.over_ns and beat.message.mission == HOMEWARD:
             return (beat.stamp_ns - start_ns) * 1e-9
@@ -194,7 +194,7 @@ def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
 
 
 def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float:
-    """How far along the trajectory the flight was to go. Trajectories are a controller's horizon longer than that."""
+    """Planned progress of the flight along the trajectory in s. Trajectories are a controller's horizon longer than that."""
     ahead_s = experiment.controller.mpc.horizon * experiment.controller.period_s
     flown = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
     ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in flown]
@@ -214,7 +214,7 @@ def _clock(states: Sequence[DecodedMessage[RobotState]], window: tuple[int, int]
 
 
 def _start_ns(clock_ns: Array, clock_s: Array) -> int:
-    """When the robot's trajectory began, by its first step under way."""
+    """Instant at which the robot's trajectory began, from its first step in flight."""
     return round(float(clock_ns[0]) - float(clock_s[0]) * 1e9)
 
 
@@ -243,7 +243,7 @@ def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _R
 
 
 def _is_path(trajectory: Trajectory) -> bool:
-    """Whether there is anything to be flown in it."""
+    """True if the trajectory can be flown: it has samples."""
     return len(trajectory.eta) > 1 and PERIODS_S[0] <= trajectory.period_s <= PERIODS_S[1]
 
 
@@ -287,7 +287,7 @@ def _last_stamp_ns(log: RunLog) -> int:
 
 
 def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
-    """When the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
+    """Time at which the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
     ends = []
     for r in flown:
         there = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
@@ -321,7 +321,7 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
 
 
 def _reference(r: _Recorded, stamps: Array) -> Array:
-    """Where the robot should be at each stamp, (n, 4)."""
+    """Reference pose of the robot at each stamp, (n, 4)."""
     if r.trajectory is None:
         return np.full((len(stamps), 4), np.nan)
     time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
@@ -341,7 +341,8 @@ def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) ->
 
 
 def _hops_ms(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Array:
-    """How the time from the exposure to the PWM was spent, by HOPS; NaN where the pose was an old one, or nothing is known."""
+    """Shares in ms of the time from the exposure to the PWM, by HOPS; NaN where the pose was an old one, or nothing is
+    known."""
     unknown = np.full(len(HOPS), np.nan)
     if inputs is None or inputs.pose is None or state.message.exposure_to_pwm_ms <= 0.0:
         return unknown

@@ -81,7 +81,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
 
 
 def _in_flight(happening: TimelineEvent, series: Series) -> bool:
-    """Whether something happened in the flight that is judged. What ended a flight early comes after its last step under way;
+    """True if an event belongs to the evaluated flight. What ended a flight early comes after its last step under way;
     what comes after a flight that went to its end is none of its faults."""
     if not series.started:
         return True
@@ -252,7 +252,7 @@ def _real_time_factor(series: Series, log: RunLog) -> float | None:
 
 
 def _notes(series: Series, log: RunLog) -> Iterator[str]:
-    """What a reader must know before the figures. What is wrong with the log comes first."""
+    """Notes to read before the figures; trouble with the log comes first."""
     if log.trouble:
         yield log.trouble
     yield from _of_the_flight(series)

@@ -1,4 +1,4 @@
-"""What result.json holds: errors against the truth, timing, wear, faults, and what passed. Pure; metrics.py fills it.
+"""Content of result.json: errors against the truth, timing, wear, faults, and what passed. Pure; metrics.py fills it.
 
 Lengths in m, angles in rad. Lists of three are x, y, z of the pool, or surge, heave, yaw of a wrench. None (null in JSON) is
 a figure that this run cannot give.

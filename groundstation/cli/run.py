@@ -121,7 +121,7 @@ def _token(file: Path) -> str:
 
 
 def _intent(experiment: Experiment, folder: Path) -> str:
-    """What a run of it would be. Raises ConfigError for what cannot be flown."""
+    """Summary of the run that would be flown. Raises ConfigError for one that cannot."""
     from groundstation.logs.recorder import check_room
     from groundstation.planning import planner
 

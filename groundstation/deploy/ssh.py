@@ -34,7 +34,7 @@ Files = list[tuple[str, bytes]]
 
 @dataclass(frozen=True)
 class DeployRequest:
-    """What is to be on every board."""
+    """Content and options of a deployment, the same for every board."""
 
     experiment: Experiment
     station: str
@@ -53,7 +53,7 @@ class DeployRequest:
 
 @dataclass(frozen=True)
 class TargetResult:
-    """What became of one board."""
+    """Result for one board."""
 
     target: Target
     changed: tuple[str, ...] = ()
@@ -63,7 +63,7 @@ class TargetResult:
 
 
 def check(targets: Sequence[Target], wanted: DeployRequest) -> None:
-    """What can be said before any board is asked. Raises ConfigError."""
+    """Check all that can be checked without a board. Raises ConfigError."""
     parse_address(wanted.station)
     if wanted.ring is None:
         refuse_open(wanted.station, wanted.insecure)
@@ -141,7 +141,7 @@ def _found(wheels: Path) -> list[Path]:
 
 
 def _init(target: Target, wanted: DeployRequest) -> list[str]:
-    """What `robot-agent init` is given on the board."""
+    """Arguments of `robot-agent init` on the board."""
     arguments = ["--force", "--robot", str(target.robot), "--station", wanted.station, "--fleet", wanted.fleet]
     arguments += ["--link", wanted.link, "--experiment", "experiment.toml"]
     arguments += ["--link-key", wanted.link_key] if wanted.link_key is not None else []

@@ -1,4 +1,4 @@
-"""What robots say and see, as foxglove.* messages that 3-D viewers draw: hulls with headings, plans, paths, obstacles, pool.
+"""Robots and obstacles as foxglove.* messages that 3-D viewers draw: hulls with headings, plans, paths, obstacles, pool.
 Pure.
 
     picture = Picture(experiment)

@@ -102,7 +102,7 @@ class TableColumn:
 
 @dataclass
 class Exported:
-    """What was written."""
+    """Files written, and trouble found."""
 
     files: list[tuple[Path, int]] = field(default_factory=list)  # with their rows
     trouble: str = ""  # what is wrong with the log as a whole
@@ -179,7 +179,7 @@ def columns(cls: type, prefix: str = "") -> list[TableColumn]:
 
 
 def rows(message: Any) -> int:
-    """How many rows a message has; one that is an empty list has one, which says so."""
+    """Number of rows of a message; an empty list has one row, which says so."""
     if type(message) not in LISTS:
         return 1
     lists = [getattr(message, f.name) for f in dataclasses.fields(message)]

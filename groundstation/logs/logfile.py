@@ -1,4 +1,4 @@
-"""SHELL: a recorded log as it was heard: message by message, bytes unchanged, also one that was cut off."""
+"""SHELL: a recorded log, message by message with bytes unchanged; also one that was cut off."""
 
 import re
 import shutil
@@ -26,7 +26,7 @@ _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
 
 @dataclass(frozen=True)
 class LogMessage:
-    """One message of the log. The age that its sender stated is not in it."""
+    """One message of the log. The age that its sender stated is not recorded."""
 
     topic: Topic
     robot: int  # 0: the topic has no robots
@@ -37,7 +37,7 @@ class LogMessage:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a chunk lies in the file, and what it says of itself."""
+    """Position of a chunk in the file, with the times and channels that it states."""
 
     start_ns: int
     end_ns: int

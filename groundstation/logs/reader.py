@@ -48,7 +48,7 @@ class DecodedMessage(Generic[M]):
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """A run as it was recorded."""
+    """A recorded run."""
 
     entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = field(
         default_factory=dict
@@ -65,7 +65,7 @@ class RunLog:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with the log as a whole: a report of it begins with this. Empty if it holds the whole run."""
+        """Trouble with the log as a whole, the first line of its report. Empty if it holds the whole run."""
         if not self.found:
             return "No log: there is no run.mcap in this folder."
         if not self.messages:
@@ -114,7 +114,7 @@ def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
 
 @dataclass(eq=False)
 class _Reading:
-    """What has been read of a log."""
+    """Content of a log as read so far."""
 
     wanted: Collection[Topic]
     entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = field(default_factory=dict)

@@ -20,7 +20,7 @@ SEEN_AND_SAID = (
 
 
 def chosen(log: LogFile, begin_s: float, end_s: float) -> Iterator[LogMessage]:
-    """What goes out of a time of the run, in seconds from the log's beginning."""
+    """Messages to send of a part of the run, in seconds from the log's beginning."""
     end_ns = log.start_ns + end_s * 1e9
     for line in log.messages(lambda topic, _: topic in SEEN_AND_SAID, log.start_ns + round(begin_s * 1e9)):
         if line.arrived_ns > end_ns:

@@ -1,4 +1,4 @@
-"""SHELL: what a robot had been through up to a moment of a run, for whoever goes on from there (`sim-bridge sil --from`)."""
+"""SHELL: export of a robot's inputs up to an instant of a run, for `sim-bridge sil --from`, which goes on from there."""
 
 from pathlib import Path
 from typing import IO
@@ -39,7 +39,7 @@ def _write(stream: IO[bytes], line: LogMessage) -> None:
 
 
 def _moment(log: LogFile, robot: int, at_s: float) -> int:
-    """When the recorder heard that the robot had come so far."""
+    """Instant at which the recorder heard of the robot's progress."""
     reached_s = 0.0
     for line in log.messages(lambda topic, of: topic is topics.STATE and of == robot):
         reached_s = decode(RobotState, line.payload, "log", line.topic.name).trajectory_s

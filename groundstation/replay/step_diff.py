@@ -1,4 +1,5 @@
-"""What a robot did beside what it would have done: step by step, field by field. Pure; step_replay.py does the steps."""
+"""Comparison of a robot's recorded steps with the same steps done again, field by field. Pure; step_replay.py does the
+steps."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -80,7 +81,7 @@ class StepOutputs:
 
 
 def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment: bool) -> StepComparison:
-    """What was, and what would have been. Only in the same experiment its name must be the same."""
+    """Compare recorded with repeated outputs. Only in the same experiment its name must be the same."""
     stamps = sorted(before.states.keys() & after.states.keys())
     was = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
     would = [decode(RobotState, after.states[stamp], "rerun", "state") for stamp in stamps]
@@ -109,7 +110,7 @@ def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment
 
 
 def draw(again: StepComparison) -> Figure | None:
-    """What the robot did and what it would have done, over time."""
+    """Draw recorded and repeated outputs over time."""
 
     def lines(name: str, column: int) -> list[Curve]:
         old, new = again.before[name][:, column], again.after[name][:, column]
@@ -130,7 +131,7 @@ def draw(again: StepComparison) -> Figure | None:
 
 
 def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
-    """When the trajectory began; if it never did, the first step."""
+    """Instant at which the trajectory began; if it never did, of the first step."""
     flown = (ns - round(s.trajectory_s * 1e9) for ns, s in zip(stamps, states, strict=True) if s.trajectory_s > 0.0)
     return next(flown, min(stamps, default=0))
 

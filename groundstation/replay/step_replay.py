@@ -1,4 +1,4 @@
-"""SHELL: what a robot's program would have done: the log's inputs through `robot-agent rerun`, beside what it did.
+"""SHELL: replay of control steps: the log's inputs through `robot-agent rerun`, compared with the recorded outputs.
 
 The robot's own program does the steps, in a process of its own, so what runs here is what ran on the robot. It is handed what
 each step names just before the step (robot_agent/rerun.py).

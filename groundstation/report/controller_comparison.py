@@ -92,7 +92,7 @@ def cells(comparison: Comparison) -> list[tuple[str, list[str]]]:
 
 
 def failures(comparison: Comparison) -> list[str]:
-    """What a reader must know before the figures: flights that were not flown under way, and robots that came too close."""
+    """Failures to read before the figures: flights that were not flown under way, and robots that came too close."""
     return [
         f"{variant.name}, seed {flight.seed}: under way in {100.0 * flight.figures.under_way:.1f} % of the control steps only"
         for variant in comparison.variants

@@ -50,7 +50,7 @@ def yaw(series: Series) -> Figure | None:
 
 
 def pose_error(series: Series) -> Figure | None:
-    """How far off the localizer was, in the plane and in heading."""
+    """Error of the localizer in the plane and in heading."""
     place, heading = [], []
     for i, (robot, r) in enumerate(series.robots.items()):
         inside = (r.pose_time_s >= 0.0) & (r.pose_time_s <= series.end_s)

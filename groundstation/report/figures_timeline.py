@@ -49,7 +49,7 @@ def timeline(series: Series) -> Figure | None:
 
 
 def limits(series: Series) -> Figure | None:
-    """When which limit held an input back, and plans that entered another robot's space."""
+    """Times at which a limit held an input back, and plans that entered another robot's space."""
     rows: list[tuple[str, RobotSeries, Mask, int]] = []
     for index, (robot, r) in enumerate(series.robots.items()):
         flown = r.states.tracking & (r.states.time_s <= series.end_s)
@@ -74,14 +74,14 @@ def slack(series: Series) -> Figure | None:
 
 
 def links(series: Series) -> Figure | None:
-    """How much of what the boards said was lost."""
+    """Share of the boards' messages that was lost."""
     each = enumerate(series.robots.items())
     lines = [_shown(series, r, f"robot {robot}", 100.0 * r.states.board_loss, i) for i, (robot, r) in each]
     return stack([Panel("lost within 5 s [%]", lines, least=1.0)])
 
 
 def latency_budget(series: Series) -> Figure | None:
-    """Where the time from the exposure to the PWM goes: medians of all robots, second by second."""
+    """Shares of the time from the exposure to the PWM: medians of all robots, second by second."""
     times = np.concatenate([r.states.time_s for r in series.robots.values()])
     hops = np.concatenate([r.states.hops_ms for r in series.robots.values()])
     known = np.isfinite(hops).all(axis=1) & (times >= 0.0) & (times <= series.end_s)

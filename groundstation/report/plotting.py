@@ -1,4 +1,4 @@
-"""How the report's figures look, and the few plots they consist of. Pure: figures in, SVG text out.
+"""Style of the report's figures, and the few plots that they consist of. Pure: figures in, SVG text out.
 
 What a line means never hangs on its colour
 alone (references are dashed, truth is dotted, limits are grey).

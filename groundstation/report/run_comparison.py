@@ -45,7 +45,7 @@ class MetricRow:
 
 
 def metric_rows(runs: Sequence[Run]) -> list[MetricRow]:
-    """What one compares runs by. Of errors the worst robot or pair and its worst axis counts."""
+    """Figures by which runs are compared. Of errors the worst robot or pair and its worst axis counts."""
     rows: list[tuple[str, str, Callable[[Result], float | None]]] = [
         ("tracking, RMS after 20 s", "m", lambda r: _worst(r.robots.values(), "rms_after_20s_m")),
         ("tracking, RMS of the whole run", "m", lambda r: _worst(r.robots.values(), "rms_m")),
@@ -111,7 +111,7 @@ def drawn(runs: Sequence[Run]) -> list[tuple[str, str, Figure | None]]:
 
 
 def _shared(known: Sequence[set[Any]]) -> list[Any]:
-    """What at least two of them have."""
+    """Names that at least two of them have."""
     every = sorted(set().union(*known))
     return [entry for entry in every if sum(entry in one for one in known) > 1]
 

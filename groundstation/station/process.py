@@ -1,7 +1,7 @@
-"""SHELL: the ground station's process: log, page and viewers around the station, and when its next cycle is due.
+"""SHELL: the ground station's process: log, page and viewers around the station, and the time of its next cycle.
 
-By the wall clock a cycle a control period, at once when somebody has given an order that cannot wait; in lockstep one a tick,
-when all that counts at it has come.
+By the wall clock a cycle a control period, at once after a request that cannot wait; in lockstep one a tick,
+when all messages of that tick have come.
 """
 
 import contextlib
@@ -68,7 +68,7 @@ def run(
     check_room(run_dir, experiment.recording.min_free_gb)
     with files_named(run_dir):
         run_dir.mkdir(parents=True, exist_ok=True)  # the router listens, the plan stands: a start that fails leaves no folder
-        _lay_down(run_dir / "experiment.toml", experiment, experiment_toml)
+        _write_experiment(run_dir / "experiment.toml", experiment, experiment_toml)
         recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
     recorder.whole_until_ns = -1 if lockstep else None
     try:
@@ -81,14 +81,16 @@ def run(
                 experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure
             )
             station.seen = station.fleet()
-            bus.serve(WHOLE_FLEET, station.wish)
+            bus.serve(WHOLE_FLEET, station.on_operator_command)
             log_to_bus(bus, clock, "groundstation")
             if insecure:
                 log.warning(INSECURE)  # once more: now the recorder has it
             station.publish_paths(clock.now_ns())
             bus.watch_presence()
             if web is not None:
-                post = StationApi(station.status, station.ask, station.tune, run_dir.resolve(), lambda: station.paths)
+                post = StationApi(
+                    station.status, station.request, station.request_gains, run_dir.resolve(), lambda: station.paths
+                )
                 served.enter_context(WebServer(LiveBackend(experiment, trajectories, bus, heard, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
             if viewer is not None:
@@ -107,9 +109,9 @@ def run(
         recorder.close()
 
 
-def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
-    """Put what is flown into the run's folder. A file that is there, as a launcher has put it there, stays as it is; raises
-    ConfigError if it is another experiment, perhaps the very file that was named."""
+def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
+    """Write the experiment into the run's folder. A file that a launcher has put there stays; raises ConfigError if it holds
+    another experiment."""
     if not file.exists():
         replace_text(file, text)
     elif load_experiment(str(file)).hash != loaded.hash:
@@ -117,15 +119,15 @@ def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
 
 
 class _End:
-    """When the run is over: an automatic mission by itself, any other when a person says so; then pages and terminals are told
-    for FAREWELL_S."""
+    """End of the run: of an automatic mission by itself, of any other at a request. Then pages and terminals are told for
+    FAREWELL_S."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
         self._since_s = 0.0
 
     def reached(self) -> bool:
-        """Whether to leave the loop."""
+        """True if the loop is to be left."""
         station, now_s = self._station, time.monotonic()
         if station.ended and not self._since_s:
             self._since_s = now_s
@@ -138,14 +140,14 @@ def _wall_loop(station: Station, stop: Stop) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
     due_ns, end = time.monotonic_ns(), _End(station)
     while not stop.requested:
-        station.hurry.clear()
+        station.wake.clear()
         station.cycle(station.clock.now_ns(), lockstep=False)
         if end.reached():
             return
         now_ns = time.monotonic_ns()
         if now_ns >= due_ns:
             due_ns = max(due_ns + period_ns, now_ns)
-        station.hurry.wait((due_ns - now_ns) * 1e-9)
+        station.wake.wait((due_ns - now_ns) * 1e-9)
 
 
 def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:

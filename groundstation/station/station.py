@@ -48,7 +48,7 @@ FIGURE = re.compile(r"\d[\d.]*(?:%| (?:s|V|m|ms)\b)")  # a reason in which only 
 
 @dataclass(frozen=True)
 class Workers:
-    """Threads for what the cycle must not wait for. Orders that make robots safe have threads of their own, and so has
+    """Threads for work that the cycle must not wait for. Commands that make robots safe have threads of their own, and so has
     planning: neither ever waits for a robot that does not answer."""
 
     prompt: ThreadPoolExecutor  # PROMPT
@@ -56,7 +56,7 @@ class Workers:
     plans: ThreadPoolExecutor
 
     def of(self, order: Order) -> ThreadPoolExecutor:
-        """Who carries an order out."""
+        """Threads that send a command."""
         return self.prompt if order in PROMPT else self.orders
 
 
@@ -74,8 +74,8 @@ def workers(robots: int) -> Iterator[Workers]:
 
 @dataclass
 class Station:
-    """The station's cycle and what it holds. Whoever is not the cycle's thread holds `turn`, or reads what is replaced and
-    never changed: `seen`, `paths`, `requests.recent`."""
+    """The station's cycle and its state. Other threads hold `lock`, or read only what is replaced and never changed: `seen`,
+    `paths`, `requests.recent`."""
 
     experiment: Experiment
     bus: Bus
@@ -99,8 +99,8 @@ class Station:
     insecure: bool = False
     recorder_told: bool = False
     pictures_told: bool = False
-    turn: threading.Lock = field(default_factory=threading.Lock)  # a person's wish comes from a network thread
-    hurry: threading.Event = field(default_factory=threading.Event)  # a wish that is not to wait for the next cycle
+    lock: threading.Lock = field(default_factory=threading.Lock)  # requests come from network threads
+    wake: threading.Event = field(default_factory=threading.Event)  # set by a request that cannot wait for the next cycle
 
     def __post_init__(self) -> None:
         self.requests = RequestTracker(self.experiment.robot_ids)
@@ -108,8 +108,8 @@ class Station:
         self._status = Status(self.mission.state, self.mission.reason)
 
     def cycle(self, now_ns: int, lockstep: bool) -> None:
-        """Read the fleet, run the mission, send its orders, beat."""
-        with self.turn:
+        """Read the fleet, step the mission, send its commands, publish the heartbeat."""
+        with self.lock:
             self.seen, answers = self.fleet(), self._answers()
             for_tuner = [answer for answer in answers if answer.command.order in TUNING]
             for_mission = [answer for answer in answers if answer not in for_tuner]
@@ -125,7 +125,7 @@ class Station:
             self.bus.publish(topics.TUNING, gains, now_ns)
         timeout_s = LOCKSTEP_ORDER_TIMEOUT_S if lockstep else ORDER_TIMEOUT_S
         for command in commands:
-            if self._on_their_way(command) < MAX_UNANSWERED:
+            if self._unanswered(command) < MAX_UNANSWERED:
                 # Sent from here, in the mission's order; only the waiting is for other threads.
                 reply = self.bus.send_order(command, now_ns, timeout_s)
                 self.pending.append((command, self.workers.of(command.order).submit(reply)))
@@ -141,12 +141,12 @@ class Station:
         self._beat_s = time.monotonic()
         self._tell()
 
-    def _on_their_way(self, command: Command) -> int:
-        """How many orders of this kind its robot has not answered yet. More would only wait for one another."""
+    def _unanswered(self, command: Command) -> int:
+        """Number of commands of this kind that the robot has not answered. More would only wait for one another."""
         return sum(c.robot == command.robot and c.order is command.order for c, _ in self.pending)
 
     def _follow(self, answers: Sequence[CommandResult]) -> None:
-        """Take account of what became of people's requests; end the run if one of them says so."""
+        """Update the progress of requests; end the run if one of them asks for it and is done."""
         ending = self.requests.ending
         self.requests.follow(self.mission, self.seen, self.tuner.status(), answers)
         ends = [outcome.progress for outcome in self.requests.recent if outcome.order is Order.END]
@@ -155,7 +155,7 @@ class Station:
             log.info("the run is ended")
 
     def fleet(self) -> Fleet:
-        """What is known of the robots now."""
+        """View of every robot now."""
         found = {}
         for robot in self.experiment.robot_ids:
             state, ear = self.heard.states[robot].newest(), self.links.setdefault(robot, LinkMonitor())
@@ -166,15 +166,15 @@ class Station:
         return found
 
     def _around(self) -> ObstacleSet:
-        """What the localizer sees lying in the pool; what drifts is left to the robots, who see it too."""
+        """Obstacles that the localizer sees at rest; drifting ones are left to the robots, which see them too."""
         received = self.heard.obstacles.newest(self.obstacles_up_to_ns)
         if received is None:
             return ObstacleSet()
         return obstacle_set(received.message, age_s(self.clock, received), self.experiment.safety)
 
     def _plan(self, lockstep: bool, now_ns: int) -> None:
-        """Have made what the mission waits for: beside the cycle, which must beat on; in lockstep at once. What it no longer
-        waits for when it is done counts for nothing."""
+        """Compute the plan that the mission waits for: in another thread, because the heartbeat must go on; in lockstep at
+        once. The outcome is dropped if the mission no longer waits for it."""
         wanted = self.mission.plan_request
         if self.planning is None and wanted is not None:
             self.planning = wanted, self.workers.plans.submit(_planned, wanted.plan)
@@ -184,7 +184,7 @@ class Station:
                 self.mission.planned(outcome.result(), self.seen, now_ns)
 
     def publish_paths(self, now_ns: int) -> None:
-        """Tell who shows or records it what is flown from now on: each robot's whole run, with what was flown before."""
+        """Publish the trajectories flown from now on, for page and log: each robot's whole run from its beginning."""
         segment = self.mission.segment
         if segment is self.published:
             return
@@ -198,42 +198,44 @@ class Station:
         self.pending = [entry for entry in self.pending if not entry[1].done()]
         return [CommandResult(command, future.result()) for command, future in done]
 
-    def wish(self, header: Header, command: Command) -> Reply:
-        """A person's request for the whole fleet, from a terminal, or a question what became of one. Gains without any are
-        those before the last change."""
+    def on_operator_command(self, header: Header, command: Command) -> Reply:
+        """Serve a terminal: a request for the whole fleet, or a query of its outcome. A TUNE without gains goes back to the
+        gains before the last change."""
         if command.about:
             outcome = self.requests.outcome(command.about)
             reason = "" if outcome is not None else f"request {command.about} is not known here (any more)"
             return Reply(WHOLE_FLEET, outcome is not None, reason, outcome=outcome)
         if command.tuning is not None:
             keys = dict(zip(command.tuning.keys, command.tuning.values.tolist(), strict=False))
-            reason, number = self.tune(keys or None, next_lap=False)
+            reason, number = self.request_gains(keys or None, next_lap=False)
         else:
-            reason, number = self.ask(command.order, [(x, y) for x, y in command.via.tolist()])
+            reason, number = self.request(command.order, [(x, y) for x, y in command.via.tolist()])
         outcome = self.requests.outcome(number) if not reason else None
         return Reply(WHOLE_FLEET, not reason, reason, outcome=outcome)
 
-    def ask(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
-        """A person's request for the whole fleet. Returns why not, or nothing, and the request's number."""
-        with self.turn:
-            reason = self._end() if order is Order.END else self._wish(order, via)
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
+        """Take an operator's request for the whole fleet. Returns the reason of a refusal, or nothing, and the request's
+        number."""
+        with self.lock:
+            reason = self._end() if order is Order.END else self._request_mission(order, via)
             number = 0 if reason else self.requests.begin(order, self.mission)
         if order in PROMPT and not reason:
-            self.hurry.set()
+            self.wake.set()
         log.info("%s asked for: %s", order.name, reason or "under way")
         return reason, number
 
-    def _wish(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
+    def _request_mission(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
         return self.mission.request(order, self.seen, self.clock.now_ns(), via)
 
     def _end(self) -> str:
-        """Have everybody disarmed who may not be. Returns why not, or nothing."""
+        """Disarm all robots that may be armed. Returns the reason of a refusal, or nothing."""
         moves = self.mission.state not in AT_REST or any(seen.heard and seen.mode in LIVE for seen in self.seen.values())
-        return self._wish(Order.DISARM) if moves and self.mission.state is not MissionState.STOPPED else ""
+        return self._request_mission(Order.DISARM) if moves and self.mission.state is not MissionState.STOPPED else ""
 
-    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
-        """Other gains for the whole fleet; None: those before. Returns why not, or nothing, and the request's number."""
-        with self.turn:
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+        """Change the fleet's gains; None: go back to those before. Returns the reason of a refusal, or nothing, and the
+        number."""
+        with self.lock:
             fleet, now_ns = self.fleet(), self.clock.now_ns()
             if values is None:
                 reason, what = self.tuner.undo(fleet, now_ns), "the gains before"
@@ -245,13 +247,13 @@ class Station:
         return reason, number
 
     def status(self) -> Status:
-        """Where mission and gains stand, for another thread. While the cycle is at work for longer than that thread should
-        wait, where they stood when last asked."""
-        if self.turn.acquire(timeout=STATUS_WITHIN_S):
+        """Status of mission and gains, for another thread. If the cycle holds the lock for longer than STATUS_WITHIN_S, the
+        status of the last call."""
+        if self.lock.acquire(timeout=STATUS_WITHIN_S):
             try:
                 self._status = self._stand()
             finally:
-                self.turn.release()
+                self.lock.release()
         return replace(self._status, beat_age_s=time.monotonic() - self._beat_s)
 
     def _stand(self) -> Status:

@@ -1,4 +1,4 @@
-"""SHELL: everyone who watches, and what they watch. Lives in the page's event loop (server.py).
+"""SHELL: hub of all open pages and the backend that they watch. Lives in the page's event loop (server.py).
 
 Frames to a page: u32 number, f32 round trip of the last one in ms, then a MessagePack map. From the page: small JSON texts
 (protocol.py). Nobody ever waits for a page: see send_window.py.
@@ -61,7 +61,7 @@ class Client:
 
 
 class ClientHub:
-    """All watchers, and what they watch. Lives in the event loop's thread."""
+    """All open pages, and the backend. Lives in the event loop's thread."""
 
     def __init__(self, source: Backend, options: WebOptions) -> None:
         self._source, self._options = source, options
@@ -245,7 +245,7 @@ class ClientHub:
         return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
 
     def _void(self, seen_ms: int) -> str:
-        """Why an order counts no longer, for what the page had seen; empty if it does."""
+        """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
         late_s = time.monotonic() - seen_ms * 1e-3
         return f"this came {late_s:.0f} s late, and was not done" if late_s > ORDER_VALID_S else ""
 

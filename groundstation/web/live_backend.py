@@ -33,7 +33,7 @@ STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
 class Backend(Protocol):
-    """Where the page's server gets everything from: the live fleet, or a recorded run. Used from one thread, but for `order`,
+    """Data source of the page's server: the live fleet, or a recorded run. Used from one thread, but for `order`,
     `tune`, `attempt` and `save`, which may take their time in others."""
 
     def scene(self) -> dict[str, Any]: ...
@@ -51,7 +51,7 @@ class Backend(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """What the station says of itself."""
+    """Status of the station, as of its last cycle."""
 
     state: MissionState
     reason: str
@@ -72,8 +72,8 @@ def _nobody_tunes(values: Mapping[str, float] | None, next_lap: bool) -> tuple[s
 
 @dataclass(frozen=True, eq=False)
 class StationApi:
-    """What the desk needs of the station. Requests are answered with why not, or nothing, and their number. `paths` are what
-    is flown now and until when [s]; None: what was planned before the run."""
+    """Functions of the station that the page needs. Requests return the reason of a refusal, or nothing, and their number.
+    `paths`: trajectories flown now and their end in s; None: as planned before the run."""
 
     status: Callable[[], Status]
     order: Callable[[Order], tuple[str, int]]
@@ -83,7 +83,7 @@ class StationApi:
 
 
 class LiveBackend:
-    """The live fleet."""
+    """Backend of the live fleet."""
 
     def __init__(
         self,
@@ -109,13 +109,13 @@ class LiveBackend:
         self._events.append((header, payload))
 
     def scene(self) -> dict[str, Any]:
-        """What does not change while the station runs, and the paths that are flown now."""
+        """Constants of the run, and the paths that are flown now."""
         run = str(self._station.run) if self._station.run is not None else ""
         found = scene(self._experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
         return found if self._drawn is None else found | {"paths": flown_paths(*self._drawn)}
 
     def paths(self) -> list[dict[str, Any]] | None:
-        """What is flown from now on, once when it changes."""
+        """Paths flown from now on; returned once after each change."""
         flown = self._station.paths()
         if flown is None or flown is self._drawn:
             return None
@@ -123,7 +123,7 @@ class LiveBackend:
         return flown_paths(*flown)
 
     def changed(self) -> bool:
-        """Whether any robot has said something since the last call."""
+        """True if a robot's state has arrived since the last call."""
         seen = [inbox.newest_header() for inbox in self._heard.states.values()]
         changed, self._seen = seen != self._seen, seen
         return changed
@@ -180,7 +180,7 @@ class LiveBackend:
         return None if found is None else {"age_ms": _age(found).age_ms, "jpeg": found.message.jpeg}
 
     def notes(self) -> list[dict[str, Any]]:
-        """What happened since the last call, in order: lines of the log, answers of robots."""
+        """Events since the last call, in order: lines of the log."""
         found = []
         while self._events:
             header, payload = self._events.popleft()
@@ -200,7 +200,7 @@ class LiveBackend:
         return found
 
     def order(self, order: Order) -> tuple[str, int]:
-        """Why not, or nothing when it is under way; and the request's number."""
+        """Make a request. Returns the reason of a refusal, or nothing, and the request's number."""
         return self._station.order(order)
 
     def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
@@ -208,7 +208,7 @@ class LiveBackend:
         return self._station.tune(values, next_lap)
 
     def attempt(self, edit: Edit) -> dict[str, Any]:
-        """What would come of an edit."""
+        """Plan an edit without flying it."""
         return experiment_editor.attempt(self._experiment, edit)
 
     def save(self, edit: Edit, name: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the page may say to the station: small JSON texts, checked field by field. Pure. What does not fit is refused."""
+"""Messages from the page to the station: small JSON texts, checked field by field, refused if they do not fit. Pure."""
 
 from typing import Annotated, Literal
 

@@ -61,7 +61,7 @@ class LogPlayer:
                 yield line.robot, line.arrived_ns - self.start_ns, found
 
     def _segments(self) -> dict[int, list[tuple[int, Trajectory]]]:
-        """What each robot was to fly, and since when: whole runs, each with what was flown before."""
+        """Trajectories of each robot with the instant of each change; each holds the whole run from its beginning."""
         found: dict[int, list[tuple[int, Trajectory]]] = {}
         for robot, at_ns, trajectory in self._each(topics.TRAJECTORY, Trajectory):
             found.setdefault(robot, []).append((at_ns, trajectory))
@@ -78,7 +78,7 @@ class LogPlayer:
         return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf
 
     def _first_flown_ns(self) -> int:
-        """When the first robot set off along its trajectory; if it never did, when it first said anything."""
+        """Instant at which the first robot began its trajectory; if none did, of its first state."""
         said_ns = None
         for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
             said_ns = at_ns if said_ns is None else said_ns
@@ -121,12 +121,12 @@ class LogPlayer:
                     found.append((arrived, message))
         return found
 
-    def ear(self, robot: int, at_ns: int) -> LinkMonitor:
-        """What the station knew of a robot's link and clock at a time. The age that a sender stated is not in the log; of a
+    def link(self, robot: int, at_ns: int) -> LinkMonitor:
+        """Link and clock of a robot as the station knew them at a time. The age that a sender stated is not in the log; of a
         state it is about the time that its control step took."""
-        ear, newest = LinkMonitor(), self.newest(topics.STATE, RobotState, at_ns, robot)
+        link, newest = LinkMonitor(), self.newest(topics.STATE, RobotState, at_ns, robot)
         if newest is None:
-            return ear
+            return link
         heard: list[tuple[Header, int]] = []
         for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LINK_BLOCKS, -1), -1):
             arrivals, _, headers = self._block(index).get((topics.STATE.name, robot), ([], [], []))
@@ -135,8 +135,8 @@ class LogPlayer:
         for header, arrived in heard[-LINK_WINDOW:]:
             arrived_ns = arrived + self.start_ns  # in lockstep the stamp itself
             held_ns = round(newest[1].step_us * 1e3) if arrived_ns != header.stamp_ns else 0
-            ear.add((header,), header, arrived_ns - held_ns)
-        return ear
+            link.add((header,), header, arrived_ns - held_ns)
+        return link
 
     def close(self) -> None:
         """Give the file back."""
@@ -155,9 +155,9 @@ class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None) -> None:
-        self._tape = LogPlayer(run)
+        self._log = LogPlayer(run)
         self._against = LogPlayer(against) if against is not None else None
-        self._at_ns, self._rate, self._since_s = self._tape.flown_ns, 0.0, time.monotonic()
+        self._at_ns, self._rate, self._since_s = self._log.flown_ns, 0.0, time.monotonic()
         self._changed = True
         self._shown_s = 0.0
         self._noted_ns = self._at_ns
@@ -168,39 +168,39 @@ class ReplayBackend:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._tape.close()
+        self._log.close()
         if self._against is not None:
             self._against.close()
 
     @property
     def experiment(self) -> Experiment:
-        """What was flown."""
-        return self._tape.experiment
+        """The recorded experiment."""
+        return self._log.experiment
 
     def _now_ns(self) -> int:
         played = round((time.monotonic() - self._since_s) * self._rate * 1e9)
-        return min(self._at_ns + played, self._tape.end_ns)
+        return min(self._at_ns + played, self._log.end_ns)
 
     def scene(self) -> dict[str, Any]:
         """The recorded scene, and how long it is."""
-        return scene(self.experiment, self._tape.trajectories, "replay") | {"replay": {"end_s": self._tape.end_ns * 1e-9}}
+        return scene(self.experiment, self._log.trajectories, "replay") | {"replay": {"end_s": self._log.end_ns * 1e-9}}
 
     def changed(self) -> bool:
-        """Whether there is another state to show."""
+        """True if there is another state to show."""
         playing = self._rate > 0.0 and time.monotonic() - self._shown_s >= FRAME_S
         changed, self._changed = self._changed or playing, False
         return changed
 
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Go to a time of the run, or on at another pace."""
-        at_ns = self._now_ns() if time_s is None else min(round(time_s * 1e9), self._tape.end_ns)
+        at_ns = self._now_ns() if time_s is None else min(round(time_s * 1e9), self._log.end_ns)
         if time_s is not None:
             self._noted_ns = at_ns
         self._at_ns, self._since_s, self._changed = at_ns, time.monotonic(), True
         self._rate = self._rate if rate is None else rate
 
     def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> AgedMessage:
-        found = self._tape.newest(topic, kind, at_ns, robot)
+        found = self._log.newest(topic, kind, at_ns, robot)
         return AgedMessage() if found is None else AgedMessage(found[1], (at_ns - found[0]) * 1e-6)
 
     def snapshot(self) -> dict[str, Any]:
@@ -213,7 +213,7 @@ class ReplayBackend:
         }
         views = {r: self._view(r, found, now) for r, found in robots.items()}
         localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
-        beat = self._tape.newest(topics.HEARTBEAT, StationHeartbeat, now)
+        beat = self._log.newest(topics.HEARTBEAT, StationHeartbeat, now)
         phase = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
         news = FleetSnapshot(
             time_s=now * 1e-9,
@@ -229,13 +229,15 @@ class ReplayBackend:
 
     def _view(self, robot: int, news: RobotSnapshot, now_ns: int) -> RobotView:
         ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose)]
-        ages_s.append(self._tape.plan_age_s(news.plan, robot, now_ns))
-        ear = self._tape.ear(robot, now_ns)
-        return RobotView(news.state.message, ages_s[0], news.pose.message, ages_s[1], ages_s[2], ear.clock_offset_s, ear.loss)
+        ages_s.append(self._log.plan_age_s(news.plan, robot, now_ns))
+        link = self._log.link(robot, now_ns)
+        return RobotView(
+            news.state.message, ages_s[0], news.pose.message, ages_s[1], ages_s[2], link.clock_offset_s, link.loss
+        )
 
     def paths(self) -> list[dict[str, Any]] | None:
-        """What was flown at that time, once when it changes: of a later leg what it does not share with the one before."""
-        now, segments = self._now_ns(), self._tape.segments
+        """Paths flown at that time, returned once after each change: of a later segment only the part that is new."""
+        now, segments = self._now_ns(), self._log.segments
         flown = {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in segments.items()}
         if list(flown.values()) == self._drawn:
             return None
@@ -252,13 +254,13 @@ class ReplayBackend:
         """The other run's robots, as long after its start as this one is after its own."""
         if self._against is None:
             return []
-        then_ns = max(now_ns - self._tape.flown_ns + self._against.flown_ns, 0)
+        then_ns = max(now_ns - self._log.flown_ns + self._against.flown_ns, 0)
         found = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
         return [{"id": r, "eta": floats(state[1].eta)} for r, state in found if state is not None]
 
     def picture(self) -> dict[str, Any] | None:
         """The picture of that time, once."""
-        found = self._tape.newest(topics.PREVIEW, Preview, self._now_ns())
+        found = self._log.newest(topics.PREVIEW, Preview, self._now_ns())
         if found is None or found[0] == self._picture_ns:
             return None
         self._picture_ns = found[0]
@@ -272,19 +274,19 @@ class ReplayBackend:
         self._noted_ns = now
         return [
             {"k": "event", "time_s": at * 1e-9, "level": event.level, "source": event.source, "text": event.message}
-            for at, event in self._tape.between(topics.EVENT, Event, after, now)
+            for at, event in self._log.between(topics.EVENT, Event, after, now)
         ]
 
     def order(self, order: Order) -> tuple[str, int]:
-        """Nobody hears it."""
+        """Refuse: a recorded run takes no requests."""
         return "this is a recorded run", 0
 
     def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
-        """What was flown was flown."""
+        """Refuse: a recorded run has its gains."""
         return "this is a recorded run", 0
 
     def attempt(self, edit: Edit) -> dict[str, Any]:
-        """What would come of an edit of the recorded experiment."""
+        """Plan an edit of the recorded experiment."""
         return experiment_editor.attempt(self.experiment, edit)
 
     def save(self, edit: Edit, name: str) -> dict[str, Any]:

@@ -131,14 +131,14 @@ LEADS = {Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM
 
 
 def asked(station: Station, order: Order) -> int:
-    reason, number = station.ask(order)
+    reason, number = station.request(order)
     assert reason == ""
     return number
 
 
 def outcome(station: Station, number: int) -> Outcome:
     """As a terminal asks for it."""
-    reply = station.wish(Header(9, 1, 0), Command(Order.NONE, WHOLE_FLEET, about=number))
+    reply = station.on_operator_command(Header(9, 1, 0), Command(Order.NONE, WHOLE_FLEET, about=number))
     assert reply.accepted and reply.outcome is not None
     return reply.outcome
 
@@ -187,14 +187,14 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
 
 def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
-        reply = station.wish(Header(9, 1, 0), Command(Order.STOP, WHOLE_FLEET))
+        reply = station.on_operator_command(Header(9, 1, 0), Command(Order.STOP, WHOLE_FLEET))
         assert reply.accepted and reply.outcome is not None
         assert outcome(station, reply.outcome.request).order is Order.STOP
-        unknown = station.wish(Header(9, 2, 0), Command(Order.NONE, WHOLE_FLEET, about=77))
+        unknown = station.on_operator_command(Header(9, 2, 0), Command(Order.NONE, WHOLE_FLEET, about=77))
         assert (unknown.accepted, unknown.reason) == (False, "request 77 is not known here (any more)")
-        refused = station.wish(Header(9, 3, 0), Command(Order.RESUME, WHOLE_FLEET))
+        refused = station.on_operator_command(Header(9, 3, 0), Command(Order.RESUME, WHOLE_FLEET))
         assert not refused.accepted and refused.outcome is None
-        nothing = station.wish(Header(9, 4, 0), Command(Order.NONE, WHOLE_FLEET))
+        nothing = station.on_operator_command(Header(9, 4, 0), Command(Order.NONE, WHOLE_FLEET))
         assert not nothing.accepted
 
 
@@ -210,7 +210,7 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
         number = asked(station, Order.END)
         assert not station.ended
-        assert station.tune(None, next_lap=False)[0] == "there is nothing to undo"
+        assert station.request_gains(None, next_lap=False)[0] == "there is nothing to undo"
         station.requests.begin(Order.TUNE, station.mission, station.tuner.status().flown.id)  # gains are no other end
         fleet.until(station, lambda: station.ended)
         assert outcome(station, number).progress is Progress.DONE
@@ -237,7 +237,7 @@ def test_a_cycle_that_hangs_holds_up_nobody_who_asks_how_things_are(tmp_path: Pa
     with a_station(tmp_path) as station:
         station.cycle(station.clock.now_ns(), lockstep=False)
         before = station.status()
-        with station.turn:  # as a cycle does
+        with station.lock:  # as a cycle does
             station._beat_s -= 5.0
             hung = station.status()
         assert before.beat_age_s < 5.0 <= hung.beat_age_s
