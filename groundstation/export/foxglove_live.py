@@ -12,7 +12,7 @@ from typing import Any
 
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
+from groundstation.export.foxglove_scene import DRAWN, FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode, protobuf_class
@@ -23,7 +23,6 @@ from wire.transport.bus import Bus
 
 SCENE_S = 0.1
 STANDING_S = 2.0  # a viewer that comes later waits no longer for the pool
-DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)
 SHOWN = (*DRAWN, topics.PREVIEW, topics.VIDEO, topics.PICTURE, topics.POSE, topics.LOCALIZER, topics.HEARTBEAT, topics.EVENT)
 
 

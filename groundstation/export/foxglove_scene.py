@@ -30,6 +30,7 @@ from wire.messages.topics import Topic
 POOL_FRAME, UPRIGHT_FRAME = "pool", "upright"
 MOVING, STANDING, FRAMES = "viewer/scene", "viewer/pool", "viewer/frame"  # topics, below the fleet's name
 SCHEMAS: dict[str, Any] = {MOVING: SceneUpdate, STANDING: SceneUpdate, FRAMES: FrameTransform}
+DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)  # topics that SceneDrawer takes
 GONE_NS = 500_000_000  # what is not told again is not drawn any longer
 GREY, RED = "#767676", "#CC0000"
 FULL, FAINT, GLASS = 1.0, 0.45, 0.25  # opacities
