@@ -22,11 +22,11 @@ import psutil
 from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.harness import Row
-from groundstation.inboxes import listen
-from groundstation.mission.state_machine import Phase
+from groundstation.inboxes import subscribe_fleet
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import Desk, Post, Status
+from groundstation.web.live_backend import LiveBackend, StationApi, Status
 from groundstation.web.server import STATIC, WebServer
 from sim_bridge.sil.ports import free_port
 from wire.config.experiment import Experiment, load_experiment
@@ -140,9 +140,15 @@ def lab(robots: int) -> Iterator[str]:
     experiment = fleet(robots)
     address, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
-        post = Post(lambda: Status(Phase.RUNNING, ""), lambda order: ("", 0))
-        desk = Desk(
-            experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
+        post = StationApi(lambda: Status(MissionState.RUNNING, ""), lambda order: ("", 0))
+        desk = LiveBackend(
+            experiment,
+            planner.plan(experiment),
+            bus,
+            subscribe_fleet(bus, experiment.robot_ids),
+            WallClock(),
+            post,
+            "real-time",
         )
         with WebServer(desk, WebOptions(port=port)):
             command = [sys.executable, "-m", "benchmarks.page", address, str(robots)]

@@ -12,9 +12,9 @@ from scipy.interpolate import CubicSpline
 
 from benchmarks.harness import Row, run_peer, time_us
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.replanning import detour
-from groundstation.planning.route_planner import NoRoute, route
-from groundstation.planning.segment import first_leg
+from groundstation.planning.replanning import replan
+from groundstation.planning.route_planner import NoRoute, find_route
+from groundstation.planning.segment import first_segment
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 
@@ -43,10 +43,10 @@ def flown(points: Array) -> Array:
 def _islands() -> Iterator[Row]:
     """The whole plan, and a detour in it, with all checks, in ms."""
     experiment = load_experiment("islands")
-    leg = first_leg(experiment)
-    thing = np.array([[*leg.centre.eta[1000, :2], 0.1]])  # where the centre comes by after 50 s
-    plan = time_us(lambda: first_leg(experiment), AGAIN)
-    again = time_us(lambda: detour(experiment, leg, 20.0, thing), AGAIN)
+    segment = first_segment(experiment)
+    thing = np.array([[*segment.centre.eta[1000, :2], 0.1]])  # where the centre comes by after 50 s
+    plan = time_us(lambda: first_segment(experiment), AGAIN)
+    again = time_us(lambda: replan(experiment, segment, 20.0, thing), AGAIN)
     yield Row.of("planner", "plan, islands", "ours", "ms", [t * 1e-3 for t in plan])
     yield Row.of("planner", "replan under way, islands", "ours", "ms", [t * 1e-3 for t in again])
 
@@ -66,14 +66,14 @@ def run() -> Iterator[Row]:
     task = _task()
     first = task[0]
     ends, discs, half_m = [first["start"], first["goal"]], np.array(first["discs"]), first["half"]
-    way = time_us(lambda: route(ends, discs, half_m), AGAIN)
+    way = time_us(lambda: find_route(ends, discs, half_m), AGAIN)
     yield Row.of("planner", "way, islands", "ours, smooth and checked", "ms", [t * 1e-3 for t in way])
     lengths: dict[int, float] = {}
     collisions = refused = 0
     for k in range(WORLDS):
         discs = world(k)
         try:
-            curve = flown(route(ENDS, discs, HALF_M))
+            curve = flown(find_route(ENDS, discs, HALF_M))
         except (NoRoute, PlanError):
             refused += 1
             continue

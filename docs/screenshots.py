@@ -107,7 +107,9 @@ def of_a_fleet(browser: Browser, out: str) -> None:
     subprocess.run(flying, stdout=subprocess.DEVNULL, check=False)  # it is too short to pass
     port = free_port()
     run = next(folder.iterdir())
-    showing = subprocess.Popen([sys.executable, "-m", "groundstation", "replay", str(run), "--web", f"127.0.0.1:{port}"])
+    showing = subprocess.Popen(
+        [sys.executable, "-m", "groundstation", "log", "replay", str(run), "--web", f"127.0.0.1:{port}"]
+    )
     try:
         page = opened(browser, f"http://127.0.0.1:{port}/", DESK)
         page.get_by_role("button", name="Play").click()

@@ -1,15 +1,19 @@
-"""SHELL: `groundstation`: plan, fly, record, report. The commands are in the modules *_commands.py."""
+"""SHELL: `groundstation`: plan, fly, record, report. The commands are in groundstation/cli."""
+
+import functools
+from collections.abc import Callable
+from typing import Any
 
 import typer
 
 from groundstation.cli.deploy import deploy
-from groundstation.cli.foxglove import foxglove_layout
+from groundstation.cli.foxglove import foxglove_cli, foxglove_layout
 from groundstation.cli.keys import keys_cli
-from groundstation.cli.mission import come_back, end, go, order, phases, stop, tune
+from groundstation.cli.mission import gains_cli, go, mission_cli, order, register, request_command, set_or_undo, states
 from groundstation.cli.replay import replay
 from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
-from groundstation.cli.runs import compare, comparison, export, record, recover, report
+from groundstation.cli.runs import benchmark_report, compare, export, record, repair, report
 from wire.process.cli_options import Version
 from wire.process.optional_packages import run_role
 from wire.process.runtime import run_app
@@ -26,30 +30,58 @@ def main(version: Version = False) -> None:
     """Ground station: plans trajectories, commands the fleet, records everything, writes the report."""
 
 
-for command in (
-    run,
-    plan,
-    order,
-    stop,
-    end,
-    phases,
-    replay,
-    rerun,
-    report,
-    compare,
-    comparison,
-    export,
-    recover,
-    record,
-    deploy,
-):
-    cli.command()(command)
-cli.command("return")(come_back)
-cli.command("set")(tune)
-cli.command(context_settings={"ignore_unknown_options": True})(go)  # places may be negative
-cli.command()(foxglove_layout)
-cli.command(hidden=True)(moment)
+def _group(text: str) -> typer.Typer:
+    return typer.Typer(help=text, no_args_is_help=True, pretty_exceptions_enable=False)
+
+
+def _renamed(command: Callable[..., None], name: str) -> Callable[..., None]:
+    """The command under an old name: it prints the new one to stderr first."""
+
+    @functools.wraps(command)
+    def old(*arguments: Any, **options: Any) -> None:
+        typer.echo(f"this command is now: groundstation {name}", err=True)
+        command(*arguments, **options)
+
+    return old
+
+
+log_cli = _group("Recorded runs: report, compare, export, repair, replay, rerun (docs/runs.md).")
+for command in (report, compare, export, repair, replay, rerun, record):
+    log_cli.command()(command)
+benchmark_cli = _group("Results of `sim-bridge compare`.")
+benchmark_cli.command("report")(benchmark_report)
+
+cli.command()(run)
+cli.command()(plan)
+cli.add_typer(mission_cli, name="mission")
+register(cli, "stop")
+register(cli, "end")
+cli.add_typer(gains_cli, name="gains")
+cli.add_typer(log_cli, name="log")
+cli.add_typer(benchmark_cli, name="benchmark")
 cli.add_typer(keys_cli, name="keys")
+cli.command()(deploy)
+cli.add_typer(foxglove_cli, name="foxglove")
+cli.command(hidden=True)(moment)
+
+OLD_NAMES: dict[str, tuple[Callable[..., None], str]] = {
+    "order": (order, "mission load|arm|start|hold|resume|return|rejoin|test|disarm|clear-stop, or stop, end"),
+    "return": (request_command("return"), "mission return"),
+    "go": (go, "mission go"),
+    "set": (set_or_undo, "gains set|undo"),
+    "phases": (states, "mission states"),
+    "report": (report, "log report"),
+    "compare": (compare, "log compare"),
+    "export": (export, "log export"),
+    "recover": (repair, "log repair"),
+    "replay": (replay, "log replay"),
+    "rerun": (rerun, "log rerun"),
+    "record": (record, "log record"),
+    "comparison": (benchmark_report, "benchmark report"),
+    "foxglove-layout": (foxglove_layout, "foxglove layout"),
+}
+for _old, (command, _new) in OLD_NAMES.items():
+    cli.command(_old, hidden=True, context_settings={"ignore_unknown_options": _old == "go"})(_renamed(command, _new))
 
 
 def app() -> None:

@@ -1,4 +1,4 @@
-"""SHELL: the newest that the station has heard of its fleet. One set for the process: the mission reads it, and the page."""
+"""SHELL: inboxes with the newest messages of the fleet. One set for the process; mission and page read it."""
 
 from dataclasses import dataclass
 
@@ -8,8 +8,8 @@ from wire.transport.bus import Bus, Inbox
 
 
 @dataclass(frozen=True, eq=False)
-class Inboxes:
-    """By robot where a topic is."""
+class FleetInboxes:
+    """One inbox a topic, or one a robot."""
 
     states: dict[int, Inbox[RobotState]]
     poses: dict[int, Inbox[Pose]]
@@ -18,9 +18,9 @@ class Inboxes:
     obstacles: Inbox[Obstacles]
 
 
-def listen(bus: Bus, robots: tuple[int, ...]) -> Inboxes:
-    """Inboxes that fill from now on."""
-    return Inboxes(
+def subscribe_fleet(bus: Bus, robots: tuple[int, ...]) -> FleetInboxes:
+    """Open inboxes that fill from now on."""
+    return FleetInboxes(
         bus.inboxes(topics.STATE, RobotState, robots),
         bus.inboxes(topics.POSE, Pose, robots),
         bus.inboxes(topics.PLAN, Plan, robots),

@@ -1,5 +1,5 @@
-"""What the station knows of its robots, and whether they are well: ONE list of checks for preflight, flight and alarms. Pure:
-messages with their ages are arguments.
+"""Telemetry of the robots and their health: ONE list of checks for preflight, flight and alarms. Pure: messages with their
+ages are arguments.
 """
 
 import math
@@ -17,18 +17,18 @@ from wire.messages.messages import Mode, Plan, Pose, RobotState, Solve, Track
 from wire.process.runtime import Clock, age_s
 from wire.transport.bus import Received
 
-NEVER_S = 1000.0  # old is what an agent says that it never heard
-LOSSY = 0.2  # share of messages: above it echoes, batteries and poses are old
+NEVER_S = 1000.0  # age by which an agent reports a board that it never heard
+LOSSY = 0.2  # share of lost messages; above it echoes, battery voltages and poses are too old
 LATE_SHARE = 0.5  # of the control period: the budget of a step
-DEPTH_SLACK_M = 0.3  # a pressure sensor that says more than this beyond the basin is wrong
+DEPTH_SLACK_M = 0.3  # a pressure sensor that reads further than this outside the basin is wrong
 OUT_OF_STEP_S = 0.5  # from the fleet's timetable: at 0.25 m/s a robot is then 0.13 m from its place among the others
-CLOSE_M = 0.01  # of slack: less than this inside another robot's space is nothing
+CLOSE_M = 0.01  # of slack: plans that enter another robot's space by less are not reported
 LINK_WINDOW = 100  # messages: 5 s at 20 Hz
 
 
 @dataclass(frozen=True)
 class RobotView:
-    """The newest of one robot, with ages in seconds; infinity is "never heard"."""
+    """Newest messages of one robot with their ages in s; infinity: never heard."""
 
     state: RobotState | None = None
     state_age_s: float = float("inf")
@@ -36,39 +36,39 @@ class RobotView:
     pose_age_s: float = float("inf")
     plan_age_s: float = float("inf")
     clock_offset_s: float = 0.0  # of the robot's clock from the station's
-    loss: float = 0.0  # share of its messages that did not arrive lately
-    behind_s: float = 0.0  # the fleet's timetable, by its own account (groundstation/mission/timetable.py)
+    loss: float = 0.0  # share of its last messages that did not arrive
+    behind_s: float = 0.0  # lag behind the fleet's timetable (groundstation/mission/timetable.py)
 
     @property
     def mode(self) -> Mode | None:
-        """The robot's mode as last heard; None: unknown, it was never heard."""
+        """Mode as last heard; None: never heard."""
         return self.state.mode if self.state is not None else None
 
     @property
     def heard(self) -> bool:
-        """Whether its state is fresh."""
+        """True if its state is fresh."""
         return self.state is not None and self.state_age_s <= topics.STATE.max_age_s
 
     @property
     def trajectory_s(self) -> float:
-        """How far along its trajectory it is, by its own account."""
+        """Progress along its trajectory in s, from its own state."""
         return self.state.trajectory_s if self.state is not None else 0.0
 
     @property
     def error_m(self) -> float:
-        """How far it is from its reference, while it flies."""
+        """Distance from its reference in m; 0 while it does not fly."""
         if self.state is None or self.mode is not Mode.TRACKING:
             return 0.0
         return float(np.linalg.norm(self.state.eta[:3] - self.state.eta_reference[:3]))
 
     @property
     def speed_mps(self) -> float:
-        """Over the floor."""
+        """Speed over the floor."""
         return float(np.linalg.norm(self.state.nu[:3])) if self.state is not None else 0.0
 
     @property
     def eta(self) -> Array:
-        """The best there is of its pose (4,): what it says if it is heard, else what the localizer says."""
+        """Best known pose (4,): its own estimate if it is heard, else the localizer's pose, else its last estimate."""
         if self.state is not None and (self.heard or self.pose is None):
             return self.state.eta
         if self.pose is not None:
@@ -77,7 +77,7 @@ class RobotView:
 
     @property
     def rest(self) -> Array:
-        """The pose (4,) in which it rests: the place that it holds, or where it is if it holds none."""
+        """Pose (4,) in which it rests: the place that it holds, or its pose if it holds none."""
         if self.state is not None and self.mode is Mode.HOLDING:
             return np.array([*self.state.eta_reference[:3], self.state.eta[3]])
         return self.eta
@@ -86,14 +86,14 @@ class RobotView:
 Fleet = Mapping[int, RobotView]
 
 
-def view(
+def robot_view(
     state: Received[RobotState] | None,
     pose: Received[Pose] | None,
     clock: Clock,
     plan: Received[Plan] | None = None,
-    ear: "Ear | None" = None,
+    ear: "LinkMonitor | None" = None,
 ) -> RobotView:
-    """A robot's view from its inboxes' newest messages, aged by the process's clock."""
+    """View of a robot from the newest messages of its inboxes; ages by the process's clock."""
     seen = RobotView(
         state.message if state else None,
         age_s(clock, state) if state else float("inf"),
@@ -105,53 +105,53 @@ def view(
 
 
 @dataclass
-class Ear:
-    """What the headers of one robot's states tell of its link and its clock, over the last LINK_WINDOW of them."""
+class LinkMonitor:
+    """Link loss and clock offset of one robot, from the headers of its last LINK_WINDOW states."""
 
-    heard: deque[tuple[int, int, float]] = field(default_factory=lambda: deque(maxlen=LINK_WINDOW))
+    headers: deque[tuple[int, int, float]] = field(default_factory=lambda: deque(maxlen=LINK_WINDOW))
 
-    def hear(self, headers: Sequence[Header], newest: Header, instant_ns: int) -> None:
-        """The last messages, oldest first, heard before or not: several may come between two looks. What `newest` says was
-        true at `instant_ns` on our clock, as far as we can tell."""
+    def add(self, headers: Sequence[Header], newest: Header, instant_ns: int) -> None:
+        """Take in headers, oldest first, also known ones: several may arrive between two calls. The state with header `newest`
+        was true at `instant_ns` on our clock, as far as we can tell."""
         for header in headers:
-            if self.heard and self.heard[-1][0] != header.session:
-                self.heard.clear()
-            if not self.heard or header.sequence > self.heard[-1][1]:
+            if self.headers and self.headers[-1][0] != header.session:
+                self.headers.clear()
+            if not self.headers or header.sequence > self.headers[-1][1]:
                 ahead_s = (header.stamp_ns - instant_ns) * 1e-9 if header == newest else -math.inf
-                self.heard.append((header.session, header.sequence, ahead_s))
+                self.headers.append((header.session, header.sequence, ahead_s))
 
     @property
     def loss(self) -> float:
-        """Of the numbers that were given out, the share that did not come."""
-        if len(self.heard) < 2:
+        """Share of the sequence numbers that did not arrive."""
+        if len(self.headers) < 2:
             return 0.0
-        return max(0.0, 1.0 - (len(self.heard) - 1) / (self.heard[-1][1] - self.heard[0][1]))
+        return max(0.0, 1.0 - (len(self.headers) - 1) / (self.headers[-1][1] - self.headers[0][1]))
 
     @property
     def clock_offset_s(self) -> float:
-        """A message is late, never early: of all, the one that took least time says most."""
-        return max((ahead_s for _, _, ahead_s in self.heard if ahead_s > -math.inf), default=0.0)
+        """Offset of the robot's clock in s. Messages are late, never early: the one with the least delay counts."""
+        return max((ahead_s for _, _, ahead_s in self.headers if ahead_s > -math.inf), default=0.0)
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that is not as it should be. `level`: critical, warning, notice (as an alarm); `bars`: nobody arms with it."""
+    """A failed check of one robot. `level`: critical, warning, notice (as an alarm)."""
 
     robot: int
     key: str
     level: str
-    bars: bool
+    blocks_arming: bool
     text: str
     remedy: str
 
     @property
-    def told(self) -> str:
-        """What is amiss, and what to do about it."""
+    def message(self) -> str:
+        """Text and remedy."""
         return f"{self.text} ({self.remedy})" if self.remedy else self.text
 
 
 def findings(experiment: Experiment, robot: int, seen: RobotView, start: Array | None = None) -> tuple[Finding, ...]:
-    """Everything amiss with one robot. `start`: the pose (4,) in which it should begin; None once it has begun."""
+    """Failed checks of one robot. `start`: the pose (4,) in which it should begin; None once it has begun."""
     state = seen.state
     if state is None or not seen.heard:
         known = state is not None
@@ -164,16 +164,16 @@ def findings(experiment: Experiment, robot: int, seen: RobotView, start: Array |
     return tuple(found)
 
 
-Check = Iterator[tuple[str, str, bool, str, str]]  # key, level, bars, text, remedy
+FindingFields = Iterator[tuple[str, str, bool, str, str]]  # key, level, blocks_arming, text, remedy
 
 
-def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _experiment(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.experiment_hash != experiment.hash:
         text = f"has another experiment ({state.experiment_hash[:8]}, here {experiment.hash[:8]})"
         yield "experiment", "critical", True, text, "start its agent with this run's experiment.toml"
 
 
-def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     pose, limit_s = seen.pose, topics.POSE.max_age_in(experiment.safety)
     if pose is None or seen.pose_age_s > limit_s:
         age = "none yet" if pose is None else f"{seen.pose_age_s:.1f} s old"
@@ -184,7 +184,7 @@ def _pose(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
         yield "identity", "warning", True, f"pose is {pose.track.name}, identity not verified", "let the camera see its marker"
 
 
-def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     age_s = state.board_age_ms * 1e-3
     if age_s > topics.STATE.max_age_s:
         text = f"thruster board silent for {age_s:.1f} s" if age_s < NEVER_S else "thruster board not heard"
@@ -213,7 +213,7 @@ def _board(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
         yield "battery", "warning", False, f"battery {state.battery_v:.1f} V", "charge it soon"
 
 
-def _link(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _link(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if seen.loss > LOSSY:
         yield "link", "warning", True, f"{seen.loss:.0%} of its messages are lost", "check the radio link"
     limit_ms, offset_s = experiment.mission.clock_offset_ms, seen.clock_offset_s
@@ -223,7 +223,7 @@ def _link(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
         yield "clock", "notice", True, text, f"synchronise both (chrony), and start its agent again; allowed: {limit_ms:g} ms"
 
 
-def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.mode in (Mode.STOPPED, Mode.FAULT):
         remedy = "clear the stop" if state.mode is Mode.STOPPED else "disarm it, and look for the cause"
         yield "mode", "critical", True, f"is {state.mode.name}: {state.fault}", remedy
@@ -234,17 +234,17 @@ def _mode(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
         yield "plan", "warning", False, f"its plan is {seen.plan_age_s:.1f} s old", "others give it room"
     if experiment.mission.thruster_test and not flies and state.thruster_test != "passed":
         text = f"thruster test: {state.thruster_test or 'not done'}"
-        yield "thrusters", "notice", True, text, "groundstation order test"
+        yield "thrusters", "notice", True, text, "groundstation mission test"
 
 
-def _step(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _step(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if abs(seen.behind_s) > OUT_OF_STEP_S:
         how = "behind" if seen.behind_s > 0.0 else "ahead of"
         text = f"is {abs(seen.behind_s):.1f} s {how} the others"
         yield "step", "critical", False, text, "all hold, and go on together when resumed; is its clock steady?"
 
 
-def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.solve is Solve.FAILED:
         yield "solve", "critical", False, "the solver failed: neutral", ""
     elif state.solve is Solve.SHIFTED:
@@ -255,52 +255,53 @@ def _control(experiment: Experiment, seen: RobotView, state: RobotState) -> Chec
         yield "close", "warning", False, f"its plan enters another robot's space by {state.slack_m * 1e3:.0f} mm", ""
 
 
-def _sight(experiment: Experiment, seen: RobotView, state: RobotState) -> Check:
+def _sight(experiment: Experiment, seen: RobotView, state: RobotState) -> FindingFields:
     if state.blind:
         remedy = "is the localizer running? It learns anew by itself, in some seconds, when light and camera stay as they are"
         yield "blind", "warning", experiment.mission.blind == "hold", f"blind: {state.blind}", remedy
 
 
-CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], Check], ...] = (
+CHECKS: tuple[Callable[[Experiment, RobotView, RobotState], FindingFields], ...] = (
     _mode, _experiment, _board, _pose, _sight, _link, _step, _control,
 )  # fmt: skip
 
 
-def _start(experiment: Experiment, state: RobotState, start: Array) -> Check:
+def _start(experiment: Experiment, state: RobotState, start: Array) -> FindingFields:
     away_m = float(np.hypot(*(state.eta[:2] - start[:2])))
     if state.pose_age_ms <= topics.POSE.max_age_in(experiment.safety) * 1e3 and away_m > experiment.mission.start_within_m:
         text = f"is {away_m:.2f} m from its start ({start[0]:.2f}, {start[1]:.2f}) m"
-        yield "start", "notice", True, text, "bring it there, or: groundstation return"
+        yield "start", "notice", True, text, "bring it there, or: groundstation mission return"
 
 
-def barred(
-    experiment: Experiment, fleet: Fleet, starts: Mapping[int, Array] | None = None, but: Sequence[str] = ()
+def blocking_findings(
+    experiment: Experiment, fleet: Fleet, starts: Mapping[int, Array] | None = None, exclude: Sequence[str] = ()
 ) -> tuple[Finding, ...]:
-    """Everything that keeps the robots in `fleet` from being armed, but for findings of these keys; empty when
-    they are ready."""
+    """Findings that keep the robots in `fleet` from being armed, without the keys in `exclude`; empty if they are ready."""
     return tuple(
         finding
         for robot in experiment.robot_ids
         if robot in fleet
         for finding in findings(experiment, robot, fleet[robot], starts[robot] if starts is not None else None)
-        if finding.bars and finding.key not in but
+        if finding.blocks_arming and finding.key not in exclude
     )
 
 
 def preflight(
-    experiment: Experiment, fleet: Fleet, starts: Mapping[int, Array] | None = None, but: Sequence[str] = ()
+    experiment: Experiment, fleet: Fleet, starts: Mapping[int, Array] | None = None, exclude: Sequence[str] = ()
 ) -> tuple[str, ...]:
-    """The same as `barred`, told to people."""
-    return tuple(f"robot {finding.robot}: {finding.told}" for finding in barred(experiment, fleet, starts, but))
+    """Messages of `blocking_findings`, each with its robot."""
+    return tuple(
+        f"robot {finding.robot}: {finding.message}" for finding in blocking_findings(experiment, fleet, starts, exclude)
+    )
 
 
-def casualty(robots: Sequence[int], fleet: Fleet, lying: Container[int] = ()) -> tuple[int, str] | None:
-    """The first of these robots that fell out of a running mission, and why; None while all fly. Those that are `lying` may be
-    disarmed: they are still to be armed."""
+def first_lost_robot(robots: Sequence[int], fleet: Fleet, still_to_arm: Container[int] = ()) -> tuple[int, str] | None:
+    """First of these robots that is lost to a running mission, and the reason; None while none is. Robots in `still_to_arm`
+    may be disarmed."""
     for robot in robots:
         mode, state = fleet[robot].mode, fleet[robot].state
         if not fleet[robot].heard or state is None or mode is None:
             return robot, "silent"
-        if mode in (Mode.STOPPED, Mode.FAULT) or (mode is Mode.DISARMED and robot not in lying):
+        if mode in (Mode.STOPPED, Mode.FAULT) or (mode is Mode.DISARMED and robot not in still_to_arm):
             return robot, f"{mode.name.lower()}{f' ({state.fault})' if state.fault else ''}"
     return None

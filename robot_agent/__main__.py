@@ -127,7 +127,7 @@ def rerun(
 ) -> None:
     """Do a robot's control steps again on what comes through stdin, and say on stdout what came of them.
 
-    For `groundstation rerun`, which reads a log and compares.
+    For `groundstation log rerun`, which reads a log and compares.
     """
     from robot_agent.rerun import Rerun
     from wire.messages.pipe import PipeWriter, read_pipe

@@ -1,4 +1,4 @@
-"""A robot's control steps repeated from its log. Pure; `groundstation rerun` reads the log.
+"""A robot's control steps repeated from its log. Pure; `groundstation log rerun` reads the log.
 
 Input messages come in the order of use: each plan and obstacles message before the first step that names it. No robot moves:
 the pulses of a step have no effect, and the next step's inputs are again those of the log. If the log's states are given, each

@@ -61,7 +61,7 @@ each = pytest.mark.parametrize(
 def test_help_has_an_example_that_is_this_very_command(path: tuple[str, ...], command: Any) -> None:
     text = " ".join((command.help or "").split())
     assert "Example" in text
-    if path != ("groundstation", "record"):  # nobody types it
+    if path != ("groundstation", "log", "record"):  # nobody types it
         assert " ".join(path) in text.partition("Example")[2]
 
 
@@ -108,9 +108,9 @@ def test_command_lines_on_pages_are_ones_that_there_are(page: Path) -> None:
 
 
 def test_a_shell_completes_commands_options_experiments_and_orders() -> None:
-    assert completed("groundstation re") == {"recover", "record", "replay", "report", "rerun", "return"}
-    assert {"--set", "--robot", "--json"} <= completed("groundstation rerun --")
-    assert completed("groundstation order s") == {"start", "stop"}
+    assert completed("groundstation log re") == {"repair", "record", "replay", "report", "rerun"}
+    assert {"--set", "--robot", "--json"} <= completed("groundstation log rerun --")
+    assert completed("groundstation mission s") == {"start", "states"}
     assert completed("sim-bridge sil open", "sim-bridge") == {"open-water"}
 
 
@@ -125,7 +125,13 @@ def test_an_experiments_name_completes_to_files_too(tmp_path: Path, monkeypatch:
 
 
 def test_codes_for_what_cannot_be_done() -> None:
-    for arguments in (["rerun"], ["order", "fly"], ["go", "nan", "1"], ["run", "pool", "--warp"], ["nonsense"]):
+    for arguments in (
+        ["log", "rerun"],
+        ["mission", "fly"],
+        ["mission", "go", "nan", "1"],
+        ["run", "pool", "--warp"],
+        ["nonsense"],
+    ):
         assert CliRunner().invoke(groundstation, arguments).exit_code == 2
     assert CliRunner().invoke(sim_bridge, ["compare", "pool", "--scatter", "-1"]).exit_code == 2
 
@@ -168,16 +174,24 @@ def test_a_dry_run_looks_at_the_way_to_the_robots_too(tmp_path: Path) -> None:
 def test_a_run_that_is_none_is_named(tmp_path: Path) -> None:
     for command in ("rerun", "replay", "export"):
         more = ["--out", str(tmp_path / "out"), "--foxglove"] if command == "export" else []
-        code, _, said = ended("groundstation", command, str(tmp_path), *more)
+        code, _, said = ended("groundstation", "log", command, str(tmp_path), *more)
         assert (code, "Traceback" in said) == (2, False)
         assert str(tmp_path) in said
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [(["phases"], "mission states"), (["report", "--help"], ""), (["recover", "nowhere"], "log repair")]
+)
+def test_an_old_command_name_works_and_names_the_new_one(old: list[str], new: str) -> None:
+    _, _, why = ended("groundstation", *old)
+    assert (f"this command is now: groundstation {new}" in why) is bool(new)
 
 
 def test_what_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     for place in (file / "layout.json", tmp_path):
-        code, said, why = ended("groundstation", "foxglove-layout", "pool", "--out", str(place))
+        code, said, why = ended("groundstation", "foxglove", "layout", "pool", "--out", str(place))
         assert (code, said, why.splitlines()) == (2, "", [why.strip()])
         assert why.startswith(f"{place}: ")
 
@@ -185,15 +199,15 @@ def test_what_cannot_be_written_is_one_line(tmp_path: Path) -> None:
 def test_what_is_no_log_is_said_and_stays_as_it_is(tmp_path: Path) -> None:
     file, out = tmp_path / "run.mcap", tmp_path / "tables"
     for content, command, reason in (
-        (b"name = 'pool'", ["recover", str(file)], "is no log"),
-        (b"", ["export", str(tmp_path), "--out", str(out)], "holds no messages"),
+        (b"name = 'pool'", ["log", "repair", str(file)], "is no log"),
+        (b"", ["log", "export", str(tmp_path), "--out", str(out)], "holds no messages"),
     ):
         file.write_bytes(content)
         code, _, why = ended("groundstation", *command)
         assert (code, why.splitlines()) == (2, [why.strip()])
         assert why.startswith(f"{file}: {reason}")
         assert file.read_bytes() == content and list(tmp_path.iterdir()) == [file]
-    code, _, why = ended("groundstation", "recover", str(tmp_path))
+    code, _, why = ended("groundstation", "log", "repair", str(tmp_path))
     assert (code, why) == (2, f"{tmp_path}: Is a directory\n")
 
 
@@ -204,10 +218,10 @@ def test_json_is_json_and_nothing_else(tmp_path: Path) -> None:
     for run, settings in zip(runs, ((), ("safety.radius_m=0.31",)), strict=True):
         run.mkdir()
         write_run(run, Script(duration_s=2.0, settings=settings))
-    code, said, _ = ended("groundstation", "report", str(runs[0]), "--json")
+    code, said, _ = ended("groundstation", "log", "report", str(runs[0]), "--json")
     assert code == 0 and json.loads(said) == json.loads((runs[0] / "result.json").read_text())
     page = tmp_path / "compare.html"
-    code, said, _ = ended("groundstation", "compare", *map(str, runs), "--json", "--out", str(page))
+    code, said, _ = ended("groundstation", "log", "compare", *map(str, runs), "--json", "--out", str(page))
     compared = json.loads(said)
     assert compared["runs"] == ["one", "two"] and page.is_file()
     assert {"key": "safety.radius_m", "values": ["0.3", "0.31"]} in compared["differences"]
@@ -218,9 +232,9 @@ def test_what_recover_and_export_did_is_json_for_a_script(tmp_path: Path) -> Non
 
     write_run(tmp_path, Script(duration_s=1.0))
     log = tmp_path / "run.mcap"
-    done = CliRunner().invoke(groundstation, ["recover", str(log), "--json"])
+    done = CliRunner().invoke(groundstation, ["log", "repair", str(log), "--json"])
     assert (done.exit_code, json.loads(done.stdout)) == (0, {"file": str(log), "mended": False})
-    done = CliRunner().invoke(groundstation, ["export", str(tmp_path), "--out", str(tmp_path / "tables"), "--json"])
+    done = CliRunner().invoke(groundstation, ["log", "export", str(tmp_path), "--out", str(tmp_path / "tables"), "--json"])
     files = json.loads(done.stdout)
     assert done.exit_code == 0 and files
     for entry in files:
@@ -236,7 +250,7 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
     station.serve(0, lambda header, command: replies[command.order])
     monkeypatch.setattr("wire.transport.zenoh_transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):
-        done = CliRunner().invoke(groundstation, ["order", order, "--json"])
+        done = CliRunner().invoke(groundstation, ["mission", order, "--json"])
         robots = {"1": "confirmed", "2": "not heard"} if accepted else {}
         assert json.loads(done.stdout) == {
             "order": order,
@@ -276,8 +290,8 @@ def test_a_dry_run_of_all_processes_says_what_it_would_start(tmp_path: Path) -> 
     ("program", "arguments", "says"),
     [
         ("groundstation", ["--help"], ""),
-        ("groundstation", ["order", "start", "--station", "nowhere"], "not a place where a station can be"),
-        ("groundstation", ["report", "runs"], "pip install 'shoal[station]'"),
+        ("groundstation", ["mission", "start", "--station", "nowhere"], "not a place where a station can be"),
+        ("groundstation", ["log", "report", "runs"], "pip install 'shoal[station]'"),
         (
             "localizer",
             ["run", "pool"],

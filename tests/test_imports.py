@@ -16,7 +16,7 @@ PROCESSES = {"groundstation", "robot_agent", "localizer", "sim_bridge"}
 GENERATED = {"wire/messages/fleet_pb2.py"}
 
 # Numeric flights step agents and plant in one process, from the start or from a moment of a run; nothing else may see another
-# package. `groundstation rerun` needs no exception: the robots' own program does the steps.
+# package. `groundstation log rerun` needs no exception: the robots' own program does the steps.
 ALLOWED = {"sim_bridge/in_process/fleet.py": {"robot_agent"}, "sim_bridge/in_process/resume.py": {"robot_agent"}}
 
 # What each part of a package may import from the same package: a table that reads downwards, so that nothing goes round. Every

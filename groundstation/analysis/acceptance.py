@@ -1,4 +1,4 @@
-"""Whether a run passed: its figures against what every run must keep and what its experiment asks for. Pure."""
+"""Acceptance of a run: its figures against the limits of every run and of its experiment. Pure."""
 
 from collections.abc import Iterator, Sequence
 
@@ -13,7 +13,7 @@ AXES = ("x", "y", "z")
 
 
 def went_all_the_way(series: Series) -> bool:
-    """Whether the slowest robot got to the end of what was to be flown, to within two control periods, and the evaluation with
+    """True if the slowest robot reached the end of the planned flight, to within two control periods, and the evaluation with
     it. A fleet that turned home before has not."""
     spare_s = 2.0 * series.experiment.controller.period_s
     turned = series.sent_home_s is not None and series.sent_home_s < series.experiment.duration_s - spare_s
@@ -69,7 +69,7 @@ def _of_the_end(series: Series) -> Iterator[Check]:
 
 
 def _of_the_means(result: Result, series: Series) -> Iterator[Check]:
-    """How well the localizer saw, how hard thrusters were worked, how late the pulses were."""
+    """Checks of mean figures: pose errors, thruster wear, latency of the pulses."""
     experiment, limits = series.experiment, series.experiment.limits
     if limits.pose_rms_m is not None:
         rms = result.pose_error_m.rms if result.pose_error_m else None

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from groundstation.analysis.series import CHANNELS, HOPS, Flight, Happening, RobotSeries, Series, States
-from groundstation.logs.reader import Entry, RunLog
+from groundstation.analysis.series import CHANNELS, HOPS, Flight, RobotSeries, Series, States, TimelineEvent
+from groundstation.logs.reader import DecodedMessage, RunLog
 from wire.config.experiment import Experiment
 from wire.config.scene import Circle, PathSpec
 from wire.frames import Array, pose_error
@@ -66,13 +66,13 @@ class _Samples:
 
 @dataclass(frozen=True, eq=False)
 class _Recorded:
-    """What one robot left in the log."""
+    """Data of one robot from the log."""
 
-    states: list[Entry[RobotState]]
+    states: list[DecodedMessage[RobotState]]
     trajectory: Trajectory | None
     truth: _Samples
     disturbance: _Samples
-    poses: list[Entry[Pose]]
+    poses: list[DecodedMessage[Pose]]
     inputs: dict[int, StepInputs]  # by their stamps
     lost: dict[str, int]
     clock_ns: Array  # (m,) stamps, and
@@ -114,7 +114,7 @@ def align(experiment: Experiment, log: RunLog, flight: int | None = None) -> Ser
         robots={robot: _robot_series(experiment, robot, r, time_s, start_ns, known) for robot, r in recorded.items()},
         errors_against=None if not flown or not located else "truth" if known else "localizer",
         frame_ms=_frame_times(log, start_ns),
-        happenings=_happenings(log, recorded, start_ns),
+        timeline_events=_happenings(log, recorded, start_ns),
         sent_home_s=_sent_home_s(log, flights[number - 1], start_ns) if number else None,
         cut_short=whole_s > end_s,
         flights=tuple(flights),
@@ -157,7 +157,7 @@ def _flights(log: RunLog, robots: Sequence[int]) -> list[Flight]:
     return flights
 
 
-def _robot_flights(states: Sequence[Entry[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
+def _robot_flights(states: Sequence[DecodedMessage[RobotState]], robot: int) -> list[tuple[int, int, float, int]]:
     """Of one robot: stamps of the first and the last step under way, how far it came, and its number."""
     found: list[tuple[int, int, float, int]] = []
     last_s, stood_at_zero = 0.0, False
@@ -186,7 +186,7 @@ def _chosen(flights: Sequence[Flight], wanted: int | None) -> int:
 
 
 def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
-    """When in a flight the station first said that the fleet is on its way home."""
+    """Time in a flight at which the station first reported the return of the fleet."""
     for beat in log.of(topics.HEARTBEAT, StationHeartbeat):
         if flight.begin_ns <= beat.stamp_ns <= flight.over_ns and beat.message.mission == HOMEWARD:
             return (beat.stamp_ns - start_ns) * 1e-9
@@ -194,7 +194,7 @@ def _sent_home_s(log: RunLog, flight: Flight, start_ns: int) -> float | None:
 
 
 def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float:
-    """How far along the trajectory the flight was to go. Trajectories are a controller's horizon longer than that."""
+    """Planned progress of the flight along the trajectory in s. Trajectories are a controller's horizon longer than that."""
     ahead_s = experiment.controller.mpc.horizon * experiment.controller.period_s
     flown = [r.trajectory for r in recorded.values() if r.flew and r.trajectory is not None]
     ends = [t.begin_s + (len(t.eta) - 1) * t.period_s - ahead_s for t in flown]
@@ -204,7 +204,7 @@ def _asked_s(experiment: Experiment, recorded: Mapping[int, _Recorded]) -> float
 # --- one robot
 
 
-def _clock(states: Sequence[Entry[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:
+def _clock(states: Sequence[DecodedMessage[RobotState]], window: tuple[int, int]) -> tuple[Array, Array]:
     """Stamps and where on its trajectory the robot was, from its first step under way in a window on, whatever the mode: while
     it holds, its clock stands. Empty if it did not fly."""
     inside = [e for e in states if window[0] <= e.stamp_ns < window[1] and e.message.trajectory_s > 0.0]
@@ -214,7 +214,7 @@ def _clock(states: Sequence[Entry[RobotState]], window: tuple[int, int]) -> tupl
 
 
 def _start_ns(clock_ns: Array, clock_s: Array) -> int:
-    """When the robot's trajectory began, by its first step under way."""
+    """Instant at which the robot's trajectory began, from its first step in flight."""
     return round(float(clock_ns[0]) - float(clock_s[0]) * 1e9)
 
 
@@ -243,7 +243,7 @@ def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _R
 
 
 def _is_path(trajectory: Trajectory) -> bool:
-    """Whether there is anything to be flown in it."""
+    """True if the trajectory can be flown: it has samples."""
     return len(trajectory.eta) > 1 and PERIODS_S[0] <= trajectory.period_s <= PERIODS_S[1]
 
 
@@ -261,7 +261,7 @@ def _truth(log: RunLog, robot: int) -> tuple[_Samples, _Samples]:
     return _samples(stamps, [m.eta[row] for _, m, row in found]), _samples(stamps if explained else [], disturbance)
 
 
-def _located(states: Sequence[Entry[RobotState]], poses: Sequence[Entry[Pose]]) -> _Samples:
+def _located(states: Sequence[DecodedMessage[RobotState]], poses: Sequence[DecodedMessage[Pose]]) -> _Samples:
     """Instead of the truth: the localizer's poses, with the depth that the robot measured."""
     stamps = np.array([e.stamp_ns for e in poses], dtype=np.float64)
     depth = np.array([(e.stamp_ns, e.message.depth_m) for e in states], dtype=np.float64).reshape(-1, 2)
@@ -287,7 +287,7 @@ def _last_stamp_ns(log: RunLog) -> int:
 
 
 def _end_s(recorded: dict[int, _Recorded], flown: Sequence[_Recorded], start_ns: int, duration_s: float) -> float:
-    """When the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
+    """Time at which the last robot's trajectory clock reached the run's end or stood still for good; not beyond the truth."""
     ends = []
     for r in flown:
         there = np.flatnonzero(r.clock_s >= duration_s - 1e-6)
@@ -321,7 +321,7 @@ def _robot_series(experiment: Experiment, robot: int, r: _Recorded, time_s: Arra
 
 
 def _reference(r: _Recorded, stamps: Array) -> Array:
-    """Where the robot should be at each stamp, (n, 4)."""
+    """Reference pose of the robot at each stamp, (n, 4)."""
     if r.trajectory is None:
         return np.full((len(stamps), 4), np.nan)
     time_s = r.trajectory.period_s * np.arange(len(r.trajectory.eta))
@@ -340,8 +340,9 @@ def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) ->
     return np.asarray(trajectory.eta[: round(duration_s / trajectory.period_s) + 1].mean(axis=0))
 
 
-def _hops_ms(state: Entry[RobotState], inputs: StepInputs | None) -> Array:
-    """How the time from the exposure to the PWM was spent, by HOPS; NaN where the pose was an old one, or nothing is known."""
+def _hops_ms(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Array:
+    """Shares in ms of the time from the exposure to the PWM, by HOPS; NaN where the pose was an old one, or nothing is
+    known."""
     unknown = np.full(len(HOPS), np.nan)
     if inputs is None or inputs.pose is None or state.message.exposure_to_pwm_ms <= 0.0:
         return unknown
@@ -351,13 +352,13 @@ def _hops_ms(state: Entry[RobotState], inputs: StepInputs | None) -> Array:
     return hops if age_ms <= OLD_POSE_MS else unknown
 
 
-def _lost(entries: Sequence[Entry[Any]]) -> int:
+def _lost(entries: Sequence[DecodedMessage[Any]]) -> int:
     """Numbers left out; a sender that begins anew begins at 1."""
     steps = np.diff([e.sequence for e in entries]) if len(entries) > 1 else np.zeros(0)
     return int((steps[steps > 1] - 1).sum())
 
 
-def _states(entries: Sequence[Entry[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
+def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, StepInputs], start_ns: int) -> States:
     messages = [e.message for e in entries]
 
     def column(values: Sequence[float]) -> Array:
@@ -397,7 +398,7 @@ def _frame_times(log: RunLog, start_ns: int) -> Array:
     return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
-def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[Happening, ...]:
+def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> tuple[TimelineEvent, ...]:
     """Every change of a robot's mode or fault, and every event, in order."""
     found = []
     for robot, r in recorded.items():
@@ -406,9 +407,9 @@ def _happenings(log: RunLog, recorded: dict[int, _Recorded], start_ns: int) -> t
             now = (e.message.mode, e.message.fault)
             if now != before:
                 text = now[0].name.lower() + (f": {now[1]}" if now[1] else "")
-                found.append(Happening((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
+                found.append(TimelineEvent((e.stamp_ns - start_ns) * 1e-9, f"robot {robot}", text, bool(now[1])))
             before = now
     for event in log.of(topics.EVENT, Event):
         m = event.message
-        found.append(Happening((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
+        found.append(TimelineEvent((event.stamp_ns - start_ns) * 1e-9, m.source, m.message, m.level >= WARNING))
     return tuple(sorted(found, key=lambda h: h.time_s))

@@ -14,10 +14,10 @@ from groundstation.analysis.series import (
     SETTLED_S,
     THRUSTERS,
     Flight,
-    Happening,
     Mask,
     RobotSeries,
     Series,
+    TimelineEvent,
     active_limits,
 )
 from groundstation.logs.reader import RunLog
@@ -68,7 +68,7 @@ def evaluate(series: Series, log: RunLog) -> Result:
         slack_m=_most(r.states.slack_m[rows] for r, rows in zip(each, flying, strict=True)),
         board_loss=_most(r.states.board_loss[rows] for r, rows in zip(each, flying, strict=True)),
         messages_lost={kind: sum(r.lost.get(kind, 0) for r in each) for kind in next(iter(each)).lost},
-        faults=tuple(h for h in series.happenings if h.fault and _in_flight(h, series)),
+        faults=tuple(h for h in series.timeline_events if h.fault and _in_flight(h, series)),
         asked_s=round(series.asked_s, 6),
         log_trouble=log.trouble,
         version=log.metadata.get("version", "unknown"),
@@ -80,8 +80,8 @@ def evaluate(series: Series, log: RunLog) -> Result:
     return dataclasses.replace(result, checks=judged, passed=all(check.passed for check in judged))
 
 
-def _in_flight(happening: Happening, series: Series) -> bool:
-    """Whether something happened in the flight that is judged. What ended a flight early comes after its last step under way;
+def _in_flight(happening: TimelineEvent, series: Series) -> bool:
+    """True if an event belongs to the evaluated flight. What ended a flight early comes after its last step under way;
     what comes after a flight that went to its end is none of its faults."""
     if not series.started:
         return True
@@ -252,7 +252,7 @@ def _real_time_factor(series: Series, log: RunLog) -> float | None:
 
 
 def _notes(series: Series, log: RunLog) -> Iterator[str]:
-    """What a reader must know before the figures. What is wrong with the log comes first."""
+    """Notes to read before the figures; trouble with the log comes first."""
     if log.trouble:
         yield log.trouble
     yield from _of_the_flight(series)
@@ -274,7 +274,7 @@ def _of_the_flight(series: Series) -> Iterator[str]:
     if len(series.flights) > 1:
         yield (
             f"The log holds {len(series.flights)} flights. This is a report of number {series.flight} alone; "
-            "`groundstation report RUN --flight N` makes one of another."
+            "`groundstation log report RUN --flight N` makes one of another."
         )
     if not series.started:
         yield "No robot was ever under way on its trajectory: there is nothing to evaluate."
@@ -282,7 +282,7 @@ def _of_the_flight(series: Series) -> Iterator[str]:
         yield f"The run is not complete: the fleet was sent home after {series.sent_home_s:.1f} s of {planned_s:g} s."
     elif not went_all_the_way(series):
         yield f"The run is not complete: {series.reached_s:.1f} s of {series.asked_s:g} s were flown by the slowest robot."
-        first = next((h for h in series.happenings if h.fault and _in_flight(h, series)), None)
+        first = next((h for h in series.timeline_events if h.fault and _in_flight(h, series)), None)
         if first is not None:
             yield f"The first fault was at {first.time_s:.1f} s, {first.source}: {first.text}."
     elif series.asked_s < planned_s - series.experiment.controller.period_s:

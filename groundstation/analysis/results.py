@@ -1,4 +1,4 @@
-"""What result.json holds: errors against the truth, timing, wear, faults, and what passed. Pure; metrics.py fills it.
+"""Content of result.json: errors against the truth, timing, wear, faults, and what passed. Pure; metrics.py fills it.
 
 Lengths in m, angles in rad. Lists of three are x, y, z of the pool, or surge, heave, yaw of a wrench. None (null in JSON) is
 a figure that this run cannot give.
@@ -9,7 +9,7 @@ import json
 from dataclasses import dataclass, field
 from typing import Any
 
-from groundstation.analysis.series import Happening
+from groundstation.analysis.series import TimelineEvent
 from wire.config.experiment import ArticleRow
 
 Three = tuple[float, float, float]
@@ -121,7 +121,7 @@ class Result:
     experiment_hash: str
     notes: tuple[str, ...]
     checks: tuple[Check, ...]
-    faults: tuple[Happening, ...]
+    faults: tuple[TimelineEvent, ...]
     latency_hops_ms: dict[str, Quantiles | None] = field(default_factory=dict)  # of exposure to PWM, in order
     at_limit: dict[str, float] = field(default_factory=dict)  # share of the steps held back; the worst robot's
     slack_m: float | None = None  # the most by which a plan entered the space of another robot

@@ -74,7 +74,7 @@ class RobotSeries:
 
 
 @dataclass(frozen=True)
-class Happening:
+class TimelineEvent:
     """Something that happened, for people; `fault` if it should not have."""
 
     time_s: float
@@ -109,7 +109,7 @@ class Series:
     robots: dict[int, RobotSeries]
     errors_against: str | None  # "truth", "localizer", or None when there is nothing to compare with
     frame_ms: Array = field(default_factory=lambda: np.zeros((0, 2)))  # (f, 2) time in s, processing time of a frame in ms
-    happenings: tuple[Happening, ...] = ()
+    timeline_events: tuple[TimelineEvent, ...] = ()
     sent_home_s: float | None = None  # when the fleet turned home before the end
     cut_short: bool = False  # the evaluation ends before the flight does: its clock leaps
     flights: tuple[Flight, ...] = ()  # all of the log

@@ -41,12 +41,14 @@ def deploy(
     from rich.table import Table
 
     from groundstation.deploy.manifest import parse_targets
-    from groundstation.deploy.ssh import Wanted, check, deploy_all
+    from groundstation.deploy.ssh import DeployRequest, check, deploy_all
 
     targets = parse_targets(boards)
     loaded = load_experiment(experiment, settings or ())
     command = _command(ssh)
-    wanted = Wanted(loaded, station, fleet, link, link_key, home, keys, insecure, wheelhouse, command, restart, dry_run, force)
+    wanted = DeployRequest(
+        loaded, station, fleet, link, link_key, home, keys, insecure, wheelhouse, command, restart, dry_run, force
+    )
     check(targets, wanted)
     table = Table("board", "robot", "would change" if dry_run else "changed", "version", "service")
     failed = False

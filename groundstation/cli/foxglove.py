@@ -1,4 +1,4 @@
-"""SHELL: `groundstation foxglove-layout`, and where live viewers are served."""
+"""SHELL: `groundstation foxglove layout`, and where live viewers are served."""
 
 import json
 from pathlib import Path
@@ -12,6 +12,7 @@ from wire.process.cli_options import DEFAULT_FLEET, FleetName, experiments
 from wire.process.output_files import check_output, replace_text
 from wire.toml_loader import ConfigError
 
+foxglove_cli = typer.Typer(help="Viewers of the Foxglove family.", no_args_is_help=True, pretty_exceptions_enable=False)
 LayoutFile = Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Write it there instead of to stdout.")]
 Foxglove = Annotated[
     str | None,
@@ -22,6 +23,7 @@ Foxglove = Annotated[
 ]
 
 
+@foxglove_cli.command("layout")
 def foxglove_layout(
     experiment: Annotated[
         str,
@@ -34,8 +36,8 @@ def foxglove_layout(
 ) -> None:
     """Print a layout for Foxglove, Lichtblick and their kin, for the robots of an experiment.
 
-    Examples:  groundstation foxglove-layout pool --out layout.json
-               groundstation export runs/pool-20260101-120000 --foxglove --out viewer
+    Examples:  groundstation foxglove layout pool --out layout.json
+               groundstation log export runs/pool-20260101-120000 --foxglove --out viewer
     """
     if out is not None:
         check_output(out, [experiment_path(experiment)])

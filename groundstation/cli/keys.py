@@ -77,7 +77,7 @@ def revoke(
 
 @keys_cli.command("list")
 def list_members(ring: Ring = DEFAULT_RING) -> None:
-    """Who has a certificate, and until when.
+    """List the processes that have a certificate, and its expiry.
 
     Example:  groundstation keys list
     """

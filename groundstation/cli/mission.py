@@ -1,7 +1,6 @@
-"""SHELL: what a person asks of the running station from a terminal: `groundstation order`, `set`, `stop`, `return`, `go`,
-`end`; and what counts when, `phases`.
+"""SHELL: requests of the operator to the running station: `groundstation mission ...`, `gains ...`, `stop`, `end`.
 
-Each command waits for the outcome of its request, tells it robot by robot, and exits by it (docs/commands.md).
+Each command waits for the outcome of its request, prints it robot by robot, and exits by it (docs/commands.md).
 """
 
 import json
@@ -13,6 +12,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
+from groundstation.mission.state_machine import FLEET_REQUESTS, markdown, order_named
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply, Tuning
 from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing
 
@@ -40,18 +40,67 @@ Wait = Annotated[
         show_default=False,
     ),
 ]
-FLEET_ORDERS = (
-    "load", "arm", "start", "hold", "resume", "return", "rejoin", "test", "stop", "disarm", "clear-stop", "end",
-)  # fmt: skip
+HELP = {
+    "load": "Load the trajectories into all robots, and go no further.",
+    "arm": "Load the trajectories and arm all robots, and go no further.",
+    "start": "Load, arm and start: fly the experiment.",
+    "hold": "Make all robots hold their places under power.",
+    "resume": "Go on after a hold.",
+    "return": """Bring every robot back to its start, clear of the others, of islands and of obstacles; then disarm.
+
+    Waits until all are there (`--wait`). Exit code 1 also when a robot had to be left out.""",
+    "rejoin": "Let lost robots that are heard and fit again take part.",
+    "test": "Test every thruster of every robot, briefly and with little thrust.",
+    "disarm": "Disarm all robots: neutral, and no pulses until they are armed again.",
+    "clear-stop": "Clear an emergency stop. Robots stay disarmed until they are armed again.",
+    "stop": """Emergency stop: every robot to neutral, latched until `groundstation mission clear-stop`.
+
+    Exit code 0 when every robot of the experiment has confirmed, 1 with the names of those that have not.""",
+    "end": """End the run: disarm every robot, then let the station write what it has, and stop. In `sim-bridge sil`
+    everything ends.""",
+}
+
+mission_cli = typer.Typer(
+    help="Requests to the running station for the whole fleet (docs/missions.md).",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+gains_cli = typer.Typer(
+    help="Weights and gains of the controller, changed while the fleet flies.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
 
 
-def _orders(begun: str) -> list[str]:
-    """How an order may go on, for the shell."""
-    return [order for order in FLEET_ORDERS if order.startswith(begun)]
+def request_command(name: str) -> Callable[..., None]:
+    """Command that makes one request of the whole fleet."""
+
+    def command(
+        station: Station = None,
+        fleet: FleetName = DEFAULT_FLEET,
+        keys: KeyRing = None,
+        insecure: Insecure = False,
+        wait: Wait = None,
+        as_json: AsJson = False,
+    ) -> None:
+        _tell_station(name, Command(order_named(name), robot=0), station, fleet, keys, insecure, wait, as_json)
+
+    return command
+
+
+def register(cli: typer.Typer, name: str, group: str = "") -> None:
+    """Add the request `name` to a group of commands."""
+    help_text = f"{HELP[name]}\n\n    Example:  groundstation {group}{name}"
+    cli.command(name, help=help_text)(request_command(name))
+
+
+for _name in FLEET_REQUESTS:
+    if _name not in ("stop", "end"):  # words of their own
+        register(mission_cli, _name, "mission ")
 
 
 def order(
-    what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_ORDERS)}.", autocompletion=_orders)],
+    what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_REQUESTS)}.")],
     station: Station = None,
     fleet: FleetName = DEFAULT_FLEET,
     keys: KeyRing = None,
@@ -59,22 +108,15 @@ def order(
     wait: Wait = None,
     as_json: AsJson = False,
 ) -> None:
-    """Give the whole fleet an order through the running station, and wait for what comes of it, robot by robot.
-
-    Exit code 0 when it is done, 1 and the reason if not.
-
-    Example:  groundstation order start
-    """
-    if what not in FLEET_ORDERS:
-        raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_ORDERS)})")
-    _tell_station(what, Command(Order[what.upper().replace("-", "_")], robot=0), station, fleet, keys, insecure, wait, as_json)
+    """Make a request of the whole fleet. Old name of `groundstation mission ...`."""
+    if what not in FLEET_REQUESTS:
+        raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_REQUESTS)})")
+    request_command(what)(station, fleet, keys, insecure, wait, as_json)
 
 
-def tune(
-    changes: Annotated[
-        list[str] | None, typer.Argument(metavar="KEY=VALUE", help="For example controller.mpc.q=[2,2,1,1].")
-    ] = None,
-    undo: Annotated[bool, typer.Option("--undo", help="Go back to the gains before.")] = False,
+@gains_cli.command("set")
+def set_gains(
+    changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE", help="For example controller.mpc.q=[2,2,1,1].")],
     station: Station = None,
     fleet: FleetName = DEFAULT_FLEET,
     keys: KeyRing = None,
@@ -86,52 +128,52 @@ def tune(
 
     Exit code 0 when all fly with them, 1 and the reason if not.
 
-    Examples:  groundstation set controller.mpc.q=[2,2,1,1]
-               groundstation set --undo
+    Example:  groundstation gains set controller.mpc.q=[2,2,1,1]
     """
     from wire.messages.live_gains import values_of
 
-    values = values_of(changes or ())
-    if bool(values) == undo:
+    values = values_of(changes)
+    tuning = Tuning("", tuple(values), np.array(list(values.values())))
+    _tell_station("set", Command(Order.TUNE, robot=0, tuning=tuning), station, fleet, keys, insecure, wait, as_json)
+
+
+@gains_cli.command("undo")
+def undo_gains(
+    station: Station = None,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    wait: Wait = None,
+    as_json: AsJson = False,
+) -> None:
+    """Go back to the gains before the last change, as `gains set` does.
+
+    Example:  groundstation gains undo
+    """
+    tuning = Tuning("", (), np.zeros(0))
+    _tell_station("undo", Command(Order.TUNE, robot=0, tuning=tuning), station, fleet, keys, insecure, wait, as_json)
+
+
+def set_or_undo(
+    changes: Annotated[list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Gains.")] = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Go back to the gains before.")] = False,
+    station: Station = None,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    wait: Wait = None,
+    as_json: AsJson = False,
+) -> None:
+    """Change gains. Old name of `groundstation gains set` and `gains undo`."""
+    if bool(changes) == undo:
         raise typer.BadParameter("either KEY=VALUE, or --undo")
-    wanted = Tuning("", tuple(values), np.array(list(values.values())))
-    _tell_station("set", Command(Order.TUNE, robot=0, tuning=wanted), station, fleet, keys, insecure, wait, as_json)
+    if changes:
+        set_gains(changes, station, fleet, keys, insecure, wait, as_json)
+    else:
+        undo_gains(station, fleet, keys, insecure, wait, as_json)
 
 
-def stop(
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
-    """Emergency stop: every robot to neutral, latched until `groundstation order clear-stop`.
-
-    Exit code 0 when every robot of the experiment has confirmed, 1 with the names of those that have not.
-
-    Example:  groundstation stop
-    """
-    order("stop", station, fleet, keys, insecure, wait, as_json)
-
-
-def come_back(
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
-    """Every robot back to where it started, clear of one another, of islands and of what the camera sees; then disarm.
-
-    Waits until all are there (`--wait`). Exit code 0 then, 1 and the reason if not, also when one had to be left out.
-
-    Example:  groundstation return
-    """
-    order("return", station, fleet, keys, insecure, wait, as_json)
-
-
+@mission_cli.command(context_settings={"ignore_unknown_options": True})  # places may be negative
 def go(
     places: Annotated[
         list[float],
@@ -144,11 +186,11 @@ def go(
     wait: Wait = None,
     as_json: AsJson = False,
 ) -> None:
-    """Lead the running formation to other places than planned, by the shortest clear way, without stopping it.
+    """Lead the running formation to other places than planned, by the shortest clear route, without stopping it.
 
-    Exit code 0 when all fly the new way, 1 and the reason if there is none.
+    Exit code 0 when all fly the new path, 1 and the reason if there is none.
 
-    Example:  groundstation go 2.0 -1.5 4.0 0.5
+    Example:  groundstation mission go 2.0 -1.5 4.0 0.5
     """
     if len(places) % 2:
         raise typer.BadParameter(f"{len(places)} numbers: each place has two, x and y")
@@ -158,28 +200,12 @@ def go(
     _tell_station("go", command, station, fleet, keys, insecure, wait, as_json)
 
 
-def end(
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
-    """End the run: disarm every robot, then let the station write what it has, and stop. In `sim-bridge sil` everything ends.
+@mission_cli.command()
+def states() -> None:
+    """Print the mission's table: its states, the requests that each allows, and the events that move it.
 
-    Example:  groundstation end
+    Example:  groundstation mission states
     """
-    order("end", station, fleet, keys, insecure, wait, as_json)
-
-
-def phases() -> None:
-    """Print the mission's table: its states, which order counts when, and what it does by itself.
-
-    Example:  groundstation phases
-    """
-    from groundstation.mission.state_machine import markdown
-
     typer.echo(markdown(), nl=False)
 
 
@@ -193,7 +219,7 @@ def _tell_station(
     wait_s: float | None,
     as_json: bool,
 ) -> None:
-    """Ask something of the running station as its operator, wait for what becomes of it, and exit by that."""
+    """Make a request of the running station as its operator, wait for the outcome, and exit by it."""
     from groundstation.station.discovery import station
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
@@ -203,7 +229,7 @@ def _tell_station(
 
     where = nearest(endpoint(station(given, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
     patience_s = PATIENCE_S.get(command.order, OTHERWISE_S) if wait_s is None else wait_s
-    told = _Told(what, as_json)
+    told = _Printer(what, as_json)
     try:
         with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
             reply = follow(lambda c: bus.order(c, time.time_ns(), ORDER_TIMEOUT_S), command, patience_s, told.progress)
@@ -214,8 +240,10 @@ def _tell_station(
 
 
 def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float, told: Callable[[Outcome], None]) -> Reply:
-    """Ask for something, and then what became of it, until it is over or `patience_s` have gone by. Returns the last answer.
-    An emergency stop that nobody answers is asked for again."""
+    """Make a request, and query its outcome until it is over or `patience_s` have gone by. Returns the last reply.
+
+    An emergency stop without a reply is repeated.
+    """
     deadline = time.monotonic() + patience_s
     reply = ask(command)
     while command.order is Order.STOP and reply.silent and time.monotonic() < deadline:
@@ -230,8 +258,8 @@ def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float,
     return reply
 
 
-class _Told:
-    """What has been printed of a request."""
+class _Printer:
+    """Prints the progress of a request, each fact once."""
 
     def __init__(self, what: str, as_json: bool) -> None:
         self._what, self._as_json = what, as_json
@@ -239,7 +267,7 @@ class _Told:
         self._mission = ""
 
     def progress(self, outcome: Outcome) -> None:
-        """Each thing once."""
+        """Print what is new of an outcome."""
         if self._as_json:
             return
         if outcome.mission != self._mission:
@@ -251,7 +279,7 @@ class _Told:
                 typer.echo(f"  robot {robot}: confirmed")
 
     def end(self, reply: Reply, patience_s: float) -> int:
-        """The outcome. Returns the exit code."""
+        """Print the outcome. Returns the exit code."""
         outcome = reply.outcome
         if outcome is None:
             done, text = False, f"refused: {reply.reason}" if not reply.silent else f"not heard: {reply.reason}"

@@ -1,4 +1,4 @@
-"""SHELL: `groundstation replay`: a run on the page again, or on the bus."""
+"""SHELL: `groundstation log replay`: a run on the page again, or on the bus."""
 
 import time
 from pathlib import Path
@@ -40,11 +40,11 @@ def replay(
 
     On the bus goes what was seen and said, never what made anything move.
 
-    Examples:  groundstation replay runs/pool-20260101-120000
-               groundstation replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
+    Examples:  groundstation log replay runs/pool-20260101-120000
+               groundstation log replay runs/pool-20260101-120000 --bus --rate 4 --begin 30
     """
     from groundstation.web.auth import web_options
-    from groundstation.web.replay_backend import Replay
+    from groundstation.web.replay_backend import ReplayBackend
     from groundstation.web.server import WebServer
 
     start_log("groundstation")
@@ -64,7 +64,7 @@ def replay(
             typer.echo(f"{send(bus, chosen(log, begin, end), rate, stop)} messages")
         return
     options = web_options(web)
-    with Replay(run_folder, against) as source, WebServer(source, options):
+    with ReplayBackend(run_folder, against) as source, WebServer(source, options):
         typer.echo(f"{source.experiment.title or source.experiment.name}: {options.url}")
         while not stop.requested:
             time.sleep(SLICE_S)

@@ -1,4 +1,4 @@
-"""SHELL: `groundstation rerun`."""
+"""SHELL: `groundstation log rerun`."""
 
 import json
 import sys
@@ -10,7 +10,7 @@ import typer
 from wire.process.cli_options import AsJson, Settings
 
 if TYPE_CHECKING:
-    from groundstation.replay.step_diff import Again
+    from groundstation.replay.step_diff import StepComparison
 
 
 def rerun(
@@ -26,8 +26,8 @@ def rerun(
     move nothing, the next step's poses are again those of the log: `sim-bridge sil --from` shows where it would have led.
     Exit code 1 if nothing was changed and something differs, or the log does not hold all that it takes.
 
-    Examples:  groundstation rerun runs/pool-20260101-120000
-               groundstation rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=60 --figures figures
+    Examples:  groundstation log rerun runs/pool-20260101-120000
+               groundstation log rerun runs/pool-20260101-120000 --robot 1 --set controller.mpc.horizon=60 --figures figures
     """
     from groundstation.replay.step_diff import draw
     from groundstation.replay.step_replay import rerun as do_again
@@ -58,7 +58,7 @@ def moment(
     hand_over(run_folder, at, robot, sys.stdout.buffer)
 
 
-def _tell(found: "list[Again]") -> None:
+def _tell(found: "list[StepComparison]") -> None:
     """The comparison as tables."""
     from rich.console import Console
     from rich.table import Table

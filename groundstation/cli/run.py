@@ -57,7 +57,7 @@ def run(
     """Fly an experiment: be the fleet's router, wait for the robots, run the mission, record, write the report.
 
     Without --auto the station waits for orders: from the operator's page, or from another terminal
-    (`groundstation order start`), until somebody ends the run (`groundstation end`, or Ctrl-C).
+    (`groundstation mission start`), until somebody ends the run (`groundstation end`, or Ctrl-C).
     Exit code 0 if the mission succeeded and every limit of the experiment held, 1 if not.
 
     Examples:  groundstation run pool --listen tls/0.0.0.0:7447 --keys keys
@@ -121,7 +121,7 @@ def _token(file: Path) -> str:
 
 
 def _intent(experiment: Experiment, folder: Path) -> str:
-    """What a run of it would be. Raises ConfigError for what cannot be flown."""
+    """Summary of the run that would be flown. Raises ConfigError for one that cannot."""
     from groundstation.logs.recorder import check_room
     from groundstation.planning import planner
 

@@ -1,4 +1,4 @@
-"""SHELL: what there is to do with a run: `groundstation report`, `compare`, `comparison`, `export`, `recover`, `record`."""
+"""SHELL: commands for recorded runs: `groundstation log report|compare|export|repair|record`, and `benchmark report`."""
 
 import json
 import sys
@@ -40,7 +40,7 @@ def report(
     What is wrong with the log as a whole (none, empty, cut off, gaps) is the first line. Exit code 0 if the run passed, 1 if
     it did not or its log is not whole.
 
-    Example:  groundstation report runs/pool-20260101-120000 --pdf figures
+    Example:  groundstation log report runs/pool-20260101-120000 --pdf figures
     """
     from groundstation.report import report as reporting
 
@@ -64,14 +64,14 @@ def compare(
 ) -> None:
     """Put runs side by side: their figures, in what their experiments differ, and a page with their errors over time.
 
-    Example:  groundstation compare runs/pool-20260101-120000 runs/pool-20260101-130000 --out why.html
+    Example:  groundstation log compare runs/pool-20260101-120000 runs/pool-20260101-130000 --out why.html
     """
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
     from groundstation.report import report as reporting
-    from groundstation.report.run_comparison import Run, differences, figures_of
+    from groundstation.report.run_comparison import Run, differences, metric_rows
 
     if len(runs) < 2:
         raise ConfigError("compare: two runs or more are needed")
@@ -89,13 +89,13 @@ def compare(
             typer.echo(f"{name}: {result.log_trouble}", err=True)
     reporting.write_comparison(read, out)
     if as_json:
-        figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in figures_of(read)]
+        figures = [{"name": row.name, "unit": row.unit, "values": row.values} for row in metric_rows(read)]
         changed = [{"key": key, "values": values} for key, values in differences(read)]
         typer.echo(json.dumps({"runs": names, "figures": figures, "differences": changed}, indent=1))
         return
     console = Console()
     for title, rows in (
-        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in figures_of(read)]),
+        ("figures", [(f"{row.name} [{row.unit}]" if row.unit else row.name, *row.values) for row in metric_rows(read)]),
         ("what was different", [(key, *values) for key, values in differences(read)]),
     ):
         table = Table(title=title)
@@ -119,8 +119,8 @@ def export(
     The first column, time_s, is 0 where the report's is. Exit code 1 if the log is not whole or holds messages that cannot be
     decoded. Or, for 3-D viewers, the log with the scene in it, and a layout that shows it.
 
-    Examples:  groundstation export runs/pool-20260101-120000 --out tables
-               groundstation export runs/pool-20260101-120000 --out viewer --foxglove
+    Examples:  groundstation log export runs/pool-20260101-120000 --out tables
+               groundstation log export runs/pool-20260101-120000 --out viewer --foxglove
     """
     from groundstation.export import foxglove_file, tables
 
@@ -143,30 +143,30 @@ def export(
     raise typer.Exit(1 if trouble else 0)
 
 
-def recover(
+def repair(
     log_file: Annotated[Path, typer.Argument(metavar="FILE", help="A log that was cut off.")], as_json: AsJson = False
 ) -> None:
     """Make a cut log whole: everything up to the cut, and the index that readers want. Reports do this by themselves.
 
-    Example:  groundstation recover runs/pool-20260101-120000/run.mcap
+    Example:  groundstation log repair runs/pool-20260101-120000/run.mcap
     """
-    from groundstation.logs import repair
+    from groundstation.logs.repair import recover
 
-    mended = repair.recover(log_file)
+    mended = recover(log_file)
     if as_json:
         typer.echo(json.dumps({"file": str(log_file), "mended": mended}))
         return
     typer.echo(f"{log_file}: {'mended up to the cut' if mended else 'is whole, nothing to mend'}")
 
 
-def comparison(
+def benchmark_report(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Where comparison.json is, as `sim-bridge compare` writes it.")
     ],
 ) -> None:
     """Print the table of a comparison and write comparison.html beside it. Exit code 1 if a flight failed.
 
-    Example:  groundstation comparison runs/compare-pool
+    Example:  groundstation benchmark report runs/compare-pool
     """
     from groundstation.report import compare_report
 

@@ -23,7 +23,7 @@ YEAR = timedelta(days=365)
 
 
 @dataclass(frozen=True)
-class Pair:
+class KeyPair:
     """A certificate and its private key, PEM. The key stays out of every printed form."""
 
     certificate: bytes
@@ -33,7 +33,7 @@ class Pair:
         return "Pair(...)"
 
 
-def make_authority(fleet: str, now: datetime) -> Pair:
+def make_authority(fleet: str, now: datetime) -> KeyPair:
     """A new root for a fleet."""
     key = ec.generate_private_key(ec.SECP256R1())
     # Not every fleet's the same: then a stranger's certificate is one of an unknown authority, not one with a bad signature.
@@ -65,7 +65,7 @@ def new_common_name(process: str) -> str:
     return f"{process}.{x509.random_serial_number() & 0xFFFFFFFF:08x}"
 
 
-def issue(authority: Pair, common_name: str, hosts: Sequence[str], now: datetime, days: float = MEMBER_DAYS) -> Pair:
+def issue(authority: KeyPair, common_name: str, hosts: Sequence[str], now: datetime, days: float = MEMBER_DAYS) -> KeyPair:
     """A certificate for a member. With `hosts` (names and addresses) it may be the station there. Raises ValueError for an
     authority that is none, or is put together from two."""
     root = x509.load_pem_x509_certificate(authority.certificate)
@@ -108,6 +108,6 @@ def _general_name(host: str) -> x509.GeneralName:
         return x509.DNSName(host)
 
 
-def _pair(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> Pair:
+def _pair(certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> KeyPair:
     private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    return Pair(certificate.public_bytes(Encoding.PEM), private)
+    return KeyPair(certificate.public_bytes(Encoding.PEM), private)

@@ -13,7 +13,7 @@ from pathlib import Path
 import tomli_w
 
 from groundstation.deploy import certificate_authority
-from groundstation.deploy.certificate_authority import Pair
+from groundstation.deploy.certificate_authority import KeyPair
 from wire.messages.topics import Role, process_name
 from wire.process.output_files import replacing
 from wire.security.key_ring import CA, CERTIFICATE, MEMBERS, PRIVATE_KEY, ROLE_NAMES, Issued, MemberList, read_members
@@ -103,15 +103,15 @@ def _without(members: MemberList, process: str, now: datetime) -> MemberList:
     return members.model_copy(update={"member": tuple(kept)})
 
 
-def _authority(ring: Path) -> Pair:
+def _authority(ring: Path) -> KeyPair:
     with os_errors_as_config_errors(ring):
         for path in (ring / CA, ring / AUTHORITY_KEY):
             if not path.is_file():
                 raise ConfigError(f"{path}: missing (`groundstation keys init` makes it; put it back if it is in a safe)")
-        return Pair((ring / CA).read_bytes(), (ring / AUTHORITY_KEY).read_bytes())
+        return KeyPair((ring / CA).read_bytes(), (ring / AUTHORITY_KEY).read_bytes())
 
 
-def _lay_down(folder: Path, ca: bytes, pair: Pair) -> None:
+def _lay_down(folder: Path, ca: bytes, pair: KeyPair) -> None:
     folder.mkdir(exist_ok=True)
     folder.chmod(0o700)
     _write(folder / CA, ca, 0o644)

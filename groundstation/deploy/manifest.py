@@ -1,4 +1,4 @@
-"""What goes onto a robot's board, and what of it is there already. Pure: bytes and answers are arguments.
+"""Content of a robot's board, and the part of it that has changed. Pure: bytes and answers are arguments.
 
 A board's software, keys, experiment and settings are four parts, each with a digest of its content. The board keeps the list
 of the digests that it has; what is the same does not travel, so a second deployment changes nothing and restarts nothing.
@@ -29,7 +29,7 @@ class Target:
 
 @dataclass(frozen=True)
 class Probe:
-    """What a board says of itself."""
+    """Answers of a board about itself."""
 
     machine: str
     python: str  # 3.11
@@ -62,7 +62,7 @@ def parse_targets(texts: Sequence[str]) -> tuple[Target, ...]:
 
 
 def check_home(home: str) -> None:
-    """Whether a folder can be a board's home. Raises ConfigError."""
+    """Refuse a folder that cannot be a board's home. Raises ConfigError."""
     if not re.fullmatch(r"/[\w./-]+", home, re.ASCII):
         raise ConfigError(f"--home {home!r}: no folder for a board (allowed: an absolute path of letters, digits, . _ - /)")
 
@@ -96,7 +96,7 @@ def refuse_to_restart(target: Target, probe: Probe) -> None:
     if probe.agent:
         raise ConfigError(
             f"{target.host}: robot {target.robot} is {probe.agent}, and a restart would disarm it at once: "
-            "disarm it first (groundstation order disarm); or --no-restart, or --force"
+            "disarm it first (groundstation mission disarm); or --no-restart, or --force"
         )
 
 

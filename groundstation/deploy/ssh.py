@@ -33,8 +33,8 @@ Files = list[tuple[str, bytes]]
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """What is to be on every board."""
+class DeployRequest:
+    """Content and options of a deployment, the same for every board."""
 
     experiment: Experiment
     station: str
@@ -52,8 +52,8 @@ class Wanted:
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What became of one board."""
+class TargetResult:
+    """Result for one board."""
 
     target: Target
     changed: tuple[str, ...] = ()
@@ -62,8 +62,8 @@ class Outcome:
     trouble: str = ""
 
 
-def check(targets: Sequence[Target], wanted: Wanted) -> None:
-    """What can be said before any board is asked. Raises ConfigError."""
+def check(targets: Sequence[Target], wanted: DeployRequest) -> None:
+    """Check all that can be checked without a board. Raises ConfigError."""
     parse_address(wanted.station)
     if wanted.ring is None:
         refuse_open(wanted.station, wanted.insecure)
@@ -77,20 +77,20 @@ def check(targets: Sequence[Target], wanted: Wanted) -> None:
             open_keys(wanted.ring, process_name(Role.ROBOT, target.robot))
 
 
-def deploy_all(targets: Sequence[Target], wanted: Wanted) -> Iterable[Outcome]:
+def deploy_all(targets: Sequence[Target], wanted: DeployRequest) -> Iterable[TargetResult]:
     """All boards, a few at once; one that fails does not keep the others from theirs."""
     with ThreadPoolExecutor(AT_ONCE) as pool:
         yield from pool.map(lambda target: _tried(target, wanted), targets)
 
 
-def _tried(target: Target, wanted: Wanted) -> Outcome:
+def _tried(target: Target, wanted: DeployRequest) -> TargetResult:
     try:
         return deploy_one(target, wanted)
     except (ConfigError, OSError) as error:  # a file here that cannot be read is no reason to say nothing of the other boards
-        return Outcome(target, trouble=str(error))
+        return TargetResult(target, trouble=str(error))
 
 
-def deploy_one(target: Target, wanted: Wanted) -> Outcome:
+def deploy_one(target: Target, wanted: DeployRequest) -> TargetResult:
     """One board. Raises ConfigError with the reason why not."""
     home = shlex.quote(wanted.home)
     asked = ARMED.read_text(encoding="utf-8") + manifest.PROBE.format(home=home)
@@ -99,11 +99,11 @@ def deploy_one(target: Target, wanted: Wanted) -> Outcome:
     digests = {part: manifest.digest(files) for part, files in parts.items()}
     travels = manifest.changed(digests, probe.manifest)
     if not travels:
-        return Outcome(target, travels, service="not touched")
+        return TargetResult(target, travels, service="not touched")
     if wanted.restart and not wanted.force:
         manifest.refuse_to_restart(target, probe)
     if wanted.dry_run:
-        return Outcome(target, travels, service="not touched")
+        return TargetResult(target, travels, service="not touched")
     files = [file for part in travels for file in parts[part]]
     archive = _tar(
         [*files, ("manifest", manifest.write_manifest(digests)), ("board.sh", ARMED.read_bytes() + SCRIPT.read_bytes())]
@@ -114,10 +114,10 @@ def deploy_one(target: Target, wanted: Wanted) -> Outcome:
         f"tar -xf - -C {home}/incoming; sh {home}/incoming/board.sh {home} {restart}"
     )
     report = manifest.read_report(_ssh(wanted, target, command, archive, INSTALL_S))
-    return Outcome(target, travels, report.get("version", ""), report.get("service", ""))
+    return TargetResult(target, travels, report.get("version", ""), report.get("service", ""))
 
 
-def _parts(target: Target, wanted: Wanted, probe: Probe) -> dict[str, Files]:
+def _parts(target: Target, wanted: DeployRequest, probe: Probe) -> dict[str, Files]:
     found = _found(wanted.wheels if wanted.wheels is not None else wheelhouse.wheels(probe))
     parts: dict[str, Files] = {
         "software": [(f"software/{path.name}", path.read_bytes()) for path in found],
@@ -140,8 +140,8 @@ def _found(wheels: Path) -> list[Path]:
     return found
 
 
-def _init(target: Target, wanted: Wanted) -> list[str]:
-    """What `robot-agent init` is given on the board."""
+def _init(target: Target, wanted: DeployRequest) -> list[str]:
+    """Arguments of `robot-agent init` on the board."""
     arguments = ["--force", "--robot", str(target.robot), "--station", wanted.station, "--fleet", wanted.fleet]
     arguments += ["--link", wanted.link, "--experiment", "experiment.toml"]
     arguments += ["--link-key", wanted.link_key] if wanted.link_key is not None else []
@@ -158,7 +158,7 @@ def _tar(files: Files) -> bytes:
     return packed.getvalue()
 
 
-def _ssh(wanted: Wanted, target: Target, command: str, data: bytes, timeout_s: float) -> str:
+def _ssh(wanted: DeployRequest, target: Target, command: str, data: bytes, timeout_s: float) -> str:
     """Run a command on a board. Raises ConfigError with what ssh or the board says."""
     full = [*wanted.ssh, "-o", "BatchMode=yes", "-o", "ConnectTimeout=10", "--", target.host, f"sh -c {shlex.quote(command)}"]
     try:

@@ -9,13 +9,12 @@ from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from groundstation.export.foxglove_layout import layout
-from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, Picture, upright
+from groundstation.export.foxglove_scene import DRAWN, FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
 from groundstation.logs.logfile import open_log
 from groundstation.logs.reader import key_topic
 from groundstation.logs.recorder import CHUNK_BYTES
 from groundstation.logs.repair import valid_records
 from wire.config.experiment import load_experiment
-from wire.messages import topics
 from wire.messages.codec import DecodeError, decode
 from wire.process.output_files import RUN, check_output, replace_text, replacing
 
@@ -23,7 +22,6 @@ LAYOUT_NAME = "foxglove-layout.json"
 COPY_ENDING = "-viewer.mcap"  # never run.mcap: an export is no run
 SCENE_NS = 100_000_000  # a new scene this often: smooth to the eye
 STANDING_NS = 5_000_000_000  # and what stands, for whoever jumps into the middle
-DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)
 
 
 def export(run: Path, folder: Path) -> list[Path]:
@@ -36,7 +34,7 @@ def export(run: Path, folder: Path) -> list[Path]:
     with open_log(run) as log:
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(copy) as file:
-            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), Picture(experiment)).run(log.readable)
+            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), SceneDrawer(experiment)).run(log.readable)
     replace_text(described, json.dumps(layout(experiment, fleet.removesuffix("/")), indent=1) + "\n")
     return [copy, described]
 
@@ -44,7 +42,7 @@ def export(run: Path, folder: Path) -> list[Path]:
 class _Copy:
     """One pass through a log."""
 
-    def __init__(self, writer: Any, picture: Picture) -> None:
+    def __init__(self, writer: Any, picture: SceneDrawer) -> None:
         self._writer, self._picture = writer, picture
         self._schemas: dict[int, int] = {0: 0}
         self._channels: dict[int, int] = {}

@@ -12,7 +12,7 @@ from typing import Any
 
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from groundstation.export.foxglove_scene import FRAMES, MOVING, SCHEMAS, STANDING, Picture, upright
+from groundstation.export.foxglove_scene import DRAWN, FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode, protobuf_class
@@ -24,7 +24,6 @@ from wire.transport.bus import Bus
 
 SCENE_S = 0.1
 STANDING_S = 2.0  # a viewer that comes later waits no longer for the pool
-DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)
 SHOWN = (*DRAWN, topics.PREVIEW, topics.VIDEO, topics.PICTURE, topics.POSE, topics.LOCALIZER, topics.HEARTBEAT, topics.EVENT)
 
 
@@ -40,7 +39,7 @@ class ViewerServer:
         self._clock, self._context = clock, self._sdk.Context()
         self._channels: dict[str, Any] = {}
         self._heard: dict[tuple[Topic, int], tuple[int, bytes]] = {}  # what is drawn: the newest of each
-        self._picture, self._turn = Picture(experiment), threading.Lock()
+        self._picture, self._turn = SceneDrawer(experiment), threading.Lock()
         self._closing = threading.Event()
         try:
             self._server = self._sdk.start_server(name=f"shoal {experiment.name}", host=host, port=port, context=self._context)

@@ -1,4 +1,4 @@
-"""What robots say and see, as foxglove.* messages that 3-D viewers draw: hulls with headings, plans, paths, obstacles, pool.
+"""Robots and obstacles as foxglove.* messages that 3-D viewers draw: hulls with headings, plans, paths, obstacles, pool.
 Pure.
 
     picture = Picture(experiment)
@@ -30,13 +30,14 @@ from wire.messages.topics import Topic
 POOL_FRAME, UPRIGHT_FRAME = "pool", "upright"
 MOVING, STANDING, FRAMES = "viewer/scene", "viewer/pool", "viewer/frame"  # topics, below the fleet's name
 SCHEMAS: dict[str, Any] = {MOVING: SceneUpdate, STANDING: SceneUpdate, FRAMES: FrameTransform}
+DRAWN = (topics.STATE, topics.PLAN, topics.TRUTH, topics.OBSTACLES, topics.TRAJECTORY)  # topics that SceneDrawer takes
 GONE_NS = 500_000_000  # what is not told again is not drawn any longer
 GREY, RED = "#767676", "#CC0000"
 FULL, FAINT, GLASS = 1.0, 0.45, 0.25  # opacities
 PATH_POINTS = 400  # of a trajectory: enough for the eye
 
 
-class Picture:
+class SceneDrawer:
     """The newest of everything that is drawn."""
 
     def __init__(self, experiment: Experiment) -> None:

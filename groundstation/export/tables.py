@@ -91,7 +91,7 @@ LISTS: dict[type, tuple[str, str]] = {
 
 
 @dataclass(frozen=True)
-class Column:
+class TableColumn:
     """A column of a table: its name, the type of its cells (float, int, bool, str), and a cell of a message and a row of it;
     None where there is nothing."""
 
@@ -102,7 +102,7 @@ class Column:
 
 @dataclass
 class Exported:
-    """What was written."""
+    """Files written, and trouble found."""
 
     files: list[tuple[Path, int]] = field(default_factory=list)  # with their rows
     trouble: str = ""  # what is wrong with the log as a whole
@@ -160,17 +160,17 @@ def _messages(log: Path) -> Iterator[tuple[tuple[Topic, int], str, Message]]:
 # --- columns
 
 
-def columns(cls: type, prefix: str = "") -> list[Column]:
+def columns(cls: type, prefix: str = "") -> list[TableColumn]:
     """The columns of a message's table; with a prefix, of a message within another one."""
     listed, filled_by = ("", "") if prefix else LISTS.get(cls, ("", ""))
-    found: list[Column] = []
+    found: list[TableColumn] = []
     if listed:
         kind = int if filled_by != "keys" else str
-        found.append(Column(listed, kind, _entry(filled_by) if filled_by else lambda m, row: row))
+        found.append(TableColumn(listed, kind, _entry(filled_by) if filled_by else lambda m, row: row))
     if listed and cls is messages.Plan:
-        found.append(Column("ahead_s", float, lambda m, row: row * m.period_s))
+        found.append(TableColumn("ahead_s", float, lambda m, row: row * m.period_s))
     if listed and cls is messages.Trajectory:
-        found.append(Column("trajectory_s", float, lambda m, row: m.begin_s + row * m.period_s))
+        found.append(TableColumn("trajectory_s", float, lambda m, row: m.begin_s + row * m.period_s))
     hints = get_type_hints(cls)
     for f in dataclasses.fields(cls):
         if f.name != filled_by or not listed:
@@ -179,39 +179,39 @@ def columns(cls: type, prefix: str = "") -> list[Column]:
 
 
 def rows(message: Any) -> int:
-    """How many rows a message has; one that is an empty list has one, which says so."""
+    """Number of rows of a message; an empty list has one row, which says so."""
     if type(message) not in LISTS:
         return 1
     lists = [getattr(message, f.name) for f in dataclasses.fields(message)]
     return max([1, *(len(value) for value in lists if isinstance(value, np.ndarray | tuple))])
 
 
-def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[Column]:
+def _of_field(cls: type, name: str, hint: Any, shape: Any, prefix: str, listed: bool) -> list[TableColumn]:
     """The columns of one field."""
     names = NAMES.get((cls, name))
     if shape is not None and -1 in shape and not listed:  # a list within a message
         if cls is messages.Trajectory:  # it has a table of its own
-            return [Column(f"{prefix}{name}_samples", int, lambda m, row: len(getattr(m, name)))]
-        return [Column(f"{prefix}{name}", str, lambda m, row: json.dumps(getattr(m, name).tolist()))]
+            return [TableColumn(f"{prefix}{name}_samples", int, lambda m, row: len(getattr(m, name)))]
+        return [TableColumn(f"{prefix}{name}", str, lambda m, row: json.dumps(getattr(m, name).tolist()))]
     if shape is not None:
         size = int(np.prod([n for n in shape if n != -1]))
         of_row = -1 in shape
         named = names or tuple(f"{name}_{k}" for k in range(size))
-        return [Column(prefix + named[k], float, _number(name, k, of_row)) for k in range(size)]
+        return [TableColumn(prefix + named[k], float, _number(name, k, of_row)) for k in range(size)]
     if names is not None:
-        return [Column(prefix + names[k], int, _entry(name, k)) for k in range(len(names))]
+        return [TableColumn(prefix + names[k], int, _entry(name, k)) for k in range(len(names))]
     if get_origin(hint) is tuple:
-        return [Column(prefix + name, str, _text(name))]
+        return [TableColumn(prefix + name, str, _text(name))]
     nested = next((part for part in get_args(hint) if isinstance(part, type) and dataclasses.is_dataclass(part)), None)
     if nested is not None:
-        return [Column(c.name, c.kind, _within(name, c)) for c in columns(nested, f"{prefix}{name}.")]
+        return [TableColumn(c.name, c.kind, _within(name, c)) for c in columns(nested, f"{prefix}{name}.")]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
-        return [Column(prefix + name, str, lambda m, row: getattr(m, name).name)]
+        return [TableColumn(prefix + name, str, lambda m, row: getattr(m, name).name)]
     if hint is bytes:
-        return [Column(f"{prefix}{name}_bytes", int, lambda m, row: len(getattr(m, name)))]
+        return [TableColumn(f"{prefix}{name}_bytes", int, lambda m, row: len(getattr(m, name)))]
     if name.endswith("session") or name == "recipient":  # 64 bits without a sign
-        return [Column(prefix + name, str, lambda m, row: f"{getattr(m, name):x}")]
-    return [Column(prefix + name, hint if hint in (float, int, bool) else str, lambda m, row: getattr(m, name))]
+        return [TableColumn(prefix + name, str, lambda m, row: f"{getattr(m, name):x}")]
+    return [TableColumn(prefix + name, hint if hint in (float, int, bool) else str, lambda m, row: getattr(m, name))]
 
 
 def _number(name: str, k: int, of_row: bool) -> Callable[[Any, int], Any]:
@@ -241,7 +241,7 @@ def _text(name: str) -> Callable[[Any, int], Any]:
     return cell
 
 
-def _within(name: str, column: Column) -> Callable[[Any, int], Any]:
+def _within(name: str, column: TableColumn) -> Callable[[Any, int], Any]:
     def cell(message: Any, row: int) -> Any:
         inner = getattr(message, name)
         return None if inner is None else column.cell(inner, row)

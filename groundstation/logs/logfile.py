@@ -1,4 +1,4 @@
-"""SHELL: a recorded log as it was heard: message by message, bytes unchanged, also one that was cut off."""
+"""SHELL: a recorded log, message by message with bytes unchanged; also one that was cut off."""
 
 import re
 import shutil
@@ -25,8 +25,8 @@ _CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
 
 
 @dataclass(frozen=True)
-class Line:
-    """One message of the log. The age that its sender stated is not in it."""
+class LogMessage:
+    """One message of the log. The age that its sender stated is not recorded."""
 
     topic: Topic
     robot: int  # 0: the topic has no robots
@@ -37,7 +37,7 @@ class Line:
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a chunk lies in the file, and what it says of itself."""
+    """Position of a chunk in the file, with the times and channels that it states."""
 
     start_ns: int
     end_ns: int
@@ -99,15 +99,15 @@ class LogFile:
             raise Damaged(f"channel {channel.topic}: session {session[:20]!r} is no number of 16 hexadecimal digits")
         self._channels[channel.id] = (*found, int(session, 16))
 
-    def lines(
+    def messages(
         self, wanted: Callable[[Topic, int], bool], from_ns: int | None = None, before_ns: int | None = None
-    ) -> Iterator[Line]:
+    ) -> Iterator[LogMessage]:
         """The messages of the wanted topics and robots in the order of their arrival, from `from_ns` on and before
         `before_ns`. Raises ConfigError where the log is damaged."""
         channels = {number for number, (topic, robot, _) in self._channels.items() if wanted(topic, robot)}
         low = 0 if from_ns is None else from_ns
         high = 1 << 64 if before_ns is None else before_ns
-        waiting: list[tuple[int, int, int, Line]] = []  # log time, place in the file, place in the chunk
+        waiting: list[tuple[int, int, int, LogMessage]] = []  # log time, place in the file, place in the chunk
         for place in self._places:
             if place.end_ns < low or place.start_ns >= high or (place.channels and not place.channels & channels):
                 continue
@@ -119,7 +119,7 @@ class LogFile:
         while waiting:
             yield heappop(waiting)[-1]
 
-    def _chunk(self, place: _Place, channels: set[int]) -> Iterator[Line]:
+    def _chunk(self, place: _Place, channels: set[int]) -> Iterator[LogMessage]:
         """The messages of some channels in a chunk."""
         try:
             self._file.seek(place.at + 9)
@@ -130,7 +130,7 @@ class LogFile:
                     number, sequence, log_ns, stamp_ns, payload = log_records.message(body)
                     if number in channels:
                         topic, robot, session = self._channels[number]
-                        yield Line(topic, robot, Header(session, sequence, stamp_ns), payload, log_ns)
+                        yield LogMessage(topic, robot, Header(session, sequence, stamp_ns), payload, log_ns)
         except Damaged as error:
             raise ConfigError(f"{self.path}: cannot be read: {error}") from None
 

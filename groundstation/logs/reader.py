@@ -37,7 +37,7 @@ _PATTERNS = tuple(
 
 
 @dataclass(frozen=True, eq=False)
-class Entry(Generic[M]):
+class DecodedMessage(Generic[M]):
     """A recorded message: the instant it is about (sender's clock), its arrival (wall clock), its place in the sequence."""
 
     stamp_ns: int
@@ -48,9 +48,11 @@ class Entry(Generic[M]):
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """A run as it was recorded."""
+    """A recorded run."""
 
-    entries: dict[tuple[str, int], list[Entry[Any]]] = field(default_factory=dict)  # by topic name and robot (0: no robot)
+    entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = field(
+        default_factory=dict
+    )  # by topic name and robot (0: no robot)
     metadata: dict[str, str] = field(default_factory=dict)
     experiment_toml: str = ""
     found: bool = True  # there is a file
@@ -63,7 +65,7 @@ class RunLog:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with the log as a whole: a report of it begins with this. Empty if it holds the whole run."""
+        """Trouble with the log as a whole, the first line of its report. Empty if it holds the whole run."""
         if not self.found:
             return "No log: there is no run.mcap in this folder."
         if not self.messages:
@@ -76,7 +78,7 @@ class RunLog:
             return f"Log with gaps: the recorder could not take {self.dropped} messages."
         return ""
 
-    def of(self, topic: Topic, kind: type[M], robot: int = 0) -> list[Entry[M]]:
+    def of(self, topic: Topic, kind: type[M], robot: int = 0) -> list[DecodedMessage[M]]:
         """Everything recorded of a topic, in the order of the stamps."""
         assert kind is topic.type
         return self.entries.get((topic.name, robot), [])
@@ -112,10 +114,10 @@ def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
 
 @dataclass(eq=False)
 class _Reading:
-    """What has been read of a log."""
+    """Content of a log as read so far."""
 
     wanted: Collection[Topic]
-    entries: dict[tuple[str, int], list[Entry[Any]]] = field(default_factory=dict)
+    entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = field(default_factory=dict)
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     experiment_toml: str = ""
     messages: int = 0
@@ -145,7 +147,7 @@ class _Reading:
         except DecodeError:
             self.undecodable += 1
             return
-        entry = Entry(record.publish_time, record.log_time, record.sequence, message)
+        entry = DecodedMessage(record.publish_time, record.log_time, record.sequence, message)
         self.entries.setdefault((topic.name, robot), []).append(entry)
 
 

@@ -50,7 +50,7 @@ END_METADATA = "recorder"
 
 
 def run_metadata(experiment: Experiment, mode: str) -> dict[str, str]:
-    """What a log says of its run; `mode` is how time went."""
+    """Metadata of a run for its log; `mode`: real-time, lockstep or numeric."""
     return {
         "scene": experiment.name,
         "seed": str(experiment.seed),
@@ -79,7 +79,7 @@ def claim(fd: int, path: Path, how: int, taken: str) -> None:
 
 
 class _Output:
-    """What mcap's Writer writes to: collects bytes, hands them to the file in one go, and knows how far the file is good."""
+    """File for mcap's Writer: collects bytes, writes them in one go, and knows the length up to which the file is good."""
 
     def __init__(self, path: Path) -> None:
         try:  # a log is never written over, nor through a link
@@ -160,14 +160,14 @@ class Recorder:
 
     @property
     def error(self) -> str:
-        """Why nothing is recorded any more, or not everything; empty while all is well."""
+        """Reason for which nothing, or not everything, is recorded any more; empty while all is well."""
         if self._error or not self._dropped:
             return self._error
         return f"{self._dropped} messages are lost: the disk does not take them as fast as they come"
 
     @property
     def warning(self) -> str:
-        """What is not recorded any more, and why; empty while everything is."""
+        """Topics that are not recorded any more, and the reason; empty while all are."""
         return self._warning
 
     @property

@@ -1,4 +1,4 @@
-"""SHELL: a log that was cut, by a crash or a kill: what of it is good, and how it becomes whole again.
+"""SHELL: repair of a log that was cut by a crash or a kill: its valid records, and a whole file made of them.
 
 if recover(path): ...           # mended; the file opens in all readers
 for record in valid_records(path): ...
@@ -27,7 +27,7 @@ _READ: dict[int, Any] = {SCHEMA: Schema, CHANNEL: Channel, ATTACHMENT: Attachmen
 
 
 def is_complete(path: Path) -> bool:
-    """Whether the file was closed: a file that was cut does not end in MCAP's magic. Raises ConfigError for what never was a
+    """True if the file was closed: a file that was cut does not end in MCAP's magic. Raises ConfigError for what never was a
     log, which must not be mended: nothing would be left of it."""
     with path.open("rb") as file:
         if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):

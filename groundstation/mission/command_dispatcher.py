@@ -1,75 +1,86 @@
-"""Orders to robots: whom to ask once more, what an order says, and what the robots answered. Pure."""
+"""Commands to robots: their content, sending them again until they are answered, and the robots' replies. Pure."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from groundstation.mission.plan_manager import Itinerary
-from groundstation.mission.roster import Crew
 from groundstation.mission.timetable import Timetable
-from wire.messages.messages import Command, Order, Reply
+from wire.messages.messages import Command, Order, Reply, Trajectory
 
-RETRY_S = 0.25
+RETRY_S = 0.25  # between two tries of one command to one robot; half of the station's ORDER_TIMEOUT_S
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What became of an order."""
+class CommandResult:
+    """A command and the robot's reply to it; a reply may be silent."""
 
     command: Command
     reply: Reply
 
 
-class Asking:
-    """What robots have been asked in a phase of the mission, and their answers."""
+class RetryTimer:
+    """Instant of the last try by robot: a command is due again after RETRY_S."""
 
-    def __init__(self, experiment_hash: str, itinerary: Itinerary, crew: Crew) -> None:
-        self.accepted: set[int] = set()  # robots that hold the next leg's trajectory
-        self.tested: dict[int, int] = {}  # robots that have taken a TEST, and when we heard of it
-        self.armed: dict[int, int] = {}  # robots that have taken an ARM since the arming began, and when we heard of it
-        self._hash, self._itinerary, self._crew = experiment_hash, itinerary, crew
-        self._asked_ns: dict[int, int] = {}
+    def __init__(self) -> None:
+        self._sent_ns: dict[int, int] = {}
 
-    def anew(self) -> None:
-        """Another phase begins: nobody has been asked."""
-        self._asked_ns.clear()
+    def reset(self) -> None:
+        """Make every robot due at once."""
+        self._sent_ns.clear()
 
-    def listen(self, answers: Sequence[Answer], now_ns: int) -> str:
-        """Take answers in. Returns the last refusal with its reason, empty if there is none."""
+    def due(self, robots: Iterable[int], now_ns: int) -> list[int]:
+        """Robots that are due now; counts them as sent to."""
+        found = [r for r in robots if r not in self._sent_ns or now_ns - self._sent_ns[r] >= RETRY_S * 1e9]
+        self._sent_ns |= dict.fromkeys(found, now_ns)
+        return found
+
+
+class CommandDispatcher:
+    """Commands of one mission state, and the replies that count in it."""
+
+    def __init__(self, experiment_hash: str) -> None:
+        self.loaded: set[tuple[int, str]] = set()  # (robot, trajectory id) of accepted LOADs
+        self.tested: dict[int, int] = {}  # by robot that accepted TEST: instant of the reply [ns]
+        self.armed: dict[int, int] = {}  # by robot that accepted ARM since arming began: instant of the reply [ns]
+        self._hash, self._timer = experiment_hash, RetryTimer()
+
+    def reset(self) -> None:
+        """Begin another mission state: every robot is due at once."""
+        self._timer.reset()
+
+    def on_results(self, results: Sequence[CommandResult], now_ns: int) -> str:
+        """Take replies in. Returns the last refusal with its reason; empty if there is none."""
         refusal = ""
-        for answer in answers:
-            command = answer.command
-            if command.robot not in self._crew.everybody:
-                continue
-            held = self._crew.trajectory(self._itinerary.next, command.robot)
-            if answer.reply.silent and command.robot in self._crew.out:
-                continue  # as is to be expected
-            if not answer.reply.accepted:
-                how = "has not answered" if answer.reply.silent else "refuses"
-                refusal = f"robot {command.robot} {how} {command.order.name}: {answer.reply.reason}"
-            elif command.order is Order.LOAD and held is not None and command.trajectory_id == held.id:
-                self.accepted.add(command.robot)
+        for result in results:
+            command, reply = result.command, result.reply
+            if not reply.accepted:
+                how = "has not answered" if reply.silent else "refuses"
+                refusal = f"robot {command.robot} {how} {command.order.name}: {reply.reason}"
+            elif command.order is Order.LOAD:
+                self.loaded.add((command.robot, command.trajectory_id))
             elif command.order is Order.TEST:
                 self.tested[command.robot] = now_ns
             elif command.order is Order.ARM:
                 self.armed[command.robot] = now_ns
         return refusal
 
-    def orders(
-        self, order: Order, robots: Sequence[int], now_ns: int, timetable: Timetable | None = None
+    def commands(
+        self,
+        order: Order,
+        trajectories: Mapping[int, Trajectory | None],
+        now_ns: int,
+        timetable: Timetable | None = None,
     ) -> tuple[Command, ...]:
-        """For those robots that have not been asked within RETRY_S. START and RESUME say by which timetable."""
-        due = [r for r in robots if now_ns - self._asked_ns.get(r, -(10**18)) >= RETRY_S * 1e9]
-        self._asked_ns |= dict.fromkeys(due, now_ns)
-        return tuple(self._command(order, robot, timetable) for robot in due)
-
-    def _command(self, order: Order, robot: int, timetable: Timetable | None) -> Command:
-        trajectory = self._itinerary.about(order, robot)
-        return Command(
-            order,
-            robot,
-            experiment_hash=self._hash,
-            trajectory_id=trajectory.id if trajectory is not None else "",
-            trajectory_s=timetable.from_s if timetable is not None else 0.0,
-            trajectory=trajectory if order is Order.LOAD else None,
-            start_ns=timetable.start_ns if timetable is not None else 0,
+        """Commands for the robots in `trajectories` that are due. Each names its trajectory; LOAD carries it; START and
+        RESUME carry the timetable."""
+        return tuple(
+            Command(
+                order,
+                robot,
+                experiment_hash=self._hash,
+                trajectory_id=trajectory.id if (trajectory := trajectories[robot]) is not None else "",
+                trajectory_s=timetable.from_s if timetable is not None else 0.0,
+                trajectory=trajectory if order is Order.LOAD else None,
+                start_ns=timetable.start_ns if timetable is not None else 0,
+            )
+            for robot in self._timer.due(trajectories, now_ns)
         )

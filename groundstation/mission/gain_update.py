@@ -1,18 +1,19 @@
-"""Gains changed while the fleet flies: all robots together, or none. Pure: time is an argument.
+"""Change of gains in flight as a two-phase commit: all robots change together, or none does. Pure: time is an argument.
 
-    IDLE -> ASKING: every robot checks the set (TUNE)      one refuses, or says nothing -> IDLE, and nothing has changed
-         -> ADOPTING: from the same instant on (ADOPT)     one does not -> the others are asked back to the set before
+    IDLE -> ASKING: every robot checks the set (TUNE)      one refuses or is silent -> IDLE, nothing has changed
+         -> ADOPTING: from the same instant on (ADOPT)     one does not -> the others go back to the set before
          -> WAITING, with `next_lap`: until the lap begins -> IDLE
 
-`step` returns the orders to send now; groundstation/station/station.py sends them. A robot that comes back with other gains
-than the fleet's (it was restarted) is given them while it is disarmed.
+`step` returns the commands to send now; groundstation/station/station.py sends them. A robot that comes back with other gains
+than the fleet's (it was restarted) is given the fleet's gains while it is disarmed.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from groundstation.mission.command_dispatcher import Answer
+from groundstation.mission.command_dispatcher import CommandResult, RetryTimer
+from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import Fleet
 from wire.config.controller import ControllerConfig
 from wire.config.experiment import Experiment
@@ -21,17 +22,15 @@ from wire.messages.live_gains import tuned, tuning
 from wire.messages.messages import Command, Mode, Order, Tuning
 from wire.toml_loader import ConfigError
 
-START_IN_S = 0.5  # from the order to the first step with other gains, so that all have heard it
-RETRY_S = 0.25
-PATIENCE_S = 3.0
-AGAIN_S = 2.0  # how often a robot with other gains than the fleet's is asked to take them
-MOST_UNDONE = 50
+PATIENCE_S = 3.0  # for all robots to reply in one stage
+AGAIN_S = 2.0  # between tries to give a restarted robot the fleet's gains
+MOST_UNDONE = 50  # sets that can be undone
 
 TUNING = frozenset({Order.TUNE, Order.ADOPT})
 
 
-class Stage(Enum):
-    """How far a change has come."""
+class GainStage(Enum):
+    """Stage of a change; the value is for people."""
 
     IDLE = ""
     ASKING = "robots check the gains"
@@ -40,60 +39,60 @@ class Stage(Enum):
 
 
 @dataclass(frozen=True, eq=False)
-class TuningStatus:
-    """For people."""
+class GainStatus:
+    """State of the gains for the page."""
 
     flown: Tuning
-    wanted: str = ""  # id of the set that is on its way
-    stage: Stage = Stage.IDLE
-    reason: str = ""  # why the last change came to nothing
-    undo: bool = False  # whether there is a set to go back to
-    known: Sequence[str] = ()  # ids in the order in which they were first wanted
+    wanted: str = ""  # id of the set that robots change to
+    stage: GainStage = GainStage.IDLE
+    reason: str = ""  # of the last change's failure
+    undo: bool = False  # there is a set to go back to
+    known: Sequence[str] = ()  # ids in the order of their first use
 
 
 @dataclass(eq=False)
 class _Change:
-    """A change under way."""
+    """A change of gains under way."""
 
     message: Tuning
     config: ControllerConfig
     robots: tuple[int, ...]
     trajectory_s: float = 0.0
-    back: bool = False  # to the set before, after one robot did not follow; or of a robot that was away
+    back: bool = False  # to the set before, after one robot did not follow; or of a restarted robot
     accepted: set[int] = field(default_factory=set)
 
 
-class Tuner:
-    """What the fleet flies with."""
+class GainUpdater:
+    """The fleet's gains, and the change under way."""
 
     def __init__(self, experiment: Experiment) -> None:
         self._experiment, self._config = experiment, experiment.controller
         self._flown = tuning(self._config)
         self._before: list[ControllerConfig] = []
         self._known = [self._flown.id]
-        self._stage, self._reason = Stage.IDLE, ""
+        self._stage, self._reason = GainStage.IDLE, ""
         self._change: _Change | None = None
         self._since_ns = 0
-        self._asked_ns: dict[int, int] = {}
-        self._untold = [self._flown]
+        self._timer = RetryTimer()
+        self._unlogged = [self._flown]
         path = experiment.path
         self.lap_s = path.lap_s if isinstance(path, Circle) else None
 
-    def status(self) -> TuningStatus:
-        """Where it stands."""
+    def status(self) -> GainStatus:
+        """Gains in use, stage of the change, reason of the last failure."""
         wanted = self._change.message.id if self._change is not None else ""
-        return TuningStatus(self._flown, wanted, self._stage, self._reason, bool(self._before), tuple(self._known))
+        return GainStatus(self._flown, wanted, self._stage, self._reason, bool(self._before), tuple(self._known))
 
-    def untold(self) -> list[Tuning]:
-        """Sets that the log does not know yet, once."""
-        found, self._untold = self._untold, []
+    def take_unlogged(self) -> list[Tuning]:
+        """Sets of gains that are not in the log yet; each is returned once."""
+        found, self._unlogged = self._unlogged, []
         return found
 
-    # --- what a person asks for: why not, or nothing
+    # --- requests of the operator; each returns the reason of a refusal, or nothing
 
-    def wish(self, values: Mapping[str, float], next_lap: bool, fleet: Fleet, now_ns: int) -> str:
-        """Change these, keep the others."""
-        if self._stage is not Stage.IDLE:
+    def request(self, values: Mapping[str, float], next_lap: bool, fleet: Fleet, now_ns: int) -> str:
+        """Change these gains (key: value), keep the others."""
+        if self._stage is not GainStage.IDLE:
             return f"another change is under way: {self._stage.value}"
         try:
             config = tuned(self._config, values)
@@ -107,22 +106,22 @@ class Tuner:
         return reason or self._begin(config, fleet, now_ns, start_s)
 
     def undo(self, fleet: Fleet, now_ns: int) -> str:
-        """Back to the set before; of a change that waits for its lap: not at all."""
-        if self._stage is Stage.WAITING:
+        """Go back to the set before; cancel a change that still waits for its lap."""
+        if self._stage is GainStage.WAITING:
             return self._begin(self._config, fleet, now_ns)
-        if self._stage is not Stage.IDLE:
+        if self._stage is not GainStage.IDLE:
             return f"another change is under way: {self._stage.value}"
         return self._begin(self._before[-1], fleet, now_ns) if self._before else "there is nothing to undo"
 
     def _next_lap_s(self, fleet: Fleet) -> tuple[float, str]:
-        """Where on the trajectory the next lap begins, or why there is none."""
+        """Progress in s at which the next lap begins, and the reason if there is none."""
         if self.lap_s is None:
             return 0.0, "this path has no laps"
         states = [robot.state for robot in fleet.values()]
         if any(state is None or state.mode is not Mode.TRACKING for state in states):
             return 0.0, "there is no next lap: not every robot is on its trajectory"
-        reached_s = max(state.trajectory_s for state in states if state is not None)
-        start_s = (reached_s + START_IN_S) // self.lap_s * self.lap_s + self.lap_s
+        progress_s = max(state.trajectory_s for state in states if state is not None)
+        start_s = (progress_s + START_IN_S) // self.lap_s * self.lap_s + self.lap_s
         ends = start_s >= self._experiment.duration_s
         return start_s, "there is no next lap: the run ends with this one" if ends else ""
 
@@ -133,47 +132,49 @@ class Tuner:
         message = tuning(config)
         if message.id not in self._known:
             self._known.append(message.id)
-            self._untold.append(message)
-        self._take_up(_Change(message, config, self._experiment.robot_ids, trajectory_s), now_ns)
+            self._unlogged.append(message)
+        self._begin_stage(_Change(message, config, self._experiment.robot_ids, trajectory_s), now_ns)
         self._reason = ""
         return ""
 
-    def _take_up(self, change: _Change, now_ns: int) -> None:
+    def _begin_stage(self, change: _Change, now_ns: int) -> None:
         self._change = change
-        self._enter(Stage.ASKING, now_ns)
+        self._enter(GainStage.ASKING, now_ns)
 
-    def _enter(self, stage: Stage, now_ns: int) -> None:
+    def _enter(self, stage: GainStage, now_ns: int) -> None:
         self._stage, self._since_ns = stage, now_ns
-        self._asked_ns.clear()
-        if self._change is not None and stage is not Stage.WAITING:  # who waits for a lap has accepted, and may be asked back
+        self._timer.reset()
+        if (
+            self._change is not None and stage is not GainStage.WAITING
+        ):  # in WAITING all have accepted, and may be asked to go back
             self._change.accepted.clear()
 
     # --- the station's cycle
 
-    def step(self, fleet: Fleet, answers: Sequence[Answer], now_ns: int) -> tuple[Command, ...]:
-        """One cycle: the orders to send now."""
+    def step(self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int) -> tuple[Command, ...]:
+        """One cycle: the commands to send now."""
         change = self._change
         if change is None:
-            return self._look_for_strays(fleet, now_ns)
-        wanted = Order.TUNE if self._stage is Stage.ASKING else Order.ADOPT
-        for answer in answers:
-            if answer.command.order is wanted and answer.command.robot in change.robots and _is_of(answer, change):
-                if not answer.reply.accepted and not answer.reply.silent:
-                    return self._give_up(f"robot {answer.reply.robot} refuses: {answer.reply.reason}", fleet, now_ns)
-                if answer.reply.accepted:
-                    change.accepted.add(answer.command.robot)
+            return self._update_restarted(fleet, now_ns)
+        wanted = Order.TUNE if self._stage is GainStage.ASKING else Order.ADOPT
+        for result in results:
+            if result.command.order is wanted and result.command.robot in change.robots and _is_about(result, change):
+                if not result.reply.accepted and not result.reply.silent:
+                    return self._give_up(f"robot {result.reply.robot} refuses: {result.reply.reason}", fleet, now_ns)
+                if result.reply.accepted:
+                    change.accepted.add(result.command.robot)
         waiting = [robot for robot in change.robots if robot not in change.accepted]
-        if waiting and self._stage is not Stage.WAITING:
+        if waiting and self._stage is not GainStage.WAITING:
             if now_ns - self._since_ns > PATIENCE_S * 1e9:
                 return self._give_up(f"robot {', '.join(map(str, waiting))} does not answer", fleet, now_ns)
             return self._ask(wanted, waiting, change, now_ns)
-        if self._stage is Stage.ASKING:
-            self._enter(Stage.ADOPTING, now_ns)
-        elif self._stage is Stage.ADOPTING and change.trajectory_s > 0.0:
-            self._enter(Stage.WAITING, now_ns)
+        if self._stage is GainStage.ASKING:
+            self._enter(GainStage.ADOPTING, now_ns)
+        elif self._stage is GainStage.ADOPTING and change.trajectory_s > 0.0:
+            self._enter(GainStage.WAITING, now_ns)
         elif all(_flies_with(fleet, robot, change) for robot in change.robots):
             self._succeed(change)
-        elif self._stage is Stage.WAITING:
+        elif self._stage is GainStage.WAITING:
             return self._watch(change, fleet, now_ns)
         elif now_ns - self._since_ns > (PATIENCE_S + START_IN_S) * 1e9:
             late = [str(robot) for robot in change.robots if not _flies_with(fleet, robot, change)]
@@ -181,8 +182,6 @@ class Tuner:
         return ()
 
     def _ask(self, order: Order, robots: Sequence[int], change: _Change, now_ns: int) -> tuple[Command, ...]:
-        due = [robot for robot in robots if now_ns - self._asked_ns.get(robot, -(10**18)) >= RETRY_S * 1e9]
-        self._asked_ns |= dict.fromkeys(due, now_ns)
         left_s = max(START_IN_S - (now_ns - self._since_ns) * 1e-9, 0.0)  # a second try counts from the same instant
         return tuple(
             Command(
@@ -194,7 +193,7 @@ class Tuner:
                 tuning_id=change.message.id,
                 tuning=change.message if order is Order.TUNE else None,
             )
-            for robot in due
+            for robot in self._timer.due(robots, now_ns)
         )
 
     def _succeed(self, change: _Change) -> None:
@@ -204,34 +203,34 @@ class Tuner:
             elif change.message.id != self._flown.id:
                 self._before = [*self._before[1 - MOST_UNDONE :], self._config]
             self._config, self._flown = change.config, change.message
-        self._change, self._stage = None, Stage.IDLE
+        self._change, self._stage = None, GainStage.IDLE
 
     def _watch(self, change: _Change, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Until the lap begins. A robot that is disarmed or stopped meanwhile has forgotten the set."""
+        """Wait for the lap. A robot that is disarmed or stopped meanwhile has forgotten the set."""
         out = [str(robot) for robot in change.robots if fleet[robot].mode not in (Mode.TRACKING, Mode.HOLDING)]
         if out:
             return self._give_up(f"robot {', '.join(out)} left the run before the lap began", fleet, now_ns)
         return ()
 
     def _give_up(self, reason: str, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Nothing has changed yet, or what has is changed back."""
+        """End a change without success: robots that have changed already go back."""
         change = self._change
         assert change is not None
-        asked = self._stage is not Stage.ASKING
+        asked = self._stage is not GainStage.ASKING
         self._reason = f"{reason}; " + ("the fleet's gains may differ" if change.back else "nothing was changed")
-        self._change, self._stage, self._since_ns = None, Stage.IDLE, now_ns
+        self._change, self._stage, self._since_ns = None, GainStage.IDLE, now_ns
         if asked and not change.back:
             changed = tuple(
                 r for r in change.robots if fleet[r].heard and (r in change.accepted or _flies_with(fleet, r, change))
             )
             if changed:
                 self._reason = f"{reason}; the others go back"
-                self._take_up(_Change(self._flown, self._config, changed, back=True), now_ns)
+                self._begin_stage(_Change(self._flown, self._config, changed, back=True), now_ns)
         return ()
 
-    def _look_for_strays(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Robots that lie disarmed with other gains than the fleet's."""
-        strays = tuple(
+    def _update_restarted(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Give disarmed robots that have other gains the fleet's gains."""
+        differing = tuple(
             robot
             for robot, seen in fleet.items()
             if seen.heard
@@ -240,13 +239,13 @@ class Tuner:
             and seen.state.experiment_hash == self._experiment.hash
             and seen.state.tuning_id != self._flown.id
         )
-        if strays and now_ns - self._since_ns > AGAIN_S * 1e9:
-            self._take_up(_Change(self._flown, self._config, strays, back=True), now_ns)
+        if differing and now_ns - self._since_ns > AGAIN_S * 1e9:
+            self._begin_stage(_Change(self._flown, self._config, differing, back=True), now_ns)
         return ()
 
 
-def _is_of(answer: Answer, change: _Change) -> bool:
-    return answer.command.tuning_id == change.message.id
+def _is_about(result: CommandResult, change: _Change) -> bool:
+    return result.command.tuning_id == change.message.id
 
 
 def _flies_with(fleet: Fleet, robot: int, change: _Change) -> bool:

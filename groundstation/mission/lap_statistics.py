@@ -1,4 +1,4 @@
-"""How well each lap was tracked, and with which gains: two sets are compared lap by lap. Pure."""
+"""Tracking error of each lap and set of gains, so that two sets can be compared lap by lap. Pure."""
 
 import math
 from dataclasses import dataclass
@@ -6,31 +6,31 @@ from dataclasses import dataclass
 from groundstation.telemetry import Fleet
 from wire.messages.messages import Mode
 
-KEPT = 12
-BACK_S = 5.0  # who held goes on from where the slowest was, a little further back; who goes back further begins again
+KEPT = 12  # rows, the newest: as many as the page shows
+BACK_S = 5.0  # after a hold a robot goes on a little further back, with the slowest; further back than this is another run
 
 
 @dataclass(frozen=True)
 class Lap:
-    """A lap, or the part of it that was flown with one set of gains; all robots together."""
+    """One lap, or the part of it that was flown with one set of gains; all robots together."""
 
     number: int  # from 1; 0 on a path that has none
     tuning_id: str
-    time_s: float  # how long
+    time_s: float  # flown, mean over the robots
     rms_m: float  # distance from the reference
     max_m: float
 
 
-class Laps:
-    """Filled from the robots' states as they come."""
+class LapStatistics:
+    """Collects tracking errors from the robots' states."""
 
     def __init__(self, lap_s: float | None) -> None:
         self._lap_s = lap_s
         self._last_s: dict[int, float] = {}
         self._rows: dict[tuple[int, str], tuple[float, float, int, float]] = {}  # robot seconds, sum of squares, count, max
 
-    def note(self, fleet: Fleet) -> None:
-        """Take in the newest states. A trajectory that begins again is another run."""
+    def update(self, fleet: Fleet) -> None:
+        """Take in the newest states. A trajectory that begins again starts another run."""
         for robot, seen in fleet.items():
             state = seen.state
             if state is None or state.mode is not Mode.TRACKING or state.trajectory_s <= 0.0:
@@ -50,8 +50,8 @@ class Laps:
         while len(self._rows) > KEPT:
             del self._rows[next(iter(self._rows))]
 
-    def rows(self) -> list[Lap]:
-        """The newest last. May be asked from another thread: the copy is one step of the interpreter."""
+    def laps(self) -> list[Lap]:
+        """Laps, the newest last. Other threads may call it: the copy is one step of the interpreter."""
         robots = max(len(self._last_s), 1)
         return [
             Lap(number, tuning_id, time_s / robots, math.sqrt(squares / count), largest)

@@ -1,504 +1,648 @@
-"""READ FIRST. The mission: from robots lying in the water to a run that is over, along the table in
-groundstation/mission/state_machine.py.
+"""READ FIRST. The mission of one run: from robots at rest in the water to the end of the run.
 
-Pure: `step(fleet, answers, now_ns, around)` returns the orders to send; groundstation/station/station.py sends them. An order
-that is refused or unanswered is sent again (command_dispatcher.py) until a robot has been waited for PATIENCE_S. What is
-flown, now and next, is in plan_manager.py, since when, in timetable.py. Plans take time: the mission says which one it wants
-(`wanted`) and is told what came of it (`planned`).
+Pure. `step(fleet, results, now_ns, obstacles)` returns the commands to send; groundstation/station/station.py sends them. The
+mission moves along the table in groundstation/mission/state_machine.py and in no other way. A command that is refused or
+not answered is sent again (command_dispatcher.py) until the robot has had PATIENCE_S. plan_manager.py holds the present and
+the next plan segment, timetable.py the instant at which the flight began. Planning takes time: `plan_request` is the plan
+that the mission waits for, `planned` takes its outcome.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.mission.command_dispatcher import Answer, Asking
-from groundstation.mission.obstacle_monitor import Surroundings
-from groundstation.mission.plan_manager import Itinerary, Wanted
-from groundstation.mission.progress_governor import Pace
-from groundstation.mission.roster import Crew
-from groundstation.mission.stages import LIVE, STAGES, Stage
-from groundstation.mission.state_machine import FLYING, JOINING, OVER, PLANNING, UNDER_WAY, Event, Phase, after, refusal
-from groundstation.mission.timetable import Timetable
-from groundstation.mission.watch import noticed
-from groundstation.mission.wishes import UNFIT, mode_name, objection, stays
+from groundstation.mission.command_dispatcher import CommandDispatcher, CommandResult
+from groundstation.mission.obstacle_monitor import ObstacleSet
+from groundstation.mission.plan_manager import PlanManager, PlanRequest
+from groundstation.mission.progress_governor import ProgressGovernor
+from groundstation.mission.roster import Roster
+from groundstation.mission.state_machine import (
+    COMMITTED,
+    IN_FLIGHT,
+    JOINING,
+    NOMINAL,
+    PLANNING,
+    TERMINAL,
+    MissionEvent,
+    MissionState,
+    next_state,
+    rejection_reason,
+)
+from groundstation.mission.timetable import START_IN_S, Timetable
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.segment import Leg, at
-from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, casualty, preflight
+from groundstation.planning.replanning import can_replan
+from groundstation.planning.segment import PlanSegment, sample
+from groundstation.telemetry import OUT_OF_STEP_S, Fleet, RobotView, blocking_findings, first_lost_robot, preflight
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.messages import Command, Mode, Order
 
-START_IN_S = 0.5  # from the order to the first step along the trajectory, so that all have heard it
-PATIENCE_S = 10.0  # with a robot that does not do as told
-JOIN_WITHIN_S = 3.5  # with a robot that does not begin to fly with the others, who fly already: as long as without a station
-TEST_PATIENCE_S = 12.0
-SETTLE_S = 1.0  # an automatic mission goes on this long after everybody holds and is well again
-AT_REST_MPS = 0.03
-REST_WITHIN_S = 8.0  # robots that hold against waves never quite rest
-OUT_FOR_S = 0.3  # a robot is out of step for that long before all hold: states that come late count with their age, but jitter
+PATIENCE_S = 10.0  # for a robot to do what it was commanded; then the mission aborts
+JOIN_WITHIN_S = 3.5  # for a robot to begin to fly with the others, who fly already: as long as robots fly without a station
+TEST_PATIENCE_S = 12.0  # for the thruster test of all robots
+SETTLE_S = 1.0  # from all robots holding and fit, to an automatic mission going on
+AT_REST_MPS = 0.03  # slower than this counts as at rest
+REST_WITHIN_S = 8.0  # then planning begins all the same: robots that hold against waves never quite rest
+OUT_FOR_S = 0.3  # out of step for this long before all hold: states count with their age, but arrive with jitter
 
-GETTING_READY = frozenset({Phase.ARMING, Phase.STARTING})
-# where the last refusal is what people wait for; elsewhere the reason why it came to this is not lost for it
-TELLS_REFUSALS = frozenset(STAGES) - {Phase.ENDING, Phase.ABORTING}
+ARMED = frozenset({Mode.ARMED, Mode.HOLDING})
+LIVE = ARMED | {Mode.TRACKING}
+UNFIT = frozenset({Mode.FAULT, Mode.STOPPED})
+PRESTART = frozenset({MissionState.ARMING, MissionState.STARTING})
+
+
+@dataclass(frozen=True)
+class CommandStage:
+    """A state that sends every robot one command until all have confirmed it."""
+
+    order: Order
+    confirmed: Callable[[Mode | None, bool], bool]  # (mode, None if not known; trajectory loaded) -> done
+
+
+STAGES: dict[MissionState, CommandStage] = {
+    MissionState.LOADING: CommandStage(Order.LOAD, lambda mode, loaded: loaded),
+    MissionState.ARMING: CommandStage(Order.ARM, lambda mode, loaded: mode in ARMED),
+    MissionState.STARTING: CommandStage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
+    MissionState.RESUMING: CommandStage(Order.RESUME, lambda mode, loaded: mode is Mode.TRACKING),
+    MissionState.RELOADING: CommandStage(Order.LOAD, lambda mode, loaded: loaded),
+    MissionState.REARMING: CommandStage(Order.ARM, lambda mode, loaded: mode in ARMED),
+    MissionState.RELEASING: CommandStage(Order.START, lambda mode, loaded: mode is Mode.TRACKING),
+    MissionState.ENDING: CommandStage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
+    MissionState.CLEARING: CommandStage(
+        Order.CLEAR_STOP, lambda mode, loaded: mode is not None and mode not in LIVE | {Mode.STOPPED}
+    ),
+    MissionState.ABORTING: CommandStage(Order.DISARM, lambda mode, loaded: mode is not None and mode not in LIVE),
+    MissionState.TEST_ARMING: CommandStage(Order.ARM, lambda mode, loaded: mode is Mode.ARMED),
+    MissionState.TEST_ENDING: CommandStage(Order.DISARM, lambda mode, loaded: mode is Mode.DISARMED),
+}
+# States in which the last refusal replaces the reason. Elsewhere the reason that led to the state stays.
+SHOWS_REFUSALS = frozenset(STAGES) - {MissionState.ENDING, MissionState.ABORTING}
+
+
+@dataclass
+class _StateData:
+    """Data of the present state; every transition makes it new."""
+
+    since_ns: int = 0  # of the transition; in PAUSED: since all robots hold and are fit
+    waiting_since_ns: dict[int, int] = field(default_factory=dict)  # by robot that has not confirmed the stage's command
+    out_of_step_since_ns: int | None = None
+
+
+@dataclass
+class _RunData:
+    """Data of one run; each run makes it new."""
+
+    ended_by: MissionEvent = MissionEvent.ALL_CONFIRMED  # event of ENDING when every robot is disarmed: how the run ended
+    gap: bool = False  # a robot was lost while the operator held the others: they close up when they may go on
 
 
 class Mission:
-    """One run of an experiment. `automatic` goes from WAITING to DONE by itself; otherwise START asks for it."""
+    """One run of an experiment. `automatic` goes from WAITING to DONE by itself; otherwise START is requested."""
 
-    def __init__(self, experiment: Experiment, leg: Leg, starts: Mapping[int, Array], automatic: bool) -> None:
+    def __init__(self, experiment: Experiment, segment: PlanSegment, starts: Mapping[int, Array], automatic: bool) -> None:
         """`starts`: poses (4,) in which the robots begin."""
-        self.phase = Phase.WAITING
-        self.reason = ""  # why it waits, or why it failed
-        self.failed = False
+        self.state = MissionState.WAITING
+        self.reason = ""  # of waiting, or of a failure
         self.automatic = automatic
-        self.pace = Pace(experiment.mission)
-        self.crew = Crew(experiment.robot_ids, leg)
-        self.itinerary = Itinerary(experiment, leg, starts, self.crew)
-        self._asking = Asking(experiment.hash, self.itinerary, self.crew)
+        self.governor = ProgressGovernor(experiment.mission)
+        self.roster = Roster(experiment.robot_ids, segment)
+        self.plans = PlanManager(experiment, segment, starts, self.roster)
+        self._dispatcher = CommandDispatcher(experiment.hash)
         self._experiment, self._starts = experiment, dict(starts)
-        self._since_ns = 0
+        self._data, self._run = _StateData(), _RunData()
         self._cycle_ns: int | None = None  # instant of the last cycle
-        self._timetable: Timetable | None = None  # by which robots were last started
-        self._waited_ns: dict[int, int] = {}  # for robots that have not done as told, since when
-        self._out_of_step_ns: int | None = None  # since when somebody has been
-        self._lying: frozenset[int] = frozenset()  # robots that may be disarmed until a new plan arms them
-        self._cancelled = False  # a person ended the run
-        self._stop_after: Phase | None = None  # a person asked for no more than this stage
-        self._held_by_person = False
-        self._gap = False  # somebody was lost while the others had to hold: they close up when they may go on
+        self._timetable: Timetable | None = None  # of the last start
+        self._still_to_arm: frozenset[int] = frozenset()  # robots that may be disarmed until a new plan arms them
+        self._last_state: MissionState | None = None  # of the last request: the mission goes no further than this
+        self._needs_operator = False  # an automatic mission does not go on by itself
 
     @property
-    def leg(self) -> Leg:
-        """What is flown."""
-        return self.itinerary.leg
+    def segment(self) -> PlanSegment:
+        """Plan segment that is flown."""
+        return self.plans.segment
 
     @property
-    def wanted(self) -> Wanted | None:
-        """The plan that is waited for."""
-        return self.itinerary.wanted
+    def plan_request(self) -> PlanRequest | None:
+        """The plan that the mission waits for."""
+        return self.plans.request
 
-    # --- what people ask for
+    # --- requests of the operator
 
-    def wish(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = ()) -> str:
-        """What a person at the station asks for. Returns why not, or nothing when it is under way."""
-        anew = order is Order.RETURN and self._rests  # then also for robots that were out of the run before
-        crew = Crew(self._experiment.robot_ids, self.leg) if anew else self.crew
-        reason = refusal(order, self.phase) or objection(order, self._experiment, fleet, crew, self.leg, self._starts, via)
+    def request(self, order: Order, fleet: Fleet, now_ns: int, via: Sequence[tuple[float, float]] = ()) -> str:
+        """Take up an operator's request. Returns the reason of a refusal; empty when it is under way."""
+        reason = rejection_reason(order, self.state) or self.objection(order, fleet, via)
         if reason:
             return reason
         if order in (Order.LOAD, Order.ARM, Order.START, Order.TEST):
-            self._begin_anew()
-        self._stop_after = {Order.LOAD: Phase.LOADING, Order.ARM: Phase.ARMING}.get(order)
-        if order is not Order.TEST:  # it asks nobody to fly: who waits for a person waits on
-            self._held_by_person = order in (Order.HOLD, Order.CLEAR_STOP)
+            self._begin_run()
+        self._last_state = {Order.LOAD: MissionState.LOADING, Order.ARM: MissionState.ARMING}.get(order)
+        if order is not Order.TEST:  # a test makes no robot fly: what waits for the operator goes on waiting
+            self._needs_operator = order in (Order.HOLD, Order.CLEAR_STOP)
         if order is Order.RETURN:
-            self._come_home(fleet)
+            self._prepare_return(fleet)
         if order is Order.REJOIN:
-            self.crew.take_back()
-            self.itinerary.take_places()
+            self.roster.reinstate()
+            self.plans.target_slots()
         if order in (Order.RETURN, Order.REJOIN):
-            self._lying = frozenset(r for r in self.crew.active if fleet[r].mode is Mode.DISARMED)
-        if order is Order.HOLD and self.phase in PLANNING:
-            self._leave_lying(fleet)
-        before = self.phase
+            self._still_to_arm = frozenset(r for r in self.roster.active if fleet[r].mode is Mode.DISARMED)
+        if order is Order.HOLD and self.state in PLANNING:
+            self._drop_disarmed(fleet)
+        before = self.state
         self._go(order, now_ns)
-        if order is Order.DISARM and before is not Phase.ENDING and before not in OVER:
-            self._cancelled = True
+        if order is Order.DISARM and before is not MissionState.ENDING and before not in TERMINAL:
+            if self._run.ended_by is MissionEvent.ALL_CONFIRMED:
+                self._run.ended_by = MissionEvent.DISARMED_CANCELLED
             self.reason = f"a person asked for DISARM when {before.name}"
         if order is Order.RESUME:
-            self._resume_anew(fleet, now_ns)
+            self._replan_if_needed(fleet, now_ns)
         if order is Order.GO:
-            self.itinerary.want_detour(fleet, now_ns, tuple(via))
+            self.plans.request_replan(fleet, now_ns, tuple(via))
         return ""
 
+    def objection(self, order: Order, fleet: Fleet, via: Sequence[tuple[float, float]] = ()) -> str:
+        """Reason against a request in a state that allows it; empty if there is none."""
+        experiment, returns = self._experiment, self.segment.is_return
+        from_rest = order is Order.RETURN and self._at_rest  # takes in robots that the last run had lost
+        roster = Roster(experiment.robot_ids, self.segment) if from_rest else self.roster
+        if order in (Order.ARM, Order.START):
+            return "; ".join(preflight(experiment, fleet, self._starts))
+        if order is Order.TEST:
+            return "; ".join(preflight(experiment, fleet, exclude=("thrusters",)))
+        if order is Order.RESUME:
+            moving = [r for r in roster.active if fleet[r].mode is not Mode.HOLDING]
+            return "; ".join(f"robot {r} does not hold yet ({mode_name(fleet[r])})" for r in moving)
+        if order is Order.CLEAR_STOP:
+            flying = [r for r in roster.all_robots if fleet[r].heard and fleet[r].mode in LIVE]
+            return "; ".join(f"robot {r} has not stopped yet ({mode_name(fleet[r])})" for r in flying)
+        if order is Order.HOLD and all(fleet[r].mode is Mode.DISARMED for r in roster.active):
+            return "no robot is armed"
+        if order is Order.GO and returns:
+            return "the robots are on their way back to the start, each on its own"
+        if order is Order.GO and not via:
+            return "where to? (places for the formation's centre, x and y in m)"
+        if order is Order.GO and not can_replan(experiment):
+            return "the path is a circle, dives, or is not common to all robots: it cannot be changed under way"
+        if order is Order.GO:
+            length, width, _ = experiment.pool.size_m  # robots accept no path beyond it, in open water neither
+            outside = [(x, y) for x, y in via if not (abs(x) <= length / 2.0 and abs(y) <= width / 2.0)]
+            return "; ".join(f"({x:g}, {y:g}) m is outside the pool" for x, y in outside)
+        if order is Order.REJOIN and not roster.lost:
+            return "nobody is out"
+        if order is Order.REJOIN and returns:
+            return "the others are on their way back to the start, where nobody has a place to take"
+        if order is Order.REJOIN:
+            return "; ".join(preflight(experiment, {r: fleet[r] for r in roster.lost}, exclude=("thrusters",)))
+        if order is Order.RETURN:
+            stay = [f"robot {r}: {why}" for r in roster.active if (why := self._cannot_return(fleet, r))]
+            return "" if len(stay) < len(roster.active) else "; ".join(["no robot is fit to move", *stay])
+        return ""
+
+    def _cannot_return(self, fleet: Fleet, robot: int) -> str:
+        """Reason for which a robot cannot take part in a return; empty if it can. A disarmed robot has to be armed for it:
+        all that blocks arming counts, except its distance from the start."""
+        lost = first_lost_robot((robot,), fleet, (robot,))
+        if lost is not None:
+            return lost[1]
+        disarmed = fleet[robot].mode is Mode.DISARMED
+        blocks = blocking_findings(self._experiment, {robot: fleet[robot]}) if disarmed else ()
+        return "; ".join(finding.message for finding in blocks)
+
     @property
-    def _rests(self) -> bool:
-        return self.phase is Phase.WAITING or self.phase in OVER
+    def _at_rest(self) -> bool:
+        return self.state is MissionState.WAITING or self.state in TERMINAL
 
-    def _begin_anew(self) -> None:
-        self.failed = self._gap = self._cancelled = False
-        self.itinerary.begin_anew()
-        self.pace.start()
+    def _begin_run(self) -> None:
+        self._run = _RunData()
+        self.plans.reset()
+        self.governor.start()
 
-    def _come_home(self, fleet: Fleet) -> None:
-        if self._rests:
-            self._begin_anew()
-        for robot in self.crew.active:
-            why = stays(self._experiment, fleet, robot)
+    def _prepare_return(self, fleet: Fleet) -> None:
+        if self._at_rest:
+            self._begin_run()
+        for robot in self.roster.active:
+            why = self._cannot_return(fleet, robot)
             if why:
-                self.crew.lose(robot, why)
-        self.itinerary.head_home()
+                self.roster.mark_lost(robot, why)
+        self.plans.target_return()
 
     # --- the cycle
 
     def step(
-        self, fleet: Fleet, answers: Sequence[Answer], now_ns: int, around: Surroundings | None = None
+        self, fleet: Fleet, results: Sequence[CommandResult], now_ns: int, obstacles: ObstacleSet | None = None
     ) -> tuple[Command, ...]:
-        """One cycle: the orders to send now."""
+        """One cycle: the commands to send now. `obstacles` None: as in the cycle before."""
         elapsed_s = (now_ns - self._cycle_ns) * 1e-9 if self._cycle_ns is not None else 0.0
         self._cycle_ns = now_ns
-        refused = self._asking.listen(answers, now_ns)
-        if refused and (not self.reason or self.phase in TELLS_REFUSALS):
+        known = [result for result in results if result.command.robot in self.roster.all_robots]
+        counted = [r for r in known if not (r.reply.silent and r.command.robot in self.roster.lost)]
+        refused = self._dispatcher.on_results(counted, now_ns)
+        if refused and (not self.reason or self.state in SHOWS_REFUSALS):
             self.reason = refused
-        self.itinerary.lookout.see(around, now_ns)
-        if self.phase is Phase.WAITING:
+        self.plans.monitor.update(obstacles, now_ns)
+        if self.state is MissionState.WAITING:
             return self._wait(fleet, now_ns)
-        if self.phase in UNDER_WAY:
-            self._count_losses(fleet, now_ns)
-        if self.phase in FLYING | JOINING:
-            self._keep_step(fleet, now_ns)
-        if self.phase in FLYING | {Phase.PAUSED} and self.crew.active:
-            self._watch(fleet, now_ns)
-        self._keep_pace(fleet, elapsed_s)
-        return self._orders(fleet, now_ns) + self._tell_lost(fleet, now_ns)
+        if self.state in COMMITTED:
+            self._handle_losses(fleet, now_ns)
+        if self.state in IN_FLIGHT | JOINING:
+            self._check_in_step(fleet, now_ns)
+        if self.state in IN_FLIGHT | {MissionState.PAUSED} and self.roster.active:
+            self._check_flight(fleet, now_ns)
+        self._govern(fleet, elapsed_s)
+        return self._commands(fleet, now_ns) + self._command_lost(fleet, now_ns)
 
-    def _orders(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        if self.phase in STAGES:
-            return self._drive(STAGES[self.phase], fleet, now_ns)
-        if self.phase is Phase.SWITCHING:
+    def _commands(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        if self.state in STAGES:
+            return self._drive(STAGES[self.state], fleet, now_ns)
+        if self.state is MissionState.SWITCHING:
             return self._switch(fleet, now_ns)
-        if self.phase is Phase.HALTING:
+        if self.state is MissionState.HALTING:
             return self._halt(fleet, now_ns)
-        if self.phase is Phase.TESTING:
+        if self.state is MissionState.TESTING:
             return self._test(fleet, now_ns)
-        if self.phase is Phase.PAUSED:
+        if self.state is MissionState.PAUSED:
             return self._pause(fleet, now_ns)
-        if self.phase is Phase.STOPPED:
-            return self._ask(Order.STOP, self._not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
+        if self.state is MissionState.STOPPED:
+            return self._send(Order.STOP, _not_in(Mode.STOPPED, fleet, self._experiment.robot_ids), now_ns)
         return ()
 
-    def _tell_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """A robot that is out may fly on by a plan that the others have no longer, and hear though it is not heard: what it
-        told last counts. Nobody waits for it."""
-        if self.phase in UNDER_WAY:
-            return self._ask(Order.HOLD, [r for r in self.crew.out if fleet[r].mode is Mode.TRACKING], now_ns)
-        if self.phase is Phase.ENDING:  # those who are heard are among the others
-            silent = [r for r in self.crew.out if not fleet[r].heard and fleet[r].mode in LIVE]
-            return self._ask(Order.DISARM, silent, now_ns)
+    def _command_lost(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Commands for lost robots. Such a robot may fly on by a plan that the others no longer have, and may receive though
+        it is not heard: its last known mode counts. The mission does not wait for it."""
+        if self.state in COMMITTED:
+            return self._send(Order.HOLD, [r for r in self.roster.lost if fleet[r].mode is Mode.TRACKING], now_ns)
+        if self.state is MissionState.ENDING:  # lost robots that are heard are disarmed with the others
+            silent = [r for r in self.roster.lost if not fleet[r].heard and fleet[r].mode in LIVE]
+            return self._send(Order.DISARM, silent, now_ns)
         return ()
 
     def _wait(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
         reasons = preflight(self._experiment, fleet, self._starts)
         self.reason = "; ".join(reasons)
-        if self.automatic and not self._held_by_person and not reasons:
-            self._begin_anew()
-            self._go(Event.FIT, now_ns)
+        if self.automatic and not self._needs_operator and not reasons:
+            self._begin_run()
+            self._go(MissionEvent.PREFLIGHT_PASSED, now_ns)
         return ()
 
-    def behind_s(self, robot: RobotView, now_ns: int) -> float:
-        """How far a robot is behind the fleet's timetable, by its own account; negative: ahead. 0 where there is none."""
-        flown = self._timetable if self.phase in FLYING | JOINING else None
-        return flown.behind_s(robot, self.pace, now_ns) if flown is not None else 0.0
+    # --- checks in flight
 
-    def _keep_step(self, fleet: Fleet, now_ns: int) -> None:
-        """All fly one plan by one timetable, or all hold."""
+    def behind_s(self, robot: RobotView, now_ns: int) -> float:
+        """Lag of a robot behind the fleet's timetable, from its own state; negative: ahead. 0 without a timetable."""
+        flown = self._timetable if self.state in IN_FLIGHT | JOINING else None
+        return flown.behind_s(robot, self.governor, now_ns) if flown is not None else 0.0
+
+    def _check_in_step(self, fleet: Fleet, now_ns: int) -> None:
+        """Hold the fleet when, for OUT_FOR_S, a robot flies another plan or by another timetable than the others."""
         out = ""
-        for robot in self.crew.active:
+        for robot in self.roster.active:
             behind_s = self.behind_s(fleet[robot], now_ns)
             if abs(behind_s) > OUT_OF_STEP_S:
                 out = f"robot {robot} is {abs(behind_s):.1f} s {'behind' if behind_s > 0.0 else 'ahead of'} the others"
                 break
             tracks = fleet[robot].heard and fleet[robot].mode is Mode.TRACKING
-            if tracks and self.phase is not Phase.SWITCHING and not self.crew.is_on(self.leg, fleet, robot):
+            switching = self.state is MissionState.SWITCHING
+            if tracks and not switching and not self.roster.has_segment(self.segment, fleet, robot):
                 out = f"robot {robot} flies another plan than the others"
                 break
         if not out:
-            self._out_of_step_ns = None
-        elif self._out_of_step_ns is None:
-            self._out_of_step_ns = now_ns
-        elif now_ns - self._out_of_step_ns >= OUT_FOR_S * 1e9:
-            self._go(Event.OUT_OF_STEP, now_ns)
+            self._data.out_of_step_since_ns = None
+        elif self._data.out_of_step_since_ns is None:
+            self._data.out_of_step_since_ns = now_ns
+        elif now_ns - self._data.out_of_step_since_ns >= OUT_FOR_S * 1e9:
+            self._go(MissionEvent.OUT_OF_STEP, now_ns)
             self.reason = out
 
-    def _watch(self, fleet: Fleet, now_ns: int) -> None:
-        """Look for the end of the run, for robots that hold or lag, for what lies in the way."""
-        plans = self.itinerary
-        in_step = [r for r in self.crew.active if abs(self.behind_s(fleet[r], now_ns)) <= OUT_OF_STEP_S]
-        reached_s = min((fleet[r].trajectory_s for r in in_step), default=plans.reached_s)
-        if self.phase is Phase.PAUSED:  # all go on from where the last was, but not from where one was that fell out of step
-            plans.reached_s = max(plans.reached_s, reached_s)
+    def _check_flight(self, fleet: Fleet, now_ns: int) -> None:
+        """Update the fleet's progress, and go where the first event in flight leads."""
+        plans = self.plans
+        in_step = [r for r in self.roster.active if abs(self.behind_s(fleet[r], now_ns)) <= OUT_OF_STEP_S]
+        progress_s = min((fleet[r].trajectory_s for r in in_step), default=plans.progress_s)
+        if self.state is MissionState.PAUSED:  # all go on from the slowest robot's progress, except one that fell out of step
+            plans.progress_s = max(plans.progress_s, progress_s)
             return
-        plans.reached_s = reached_s
-        fresh, slowed = now_ns - self._since_ns <= topics.STATE.max_age_s * 1e9, self.pace.slowed
-        notice = noticed(
-            self.phase,
-            fleet,
-            self.crew,
-            plans.leg,
-            plans.reached_s,
-            fresh,
-            slowed,
-            lambda: plans.blocked(fleet, now_ns),
-            blind_holds=self._experiment.mission.blind == "hold",
-        )
-        if notice is None:
+        plans.progress_s = progress_s
+        found = self._flight_event(fleet, now_ns)
+        if found is None:
             return
-        if notice.cause is Event.IN_OWN_WAY:
-            plans.plan_anew()
-        self._go(notice.cause, now_ns)
-        self.reason = notice.reason
-        if notice.cause is Event.OBSTACLE:
-            plans.want_detour(fleet, now_ns)
+        event, reason = found
+        if event is MissionEvent.TRANSFER_BLOCKED:
+            plans.target_current()
+        self._go(event, now_ns)
+        self.reason = reason
+        if event is MissionEvent.OBSTACLE:
+            plans.request_replan(fleet, now_ns)
 
-    def _count_losses(self, fleet: Fleet, now_ns: int) -> None:
-        """Robots that are gone: what then is the experiment's policy. A plan from rest that counts on them is made anew."""
-        trouble = casualty(self.crew.active, fleet, self._lying if self.phase in PLANNING else ())
-        if trouble is None:
+    def _flight_event(self, fleet: Fleet, now_ns: int) -> tuple[MissionEvent, str] | None:
+        """Detect events in flight, in order of urgency: end of path, hold, blindness, lost robot, obstacle, lag. Returns the
+        event and the reason for people. Losses come before (`_handle_losses`)."""
+        active, segment, progress_s = self.roster.active, self.segment, self.plans.progress_s
+        if progress_s >= segment.end_s:
+            return MissionEvent.ARRIVED, ""
+        holding = [robot for robot in active if fleet[robot].mode is Mode.HOLDING]
+        if (
+            holding and now_ns - self._data.since_ns > topics.STATE.max_age_s * 1e9
+        ):  # earlier, the mode may be of the state before
+            state = fleet[holding[0]].state
+            return MissionEvent.ROBOT_HOLDING, f"robot {holding[0]} holds: {state.fault if state else ''}"
+        blind = self._blind(fleet) if self._experiment.mission.blind == "hold" else ""
+        if blind:
+            return MissionEvent.BLIND, blind
+        if self.state is MissionState.RUNNING and segment.is_return:
+            return MissionEvent.RETURN_STARTED, ""
+        if self.state is MissionState.RUNNING and self.roster.lost:
+            return MissionEvent.ROBOT_MISSING, "; ".join(f"robot {r}: {why}" for r, why in self.roster.lost.items())
+        if self.state not in NOMINAL | {MissionState.RETURNING}:
+            return None
+        contact = self.plans.first_contact(fleet, now_ns)  # takes a millisecond: not before the other checks
+        if contact:
+            event = MissionEvent.TRANSFER_BLOCKED if segment.is_separate(progress_s) else MissionEvent.OBSTACLE
+            return event, f"something lies {contact}"
+        if self.state is MissionState.RETURNING:
+            return None
+        slowed = self.governor.slowed
+        if slowed and self.state is not MissionState.SLOWED:
+            worst = max(active, key=lambda robot: fleet[robot].error_m)
+            return MissionEvent.LAGGING, f"robot {worst} is {fleet[worst].error_m:.2f} m from its place"
+        return (MissionEvent.CAUGHT_UP, "") if self.state is MissionState.SLOWED and not slowed else None
+
+    def _blind(self, fleet: Fleet) -> str:
+        """Robots that cannot tell whether obstacles are there, with the reason of the first; empty if there are none."""
+        found = {r: state.blind for r in self.roster.active if (state := fleet[r].state) is not None and state.blind}
+        robots = f"robot{'s' if len(found) > 1 else ''} {', '.join(map(str, found))}"
+        return f"{robots} blind: {next(iter(found.values()))}" if found else ""
+
+    def _handle_losses(self, fleet: Fleet, now_ns: int) -> None:
+        """Apply the experiment's policy (mission.lost) to a robot that is lost. A plan from rest that counts on it is made
+        anew."""
+        loss = first_lost_robot(self.roster.active, fleet, self._still_to_arm if self.state in PLANNING else ())
+        if loss is None:
             return
-        robot, why = trouble
-        policy, home = self._experiment.mission.lost, self.leg.home or (self.phase in PLANNING and self.itinerary.heads_home)
-        if policy == "abort" or len(self.crew.active) == 1:
-            self._fail(Event.LOST, f"robot {robot}: {why}", now_ns)
+        robot, why = loss
+        policy = self._experiment.mission.lost
+        returns = self.segment.is_return or (self.state in PLANNING and self.plans.targets_return)
+        if policy == "abort" or len(self.roster.active) == 1:
+            self._fail(MissionEvent.LOST, f"robot {robot}: {why}", now_ns)
             return
-        self.crew.lose(robot, why)
+        self.roster.mark_lost(robot, why)
         if policy == "hold":
-            if self.phase in PLANNING:
-                self._leave_lying(fleet)
-            if not self.crew.active:
-                self._fail(Event.LOST_ALL, f"robot {robot}: {why}", now_ns)
+            if self.state in PLANNING:
+                self._drop_disarmed(fleet)
+            if not self.roster.active:
+                self._fail(MissionEvent.LOST_ALL, f"robot {robot}: {why}", now_ns)
                 return
-            if self.phase is not Phase.PAUSED:
-                self._go(Event.LOST_HOLD, now_ns)
-            self._held_by_person = True  # who decides what then is a person
-        elif policy == "close-up" and not home:
-            self._gap = True
-            if not self._held_by_person:
+            if self.state is not MissionState.PAUSED:
+                self._go(MissionEvent.LOST_HOLD, now_ns)
+            self._needs_operator = True
+        elif policy == "close-up" and not returns:
+            self._run.gap = True
+            if not self._needs_operator:
                 self._close_up(fleet, now_ns)
-        elif after(self.phase, Event.LOST_ANEW) is not None:
-            self._go(Event.LOST_ANEW, now_ns)
+        elif next_state(self.state, MissionEvent.LOST_REPLAN) is not None:
+            self._go(MissionEvent.LOST_REPLAN, now_ns)
         self.reason = f"robot {robot}: {why}"
 
-    def _leave_lying(self, fleet: Fleet) -> None:
-        """Robots that lie disarmed, and were to be armed for a plan that is now not flown, take no part: they cannot hold."""
-        for robot in self.crew.active:
+    def _drop_disarmed(self, fleet: Fleet) -> None:
+        """Count disarmed robots as lost: they were to be armed for a plan that is now not flown, and cannot hold."""
+        for robot in self.roster.active:
             if fleet[robot].mode is Mode.DISARMED:
-                self.crew.lose(robot, "disarmed")
+                self.roster.mark_lost(robot, "disarmed")
 
     def _close_up(self, fleet: Fleet, now_ns: int) -> None:
-        self._gap = False
-        self.crew.close_up(self.leg, self.itinerary.reached_s, fleet)
-        self.itinerary.take_places()
-        self._go(Event.LOST_CLOSE_UP, now_ns)
+        self._run.gap = False
+        self.roster.reassign_slots(self.segment, self.plans.progress_s, fleet)
+        self.plans.target_slots()
+        self._go(MissionEvent.LOST_CLOSE_UP, now_ns)
 
-    def _keep_pace(self, fleet: Fleet, elapsed_s: float) -> None:
-        flies = self.phase in FLYING
-        self.pace.step(max((fleet[r].error_m for r in self.crew.active), default=0.0) if flies else None, elapsed_s)
+    def _govern(self, fleet: Fleet, elapsed_s: float) -> None:
+        flies = self.state in IN_FLIGHT
+        worst_m = max((fleet[r].error_m for r in self.roster.active), default=0.0)
+        self.governor.step(worst_m if flies else None, elapsed_s)
 
     # --- stages
 
-    def _drive(self, stage: Stage, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        waiting = [r for r in self._concerned(fleet) if not self._has_obeyed(r, stage, fleet, now_ns)]
+    def _drive(self, stage: CommandStage, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
+        """Send a stage's command until all have confirmed it; then go on."""
+        waiting = [r for r in self._addressed(fleet) if not self._has_confirmed(r, stage, fleet, now_ns)]
         if not waiting:
-            if self.phase is not self._stop_after:
-                self._go(self._obeyed, now_ns)
-            self._waited_ns.clear()
+            if self.state is not self._last_state:
+                ending = self.state is MissionState.ENDING
+                self._go(self._run.ended_by if ending else MissionEvent.ALL_CONFIRMED, now_ns)
+            self._data.waiting_since_ns.clear()
             return ()
-        fallen = casualty(
-            [r for r in waiting if fleet[r].mode in UNFIT or self._is_disarmed_again(r, fleet[r], now_ns)], fleet
-        )
-        if fallen is not None and self.phase in GETTING_READY:  # no order but DISARM would reach it
-            self._unheeded(f"robot {fallen[0]}: {fallen[1]}", now_ns)
+        unfit = [r for r in waiting if fleet[r].mode in UNFIT or self._was_armed(r, fleet[r], now_ns)]
+        lost = first_lost_robot(unfit, fleet)
+        if lost is not None and self.state in PRESTART:  # it would accept no command but DISARM
+            self._on_timeout(f"robot {lost[0]}: {lost[1]}", now_ns)
             return ()
         flying = [r for r in waiting if fleet[r].heard and fleet[r].mode in LIVE]
-        if flying and self.phase is Phase.CLEARING:  # the stop has not reached it, and it would fly on when nobody expects it
-            self._unheeded(f"robot {flying[0]} has not stopped: it is {mode_name(fleet[flying[0]])}", now_ns)
+        if flying and self.state is MissionState.CLEARING:  # the stop has not reached it: cleared, it would fly on
+            self._on_timeout(f"robot {flying[0]} has not stopped: it is {mode_name(fleet[flying[0]])}", now_ns)
             return ()
-        self._waited_ns = {r: self._waited_ns.get(r, now_ns) for r in waiting}
-        patience_s = JOIN_WITHIN_S if self.phase in JOINING else PATIENCE_S
-        late = [r for r in waiting if now_ns - self._waited_ns[r] > patience_s * 1e9]
+        since_ns = self._data.waiting_since_ns
+        self._data.waiting_since_ns = since_ns = {r: since_ns.get(r, now_ns) for r in waiting}
+        patience_s = JOIN_WITHIN_S if self.state in JOINING else PATIENCE_S
+        late = [r for r in waiting if now_ns - since_ns[r] > patience_s * 1e9]
         if late:
-            who = ", ".join(map(str, late))
-            self._unheeded(f"robot {who} does not follow {stage.order.name}: {self.reason or 'no answer'}", now_ns)
+            robots = ", ".join(map(str, late))
+            self._on_timeout(f"robot {robots} does not follow {stage.order.name}: {self.reason or 'no answer'}", now_ns)
             return ()
-        return self._ask(stage.order, waiting, now_ns)
+        return self._send(stage.order, waiting, now_ns)
 
-    def _is_disarmed_again(self, robot: int, seen: RobotView, now_ns: int) -> bool:
-        """Whether it was armed for this start and is so no more, as after a restart: it is not armed again unasked."""
-        armed_ns = self._asking.armed.get(robot)
+    def _was_armed(self, robot: int, seen: RobotView, now_ns: int) -> bool:
+        """True for a robot that was armed for this start and is disarmed since, after a restart for example. It is not armed
+        again without a request."""
+        armed_ns = self._dispatcher.armed.get(robot)
         return seen.mode is Mode.DISARMED and armed_ns is not None and seen.state_age_s * 1e9 < now_ns - armed_ns
 
-    def _has_obeyed(self, robot: int, stage: Stage, fleet: Fleet, now_ns: int) -> bool:
-        """By what a robot has told lately, or since it was asked: what it told before that says nothing. That it is disarmed,
-        or its stop cleared, counts only if told since: an ARM or a STOP may have been on its way."""
+    def _has_confirmed(self, robot: int, stage: CommandStage, fleet: Fleet, now_ns: int) -> bool:
+        """True if a fresh state shows that the robot has done the stage's command. For DISARM and CLEAR_STOP only a state
+        that was sent since the stage began counts: an ARM or a STOP may have been on its way."""
         seen = fleet[robot]
-        told_since = seen.state_age_s * 1e9 <= now_ns - self._since_ns
-        told = told_since or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
-        return told and stage.obeyed(seen.mode, self.crew.is_on(self.leg, fleet, robot))
+        sent_since = seen.state_age_s * 1e9 <= now_ns - self._data.since_ns
+        counts = sent_since or (seen.heard and stage.order not in (Order.DISARM, Order.CLEAR_STOP))
+        return counts and stage.confirmed(seen.mode, self.roster.has_segment(self.segment, fleet, robot))
 
-    @property
-    def _obeyed(self) -> Event:
-        """What it means that all have done as told: of a run that ends, how it ended."""
-        if self.phase is not Phase.ENDING or not (self.failed or self._cancelled):
-            return Event.OBEYED
-        return Event.DISARMED_FAILED if self.failed else Event.DISARMED_CANCELLED
-
-    def _concerned(self, fleet: Fleet) -> Sequence[int]:
-        """Who gets a stage's orders: to be disarmed, also robots that are out but can hear."""
-        everybody = self._experiment.robot_ids
-        if self.phase in (Phase.ABORTING, Phase.CLEARING):
-            return everybody
-        if self.phase is Phase.ENDING:
-            return [r for r in everybody if r not in self.crew.out or (fleet[r].heard and fleet[r].mode is not Mode.STOPPED)]
-        return self.crew.active
-
-    def _unheeded(self, why: str, now_ns: int) -> None:
-        if self.phase is not Phase.SWITCHING:
-            self.failed = True
-        self._go(Event.UNHEEDED, now_ns)
-        self.reason = why
+    def _addressed(self, fleet: Fleet) -> Sequence[int]:
+        """Robots that get a stage's command. DISARM also goes to lost robots that are heard."""
+        all_robots = self.roster.all_robots
+        if self.state in (MissionState.ABORTING, MissionState.CLEARING):
+            return all_robots
+        if self.state is MissionState.ENDING:
+            lost = self.roster.lost
+            return [r for r in all_robots if r not in lost or (fleet[r].heard and fleet[r].mode is not Mode.STOPPED)]
+        return self.roster.active
 
     def _pause(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Everybody holds. Only an automatic mission goes on by itself, when all are well again."""
-        moving = self._not_in(Mode.HOLDING, fleet, self.crew.active)
-        unfit = preflight(self._experiment, {r: fleet[r] for r in self.crew.active})
-        if moving or unfit or (not self._may_plan_anew and self.itinerary.blocked(fleet)):
-            self._since_ns = now_ns
-        elif self.automatic and not self._held_by_person and now_ns - self._since_ns > SETTLE_S * 1e9:
-            self._go(Event.WELL, now_ns)
-            self._resume_anew(fleet, now_ns)
+        """Hold all robots. An automatic mission goes on by itself when all hold and are fit for SETTLE_S."""
+        moving = _not_in(Mode.HOLDING, fleet, self.roster.active)
+        unfit = preflight(self._experiment, {r: fleet[r] for r in self.roster.active})
+        if moving or unfit or (not self._may_replan and self.plans.first_contact(fleet)):
+            self._data.since_ns = now_ns
+        elif self.automatic and not self._needs_operator and now_ns - self._data.since_ns > SETTLE_S * 1e9:
+            self._go(MissionEvent.RECOVERED, now_ns)
+            self._replan_if_needed(fleet, now_ns)
             return ()
-        return self._ask(Order.HOLD, moving, now_ns)
+        return self._send(Order.HOLD, moving, now_ns)
 
     @property
-    def _may_plan_anew(self) -> bool:
-        """Whether a way that is blocked is given up for another one from rest, or waited at until it is free."""
-        return bool(self.crew.out) or self.leg.apart(self.itinerary.reached_s)
+    def _may_replan(self) -> bool:
+        """True if robots leave a blocked path for a new plan from rest; False if they wait until it is free."""
+        return bool(self.roster.lost) or self.segment.is_separate(self.plans.progress_s)
 
-    def _resume_anew(self, fleet: Fleet, now_ns: int) -> None:
-        """Where those who held cannot just go on, they get a new plan from rest. Either some have gone over to another path
-        and some have not; or one was carried farther off than it would go on from; or a gap came while a person had them hold,
-        which closes now; or something lies on their way, a robot that is out and coasted on, say: all go on from the next
-        places on their way that are free."""
-        astray = [f"robot {r} has another plan" for r in self.crew.active if not self.crew.is_on(self.leg, fleet, r)]
-        astray = astray or [f"robot {r} is {away_m:.2f} m from its place" for r, away_m in self._carried_off(fleet)]
-        if astray:
-            self.itinerary.plan_anew()
-            self._go(Event.ASTRAY, now_ns)
-            self.reason = "; ".join(astray)
-        elif self._gap and self.crew.out and not self.leg.home:
+    def _replan_if_needed(self, fleet: Fleet, now_ns: int) -> None:
+        """After RESUMING began: plan from rest where robots cannot simply go on.
+
+        The reasons: robots are on different plans; one was carried too far off; a gap is to be closed; an obstacle, a lost
+        robot for example, lies on the path.
+        """
+        off_plan = [
+            f"robot {r} has another plan" for r in self.roster.active if not self.roster.has_segment(self.segment, fleet, r)
+        ]
+        off_plan = off_plan or [f"robot {r} is {away_m:.2f} m from its place" for r, away_m in self._carried_off(fleet)]
+        if off_plan:
+            self.plans.target_current()
+            self._go(MissionEvent.OFF_PLAN, now_ns)
+            self.reason = "; ".join(off_plan)
+        elif self._run.gap and self.roster.lost and not self.segment.is_return:
             self._close_up(fleet, now_ns)
-        elif self._may_plan_anew and self.itinerary.blocked(fleet):
-            self.itinerary.plan_anew()
-            self._go(Event.BESIDE_LOST if self.crew.out else Event.IN_OWN_WAY, now_ns)
+        elif self._may_replan and self.plans.first_contact(fleet):
+            self.plans.target_current()
+            self._go(MissionEvent.LOST_NEARBY if self.roster.lost else MissionEvent.TRANSFER_BLOCKED, now_ns)
 
     def _carried_off(self, fleet: Fleet) -> Iterator[tuple[int, float]]:
-        """Robots that are too far from their places to go on from, and how far."""
-        now = np.array([self.itinerary.reached_s])
-        for robot, trajectory in self.crew.flown(self.leg).items():
-            away_m = float(np.linalg.norm(at(trajectory, now).eta[0, :3] - fleet[robot].eta[:3]))
+        """Robots that are further than safety.join_within_m from their trajectories, and their distance in m."""
+        now = np.array([self.plans.progress_s])
+        for robot, trajectory in self.roster.trajectories(self.segment).items():
+            away_m = float(np.linalg.norm(sample(trajectory, now).eta[0, :3] - fleet[robot].eta[:3]))
             if away_m > self._experiment.safety.join_within_m:
                 yield robot, away_m
 
     def _halt(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Bring everybody who moves to rest, then ask for the plan."""
-        flying = [r for r in self.crew.active if fleet[r].mode is Mode.TRACKING]
-        waited_s = (now_ns - self._since_ns) * 1e-9
+        """Bring all moving robots to rest, then request the plan."""
+        flying = [r for r in self.roster.active if fleet[r].mode is Mode.TRACKING]
+        waited_s = (now_ns - self._data.since_ns) * 1e-9
         if flying:
             if waited_s > PATIENCE_S:
-                self._unheeded(f"robot {', '.join(map(str, flying))} does not follow HOLD", now_ns)
+                self._on_timeout(f"robot {', '.join(map(str, flying))} does not follow HOLD", now_ns)
                 return ()
-            return self._ask(Order.HOLD, flying, now_ns)
-        fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.crew.active if fleet[r].mode is Mode.HOLDING)
+            return self._send(Order.HOLD, flying, now_ns)
+        fast = any(fleet[r].speed_mps > AT_REST_MPS for r in self.roster.active if fleet[r].mode is Mode.HOLDING)
         if not fast or waited_s > REST_WITHIN_S:
-            self.itinerary.want_way(fleet)
+            self.plans.request_plan_from_rest(fleet)
         return ()
 
     def _test(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        results = {r: self._test_result(r, fleet[r], now_ns) for r in self.crew.active}
+        results = {r: self._test_result(r, fleet[r], now_ns) for r in self.roster.active}
         if all(result not in ("", "running") for result in results.values()):
-            self._go(Event.OBEYED, now_ns)
+            self._go(MissionEvent.ALL_CONFIRMED, now_ns)
             failed = [f"robot {r}: {result}" for r, result in results.items() if result != "passed"]
             self.reason = "; ".join(failed) or "all thrusters as asked"
             return ()
-        if now_ns - self._since_ns > TEST_PATIENCE_S * 1e9:
-            self._unheeded(f"the thruster test does not end: {results}", now_ns)
+        if now_ns - self._data.since_ns > TEST_PATIENCE_S * 1e9:
+            self._on_timeout(f"the thruster test does not end: {results}", now_ns)
             return ()
-        return self._ask(Order.TEST, [r for r in self.crew.active if r not in self._asking.tested], now_ns)
+        return self._send(Order.TEST, [r for r in self.roster.active if r not in self._dispatcher.tested], now_ns)
 
     def _test_result(self, robot: int, seen: RobotView, now_ns: int) -> str:
-        """As told since the robot took the order: what it told before is of another test."""
-        taken_ns = self._asking.tested.get(robot)
+        """Result from a state sent since the robot accepted TEST; an earlier state is about an earlier test."""
+        taken_ns = self._dispatcher.tested.get(robot)
         if seen.state is None or taken_ns is None or seen.state_age_s * 1e9 > now_ns - taken_ns:
             return ""
         return seen.state.thruster_test
 
-    # --- another path under way
+    # --- plans
 
-    def planned(self, outcome: Leg | PlanError, fleet: Fleet, now_ns: int) -> None:
-        """What came of the plan that was wanted."""
-        self.itinerary.wanted = None
-        if self.phase is Phase.HALTING:
-            if isinstance(outcome, Leg):
-                self.itinerary.adopt(outcome)
-                self._go(Event.PLANNED, now_ns)
+    def planned(self, outcome: PlanSegment | PlanError, fleet: Fleet, now_ns: int) -> None:
+        """Take the outcome of the requested plan."""
+        self.plans.request = None
+        if self.state is MissionState.HALTING:
+            if isinstance(outcome, PlanSegment):
+                self.plans.adopt(outcome)
+                self._go(MissionEvent.PLANNED, now_ns)
             else:
-                self._leave_lying(fleet)
+                self._drop_disarmed(fleet)
                 why = f"no way from here: {outcome}"
-                if not self.crew.active:
-                    self._fail(Event.LOST_ALL, why, now_ns)
+                if not self.roster.active:
+                    self._fail(MissionEvent.LOST_ALL, why, now_ns)
                     return
-                self._go(Event.NO_PLAN, now_ns)
-                self._held_by_person, self.reason = True, why
-        elif self.phase is Phase.SWITCHING:
-            if isinstance(outcome, Leg):
-                self.itinerary.next, self._asking.accepted = outcome, set()
+                self._go(MissionEvent.NO_PLAN, now_ns)
+                self._needs_operator, self.reason = True, why
+        elif self.state is MissionState.SWITCHING:
+            if isinstance(outcome, PlanSegment):
+                self.plans.next = outcome
+                self._dispatcher.loaded.clear()
                 return
-            before = self.reason
-            self._go(Event.NO_PLAN if self.itinerary.by_person else Event.BLOCKED, now_ns)
-            self.reason = f"no way there: {outcome}" if self.itinerary.by_person else f"{before}; no way round: {outcome}"
+            before, by_operator = self.reason, self.plans.by_operator
+            self._go(MissionEvent.NO_PLAN if by_operator else MissionEvent.BLOCKED, now_ns)
+            self.reason = f"no way there: {outcome}" if by_operator else f"{before}; no way round: {outcome}"
 
     def _switch(self, fleet: Fleet, now_ns: int) -> tuple[Command, ...]:
-        """Give everybody the next leg; when all have it, let all go over where it begins."""
-        plans = self.itinerary
+        """Load the next segment into all robots; when all have it, let them go over to it at its beginning."""
+        plans = self.plans
         if plans.next is None:
-            if plans.reached_s > plans.deadline_s:
-                self._unheeded("no plan in time", now_ns)
+            if plans.progress_s > plans.deadline_s:
+                self._on_timeout("no plan in time", now_ns)
             return ()
-        going = [r for r in self.crew.active if not self.crew.is_on(plans.next, fleet, r)]
+        going = [r for r in self.roster.active if not self.roster.has_segment(plans.next, fleet, r)]
         if not going:
             plans.adopt(plans.next)
-            self._go(Event.OBEYED, now_ns)
+            self._go(MissionEvent.ALL_CONFIRMED, now_ns)
             return ()
-        if plans.reached_s > plans.deadline_s:
-            self._unheeded(f"robot {', '.join(map(str, going))} has not gone over in time: {self.reason}", now_ns)
+        if plans.progress_s > plans.deadline_s:
+            self._on_timeout(f"robot {', '.join(map(str, going))} has not gone over in time: {self.reason}", now_ns)
             return ()
-        missing = [r for r in going if r not in self._asking.accepted]
-        return self._ask(Order.LOAD, missing, now_ns) if missing else self._ask(Order.SWITCH, going, now_ns)
+        trajectories = {r: self.roster.trajectory(plans.next, r) for r in going}
+        missing = [r for r, t in trajectories.items() if t is None or (r, t.id) not in self._dispatcher.loaded]
+        return self._send(Order.LOAD, missing, now_ns) if missing else self._send(Order.SWITCH, going, now_ns)
 
-    # --- orders
+    # --- commands and transitions
 
-    def _not_in(self, mode: Mode, fleet: Fleet, robots: Sequence[int]) -> list[int]:
-        return [r for r in robots if fleet[r].mode is not mode]
-
-    def _ask(self, order: Order, robots: Sequence[int], now_ns: int) -> tuple[Command, ...]:
+    def _send(self, order: Order, robots: Sequence[int], now_ns: int) -> tuple[Command, ...]:
         begins = order in (Order.START, Order.RESUME)
-        return self._asking.orders(order, robots, now_ns, self._timetable if begins else None)
+        trajectories = {robot: self.plans.trajectory_for(order, robot) for robot in robots}
+        return self._dispatcher.commands(order, trajectories, now_ns, self._timetable if begins else None)
 
-    def _fail(self, cause: Event, reason: str, now_ns: int) -> None:
-        self.failed = True
-        self._go(cause, now_ns)
+    def _fail(self, event: MissionEvent, reason: str, now_ns: int) -> None:
+        self._run.ended_by = MissionEvent.DISARMED_FAILED
+        self._go(event, now_ns)
         self.reason = reason
 
-    def _go(self, cause: Order | Event, now_ns: int) -> None:
-        """Along the table, and in no other way."""
-        phase = after(self.phase, cause)
-        if phase is None:
-            raise RuntimeError(f"{cause.name} leads nowhere from {self.phase.name}")
-        if phase not in OVER | {Phase.ABORTING}:
+    def _on_timeout(self, reason: str, now_ns: int) -> None:
+        if self.state is MissionState.SWITCHING:  # leads to PAUSED: the run goes on
+            self._go(MissionEvent.TIMEOUT, now_ns)
+            self.reason = reason
+        else:
+            self._fail(MissionEvent.TIMEOUT, reason, now_ns)
+
+    def _go(self, cause: Order | MissionEvent, now_ns: int) -> None:
+        """Follow the table. Raises RuntimeError where it has no row: a bug."""
+        state = next_state(self.state, cause)
+        if state is None:
+            raise RuntimeError(f"{cause.name} leads nowhere from {self.state.name}")
+        if state not in TERMINAL | {MissionState.ABORTING}:
             self.reason = ""
-        if phase is Phase.HALTING and self.phase not in PLANNING and isinstance(cause, Event):
-            self._lying = frozenset()  # who flew just now, and is disarmed, is lost
-        if phase in JOINING:  # one instant for all, the same in every order: who takes it late joins them where they are
-            from_s = self.itinerary.reached_s if phase is Phase.RESUMING else self.leg.centre.begin_s
-            self._timetable = Timetable(now_ns + round(START_IN_S * 1e9), from_s + self.pace.lag_s)
-        if phase is not Phase.SWITCHING:
-            self.itinerary.next = None
-        self.itinerary.wanted = None  # a plan for what went before would be taken for the one that comes next
-        if phase is Phase.TEST_ARMING:
-            self._asking.tested = {}
-        if phase is Phase.ARMING:
-            self._asking.armed = {}
-        self.phase, self._since_ns, self._out_of_step_ns = phase, now_ns, None
-        self._waited_ns.clear()
-        self._asking.anew()
+        if state is MissionState.HALTING and self.state not in PLANNING and isinstance(cause, MissionEvent):
+            self._still_to_arm = frozenset()  # robots flew just now: one that is disarmed is lost
+        if state in JOINING:  # one instant for all, the same in every command: late robots join where the others are
+            resumes = state is MissionState.RESUMING
+            from_s = self.plans.progress_s if resumes else self.segment.centre.begin_s
+            self._timetable = Timetable(now_ns + round(START_IN_S * 1e9), from_s + self.governor.lag_s)
+        if state is not MissionState.SWITCHING:
+            self.plans.next = None
+        self.plans.request = None  # an outcome that belongs to the state before must not be taken for the next one
+        if state is MissionState.TEST_ARMING:
+            self._dispatcher.tested.clear()
+        if state is MissionState.ARMING:
+            self._dispatcher.armed.clear()
+        self.state, self._data = state, _StateData(now_ns)
+        self._dispatcher.reset()
+
+
+def _not_in(mode: Mode, fleet: Fleet, robots: Sequence[int]) -> list[int]:
+    return [r for r in robots if fleet[r].mode is not mode]
+
+
+def mode_name(robot: RobotView) -> str:
+    """Name of a robot's mode for people."""
+    return robot.mode.name if robot.mode is not None else "never heard"

@@ -1,120 +1,120 @@
-"""What the formation flies, what it flies next, and the plan that is waited for. Pure; groundstation/mission/mission.py says
-when.
+"""Present and next plan segment, and the plan that is waited for. Pure; groundstation/mission/mission.py decides when to plan.
 
-A plan made under way (groundstation/planning/replanning.py) becomes `next`, and is flown once all robots have it; one for
-robots that hold (groundstation/planning/rest_to_rest.py) is taken over at once. Plans take time: `wanted` is the one that
-somebody is to make.
+A plan made in flight (groundstation/planning/replanning.py) becomes `next`, and is flown once all robots have it. A plan for
+robots that hold (groundstation/planning/rest_to_rest.py) is adopted at once. Planning takes time: `request` is the plan to be
+computed.
 """
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
-from groundstation.mission.obstacle_monitor import Lookout
-from groundstation.mission.roster import Crew
-from groundstation.planning.replanning import detour
-from groundstation.planning.rest_to_rest import gathered, homeward
-from groundstation.planning.segment import Leg, on_grid
+from groundstation.mission.obstacle_monitor import ObstacleMonitor
+from groundstation.mission.roster import Roster
+from groundstation.planning.replanning import replan
+from groundstation.planning.rest_to_rest import plan_regroup, plan_return
+from groundstation.planning.segment import PlanSegment, ceil_to_period
 from groundstation.telemetry import Fleet, RobotView
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Order, Trajectory
 
-AHEAD_S = 2.0  # from asking for another path to where it begins: planning, and telling everybody
-LAST_CALL_S = 0.3  # before that, everybody must have it
+AHEAD_S = 2.0  # from the request to the beginning of another path: covers planning, and loading it into all robots
+LAST_CALL_S = 0.3  # before the beginning: all robots must have the next segment by then
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """A plan that the mission waits for. Whoever computes it calls `plan` and gives the mission what comes of it."""
+class PlanRequest:
+    """A plan that the mission waits for. The station calls `plan` and gives the mission its outcome."""
 
-    what: str
-    plan: Callable[[], Leg]
+    name: str
+    plan: Callable[[], PlanSegment]
 
 
-class Itinerary:
-    """Legs and plans of one mission. Times are on the clock that runs along the trajectories."""
+class PlanManager:
+    """Plan segments of one mission. Times are on the clock that runs along the trajectories."""
 
-    def __init__(self, experiment: Experiment, first: Leg, starts: Mapping[int, Array], crew: Crew) -> None:
+    def __init__(self, experiment: Experiment, first: PlanSegment, starts: Mapping[int, Array], roster: Roster) -> None:
         """`starts`: poses (4,) in which the robots began."""
-        self.leg = first
-        self.next: Leg | None = None  # flown from its beginning on, once all have it
-        self.wanted: Wanted | None = None
-        self.reached_s = 0.0  # along the trajectories; common to all, so that a resumed formation is still in step
-        self.deadline_s = 0.0  # for everybody to have the next leg
-        self.by_person = False  # the other path was asked for by one
-        self.lookout = Lookout(experiment)
-        self._experiment, self._first, self._starts, self._crew = experiment, first, dict(starts), crew
-        self._purpose: Callable[[Fleet, float], Callable[[], Leg]] | None = None  # of coming to rest
+        self.segment = first
+        self.next: PlanSegment | None = None  # flown from its beginning on, once all have it
+        self.request: PlanRequest | None = None
+        self.progress_s = 0.0  # along the trajectories; common to all, so that a resumed formation is still in step
+        self.deadline_s = 0.0  # for all robots to have the next segment
+        self.by_operator = False  # the other path was requested by the operator
+        self.monitor = ObstacleMonitor(experiment)
+        self._experiment, self._first, self._starts, self._roster = experiment, first, dict(starts), roster
+        self._purpose: Callable[[Fleet, float], Callable[[], PlanSegment]] | None = None  # of coming to rest
 
-    def begin_anew(self) -> None:
-        """From the first leg's beginning, with everybody."""
-        self.leg, self.reached_s = self._first, 0.0
-        self._crew.begin(self._first)
+    def reset(self) -> None:
+        """Start again at the beginning of the first segment, with all robots."""
+        self.segment, self.progress_s = self._first, 0.0
+        self._roster.reset(self._first)
 
-    def adopt(self, leg: Leg) -> None:
-        """This is flown from now on."""
-        self.leg, self.next = leg, None
-        self._crew.adopt(leg)
+    def adopt(self, segment: PlanSegment) -> None:
+        """Fly `segment` from now on."""
+        self.segment, self.next = segment, None
+        self._roster.adopt(segment)
 
-    def about(self, order: Order, robot: int) -> Trajectory | None:
-        """The trajectory that an order to a robot is about; None if it has no part in it."""
-        leg = self.next if self.next is not None and order in (Order.LOAD, Order.SWITCH) else self.leg
-        return self._crew.trajectory(leg, robot)
+    def trajectory_for(self, order: Order, robot: int) -> Trajectory | None:
+        """Trajectory that a command to a robot is about; None if it has no part in the segment."""
+        loads_next = self.next is not None and order in (Order.LOAD, Order.SWITCH)
+        return self._roster.trajectory(self.next if loads_next else self.segment, robot)
 
     # --- plans
 
-    def head_home(self) -> None:
-        """Once all rest, the way leads back to the starts."""
-        self._purpose = self._homeward
+    def target_return(self) -> None:
+        """Plan the next rest's segment back to the starts."""
+        self._purpose = self._plan_return
 
-    def take_places(self) -> None:
-        """Once all rest, the way leads into the places of the leg, and on along it."""
-        self._purpose = self._into_place
+    def target_slots(self) -> None:
+        """Plan the next rest's segment into the slots of the present one, and on along it."""
+        self._purpose = self._plan_regroup
 
-    def plan_anew(self) -> None:
-        """Once all rest, the way leads to where the leg does."""
-        self._purpose = self._homeward if self.leg.home else self._into_place
+    def target_current(self) -> None:
+        """Plan the next rest's segment to where the present one leads."""
+        self._purpose = self._plan_return if self.segment.is_return else self._plan_regroup
 
     @property
-    def heads_home(self) -> bool:
-        """Whether robots that come to rest do so for the way back."""
-        return self._purpose == self._homeward
+    def targets_return(self) -> bool:
+        """True if the plan from rest leads back to the starts."""
+        return self._purpose == self._plan_return
 
-    def _homeward(self, fleet: Fleet, begin_s: float) -> Callable[[], Leg]:
+    def _plan_return(self, fleet: Fleet, begin_s: float) -> Callable[[], PlanSegment]:
         experiment, starts = self._experiment, self._starts
-        rests, things = self._crew.rests(fleet), self.in_the_way(fleet)
-        return lambda: homeward(experiment, begin_s, rests, starts, things)
+        rests, obstacles = self._roster.rest_poses(fleet), self.discs_to_avoid(fleet)
+        return lambda: plan_return(experiment, begin_s, rests, starts, obstacles)
 
-    def _into_place(self, fleet: Fleet, begin_s: float) -> Callable[[], Leg]:
-        experiment, leg, reached_s = self._experiment, self.leg, self.reached_s
-        rests, slots, things = self._crew.rests(fleet), self._crew.active_slots(), self.in_the_way(fleet)
-        return lambda: gathered(experiment, leg, begin_s, reached_s, rests, slots, things)
+    def _plan_regroup(self, fleet: Fleet, begin_s: float) -> Callable[[], PlanSegment]:
+        experiment, segment, progress_s = self._experiment, self.segment, self.progress_s
+        rests, slots = self._roster.rest_poses(fleet), self._roster.slots_in_use()
+        obstacles = self.discs_to_avoid(fleet)
+        return lambda: plan_regroup(experiment, segment, begin_s, progress_s, rests, slots, obstacles)
 
-    def want_way(self, fleet: Fleet) -> None:
-        """Now that all rest: a plan for what they came to rest for, made of what is known now. It is computed in another
-        thread, while the mission goes on."""
-        if self.wanted is None and self._purpose is not None:
+    def request_plan_from_rest(self, fleet: Fleet) -> None:
+        """Request the targeted plan, now that all robots rest. It uses the fleet as known now: it is computed in another
+        thread while the mission goes on."""
+        if self.request is None and self._purpose is not None:
             period_s = self._experiment.controller.period_s
-            begin_s = on_grid(self.reached_s + period_s, period_s)
-            self.wanted = Wanted("a way for everybody from rest", self._purpose(fleet, begin_s))
+            begin_s = ceil_to_period(self.progress_s + period_s, period_s)
+            self.request = PlanRequest("from rest", self._purpose(fleet, begin_s))
 
-    def want_detour(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...] = ()) -> None:
-        """Round what lies there, or by way of a person's places."""
-        begin_s = on_grid(self.reached_s + AHEAD_S, self._experiment.controller.period_s)
-        experiment, leg, things = self._experiment, self.leg, self.in_the_way(fleet, now_ns)
-        self.deadline_s, self.by_person = begin_s - LAST_CALL_S, bool(via)
-        self.wanted = Wanted("another path", lambda: detour(experiment, leg, begin_s, things, via))
+    def request_replan(self, fleet: Fleet, now_ns: int, via: tuple[tuple[float, float], ...] = ()) -> None:
+        """Request a path around obstacles, or through the operator's places `via` (x, y) in m."""
+        begin_s = ceil_to_period(self.progress_s + AHEAD_S, self._experiment.controller.period_s)
+        experiment, segment, obstacles = self._experiment, self.segment, self.discs_to_avoid(fleet, now_ns)
+        self.deadline_s, self.by_operator = begin_s - LAST_CALL_S, bool(via)
+        self.request = PlanRequest("another path", lambda: replan(experiment, segment, begin_s, obstacles, via))
 
-    # --- what lies there
+    # --- obstacles
 
-    def in_the_way(self, fleet: Fleet, now_ns: int | None = None) -> Array:
-        """Things and robots that are out, (k, 3: x, y, radius), as the lookout knows them."""
-        return self.lookout.in_the_way(self._lost(fleet), now_ns)
+    def discs_to_avoid(self, fleet: Fleet, now_ns: int | None = None) -> Array:
+        """Obstacles and lost robots, (k, 3: x, y, radius) in m; see ObstacleMonitor."""
+        return self.monitor.discs_to_avoid(self._lost(fleet), now_ns)
 
-    def blocked(self, fleet: Fleet, now_ns: int | None = None) -> str:
-        """Where the robots would touch something; empty if nowhere."""
-        leg = replace(self.leg, trajectories=self._crew.flown(self.leg))
-        return self.lookout.contact(leg, self.reached_s, self._lost(fleet), now_ns)
+    def first_contact(self, fleet: Fleet, now_ns: int | None = None) -> str:
+        """Text with the place at which a robot would touch an obstacle; empty if nowhere."""
+        segment = replace(self.segment, trajectories=self._roster.trajectories(self.segment))
+        return self.monitor.first_contact(segment, self.progress_s, self._lost(fleet), now_ns)
 
     def _lost(self, fleet: Fleet) -> list[RobotView]:
-        return [fleet[r] for r in self._crew.out]
+        return [fleet[r] for r in self._roster.lost]

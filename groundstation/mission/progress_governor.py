@@ -1,20 +1,19 @@
-"""Formation feedback on the virtual structure: its clock goes slower while a robot lags. Pure.
+"""Progress governor: formation feedback on the virtual structure, whose clock slows down while a robot lags. Pure.
 
-The pace that is wanted falls from 1 at `wait_from_m` to `slowest` at `wait_at_m` of the worst robot's tracking error. The
-pace itself follows through a critically damped second-order lag: no jump in any reference's velocity, nor in its rate of
-change.
+The target rate falls from 1 at `wait_from_m` to `slowest` at `wait_at_m` of the worst robot's tracking error. The rate follows
+it through a critically damped second-order lag, so that no reference jumps in velocity or acceleration.
 """
 
 from wire.config.mission import MissionConfig
 
-ANSWER_S = 0.7  # time constant: slower than a robot's own tracking (0.3 s), or the two chase one another
-STEADY_S = 0.1  # longest step of the pace: after a stall of the station it goes on from where it was, with no leap
-ON_TIME = 1e-4  # of the pace: nearer than this it is 1
-NOTICED = 0.95  # of the timetable's pace: below it the mission says that it waits
+TIME_CONSTANT_S = 0.7  # slower than a robot's own tracking (0.3 s); faster, the two loops oscillate against each other
+MAX_STEP_S = 0.1  # longest integration step: after a stall of the station the rate goes on without a leap
+ON_TIME = 1e-4  # a rate nearer than this to 1 is set to 1
+NOTICED = 0.95  # below this rate the mission goes to SLOWED
 
 
-class Pace:
-    """How fast the virtual structure goes, and how far it is behind its timetable."""
+class ProgressGovernor:
+    """Rate of the virtual structure's clock (1: on time), and its lag behind the timetable in s."""
 
     def __init__(self, conduct: MissionConfig) -> None:
         self.lag_s = 0.0
@@ -23,36 +22,38 @@ class Pace:
         self._conduct = conduct
 
     def reset(self) -> None:
-        """Full pace again, the lag as it is: whoever holds is not waited for."""
+        """Go back to full rate and keep the lag; a formation that holds waits for no robot."""
         self.rate, self._change_per_s = 1.0, 0.0
 
     def start(self) -> None:
-        """On time again."""
+        """Begin a run on time."""
         self.reset()
         self.lag_s = 0.0
 
     @property
     def slowed(self) -> bool:
-        """Whether it is worth telling people."""
+        """True if the rate is low enough to tell people."""
         return self.rate < NOTICED
 
     def step(self, worst_error_m: float | None, elapsed_s: float) -> None:
-        """`elapsed_s` later, with this tracking error; None: nobody is waited for. The lag grows as robots were told that it
-        would, however late this step comes; the pace changes by no more than in STEADY_S."""
+        """Go on by `elapsed_s` with the worst tracking error; None: wait for no robot.
+
+        The lag grows by all of `elapsed_s`, as the robots were told. The rate changes by no more than in MAX_STEP_S.
+        """
         self.lag_s += (1.0 - self.rate) * elapsed_s
         if worst_error_m is None:
             self.reset()
             return
-        goal, step_s = self._goal(worst_error_m), min(elapsed_s, STEADY_S)
-        if goal == self.rate == 1.0 and self._change_per_s == 0.0:
+        target, step_s = self._target(worst_error_m), min(elapsed_s, MAX_STEP_S)
+        if target == self.rate == 1.0 and self._change_per_s == 0.0:
             return  # exactly on time stays exactly so
-        pull = (goal - self.rate) / ANSWER_S**2 - 2.0 / ANSWER_S * self._change_per_s
+        pull = (target - self.rate) / TIME_CONSTANT_S**2 - 2.0 / TIME_CONSTANT_S * self._change_per_s
         self._change_per_s += pull * step_s
         self.rate = min(max(self.rate + self._change_per_s * step_s, self._conduct.slowest), 1.0)
-        if goal == 1.0 and 1.0 - self.rate < ON_TIME and abs(self._change_per_s) < ON_TIME:
+        if target == 1.0 and 1.0 - self.rate < ON_TIME and abs(self._change_per_s) < ON_TIME:
             self.reset()
 
-    def _goal(self, error_m: float) -> float:
+    def _target(self, error_m: float) -> float:
         begin = self._conduct.wait_from_m
         if begin is None or error_m <= begin:
             return 1.0

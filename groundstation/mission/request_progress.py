@@ -1,42 +1,41 @@
-"""What becomes of a person's requests: robot by robot, until each is done or has failed. Pure.
+"""Progress of the operator's requests, robot by robot, until each is done or has failed. Pure.
 
-A request is done when the mission stands where it leads (GOALS) and every robot that it concerns is as it wants them; it has
-failed when the mission went elsewhere, or when another request took its place. The page and the commands of a terminal show
-the same account.
+A request is done when the mission is in a state that it leads to (GOALS) and every robot concerned has confirmed. It has
+failed when the mission went elsewhere, or when another request took its place. The page and the terminal's commands show the
+same outcomes.
 """
 
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from groundstation.mission.command_dispatcher import Answer
-from groundstation.mission.gain_update import TUNING, Stage, TuningStatus
-from groundstation.mission.mission import Mission
-from groundstation.mission.stages import ARMED, LIVE
-from groundstation.mission.state_machine import FLYING, ON_COURSE, OVER, Phase
-from groundstation.planning.segment import Leg
+from groundstation.mission.command_dispatcher import CommandResult
+from groundstation.mission.gain_update import TUNING, GainStage, GainStatus
+from groundstation.mission.mission import ARMED, LIVE, Mission
+from groundstation.mission.state_machine import IN_FLIGHT, NOMINAL, TERMINAL, MissionState
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, RobotView
 from wire.messages.messages import Mode, Order, Outcome, Progress
 
-KEPT = 16  # outcomes that can be asked for; a terminal asks several times a second until its request is over
+KEPT = 16  # outcomes that can be queried; a terminal queries several times a second until its request is over
 
-_FROM_REST = frozenset({Phase.HALTING, Phase.RELOADING, Phase.REARMING, Phase.RELEASING})
-AT_REST = OVER | {Phase.WAITING, Phase.STOPPED}  # the mission asks nobody to arm
+_FROM_REST = frozenset({MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING, MissionState.RELEASING})
+AT_REST = TERMINAL | {MissionState.WAITING, MissionState.STOPPED}  # the mission arms no robot
 
-Obeys = Callable[[Mission, RobotView, int], bool]
+Confirms = Callable[[Mission, RobotView, int], bool]
 
 
-def _in(*modes: Mode) -> Obeys:
+def _in(*modes: Mode) -> Confirms:
     wanted = frozenset(modes)
     return lambda mission, seen, robot: seen.heard and seen.mode in wanted
 
 
-def _not_in(modes: frozenset[Mode]) -> Obeys:
+def _not_in(modes: frozenset[Mode]) -> Confirms:
     return lambda mission, seen, robot: seen.heard and seen.mode not in modes
 
 
 def _loaded(mission: Mission, seen: RobotView, robot: int) -> bool:
-    return seen.heard and mission.crew.is_on(mission.leg, {robot: seen}, robot)
+    return seen.heard and mission.roster.has_segment(mission.segment, {robot: seen}, robot)
 
 
 def _tested(mission: Mission, seen: RobotView, robot: int) -> bool:
@@ -44,133 +43,150 @@ def _tested(mission: Mission, seen: RobotView, robot: int) -> bool:
 
 
 def _back(mission: Mission, seen: RobotView, robot: int) -> bool:
-    return robot not in mission.crew.out and seen.heard and seen.mode is Mode.DISARMED
+    return robot not in mission.roster.lost and seen.heard and seen.mode is Mode.DISARMED
 
 
 @dataclass(frozen=True)
-class Goal:
-    """Where a request leads, through which phases, and how a robot is then. `asks`: in that phase robots are asked again and
-    again, so who has not obeyed yet may. `everybody`: robots that are out of the mission count too. `new_leg`: another leg is
-    flown then."""
+class RequestGoal:
+    """Goal of a request: mission states on the way and at the end, and the check that a robot has confirmed.
 
-    through: frozenset[Phase]
-    to: frozenset[Phase]
-    obeyed: Obeys
-    asks: bool = False
-    everybody: bool = False
-    new_leg: bool = False
+    `repeats`: in the end state the command is sent again and again, so a robot may still confirm. `all_robots`: lost robots
+    count too. `new_segment`: another segment is flown then.
+    """
+
+    through: frozenset[MissionState]
+    to: frozenset[MissionState]
+    confirmed: Confirms
+    repeats: bool = False
+    all_robots: bool = False
+    new_segment: bool = False
 
 
-GOALS: dict[Order, Goal] = {
-    Order.LOAD: Goal(frozenset(), frozenset({Phase.LOADING}), _loaded, asks=True),
-    Order.ARM: Goal(frozenset({Phase.LOADING}), frozenset({Phase.ARMING}), _in(*ARMED), asks=True),
-    Order.START: Goal(frozenset({Phase.LOADING, Phase.ARMING, Phase.STARTING}), FLYING, _in(Mode.TRACKING)),
-    Order.HOLD: Goal(frozenset(), frozenset({Phase.PAUSED}), _in(Mode.HOLDING), asks=True),
-    Order.RESUME: Goal(_FROM_REST | {Phase.RESUMING}, FLYING, _in(Mode.TRACKING)),
-    Order.GO: Goal(frozenset({Phase.SWITCHING}), ON_COURSE, _in(Mode.TRACKING), new_leg=True),
-    Order.RETURN: Goal(
-        _FROM_REST | FLYING | {Phase.ENDING}, frozenset({Phase.DONE}), _back, everybody=True, new_leg=True
+GOALS: dict[Order, RequestGoal] = {
+    Order.LOAD: RequestGoal(frozenset(), frozenset({MissionState.LOADING}), _loaded, repeats=True),
+    Order.ARM: RequestGoal(frozenset({MissionState.LOADING}), frozenset({MissionState.ARMING}), _in(*ARMED), repeats=True),
+    Order.START: RequestGoal(
+        frozenset({MissionState.LOADING, MissionState.ARMING, MissionState.STARTING}), IN_FLIGHT, _in(Mode.TRACKING)
     ),
-    Order.REJOIN: Goal(_FROM_REST, ON_COURSE, _in(Mode.TRACKING), new_leg=True),
-    Order.DISARM: Goal(
-        frozenset({Phase.ENDING, Phase.ABORTING}), OVER | {Phase.WAITING}, _in(Mode.DISARMED), everybody=True
+    Order.HOLD: RequestGoal(frozenset(), frozenset({MissionState.PAUSED}), _in(Mode.HOLDING), repeats=True),
+    Order.RESUME: RequestGoal(_FROM_REST | {MissionState.RESUMING}, IN_FLIGHT, _in(Mode.TRACKING)),
+    Order.GO: RequestGoal(frozenset({MissionState.SWITCHING}), NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.RETURN: RequestGoal(
+        _FROM_REST | IN_FLIGHT | {MissionState.ENDING},
+        frozenset({MissionState.DONE}),
+        _back,
+        all_robots=True,
+        new_segment=True,
     ),
-    Order.STOP: Goal(frozenset(), frozenset({Phase.STOPPED}), _in(Mode.STOPPED), asks=True, everybody=True),
-    Order.CLEAR_STOP: Goal(
-        frozenset({Phase.CLEARING}), frozenset({Phase.WAITING}), _not_in(LIVE | {Mode.STOPPED}), everybody=True
+    Order.REJOIN: RequestGoal(_FROM_REST, NOMINAL, _in(Mode.TRACKING), new_segment=True),
+    Order.DISARM: RequestGoal(
+        frozenset({MissionState.ENDING, MissionState.ABORTING}),
+        TERMINAL | {MissionState.WAITING},
+        _in(Mode.DISARMED),
+        all_robots=True,
     ),
-    Order.TEST: Goal(
-        frozenset({Phase.TEST_ARMING, Phase.TESTING, Phase.TEST_ENDING}), frozenset({Phase.WAITING}), _tested
+    Order.STOP: RequestGoal(frozenset(), frozenset({MissionState.STOPPED}), _in(Mode.STOPPED), repeats=True, all_robots=True),
+    Order.CLEAR_STOP: RequestGoal(
+        frozenset({MissionState.CLEARING}), frozenset({MissionState.WAITING}), _not_in(LIVE | {Mode.STOPPED}), all_robots=True
     ),
-    Order.END: Goal(frozenset({Phase.ENDING, Phase.ABORTING}), AT_REST, _not_in(LIVE), asks=True, everybody=True),
-}  # fmt: skip
+    Order.TEST: RequestGoal(
+        frozenset({MissionState.TEST_ARMING, MissionState.TESTING, MissionState.TEST_ENDING}),
+        frozenset({MissionState.WAITING}),
+        _tested,
+    ),
+    Order.END: RequestGoal(
+        frozenset({MissionState.ENDING, MissionState.ABORTING}), AT_REST, _not_in(LIVE), repeats=True, all_robots=True
+    ),
+}
 
 
 @dataclass(eq=False)
 class _Request:
-    """One that is not over."""
+    """A request that is not over."""
 
     number: int
     order: Order
-    leg: Leg
-    tuning_id: str = ""  # TUNE: the set that is wanted
+    segment: PlanSegment
+    tuning_id: str = ""  # TUNE: the requested set
     refusals: dict[int, str] = field(default_factory=dict)  # by robot, the last one
 
 
-class Requests:
-    """The account of all requests. One at a time leads the mission, and one changes the gains."""
+class RequestTracker:
+    """Outcomes of all requests. One request at a time leads the mission, and one changes the gains."""
 
     def __init__(self, robot_ids: tuple[int, ...]) -> None:
         self._robots = robot_ids
         self._count = 0
         self._open: list[_Request] = []
-        self._told: deque[Outcome] = deque(maxlen=KEPT)
+        self._outcomes: deque[Outcome] = deque(maxlen=KEPT)
         self.recent: tuple[Outcome, ...] = ()  # oldest first; replaced, never changed: other threads read it
 
     def begin(self, order: Order, mission: Mission, tuning_id: str = "") -> int:
-        """A request has been taken up. Returns its number. The same once more while it is under way is one request."""
+        """Count a request that was taken up. Returns its number. A repetition while it is under way is the same request."""
         gains = order in TUNING
         for request in [request for request in self._open if (request.order in TUNING) is gains]:
             if request.order is order and order not in (Order.GO, Order.TUNE):
                 return request.number
             self._open.remove(request)
-            self._tell(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
+            self._record(request, mission, Progress.FAILED, f"{order.name} was asked for instead")
         self._count += 1
-        request = _Request(self._count, order, mission.leg, tuning_id)
+        request = _Request(self._count, order, mission.segment, tuning_id)
         self._open.append(request)
-        self._tell(request, mission)
+        self._record(request, mission)
         return request.number
 
     @property
     def ending(self) -> bool:
-        """Whether the run is to end as soon as everybody is at rest."""
+        """True if the run ends as soon as all robots are at rest."""
         return any(request.order is Order.END for request in self._open)
 
     def outcome(self, number: int) -> Outcome | None:
-        """Of one request; None if it is not known, or no longer."""
+        """Outcome of a request; None if the number is not known, or no longer."""
         return next((outcome for outcome in self.recent if outcome.request == number), None)
 
-    def follow(self, mission: Mission, fleet: Fleet, tuning: TuningStatus, answers: Sequence[Answer]) -> None:
-        """Once a cycle, after the mission's step."""
+    def follow(self, mission: Mission, fleet: Fleet, tuning: GainStatus, results: Sequence[CommandResult]) -> None:
+        """Update all outcomes; called once a cycle, after the mission's step."""
         for request in tuple(self._open):
-            _note(request, answers)
+            _take_refusals(request, results)
             progress, reason, waiting = (
-                self._gains(request, fleet, tuning) if request.order in TUNING else self._led(request, mission, fleet)
+                self._gain_progress(request, fleet, tuning)
+                if request.order in TUNING
+                else self._mission_progress(request, mission, fleet)
             )
             if progress is not Progress.UNDER_WAY:
                 self._open.remove(request)
-            why = {robot: _why(fleet[robot], request.refusals.get(robot, "")) for robot in waiting}
-            self._tell(request, mission, progress, reason, why, self._concerned(request, mission))
+            why = {robot: _reason(fleet[robot], request.refusals.get(robot, "")) for robot in waiting}
+            self._record(request, mission, progress, reason, why, self._concerned(request, mission))
 
     def _concerned(self, request: _Request, mission: Mission) -> tuple[int, ...]:
-        everybody = request.order in TUNING or GOALS[request.order].everybody
-        return self._robots if everybody else mission.crew.active
+        all_robots = request.order in TUNING or GOALS[request.order].all_robots
+        return self._robots if all_robots else mission.roster.active
 
-    def _led(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
+    def _mission_progress(self, request: _Request, mission: Mission, fleet: Fleet) -> tuple[Progress, str, list[int]]:
         goal = GOALS[request.order]
         robots = self._concerned(request, mission)
-        waiting = [robot for robot in robots if not goal.obeyed(mission, fleet[robot], robot)]
-        if mission.phase in goal.through:
+        waiting = [robot for robot in robots if not goal.confirmed(mission, fleet[robot], robot)]
+        if mission.state in goal.through:
             return Progress.UNDER_WAY, "", waiting
-        stands = f"{mission.phase.value}{f': {mission.reason}' if mission.reason else ''}"
-        if mission.phase not in goal.to or (goal.new_leg and mission.leg is request.leg):
+        stands = f"{mission.state.value}{f': {mission.reason}' if mission.reason else ''}"
+        if mission.state not in goal.to or (goal.new_segment and mission.segment is request.segment):
             return Progress.FAILED, stands, waiting
         if request.order is Order.END:  # a robot that is not heard cannot be waited for: it comes to rest by itself
             flying = [robot for robot in waiting if fleet[robot].heard]
             return (Progress.UNDER_WAY if flying else Progress.DONE), "", waiting
         if not waiting:
             return Progress.DONE, "", []
-        left = "; ".join(f"robot {r} is left out: {why}" for r, why in mission.crew.out.items() if r in waiting)
-        return (Progress.UNDER_WAY, "", waiting) if goal.asks else (Progress.FAILED, left, waiting)
+        left = "; ".join(f"robot {r} is left out: {why}" for r, why in mission.roster.lost.items() if r in waiting)
+        return (Progress.UNDER_WAY, "", waiting) if goal.repeats else (Progress.FAILED, left, waiting)
 
-    def _gains(self, request: _Request, fleet: Fleet, tuning: TuningStatus) -> tuple[Progress, str, list[int]]:
+    def _gain_progress(self, request: _Request, fleet: Fleet, tuning: GainStatus) -> tuple[Progress, str, list[int]]:
         states = {robot: fleet[robot].state for robot in self._robots}
         waiting = [robot for robot, state in states.items() if state is None or state.tuning_id != request.tuning_id]
-        if tuning.stage is not Stage.IDLE:
+        if tuning.stage is not GainStage.IDLE:
             return Progress.UNDER_WAY, "", waiting
         return (Progress.DONE, "", []) if tuning.flown.id == request.tuning_id else (Progress.FAILED, tuning.reason, waiting)
 
-    def _tell(
+    def _record(
         self,
         request: _Request,
         mission: Mission,
@@ -181,24 +197,24 @@ class Requests:
     ) -> None:
         late = why or {}
         confirmed = tuple(robot for robot in concerned if robot not in late)
-        told = Outcome(
-            request.number, request.order, progress, reason, mission.phase.name, confirmed, tuple(late), tuple(late.values())
+        outcome = Outcome(
+            request.number, request.order, progress, reason, mission.state.name, confirmed, tuple(late), tuple(late.values())
         )
-        kept = [outcome for outcome in self._told if outcome.request != request.number]
-        self._told = deque([*kept, told], KEPT)
-        self.recent = tuple(sorted(self._told, key=lambda outcome: outcome.request))
+        kept = [known for known in self._outcomes if known.request != request.number]
+        self._outcomes = deque([*kept, outcome], KEPT)
+        self.recent = tuple(sorted(self._outcomes, key=lambda outcome: outcome.request))
 
 
-def _note(request: _Request, answers: Sequence[Answer]) -> None:
-    for answer in answers:
-        if (answer.command.order in TUNING) is (request.order in TUNING):
-            request.refusals[answer.command.robot] = "" if answer.reply.accepted else answer.reply.reason
+def _take_refusals(request: _Request, results: Sequence[CommandResult]) -> None:
+    for result in results:
+        if (result.command.order in TUNING) is (request.order in TUNING):
+            request.refusals[result.command.robot] = "" if result.reply.accepted else result.reply.reason
 
 
-def _why(seen: RobotView, refusal: str) -> str:
-    """Why a robot is not where a request wants it, in a few words."""
+def _reason(seen: RobotView, rejection_reason: str) -> str:
+    """Short reason for which a robot has not confirmed a request."""
     if not seen.heard or seen.mode is None:
         return "not heard" if seen.state is None else f"not heard for {seen.state_age_s:.1f} s"
     tested = seen.state.thruster_test if seen.state is not None else ""
     told = f"is {seen.mode.name.lower()}{f', thruster test {tested}' if tested else ''}"
-    return refusal or told
+    return rejection_reason or told

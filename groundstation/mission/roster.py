@@ -1,75 +1,75 @@
-"""Who takes part in a mission, in whose place, and what each flies. Pure."""
+"""Robots that take part in a mission: the slot of each, and the trajectory it flies. Pure."""
 
 from collections.abc import Mapping
 
-from groundstation.planning.rest_to_rest import assigned
-from groundstation.planning.segment import Leg, continued
+from groundstation.planning.rest_to_rest import assign_slots
+from groundstation.planning.segment import PlanSegment, concatenate
 from groundstation.telemetry import Fleet
 from wire.frames import Array
 from wire.messages.messages import Trajectory
 
 
-class Crew:
-    """The robots of an experiment. Each has a slot of the leg that is flown: its own, until gaps close."""
+class Roster:
+    """Robots of an experiment with their slots. A slot is a node of the formation; a robot has its own until gaps close."""
 
-    def __init__(self, robot_ids: tuple[int, ...], leg: Leg) -> None:
-        self.everybody = robot_ids
-        self.begin(leg)
+    def __init__(self, robot_ids: tuple[int, ...], segment: PlanSegment) -> None:
+        self.all_robots = robot_ids
+        self.reset(segment)
 
-    def begin(self, leg: Leg) -> None:
-        """All take part, each in its own slot."""
-        self.out: dict[int, str] = {}  # robots that fell out of a run that goes on, and why
-        self.slots = {robot: robot for robot in self.everybody}
-        self.paths: dict[int, Trajectory] = dict(leg.trajectories)  # of each robot, from the run's beginning on
+    def reset(self, segment: PlanSegment) -> None:
+        """Take all robots in, each in its own slot, to fly `segment` from its beginning."""
+        self.lost: dict[int, str] = {}  # robots that the run goes on without, and the reason
+        self.slots = {robot: robot for robot in self.all_robots}
+        self.history: dict[int, Trajectory] = dict(segment.trajectories)  # by robot, from the beginning of the run
 
     @property
     def active(self) -> tuple[int, ...]:
         """Robots that take part."""
-        return tuple(robot for robot in self.everybody if robot not in self.out)
+        return tuple(robot for robot in self.all_robots if robot not in self.lost)
 
-    def adopt(self, leg: Leg) -> None:
-        """This is flown from now on."""
-        if leg.home:
-            self.slots = {robot: robot for robot in self.everybody}
+    def adopt(self, segment: PlanSegment) -> None:
+        """Fly `segment` from now on."""
+        if segment.is_return:
+            self.slots = {robot: robot for robot in self.all_robots}
         for robot in self.active:
-            trajectory = self.trajectory(leg, robot)
+            trajectory = self.trajectory(segment, robot)
             if trajectory is not None:
-                self.paths[robot] = continued(self.paths[robot], trajectory)
+                self.history[robot] = concatenate(self.history[robot], trajectory)
 
-    def close_up(self, leg: Leg, reached_s: float, fleet: Fleet) -> None:
-        """Those who are left take the slots of the file's first robots, by the shortest ways."""
-        slots = self.everybody[: len(self.active)]
-        self.slots |= assigned(leg, reached_s, {r: fleet[r].eta for r in self.active}, slots)
+    def reassign_slots(self, segment: PlanSegment, progress_s: float, fleet: Fleet) -> None:
+        """Give the active robots the slots of the experiment's first robots, by the shortest ways."""
+        slots = self.all_robots[: len(self.active)]
+        self.slots |= assign_slots(segment, progress_s, {r: fleet[r].eta for r in self.active}, slots)
 
-    def lose(self, robot: int, why: str) -> None:
-        """The others go on without it."""
-        self.out[robot] = why
+    def mark_lost(self, robot: int, why: str) -> None:
+        """Go on without a robot."""
+        self.lost[robot] = why
 
-    def take_back(self) -> None:
-        """Those who are out take part again, in the slots that are free."""
-        taken = self.active_slots().values()
-        free = [slot for slot in self.everybody if slot not in taken]
-        self.slots |= dict(zip(self.out, free, strict=True))
-        self.out = {}
+    def reinstate(self) -> None:
+        """Take lost robots in again, in the free slots."""
+        taken = self.slots_in_use().values()
+        free = [slot for slot in self.all_robots if slot not in taken]
+        self.slots |= dict(zip(self.lost, free, strict=True))
+        self.lost = {}
 
-    def active_slots(self) -> dict[int, int]:
-        """Slot of each robot that takes part."""
+    def slots_in_use(self) -> dict[int, int]:
+        """Slot of each active robot."""
         return {robot: self.slots[robot] for robot in self.active}
 
-    def trajectory(self, leg: Leg | None, robot: int) -> Trajectory | None:
-        """What a robot flies on a leg; None if it has no part in it."""
-        return leg.trajectories.get(self.slots[robot]) if leg is not None else None
+    def trajectory(self, segment: PlanSegment | None, robot: int) -> Trajectory | None:
+        """Trajectory of a robot on a segment; None if it has no part in it."""
+        return segment.trajectories.get(self.slots[robot]) if segment is not None else None
 
-    def is_on(self, leg: Leg, fleet: Fleet, robot: int) -> bool:
-        """Whether a robot says that it has its trajectory of a leg."""
-        state, trajectory = fleet[robot].state, self.trajectory(leg, robot)
+    def has_segment(self, segment: PlanSegment, fleet: Fleet, robot: int) -> bool:
+        """True if a robot's state names its trajectory of the segment."""
+        state, trajectory = fleet[robot].state, self.trajectory(segment, robot)
         return state is not None and trajectory is not None and state.trajectory_id == trajectory.id
 
-    def flown(self, leg: Leg) -> Mapping[int, Trajectory]:
-        """What each robot that takes part flies on a leg."""
-        slots = self.active_slots().items()
-        return {robot: leg.trajectories[slot] for robot, slot in slots if slot in leg.trajectories}
+    def trajectories(self, segment: PlanSegment) -> Mapping[int, Trajectory]:
+        """Trajectory of each active robot on a segment."""
+        slots = self.slots_in_use().items()
+        return {robot: segment.trajectories[slot] for robot, slot in slots if slot in segment.trajectories}
 
-    def rests(self, fleet: Fleet) -> dict[int, Array]:
-        """The poses (4,) in which those who take part rest."""
+    def rest_poses(self, fleet: Fleet) -> dict[int, Array]:
+        """Poses (4,) in which the active robots rest."""
         return {robot: fleet[robot].rest for robot in self.active}

@@ -1,7 +1,7 @@
-"""The mission's states and everything that leads from one to another: ONE table. Pure.
+"""The mission's states and transitions: ONE table. Pure.
 
-`groundstation phases` prints it; docs/missions.md holds it and a test compares the two. groundstation/mission/mission.py moves
-through this table and in no other way.
+`groundstation mission states` prints it; docs/missions.md holds it, and a test compares the two.
+groundstation/mission/mission.py follows this table and changes state in no other way.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from enum import Enum
 from wire.messages.messages import Order
 
 
-class Phase(Enum):
-    """Where the mission stands; the value is what people read."""
+class MissionState(Enum):
+    """State of the mission. Names go into heartbeat and log; values are for people."""
 
     WAITING = "waiting for the fleet"
     LOADING = "loading trajectories"
@@ -40,19 +40,19 @@ class Phase(Enum):
     TEST_ENDING = "disarming after a thruster test"
 
 
-class Event(Enum):
-    """What happens without a person; the value is what people read."""
+class MissionEvent(Enum):
+    """Event that moves the mission without a request; values are for people."""
 
-    FIT = "every robot is fit (automatic missions)"
-    OBEYED = "every robot has done as told"
+    PREFLIGHT_PASSED = "every robot is fit (automatic missions)"
+    ALL_CONFIRMED = "every robot has done as told"
     DISARMED_FAILED = "every robot is disarmed, of a run that had failed"
     DISARMED_CANCELLED = "every robot is disarmed, of a run that a person ended"
-    UNHEEDED = "a robot has not done as told in time"
-    HOMEWARD = "the plan leads back to the start"
-    MISSING = "a robot is out, the others go on"
+    TIMEOUT = "a robot has not done as told in time"
+    RETURN_STARTED = "the plan leads back to the start"
+    ROBOT_MISSING = "a robot is out, the others go on"
     LAGGING = "a robot lags behind"
     CAUGHT_UP = "nobody lags any more"
-    HELD = "a robot holds by itself"
+    ROBOT_HOLDING = "a robot holds by itself"
     OUT_OF_STEP = "a robot is out of step with the others"
     BLIND = "nobody can tell what lies in the pool: policy hold"
     OBSTACLE = "something lies on the path"
@@ -60,141 +60,180 @@ class Event(Enum):
     LOST = "a robot is lost: policy abort"
     LOST_HOLD = "a robot is lost: policy hold"
     LOST_CLOSE_UP = "a robot is lost: policy close-up"
-    LOST_ANEW = "a robot is lost that the plan counts on: policy go-on"
+    LOST_REPLAN = "a robot is lost that the plan counts on: policy go-on"
     LOST_ALL = "nobody is left who could hold"
     PLANNED = "all are at rest, and there is a new plan"
     NO_PLAN = "there is no plan to be found"
-    WELL = "everybody holds and is well again (automatic missions)"
-    BESIDE_LOST = "somebody's place is beside a robot that is out"
-    ASTRAY = "a robot has another plan, or is far from its place"
-    IN_OWN_WAY = "something lies on a robot's own way"
+    RECOVERED = "everybody holds and is well again (automatic missions)"
+    LOST_NEARBY = "somebody's place is beside a robot that is out"
+    OFF_PLAN = "a robot has another plan, or is far from its place"
+    TRANSFER_BLOCKED = "something lies on a robot's own way"
     ARRIVED = "the end of the trajectories is reached"
 
 
-ON_COURSE = frozenset({Phase.RUNNING, Phase.SLOWED, Phase.DEGRADED})
-FLYING = ON_COURSE | {Phase.SWITCHING, Phase.RETURNING}
-OVER = frozenset({Phase.DONE, Phase.CANCELLED, Phase.FAILED})
-JOINING = frozenset({Phase.STARTING, Phase.RESUMING, Phase.RELEASING})  # robots begin to fly, all at one instant
-PLANNING = frozenset({Phase.HALTING, Phase.RELOADING, Phase.REARMING})  # on the way to a new plan from rest
-UNDER_WAY = FLYING | PLANNING | {Phase.PAUSED, Phase.RESUMING, Phase.RELEASING}  # whoever falls out is lost to the others
-ANY = frozenset(Phase)
+NOMINAL = frozenset({MissionState.RUNNING, MissionState.SLOWED, MissionState.DEGRADED})
+IN_FLIGHT = NOMINAL | {MissionState.SWITCHING, MissionState.RETURNING}
+TERMINAL = frozenset({MissionState.DONE, MissionState.CANCELLED, MissionState.FAILED})
+# robots begin to fly, all at one instant
+JOINING = frozenset({MissionState.STARTING, MissionState.RESUMING, MissionState.RELEASING})
+PLANNING = frozenset(
+    {MissionState.HALTING, MissionState.RELOADING, MissionState.REARMING}
+)  # on the way to a new plan from rest
+COMMITTED = (
+    IN_FLIGHT | PLANNING | {MissionState.PAUSED, MissionState.RESUMING, MissionState.RELEASING}
+)  # whoever falls out is lost to the others
+ANY = frozenset(MissionState)
 
 
 @dataclass(frozen=True)
-class Row:
-    """In any of these phases, this leads there. Rows do not overlap."""
+class Transition:
+    """From any of `states`, `cause` leads to state `to`. Transitions do not overlap."""
 
-    phases: frozenset[Phase]
-    cause: Order | Event
-    to: Phase
+    states: frozenset[MissionState]
+    cause: Order | MissionEvent
+    to: MissionState
 
 
-def _row(phases: Phase | frozenset[Phase], cause: Order | Event, to: Phase) -> Row:
-    return Row(phases if isinstance(phases, frozenset) else frozenset({phases}), cause, to)
+def _row(states: MissionState | frozenset[MissionState], cause: Order | MissionEvent, to: MissionState) -> Transition:
+    return Transition(states if isinstance(states, frozenset) else frozenset({states}), cause, to)
 
 
 _STAGES = frozenset(
-    {Phase.LOADING, Phase.ARMING, Phase.STARTING, Phase.RESUMING, Phase.RELOADING, Phase.REARMING, Phase.RELEASING}
+    {
+        MissionState.LOADING,
+        MissionState.ARMING,
+        MissionState.STARTING,
+        MissionState.RESUMING,
+        MissionState.RELOADING,
+        MissionState.REARMING,
+        MissionState.RELEASING,
+    }
 )
-_TEST = frozenset({Phase.TEST_ARMING, Phase.TESTING, Phase.TEST_ENDING})
+_TEST = frozenset({MissionState.TEST_ARMING, MissionState.TESTING, MissionState.TEST_ENDING})
 
-TABLE: tuple[Row, ...] = (
-    # what a person asks for
-    _row(frozenset({Phase.WAITING}) | OVER, Order.LOAD, Phase.LOADING),
-    _row(frozenset({Phase.WAITING, Phase.LOADING}), Order.ARM, Phase.LOADING),
-    _row(frozenset({Phase.WAITING, Phase.LOADING, Phase.ARMING}), Order.START, Phase.LOADING),
-    _row(frozenset({Phase.WAITING}) | OVER, Order.TEST, Phase.TEST_ARMING),
-    _row(FLYING | JOINING | PLANNING | {Phase.PAUSED}, Order.HOLD, Phase.PAUSED),
-    _row(Phase.PAUSED, Order.RESUME, Phase.RESUMING),
-    _row(ON_COURSE, Order.GO, Phase.SWITCHING),
-    _row(ON_COURSE | {Phase.SWITCHING, Phase.PAUSED, Phase.WAITING} | OVER, Order.RETURN, Phase.HALTING),
-    _row(ON_COURSE | {Phase.PAUSED}, Order.REJOIN, Phase.HALTING),
-    _row(ANY - {Phase.STOPPED}, Order.DISARM, Phase.ENDING),
-    _row(ANY, Order.STOP, Phase.STOPPED),
-    _row(frozenset({Phase.STOPPED, Phase.WAITING}), Order.CLEAR_STOP, Phase.CLEARING),  # WAITING: of an earlier station's life
+TRANSITIONS: tuple[Transition, ...] = (
+    # requests of the operator
+    _row(frozenset({MissionState.WAITING}) | TERMINAL, Order.LOAD, MissionState.LOADING),
+    _row(frozenset({MissionState.WAITING, MissionState.LOADING}), Order.ARM, MissionState.LOADING),
+    _row(frozenset({MissionState.WAITING, MissionState.LOADING, MissionState.ARMING}), Order.START, MissionState.LOADING),
+    _row(frozenset({MissionState.WAITING}) | TERMINAL, Order.TEST, MissionState.TEST_ARMING),
+    _row(IN_FLIGHT | JOINING | PLANNING | {MissionState.PAUSED}, Order.HOLD, MissionState.PAUSED),
+    _row(MissionState.PAUSED, Order.RESUME, MissionState.RESUMING),
+    _row(NOMINAL, Order.GO, MissionState.SWITCHING),
+    _row(
+        NOMINAL | {MissionState.SWITCHING, MissionState.PAUSED, MissionState.WAITING} | TERMINAL,
+        Order.RETURN,
+        MissionState.HALTING,
+    ),
+    _row(NOMINAL | {MissionState.PAUSED}, Order.REJOIN, MissionState.HALTING),
+    _row(ANY - {MissionState.STOPPED}, Order.DISARM, MissionState.ENDING),
+    _row(ANY, Order.STOP, MissionState.STOPPED),
+    _row(
+        frozenset({MissionState.STOPPED, MissionState.WAITING}), Order.CLEAR_STOP, MissionState.CLEARING
+    ),  # WAITING: of an earlier station's life
     # from the water to the end
-    _row(Phase.WAITING, Event.FIT, Phase.LOADING),
-    _row(Phase.LOADING, Event.OBEYED, Phase.ARMING),
-    _row(Phase.ARMING, Event.OBEYED, Phase.STARTING),
-    _row(Phase.STARTING, Event.OBEYED, Phase.RUNNING),
-    _row(FLYING, Event.ARRIVED, Phase.ENDING),
-    _row(Phase.ENDING, Event.OBEYED, Phase.DONE),
-    _row(Phase.ENDING, Event.DISARMED_FAILED, Phase.FAILED),
-    _row(Phase.ENDING, Event.DISARMED_CANCELLED, Phase.CANCELLED),
+    _row(MissionState.WAITING, MissionEvent.PREFLIGHT_PASSED, MissionState.LOADING),
+    _row(MissionState.LOADING, MissionEvent.ALL_CONFIRMED, MissionState.ARMING),
+    _row(MissionState.ARMING, MissionEvent.ALL_CONFIRMED, MissionState.STARTING),
+    _row(MissionState.STARTING, MissionEvent.ALL_CONFIRMED, MissionState.RUNNING),
+    _row(IN_FLIGHT, MissionEvent.ARRIVED, MissionState.ENDING),
+    _row(MissionState.ENDING, MissionEvent.ALL_CONFIRMED, MissionState.DONE),
+    _row(MissionState.ENDING, MissionEvent.DISARMED_FAILED, MissionState.FAILED),
+    _row(MissionState.ENDING, MissionEvent.DISARMED_CANCELLED, MissionState.CANCELLED),
     # under way
-    _row(frozenset({Phase.RUNNING, Phase.DEGRADED}), Event.LAGGING, Phase.SLOWED),
-    _row(Phase.SLOWED, Event.CAUGHT_UP, Phase.RUNNING),
-    _row(Phase.RUNNING, Event.MISSING, Phase.DEGRADED),
-    _row(Phase.RUNNING, Event.HOMEWARD, Phase.RETURNING),
-    _row(ON_COURSE, Event.OBSTACLE, Phase.SWITCHING),
-    _row(Phase.SWITCHING, Event.OBEYED, Phase.RUNNING),
-    _row(Phase.SWITCHING, Event.NO_PLAN, Phase.RUNNING),
-    _row(Phase.SWITCHING, Event.UNHEEDED, Phase.PAUSED),
-    _row(Phase.SWITCHING, Event.BLOCKED, Phase.PAUSED),
-    _row(FLYING, Event.HELD, Phase.PAUSED),
-    _row(FLYING | JOINING, Event.OUT_OF_STEP, Phase.PAUSED),
-    _row(FLYING, Event.BLIND, Phase.PAUSED),
-    _row(Phase.PAUSED, Event.WELL, Phase.RESUMING),
-    _row(Phase.RESUMING, Event.OBEYED, Phase.RUNNING),
-    _row(Phase.RESUMING, Event.BESIDE_LOST, Phase.HALTING),
-    _row(Phase.RESUMING, Event.ASTRAY, Phase.HALTING),
+    _row(frozenset({MissionState.RUNNING, MissionState.DEGRADED}), MissionEvent.LAGGING, MissionState.SLOWED),
+    _row(MissionState.SLOWED, MissionEvent.CAUGHT_UP, MissionState.RUNNING),
+    _row(MissionState.RUNNING, MissionEvent.ROBOT_MISSING, MissionState.DEGRADED),
+    _row(MissionState.RUNNING, MissionEvent.RETURN_STARTED, MissionState.RETURNING),
+    _row(NOMINAL, MissionEvent.OBSTACLE, MissionState.SWITCHING),
+    _row(MissionState.SWITCHING, MissionEvent.ALL_CONFIRMED, MissionState.RUNNING),
+    _row(MissionState.SWITCHING, MissionEvent.NO_PLAN, MissionState.RUNNING),
+    _row(MissionState.SWITCHING, MissionEvent.TIMEOUT, MissionState.PAUSED),
+    _row(MissionState.SWITCHING, MissionEvent.BLOCKED, MissionState.PAUSED),
+    _row(IN_FLIGHT, MissionEvent.ROBOT_HOLDING, MissionState.PAUSED),
+    _row(IN_FLIGHT | JOINING, MissionEvent.OUT_OF_STEP, MissionState.PAUSED),
+    _row(IN_FLIGHT, MissionEvent.BLIND, MissionState.PAUSED),
+    _row(MissionState.PAUSED, MissionEvent.RECOVERED, MissionState.RESUMING),
+    _row(MissionState.RESUMING, MissionEvent.ALL_CONFIRMED, MissionState.RUNNING),
+    _row(MissionState.RESUMING, MissionEvent.LOST_NEARBY, MissionState.HALTING),
+    _row(MissionState.RESUMING, MissionEvent.OFF_PLAN, MissionState.HALTING),
     # a new plan from rest: home, into place again, or closing up
-    _row(UNDER_WAY, Event.LOST_CLOSE_UP, Phase.HALTING),
-    _row(UNDER_WAY - {Phase.PAUSED}, Event.LOST_HOLD, Phase.PAUSED),
-    _row(PLANNING | {Phase.RELEASING}, Event.LOST_ANEW, Phase.HALTING),
-    _row(UNDER_WAY, Event.LOST, Phase.ABORTING),
-    _row(PLANNING, Event.LOST_ALL, Phase.ABORTING),
-    _row(ON_COURSE | {Phase.RETURNING, Phase.RESUMING}, Event.IN_OWN_WAY, Phase.HALTING),
-    _row(Phase.HALTING, Event.PLANNED, Phase.RELOADING),
-    _row(Phase.HALTING, Event.NO_PLAN, Phase.PAUSED),
-    _row(Phase.RELOADING, Event.OBEYED, Phase.REARMING),
-    _row(Phase.REARMING, Event.OBEYED, Phase.RELEASING),
-    _row(Phase.RELEASING, Event.OBEYED, Phase.RUNNING),
-    # what goes wrong
-    _row(_STAGES | {Phase.HALTING, Phase.ENDING, Phase.CLEARING} | _TEST, Event.UNHEEDED, Phase.ABORTING),
-    _row(Phase.ABORTING, Event.OBEYED, Phase.FAILED),
-    _row(Phase.ABORTING, Event.UNHEEDED, Phase.FAILED),
-    _row(Phase.CLEARING, Event.OBEYED, Phase.WAITING),
+    _row(COMMITTED, MissionEvent.LOST_CLOSE_UP, MissionState.HALTING),
+    _row(COMMITTED - {MissionState.PAUSED}, MissionEvent.LOST_HOLD, MissionState.PAUSED),
+    _row(PLANNING | {MissionState.RELEASING}, MissionEvent.LOST_REPLAN, MissionState.HALTING),
+    _row(COMMITTED, MissionEvent.LOST, MissionState.ABORTING),
+    _row(PLANNING, MissionEvent.LOST_ALL, MissionState.ABORTING),
+    _row(NOMINAL | {MissionState.RETURNING, MissionState.RESUMING}, MissionEvent.TRANSFER_BLOCKED, MissionState.HALTING),
+    _row(MissionState.HALTING, MissionEvent.PLANNED, MissionState.RELOADING),
+    _row(MissionState.HALTING, MissionEvent.NO_PLAN, MissionState.PAUSED),
+    _row(MissionState.RELOADING, MissionEvent.ALL_CONFIRMED, MissionState.REARMING),
+    _row(MissionState.REARMING, MissionEvent.ALL_CONFIRMED, MissionState.RELEASING),
+    _row(MissionState.RELEASING, MissionEvent.ALL_CONFIRMED, MissionState.RUNNING),
+    # failures
+    _row(
+        _STAGES | {MissionState.HALTING, MissionState.ENDING, MissionState.CLEARING} | _TEST,
+        MissionEvent.TIMEOUT,
+        MissionState.ABORTING,
+    ),
+    _row(MissionState.ABORTING, MissionEvent.ALL_CONFIRMED, MissionState.FAILED),
+    _row(MissionState.ABORTING, MissionEvent.TIMEOUT, MissionState.FAILED),
+    _row(MissionState.CLEARING, MissionEvent.ALL_CONFIRMED, MissionState.WAITING),
     # thruster test
-    _row(Phase.TEST_ARMING, Event.OBEYED, Phase.TESTING),
-    _row(Phase.TESTING, Event.OBEYED, Phase.TEST_ENDING),
-    _row(Phase.TEST_ENDING, Event.OBEYED, Phase.WAITING),
+    _row(MissionState.TEST_ARMING, MissionEvent.ALL_CONFIRMED, MissionState.TESTING),
+    _row(MissionState.TESTING, MissionEvent.ALL_CONFIRMED, MissionState.TEST_ENDING),
+    _row(MissionState.TEST_ENDING, MissionEvent.ALL_CONFIRMED, MissionState.WAITING),
 )
 
 
-def after(phase: Phase, cause: Order | Event) -> Phase | None:
-    """Where that leads from here; None if nowhere."""
-    return next((row.to for row in TABLE if row.cause is cause and phase in row.phases), None)
+def next_state(state: MissionState, cause: Order | MissionEvent) -> MissionState | None:
+    """State after a cause; None if the table has no transition."""
+    return next((row.to for row in TRANSITIONS if row.cause is cause and state in row.states), None)
 
 
-def allowed(order: Order) -> frozenset[Phase]:
-    """In which phases a person's order counts."""
-    return frozenset().union(*(row.phases for row in TABLE if row.cause is order))
+def states_allowing(order: Order) -> frozenset[MissionState]:
+    """States in which an operator's request is allowed."""
+    return frozenset().union(*(row.states for row in TRANSITIONS if row.cause is order))
 
 
-def refusal(order: Order, phase: Phase) -> str:
-    """Why a person's order does not count now; empty if it does."""
-    wishes = [row.cause for row in TABLE if isinstance(row.cause, Order)]
-    if order not in wishes:
-        return f"{order.name} is not for a whole mission (allowed: {', '.join(o.name for o in wishes)})"
-    if phase in allowed(order):
+def order_name(order: Order) -> str:
+    """Name of a request in commands and on the page: CLEAR_STOP is clear-stop."""
+    return order.name.lower().replace("_", "-")
+
+
+def order_named(name: str) -> Order:
+    """Request with a name as `order_name` gives it. Raises KeyError."""
+    return Order[name.upper().replace("-", "_")]
+
+
+def rejection_reason(order: Order, state: MissionState) -> str:
+    """Reason for which a request is not allowed in a state; empty if it is."""
+    requests = [row.cause for row in TRANSITIONS if isinstance(row.cause, Order)]
+    if order not in requests:
+        return f"{order.name} is not for a whole mission (allowed: {', '.join(o.name for o in requests)})"
+    if state in states_allowing(order):
         return ""
-    names = ", ".join(p.name for p in Phase if p in allowed(order))
-    return f"{order.name} is not possible when {phase.name} (only when {names})"
+    names = ", ".join(p.name for p in MissionState if p in states_allowing(order))
+    return f"{order.name} is not possible when {state.name} (only when {names})"
+
+
+# requests without arguments; END is the station's own, and GO has places
+FLEET_REQUESTS = tuple(
+    order_name(order) for order in Order if order is Order.END or (order is not Order.GO and states_allowing(order))
+)
 
 
 def markdown() -> str:
-    """Both halves of the table, for docs/missions.md."""
-    lines = ["| State | |", "| --- | --- |", *(f"| {phase.name} | {phase.value} |" for phase in Phase), ""]
+    """Tables of states, requests and events in Markdown, for docs/missions.md."""
+    lines = ["| State | |", "| --- | --- |", *(f"| {state.name} | {state.value} |" for state in MissionState), ""]
     lines += ["| A person's order | counts when | leads to |", "| --- | --- | --- |"]
-    lines += [_line(row.cause.name, row) for row in TABLE if isinstance(row.cause, Order)]
+    lines += [_row_text(row.cause.name, row) for row in TRANSITIONS if isinstance(row.cause, Order)]
     lines += ["", "| By itself | when | leads to |", "| --- | --- | --- |"]
-    lines += [_line(row.cause.value, row) for row in TABLE if isinstance(row.cause, Event)]
+    lines += [_row_text(row.cause.value, row) for row in TRANSITIONS if isinstance(row.cause, MissionEvent)]
     return "\n".join(lines) + "\n"
 
 
-def _line(cause: str, row: Row) -> str:
-    missing = [phase.name for phase in Phase if phase not in row.phases]
-    names = ", ".join(phase.name for phase in Phase if phase in row.phases)
+def _row_text(cause: str, row: Transition) -> str:
+    missing = [state.name for state in MissionState if state not in row.states]
+    names = ", ".join(state.name for state in MissionState if state in row.states)
     when = "always" if not missing else f"always but {', '.join(missing)}" if len(missing) < 4 else names
     return f"| {cause} | {when} | {row.to.name} |"

@@ -1,28 +1,36 @@
-"""When a flight began, and so where along its trajectories everybody is to be. Pure. Robots are sent the same two numbers
-(START, RESUME), so that the station can hold what they say of themselves against its own timetable."""
+"""The timetable of a flight: the instant at which it began, and so the progress that every robot has to have. Pure.
+
+START and RESUME carry the same two numbers to the robots, so the station can compare their states with its own timetable.
+"""
 
 from dataclasses import dataclass
 
-from groundstation.mission.progress_governor import Pace
+from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.telemetry import RobotView
 from wire.messages.messages import Mode
+
+START_IN_S = (
+    0.5  # from a command to its effect in all robots at one instant; shorter, and a robot that is sent it twice joins late
+)
 
 
 @dataclass(frozen=True)
 class Timetable:
-    """`from_s` on the timetable is at `start_ns` on the station's clock; before that it stands."""
+    """`from_s` on the timetable is at `start_ns` on the station's clock; before that it stands still."""
 
     start_ns: int
     from_s: float
 
     def at_s(self, now_ns: int) -> float:
-        """The timetable at an instant."""
+        """Point of the timetable at an instant of the station's clock."""
         return self.from_s + max(now_ns - self.start_ns, 0) * 1e-9
 
-    def behind_s(self, robot: RobotView, pace: Pace, now_ns: int) -> float:
-        """How far a robot is behind the fleet, by what it says of itself; negative: ahead of it. 0 if it is not flying, or not
-        heard. What it says is from some time ago, and the formation's lag was another then."""
+    def behind_s(self, robot: RobotView, governor: ProgressGovernor, now_ns: int) -> float:
+        """Lag of a robot behind the fleet, from its own state; negative: ahead. 0 if it is not flying, or not heard.
+
+        The state has an age, and the formation's lag has changed since; both are taken into account.
+        """
         if not robot.heard or robot.mode is not Mode.TRACKING:
             return 0.0
-        lag_s = pace.lag_s - (1.0 - pace.rate) * robot.state_age_s
+        lag_s = governor.lag_s - (1.0 - governor.rate) * robot.state_age_s
         return self.at_s(now_ns - round(robot.state_age_s * 1e9)) - lag_s - robot.trajectory_s

@@ -1,4 +1,4 @@
-"""What keeps a plan from being flown: limits of the robots, walls, islands, one another. Pure."""
+"""Feasibility of a plan: limits of the robots, walls, islands, distances between robots. Pure."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
-PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: what a robot that is tracked well is off its path
+PICTURE_MARGIN_M = 0.05  # between hulls and the picture's edge: the tracking error of a well tracked robot
 TOLERANCE = 1e-9  # rounding: a plan exactly at a limit is allowed
 
 
@@ -28,8 +28,8 @@ class _Worst:
     value: float
 
 
-def too_fast(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
-    """By what factor the worst robot should be slower, at each sample (n,); 1 is at its limit."""
+def required_slowdown(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array:
+    """Factor (n,) by which the worst robot should be slower at each sample; 1 is at its limit."""
     limited = (entry for m in motions.values() for entry in experiment.vehicle.demands(m.velocity, m.acceleration))
     return np.asarray(np.max([(value / limit) ** (1.0 / power) for _, _, power, limit, value in limited], axis=0))
 
@@ -37,7 +37,7 @@ def too_fast(experiment: Experiment, motions: Mapping[int, NodeMotion]) -> Array
 def robot_problems(
     experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
 ) -> Iterator[str]:
-    """What each robot could not fly of its first `flown` samples, the first of them at `begin_s`: one line for each kind."""
+    """Lines for limits that robots would exceed in their first `flown` samples, the first of them at `begin_s`: one a kind."""
     for robot, motion in motions.items():
         eta = motion.eta[:flown]
         for what, unit, _, limit, values in experiment.vehicle.demands(motion.velocity, motion.acceleration):
@@ -55,7 +55,7 @@ def robot_problems(
 def pair_problems(
     experiment: Experiment, motions: Mapping[int, NodeMotion], flown: int, begin_s: float = 0.0
 ) -> Iterator[str]:
-    """Who comes too near to whom; on different paths only at the end."""
+    """Lines for pairs of robots that come too near; on different paths only the end counts."""
     closest_m = 2.0 * experiment.safety.radius_m
     for a, b in combinations(sorted(motions), 2):
         together = experiment.path_of(experiment.robot(a)) == experiment.path_of(experiment.robot(b))
@@ -69,8 +69,8 @@ def pair_problems(
 
 
 def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
-    """How far (n,) positions (n, 3) lie beyond where a robot's hull is clear of islands and each side of the basin, and in the
-    picture of the camera that locates it, in m.
+    """Distances (n,) in m by which positions (n, 3) violate each clearance: from islands, from the sides of the basin, and
+    from the edge of the camera's picture.
 
     At the surface the centre counts, not the hull: a robot may float. Open water has no sides.
     """
@@ -94,8 +94,8 @@ def outside(experiment: Experiment, position_m: Array) -> dict[str, Array]:
 
 
 def beyond_picture(experiment: Experiment, position_m: Array) -> Array:
-    """How far (n,) positions (n, 3) lie beyond where the camera surely sees a robot's hull, in m. Of a camera that moves the
-    pose counts that the experiment gives."""
+    """Distances (n,) in m by which positions (n, 3) lie outside the area in which the camera surely sees a robot's hull. For a
+    moving camera the experiment's pose counts."""
     return outside_m(experiment.camera, position_m, experiment.vehicle.radius_m + PICTURE_MARGIN_M)
 
 

@@ -17,7 +17,7 @@ from wire.config.formation_shapes import shape_nodes
 from wire.config.scene import Change
 from wire.frames import Array
 
-STANDSTILL_MPS = 1e-6  # below this a node's own direction of motion means nothing
+STANDSTILL_MPS = 1e-6  # below this a node's direction of motion is undefined
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,16 +30,24 @@ class NodeMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """Where a node is in the structure at n instants, each (n, 3): place, and its two time derivatives."""
+class SlotOffset:
+    """Offset of a node from the formation's centre at n instants, each (n, 3): place, and its two time derivatives."""
 
     place_m: Array
     rate_mps: Array
     bend_mps2: Array
 
 
-def courses(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[Course]:
-    """From nodes (robots, 3) through all changes of form, one after the other.
+def quintic_blend(tau: Array, over_s: float) -> tuple[Array, Array, Array]:
+    """Weight that goes from 0 to 1 over `over_s`, and its two time derivatives, at `tau` (0 to 1) of that time. Both
+    derivatives vanish at the ends: no jump in velocity or acceleration."""
+    s = tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
+    s1 = 30.0 * tau**2 * (1.0 - tau) ** 2 / over_s
+    return s, s1, 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / over_s**2
+
+
+def slot_offsets(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[SlotOffset]:
+    """Offsets of nodes (robots, 3) through all changes of form, one after the other.
 
     A scale and a turn move the structure as a whole. A new shape gives every robot a node of it so that the sum of squared
     ways is least: on straight ways, taken together, no two robots then meet (Turpin, Michael, Kumar 2014).
@@ -48,9 +56,7 @@ def courses(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[Co
     place, rate, bend = np.broadcast_to(nodes_m[:, None], shape).copy(), np.zeros(shape), np.zeros(shape)
     for change in changes:
         tau = np.clip((time_s - change.at_s) / change.over_s, 0.0, 1.0)
-        s = tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)  # no jump in speed or acceleration
-        s1 = 30.0 * tau**2 * (1.0 - tau) ** 2 / change.over_s
-        s2 = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / change.over_s**2
+        s, s1, s2 = quintic_blend(tau, change.over_s)
         if change.shape is not None:
             form = change.scale * shape_nodes(change.shape, len(nodes_m), change.spacing_m) @ _turn(change.turn_rad).T
             way = (_assigned(nodes_m, form + nodes_m.mean(axis=0)) - nodes_m)[:, None]
@@ -69,7 +75,7 @@ def courses(nodes_m: Array, changes: Sequence[Change], time_s: Array) -> list[Co
             whole[..., 1] += (flat * moved).imag
             whole[..., 2] += deep * sunk
         nodes_m = change.scale * nodes_m @ _turn(change.turn_rad).T
-    return [Course(*course) for course in zip(place, rate, bend, strict=True)]
+    return [SlotOffset(*course) for course in zip(place, rate, bend, strict=True)]
 
 
 def _turn(angle_rad: float) -> Array:
@@ -93,7 +99,7 @@ def structure_rotation(yaw_rad: Array, climb_rad: Array) -> Array:
     return np.moveaxis(np.array(rows), -1, 0)
 
 
-def node_motion(centre: PathState, course: Course, mode: Literal["translate", "rotate"], period_s: float) -> NodeMotion:
+def node_motion(centre: PathState, course: SlotOffset, mode: Literal["translate", "rotate"], period_s: float) -> NodeMotion:
     """Motion of one node (14); the centre is sampled every `period_s`."""
     place, rate, bend = course.place_m, course.rate_mps, course.bend_mps2
     if mode == "translate":
@@ -104,7 +110,7 @@ def node_motion(centre: PathState, course: Course, mode: Literal["translate", "r
                 np.column_stack([velocity, centre.yaw_rate_radps]),
                 np.column_stack([acceleration, centre.yaw_acceleration_radps2]),
             )
-        return _heading_where_it_goes(centre.position_m + place, velocity, acceleration, centre, period_s)
+        return _with_own_heading(centre.position_m + place, velocity, acceleration, centre, period_s)
     rotation = structure_rotation(centre.yaw_rad, centre.climb_rad)
     arm, drift, swing = (np.einsum("nij,nj->ni", rotation, within) for within in (place, rate, bend))
     across = np.column_stack([-arm[:, 1], arm[:, 0], np.zeros(len(arm))])  # k x arm: the structure turns about z only
@@ -113,12 +119,10 @@ def node_motion(centre: PathState, course: Course, mode: Literal["translate", "r
     turning, angular = centre.yaw_rate_radps[:, None], centre.yaw_acceleration_radps2[:, None]
     velocity = centre.velocity_mps + turning * across + drift
     acceleration = centre.acceleration_mps2 + angular * across + turning**2 * inward + 2.0 * turning * sideways + swing
-    return _heading_where_it_goes(centre.position_m + arm, velocity, acceleration, centre, period_s)
+    return _with_own_heading(centre.position_m + arm, velocity, acceleration, centre, period_s)
 
 
-def _heading_where_it_goes(
-    position: Array, velocity: Array, acceleration: Array, centre: PathState, period_s: float
-) -> NodeMotion:
+def _with_own_heading(position: Array, velocity: Array, acceleration: Array, centre: PathState, period_s: float) -> NodeMotion:
     yaw, yaw_rate = own_heading(velocity, acceleration, centre.yaw_rad, centre.yaw_rate_radps)
     return NodeMotion(
         np.column_stack([position, yaw]),
@@ -129,8 +133,8 @@ def _heading_where_it_goes(
 
 
 def own_heading(velocity: Array, acceleration: Array, else_rad: Array, else_radps: Array) -> tuple[Array, Array]:
-    """Unwrapped direction of a node's own horizontal motion (n,), and its rate (13). A robot cannot push sideways, so it
-    must head where its node goes. Where the node stands still (it may be the pivot), what is given serves."""
+    """Unwrapped direction (n,) of a node's own horizontal motion, and its rate (13). A robot cannot push sideways, so it must
+    head along its motion. Where the node stands still (it may be the pivot), `else_rad` and `else_radps` are used."""
     speed = np.hypot(velocity[:, 0], velocity[:, 1])
     moving = speed > STANDSTILL_MPS
     square = np.where(moving, speed, 1.0) ** 2

@@ -24,7 +24,7 @@ _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS  # on [0, 1]
 
 @dataclass(frozen=True, eq=False)
 class PathState:
-    """A path at n instants. Yaw is the tangent's direction in the horizontal plane, unwrapped."""
+    """State of a path at n instants. Yaw is the tangent's direction in the horizontal plane, unwrapped."""
 
     position_m: Array  # (n, 3)
     velocity_mps: Array  # (n, 3)
@@ -36,15 +36,15 @@ class PathState:
 
 
 class Path(Protocol):
-    """Where the formation's centre is, as a function of time."""
+    """Motion of the formation's centre as a function of time."""
 
-    end_s: float  # when the path is used up
+    end_s: float  # of the path
 
     def at(self, time_s: Array) -> PathState: ...
 
 
 def curve_through(points: Array) -> tuple[Array, CubicSpline]:
-    """The natural cubic spline through points (n, 2), no two in a row the same, over chord length; and its knots (n,)."""
+    """Knots (n,) and natural cubic spline over chord length through points (n, 2), of which no two in a row are the same."""
     knots = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
     return knots, CubicSpline(knots, points, bc_type="natural")
 
@@ -101,9 +101,9 @@ class SplinePath:
         self._start_m = float(self._arc[waypoints.start_index * PIECES])
         self._speed, self._dive, self._depth = waypoints.speed_mps, waypoints.dive_mps, waypoints.depth_m
         self.length_m = float(self._arc[-1])
-        self._way_s = (self.length_m - self._start_m) / self._speed
+        self._duration_s = (self.length_m - self._start_m) / self._speed
         self._stops = waypoints.stop
-        self.end_s = float("inf") if self._stops else self._way_s
+        self.end_s = float("inf") if self._stops else self._duration_s
 
     def _length(self, start: Array, width: Array) -> Array:
         """Arc length of the curve over [start, start + width] of the chord parameter, shape (n,)."""
@@ -129,12 +129,12 @@ class SplinePath:
         return np.asarray(q)
 
     def at(self, time_s: Array) -> PathState:
-        return self._stopped(time_s) if self._stops else self._under_way(time_s)
+        return self._stopped(time_s) if self._stops else self._moving(time_s)
 
     def _stopped(self, time_s: Array) -> PathState:
         """At rest from the last waypoint on."""
-        at = self._under_way(np.minimum(time_s, self._way_s))
-        moves = (time_s < self._way_s).astype(np.float64)
+        at = self._moving(np.minimum(time_s, self._duration_s))
+        moves = (time_s < self._duration_s).astype(np.float64)
         return replace(
             at,
             velocity_mps=at.velocity_mps * moves[:, None],
@@ -143,7 +143,7 @@ class SplinePath:
             yaw_acceleration_radps2=at.yaw_acceleration_radps2 * moves,
         )
 
-    def _under_way(self, time_s: Array) -> PathState:
+    def _moving(self, time_s: Array) -> PathState:
         arc = self._start_m + self._speed * time_s
         inside = np.clip(arc, 0.0, self.length_m)
         q = self.chord_parameter(inside)

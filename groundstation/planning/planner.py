@@ -12,11 +12,19 @@ from itertools import combinations
 
 import numpy as np
 
-from groundstation.planning.feasibility import TOLERANCE, PlanError, outside, pair_problems, place, robot_problems, too_fast
-from groundstation.planning.formation import Course, NodeMotion, courses, node_motion
+from groundstation.planning.feasibility import (
+    TOLERANCE,
+    PlanError,
+    outside,
+    pair_problems,
+    place,
+    required_slowdown,
+    robot_problems,
+)
+from groundstation.planning.formation import NodeMotion, SlotOffset, node_motion, slot_offsets
 from groundstation.planning.paths import Path, PathState, make_path
-from groundstation.planning.time_scaling import slowed
-from groundstation.planning.way import ways
+from groundstation.planning.route_planner import candidate_routes
+from groundstation.planning.time_scaling import scale_time
 from wire.config.experiment import Experiment
 from wire.config.scene import PathSpec, RobotConfig, Route
 from wire.frames import Array
@@ -28,7 +36,7 @@ BYTES_PER_SAMPLE = 3 * 4 * 8
 
 @dataclass(frozen=True, eq=False)
 class FleetPlan:
-    """What the robots are to fly, and the motion of the formation's centre, which nobody flies."""
+    """Trajectory of each robot, and of the formation's centre, which no robot flies."""
 
     trajectories: dict[int, Trajectory]
     centre: Trajectory
@@ -44,7 +52,7 @@ def plan_fleet(experiment: Experiment) -> FleetPlan:
 
     Raises PlanError if a robot would exceed its speed, heave, yaw-rate or thrust limits (with `path.slow` only if slowing
     down does not help), touch a wall, floor or surface, or come closer than 2 R (36) to another on the same path. Those on
-    different paths need to be apart at the end only: on the way they give way to one another.
+    different paths need to be apart at the end only: in flight they give way to one another.
     """
     period_s = experiment.controller.period_s
     flown = round(experiment.duration_s / period_s) + 1
@@ -58,7 +66,7 @@ def plan_fleet(experiment: Experiment) -> FleetPlan:
     for k, path in enumerate(paths):
         if path not in paths[:k]:
             group = [robot for robot, flies in zip(experiment.robots, paths, strict=True) if flies == path]
-            found, middle = _flown(experiment, path, group, samples)
+            found, middle = _group_motions(experiment, path, group, samples)
             motions.update(found)
             centre = middle if centre is None or path == experiment.path else centre
     motions = {robot: motions[robot] for robot in experiment.robot_ids}
@@ -96,28 +104,31 @@ def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) 
 
 
 def starts_json(starts: Mapping[int, Array]) -> str:
-    """Start poses as JSON `{"1": [x_m, y_m, z_m, yaw_rad], ...}`, for whoever puts the robots into the water."""
+    """Start poses as JSON `{"1": [x_m, y_m, z_m, yaw_rad], ...}`, for the person or program that puts the robots into the
+    water."""
     return json.dumps({str(robot): starts[robot].tolist() for robot in sorted(starts)}, indent=1) + "\n"
 
 
-def _flown(
+def _group_motions(
     experiment: Experiment, given: PathSpec, group: Sequence[RobotConfig], samples: int
 ) -> tuple[dict[int, NodeMotion], NodeMotion]:
-    """The motion of the robots on a path, and of its centre, at `samples` control periods from 0 on; slower than the path says
-    where they could not follow."""
+    """Motion of the robots on a path, and of its centre, at `samples` control periods from 0 on; slowed down where the robots
+    could not follow."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = courses(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
+    nodes = slot_offsets(formation.scale * np.array([robot.node_m for robot in group]), formation.changes, time_s)
     path = centre_path(experiment, given, group, nodes)
     if given.slow:
 
         def _excess(slower: Path) -> Array:
-            return too_fast(experiment, node_motions(experiment, slower.at(time_s), group, nodes))
+            return required_slowdown(experiment, node_motions(experiment, slower.at(time_s), group, nodes))
 
-        path = slowed(path, _excess, samples, period_s)
+        path = scale_time(path, _excess, samples, period_s)
     if experiment.duration_s > path.end_s + period_s:
         before_s = time_s[: max(int(np.count_nonzero(time_s <= path.end_s)), 2)]
-        short = [Course(n.place_m[: len(before_s)], n.rate_mps[: len(before_s)], n.bend_mps2[: len(before_s)]) for n in nodes]
+        short = [
+            SlotOffset(n.place_m[: len(before_s)], n.rate_mps[: len(before_s)], n.bend_mps2[: len(before_s)]) for n in nodes
+        ]
         motions = node_motions(experiment, path.at(before_s), group, short)
         problems = robot_problems(experiment, motions, len(before_s))  # first: what is flown too fast is over too soon
         over = f"duration_s = {experiment.duration_s:g}: the path ends after {path.end_s:.2f} s"
@@ -126,14 +137,14 @@ def _flown(
     return node_motions(experiment, centre, group, nodes), node_motion(centre, at_centre(samples), "translate", period_s)
 
 
-def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[RobotConfig], nodes: Sequence[Course]) -> Path:
-    """The centre's path; of a route the first way on which no node touches anything."""
+def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[RobotConfig], nodes: Sequence[SlotOffset]) -> Path:
+    """Path of the centre; of a route the first candidate on which no node touches anything."""
     time_s = np.arange(len(nodes[0].place_m), dtype=np.float64) * experiment.controller.period_s
     try:
         if not isinstance(given, Route):
             return make_path(given)
-        for way in ways(experiment, given, nodes):
-            path = make_path(way)
+        for waypoints in candidate_routes(experiment, given, nodes):
+            path = make_path(waypoints)
             motions = node_motions(experiment, path.at(time_s), group, nodes).values()
             beyond = (excess.max() for m in motions for excess in outside(experiment, m.eta[:, :3]).values())
             if max(beyond, default=0.0) <= TOLERANCE:
@@ -144,25 +155,25 @@ def centre_path(experiment: Experiment, given: PathSpec, group: Sequence[RobotCo
 
 
 def horizon(experiment: Experiment) -> int:
-    """How many samples a robot looks ahead of the instant it is at."""
+    """Samples of the controller's horizon, which a trajectory has beyond its end."""
     return experiment.controller.mpc.horizon
 
 
-def at_centre(samples: int) -> Course:
-    """The node at the centre, which no change of form moves."""
-    return Course(np.zeros((samples, 3)), np.zeros((samples, 3)), np.zeros((samples, 3)))
+def at_centre(samples: int) -> SlotOffset:
+    """Offset of a node at the centre, which no change of form moves."""
+    return SlotOffset(np.zeros((samples, 3)), np.zeros((samples, 3)), np.zeros((samples, 3)))
 
 
 def node_motions(
-    experiment: Experiment, centre: PathState, group: Sequence[RobotConfig], nodes: Sequence[Course]
+    experiment: Experiment, centre: PathState, group: Sequence[RobotConfig], nodes: Sequence[SlotOffset]
 ) -> dict[int, NodeMotion]:
-    """The robots' motions around the centre's, all sampled every control period."""
+    """Motions of the robots around the centre, sampled every control period."""
     mode, period_s = experiment.formation.mode, experiment.controller.period_s
     return {robot.id: node_motion(centre, node, mode, period_s) for robot, node in zip(group, nodes, strict=True)}
 
 
 def trajectory(motion: NodeMotion, period_s: float, begin_s: float = 0.0) -> Trajectory:
-    """A motion as it is sent; its id is a digest of its numbers."""
+    """Trajectory message of a motion; its id is a digest of its numbers."""
     digest = hashlib.sha256(np.array([period_s, begin_s]).tobytes())
     for array in (motion.eta, motion.velocity, motion.acceleration):
         digest.update(np.ascontiguousarray(array).tobytes())

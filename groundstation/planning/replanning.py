@@ -1,9 +1,9 @@
-"""Another path under way: round what lies on the present one, or to other places. Pure.
+"""Replanning in flight: around obstacles on the present path, or to other places. Pure.
 
-    leg = detour(experiment, leg, begin_s, things)      # from a moment ahead on; every robot goes over to it smoothly
+    leg = detour(experiment, leg, begin_s, things)      # from an instant ahead; every robot blends over to it
 
-Things are (k, 3: x, y, radius). The way round them is groundstation/planning/route_planner.py's; from rest,
-groundstation/planning/rest_to_rest.py leads.
+Obstacles are discs (k, 3: x, y, radius) in m. groundstation/planning/route_planner.py finds the route around them; from rest,
+groundstation/planning/rest_to_rest.py plans.
 """
 
 import math
@@ -13,108 +13,116 @@ from dataclasses import replace
 import numpy as np
 
 from groundstation.planning import planner
-from groundstation.planning.feasibility import PlanError, pair_problems, robot_problems, too_fast
-from groundstation.planning.formation import NodeMotion, courses, node_motion, own_heading
+from groundstation.planning.feasibility import PlanError, pair_problems, required_slowdown, robot_problems
+from groundstation.planning.formation import NodeMotion, node_motion, own_heading, quintic_blend, slot_offsets
 from groundstation.planning.paths import Path
-from groundstation.planning.segment import Leg, at, on_grid
-from groundstation.planning.time_scaling import slowed
+from groundstation.planning.segment import PlanSegment, ceil_to_period, sample
+from groundstation.planning.time_scaling import scale_time
 from wire.config.experiment import Experiment
 from wire.config.scene import Island, PathSpec, Route, Waypoints
 from wire.frames import Array
 from wire.messages.messages import Trajectory
 
-BLEND_S = (4.0, 7.0, 2.5)  # from the old motion to the new one; tried in turn
-STAY_S = 5.0  # at places that a person sent the formation to
-SAME_M = 1e-3  # as near to a place as that is there
-LONGEST = 3.0  # how much longer the new way may be than a straight one, as a share of it
-BESIDE_M = 0.5  # a place nearer than this to something is left out: the way by it and round the thing would bend sharply
-SMOOTH_M = 1.0  # over how long bends are spread: what comes up suddenly is gone round gently
+BLEND_S = (4.0, 7.0, 2.5)  # blending from the old motion to the new one; tried in turn
+STAY_S = 5.0  # at the last place that the operator gave
+SAME_M = 1e-3  # nearer than this to a place counts as there
+LONGEST = 3.0  # the new route may be longer than a straight one by this share of it
+BESIDE_M = 0.5  # a place nearer than this to an obstacle is left out: the path by it and around would bend sharply
+SMOOTH_M = 1.0  # length over which bends are spread at least
 ROUTE = Route(kind="route", via_m=((0.0, 0.0), (1.0, 0.0)), speed_mps=1.0)  # for its defaults
 TIGHTER = (1.0, 0.1)  # of mission.detour_clear_m: where there is less room, robots give way as well
 
 
-def can_detour(experiment: Experiment) -> bool:
-    """Whether there is one path, of a kind that leads to places, and level."""
+def can_replan(experiment: Experiment) -> bool:
+    """True if there is one level path, common to all robots, that leads to places."""
     path = experiment.path
     level = isinstance(path, Route) or (isinstance(path, Waypoints) and path.dive_mps == 0.0)
     return level and all(robot.path is None for robot in experiment.robots)
 
 
-def detour(experiment: Experiment, leg: Leg, begin_s: float, things: Array, via: Sequence[tuple[float, float]] = ()) -> Leg:
-    """The shortest way from where the centre is at `begin_s` to what is left of the path's places, or to `via`, around things
-    (k, 3: x, y, radius); every robot goes over to it smoothly."""
-    if not can_detour(experiment):
+def replan(
+    experiment: Experiment, segment: PlanSegment, begin_s: float, obstacles: Array, via: Sequence[tuple[float, float]] = ()
+) -> PlanSegment:
+    """Plan the shortest route from the centre at `begin_s` to the remaining places of the path, or to `via`, around obstacles
+    (k, 3: x, y, radius). Every robot blends over to it. Raises PlanError."""
+    if not can_replan(experiment):
         raise PlanError("only a level path of waypoints or a route, common to all robots, can be changed under way")
     reason = PlanError("")
     for share in TIGHTER:
-        around = _with_things(experiment, things, share * experiment.mission.detour_clear_m)
+        around = _with_things(experiment, obstacles, share * experiment.mission.detour_clear_m)
         try:
-            return _rerouted(around, leg, begin_s, via)
+            return _rerouted(around, segment, begin_s, via)
         except PlanError as error:
             reason = error
     raise reason
 
 
-def _with_things(experiment: Experiment, things: Array, clear_m: float) -> Experiment:
-    """As if things were islands, so wide that a centre stays safety.radius_m and `clear_m` away from them."""
+def _with_things(experiment: Experiment, obstacles: Array, clear_m: float) -> Experiment:
+    """Experiment with obstacles as islands, so wide that a centre stays safety.radius_m and `clear_m` away from them."""
     wider_m = experiment.safety.radius_m - experiment.vehicle.radius_m + clear_m
-    islands = tuple(Island(position_m=(x, y), radius_m=max(r + wider_m, SAME_M)) for x, y, r in things.tolist())
+    islands = tuple(Island(position_m=(x, y), radius_m=max(r + wider_m, SAME_M)) for x, y, r in obstacles.tolist())
     return experiment.model_copy(update={"islands": (*experiment.islands, *islands)})
 
 
 def _rerouted(
-    experiment: Experiment, leg: Leg, begin_s: float, given_via: Sequence[tuple[float, float]], longer: float = 0.4
-) -> Leg:
-    """`longer`: by how much the new way may be longer than a straight one, as a share of it; more if that is not enough."""
+    experiment: Experiment, segment: PlanSegment, begin_s: float, given_via: Sequence[tuple[float, float]], longer: float = 0.4
+) -> PlanSegment:
+    """Segment along the new route. `longer`: the route may be longer than a straight one by this share; tried again with
+    LONGEST."""
     period_s, formation = experiment.controller.period_s, experiment.formation
     spec = _route_spec(experiment.path)
-    now = at(leg.centre, np.array([begin_s]))
+    now = sample(segment.centre, np.array([begin_s]))
     here = (float(now.eta[0, 0]), float(now.eta[0, 1]))
-    left = tuple(given_via) or _places_left(experiment, leg.via or spec.via_m, leg, begin_s)
+    left = tuple(given_via) or _places_left(experiment, segment.via or spec.via_m, segment, begin_s)
     smooth_m = max(spec.smooth_m, SMOOTH_M)
     given = spec.model_copy(update={"via_m": (here, *left), "depth_m": float(now.eta[0, 2]), "smooth_m": smooth_m})
-    remaining = on_grid(leg.end_s - begin_s, period_s)
+    remaining = ceil_to_period(segment.end_s - begin_s, period_s)
     length_m = float(np.hypot(*np.diff(np.array(given.via_m), axis=0).T).sum())
     samples = round((max(remaining, 0.0) + longer * length_m / spec.speed_mps) / period_s) + planner.horizon(experiment)
     time_s = period_s * np.arange(samples, dtype=np.float64)
-    nodes = courses(experiment.nodes_m(), formation.changes, begin_s + time_s)
+    nodes = slot_offsets(experiment.nodes_m(), formation.changes, begin_s + time_s)
     path = planner.centre_path(experiment, given, experiment.robots, nodes)
 
     def excess(slower: Path) -> Array:
-        return too_fast(experiment, planner.node_motions(experiment, slower.at(time_s), experiment.robots, nodes))
+        return required_slowdown(experiment, planner.node_motions(experiment, slower.at(time_s), experiment.robots, nodes))
 
-    path = slowed(path, excess, samples, period_s) if given.slow else path
+    path = scale_time(path, excess, samples, period_s) if given.slow else path
     state = path.at(time_s)
     new = planner.node_motions(experiment, state, experiment.robots, nodes)
     centre = node_motion(state, planner.at_centre(samples), "translate", period_s)
     there = _arrival(centre.eta, left[-1])
     if there >= samples - 2 and longer < LONGEST:
-        return _rerouted(experiment, leg, begin_s, given_via, LONGEST)
+        return _rerouted(experiment, segment, begin_s, given_via, LONGEST)
     there_s = begin_s + period_s * there
-    end_s = there_s + (STAY_S if given_via else leg.end_s - _old_arrival_s(leg, left[-1]))
+    end_s = there_s + (STAY_S if given_via else segment.end_s - _old_arrival_s(segment, left[-1]))
     kept = min(round((end_s - begin_s) / period_s) + planner.horizon(experiment), samples)
-    found = _gone_over(experiment, leg, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
-    return replace(found, via=tuple(given_via) or leg.via)
+    found = _gone_over(experiment, segment, begin_s, {r: _cut(m, kept) for r, m in new.items()}, _cut(centre, kept), end_s)
+    return replace(found, via=tuple(given_via) or segment.via)
 
 
 def _gone_over(
-    experiment: Experiment, leg: Leg, begin_s: float, new: Mapping[int, NodeMotion], centre: NodeMotion, end_s: float
-) -> Leg:
-    """The new motions, reached from the old ones over some seconds; the first that can be flown."""
+    experiment: Experiment,
+    segment: PlanSegment,
+    begin_s: float,
+    new: Mapping[int, NodeMotion],
+    centre: NodeMotion,
+    end_s: float,
+) -> PlanSegment:
+    """Segment that blends from the old motions to the new ones; the first of BLEND_S that can be flown."""
     period_s = experiment.controller.period_s
     flown = min(round((end_s - begin_s) / period_s) + 1, len(centre.eta))
     problems = ["the path's end is too near"]
     for over_s in BLEND_S:
-        if begin_s + over_s > leg.centre.begin_s + (len(leg.centre.eta) - 1) * period_s:
+        if begin_s + over_s > segment.centre.begin_s + (len(segment.centre.eta) - 1) * period_s:
             continue
-        motions = {r: blended(leg.trajectories[r], motion, begin_s, over_s) for r, motion in new.items()}
+        motions = {r: blend_trajectories(segment.trajectories[r], motion, begin_s, over_s) for r, motion in new.items()}
         problems = [
             *robot_problems(experiment, motions, flown, begin_s),
             *pair_problems(experiment, motions, flown, begin_s),
         ]
         if not problems:
-            middle = blended(leg.centre, centre, begin_s, over_s)
-            return Leg(
+            middle = blend_trajectories(segment.centre, centre, begin_s, over_s)
+            return PlanSegment(
                 {r: planner.trajectory(m, period_s, begin_s) for r, m in motions.items()},
                 planner.trajectory(middle, period_s, begin_s),
                 end_s,
@@ -122,17 +130,15 @@ def _gone_over(
     raise PlanError("; ".join(problems))
 
 
-def blended(old: Trajectory, new: NodeMotion, begin_s: float, over_s: float) -> NodeMotion:
-    """From the old motion at `begin_s` to the new one `over_s` later: position, velocity and acceleration go over with no
-    jump (a quintic weight has two derivatives that vanish at both ends). Headings are those of the motion that comes of it."""
+def blend_trajectories(old: Trajectory, new: NodeMotion, begin_s: float, over_s: float) -> NodeMotion:
+    """Motion from the old one at `begin_s` to the new one `over_s` later, without a jump in position, velocity and
+    acceleration (quintic_blend). Headings are those of the resulting motion."""
     period_s = old.period_s
     count = min(round(over_s / period_s) + 1, len(new.eta))
     time_s = period_s * np.arange(count, dtype=np.float64)
-    before = at(old, begin_s + time_s)
+    before = sample(old, begin_s + time_s)
     tau = np.clip(time_s / over_s, 0.0, 1.0)[:, None]
-    s = tau**3 * (10.0 - 15.0 * tau + 6.0 * tau**2)
-    s1 = 30.0 * tau**2 * (1.0 - tau) ** 2 / over_s
-    s2 = 60.0 * tau * (1.0 - tau) * (1.0 - 2.0 * tau) / over_s**2
+    s, s1, s2 = quintic_blend(tau, over_s)
     place, speed, push = new.eta[:, :3].copy(), new.velocity[:, :3].copy(), new.acceleration[:, :3].copy()
     away, faster = place[:count] - before.eta[:, :3], speed[:count] - before.velocity[:, :3]
     push[:count] = before.acceleration[:, :3] + s * (push[:count] - before.acceleration[:, :3]) + 2.0 * s1 * faster + s2 * away
@@ -140,7 +146,7 @@ def blended(old: Trajectory, new: NodeMotion, begin_s: float, over_s: float) -> 
     place[:count] = before.eta[:, :3] + s * away
     yaw, rate = own_heading(speed, push, new.eta[:, 3], new.velocity[:, 3])
     yaw += 2.0 * np.pi * round((before.eta[0, 3] - yaw[0]) / (2.0 * np.pi))
-    yaw[0], rate[0] = before.eta[0, 3], before.velocity[0, 3]  # the very numbers, whatever rounding says
+    yaw[0], rate[0] = before.eta[0, 3], before.velocity[0, 3]  # exactly, without rounding
     return NodeMotion(
         np.column_stack([place, yaw]),
         np.column_stack([speed, rate]),
@@ -149,7 +155,7 @@ def blended(old: Trajectory, new: NodeMotion, begin_s: float, over_s: float) -> 
 
 
 def _route_spec(path: PathSpec) -> Route:
-    """What a path says of speed and depth, as a route through its places."""
+    """Route through the places of a path, with its speed."""
     if isinstance(path, Route):
         return path
     assert isinstance(path, Waypoints)
@@ -159,23 +165,23 @@ def _route_spec(path: PathSpec) -> Route:
 
 
 def _places_left(
-    experiment: Experiment, places: Sequence[tuple[float, float]], leg: Leg, begin_s: float
+    experiment: Experiment, places: Sequence[tuple[float, float]], segment: PlanSegment, begin_s: float
 ) -> tuple[tuple[float, float], ...]:
-    """Those that the centre has not come by soon after `begin_s` and that are not right beside something; always the last."""
+    """Places that the centre passes after the blend and that are not beside an obstacle; always the last."""
     *before, last = places
     reach_m = float(np.hypot(*experiment.nodes_m()[:, :2].T).max()) + BESIDE_M
     free = [p for p in before if all(math.dist(p, i.position_m) > i.radius_m + reach_m for i in experiment.islands)]
-    return (*(place for place in free if _old_arrival_s(leg, place) > begin_s + BLEND_S[0]), last)
+    return (*(place for place in free if _old_arrival_s(segment, place) > begin_s + BLEND_S[0]), last)
 
 
 def _arrival(eta: Array, place: tuple[float, float]) -> int:
-    """The first sample at which a motion is as near to a place as it ever comes."""
+    """First sample at which a motion is as near to a place as it ever comes."""
     away = np.hypot(eta[:, 0] - place[0], eta[:, 1] - place[1])
     return int(np.argmax(away <= away.min() + SAME_M))
 
 
-def _old_arrival_s(leg: Leg, place: tuple[float, float]) -> float:
-    return leg.centre.begin_s + leg.centre.period_s * _arrival(leg.centre.eta, place)
+def _old_arrival_s(segment: PlanSegment, place: tuple[float, float]) -> float:
+    return segment.centre.begin_s + segment.centre.period_s * _arrival(segment.centre.eta, place)
 
 
 def _cut(motion: NodeMotion, samples: int) -> NodeMotion:

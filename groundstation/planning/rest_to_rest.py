@@ -1,9 +1,9 @@
-"""Ways for robots that hold in the water: into their places of a leg and on along it, or home. Pure.
+"""Plans for robots that hold: into their slots of a segment and on along it, or back to the starts. Pure.
 
-    leg = gathered(experiment, leg, begin_s, reached_s, rests, slots)   # into the places of a leg, and on along it
-    leg = homeward(experiment, begin_s, rests, starts)                  # to where they began
+    leg = gathered(experiment, leg, begin_s, reached_s, rests, slots)   # into their slots, and on
+    leg = homeward(experiment, begin_s, rests, starts)                  # back to the starts
 
-The ways themselves, clear of one another, are groundstation/planning/prioritized_planning.py's.
+groundstation/planning/prioritized_planning.py plans the transfers, clear of one another.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,63 +15,65 @@ from scipy.optimize import linear_sum_assignment
 from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.formation import NodeMotion
-from groundstation.planning.prioritized_planning import marshal
-from groundstation.planning.segment import NOTHING, Leg, at
-from groundstation.planning.transfer import RAMP_S, ramp, spinning, turn_samples, turning
+from groundstation.planning.prioritized_planning import plan_transfers
+from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, sample
+from groundstation.planning.transfer import RAMP_S, heading_rates, ramp, turn_profile, turn_samples
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Trajectory
 
-SETTLE_S = 5.0  # at the end of a way, before anybody disarms
-DRIFT_M = 0.15  # things and robots without control drift while others find their places
-SAME_M = 1e-3  # more than rounding takes away
+SETTLE_S = 5.0  # at the end of a return, before robots are disarmed
+DRIFT_M = 0.15  # obstacles and robots without control drift while the others move into place
+SAME_M = 1e-3  # more than rounding
 
 Rests = Mapping[int, Array]  # poses (4,) of robots that are at rest
 
 
-def homeward(experiment: Experiment, begin_s: float, rests: Rests, starts: Rests, things: Array = NOTHING) -> Leg:
-    """From where they rest to where they began; who is not told of in `rests` has no part in it."""
-    motions = marshal(experiment, rests, {r: starts[r] for r in rests}, keep_away(experiment, things))
+def plan_return(
+    experiment: Experiment, begin_s: float, rests: Rests, starts: Rests, obstacles: Array = NO_OBSTACLES
+) -> PlanSegment:
+    """Plan the return of the robots in `rests` from their rest poses to their starts."""
+    motions = plan_transfers(experiment, rests, {r: starts[r] for r in rests}, keep_away(experiment, obstacles))
     period_s = experiment.controller.period_s
     trajectories = {r: planner.trajectory(_at_least_two(m), period_s, begin_s) for r, m in motions.items()}
     some = next(iter(trajectories.values()))
-    return Leg(trajectories, some, begin_s + (len(some.eta) - 1) * period_s + SETTLE_S, home=True)
+    return PlanSegment(trajectories, some, begin_s + (len(some.eta) - 1) * period_s + SETTLE_S, is_return=True)
 
 
-def gathered(
+def plan_regroup(
     experiment: Experiment,
-    leg: Leg,
+    segment: PlanSegment,
     begin_s: float,
-    reached_s: float,
+    progress_s: float,
     rests: Rests,
     slots: Mapping[int, int],
-    things: Array = NOTHING,
-) -> Leg:
-    """From where robots rest into their slots of a leg as of `reached_s`, and from rest on along it. Where something lies in a
-    slot, further along the leg, as far as it takes."""
-    period_s, away = experiment.controller.period_s, keep_away(experiment, things)
-    reached_s = _free_from(leg, max(reached_s, leg.own_ways_until_s), [slots[r] for r in rests], away)
-    places = {r: at(leg.trajectories[slots[r]], np.array([reached_s])).eta[0] for r in rests}
-    moves = marshal(experiment, rests, places, away)
+    obstacles: Array = NO_OBSTACLES,
+) -> PlanSegment:
+    """Plan transfers from rest into the slots of a segment at `progress_s`, and on along it. Where an obstacle lies in a slot,
+    the transfers lead further along the segment, until all slots are free."""
+    period_s, away = experiment.controller.period_s, keep_away(experiment, obstacles)
+    progress_s = _free_from(segment, max(progress_s, segment.transfer_end_s), [slots[r] for r in rests], away)
+    places = {r: sample(segment.trajectories[slots[r]], np.array([progress_s])).eta[0] for r in rests}
+    moves = plan_transfers(experiment, rests, places, away)
     still = max(len(m.eta) for m in moves.values())
     on_way = {slots[r]: m for r, m in moves.items()}
-    left = round((leg.end_s - reached_s + RAMP_S) / period_s) + planner.horizon(experiment)
+    left = round((segment.end_s - progress_s + RAMP_S) / period_s) + planner.horizon(experiment)
     turn = turn_samples(experiment)
-    trajectories = {s: _then_on(t, on_way.get(s), still, turn, reached_s, left) for s, t in leg.trajectories.items()}
+    trajectories = {s: _then_on(t, on_way.get(s), still, turn, progress_s, left) for s, t in segment.trajectories.items()}
     moved = {s: planner.trajectory(m, period_s, begin_s) for s, m in trajectories.items()}
-    centre = planner.trajectory(_then_on(leg.centre, None, still, turn, reached_s, left), period_s, begin_s)
-    end_s = begin_s + (still + turn) * period_s + (leg.end_s - reached_s) + 0.5 * RAMP_S
+    centre = planner.trajectory(_then_on(segment.centre, None, still, turn, progress_s, left), period_s, begin_s)
+    end_s = begin_s + (still + turn) * period_s + (segment.end_s - progress_s) + 0.5 * RAMP_S
     on_s = begin_s + (still + turn) * period_s
-    return Leg(moved, centre, end_s, leg.home, leg.via, on_s)
+    return PlanSegment(moved, centre, end_s, segment.is_return, segment.via, on_s)
 
 
-def _free_from(leg: Leg, reached_s: float, slots: Sequence[int], away: Array) -> float:
-    """The first moment at which nothing lies in these slots, discs (k, 3) as a centre sees them."""
-    period_s = leg.centre.period_s
-    time_s = reached_s + period_s * np.arange(max(round((leg.end_s - reached_s) / period_s), 1), dtype=np.float64)
+def _free_from(segment: PlanSegment, progress_s: float, slots: Sequence[int], away: Array) -> float:
+    """First progress in s at which these slots are clear of `away`, discs (k, 3) that a centre keeps out of."""
+    period_s = segment.centre.period_s
+    time_s = progress_s + period_s * np.arange(max(round((segment.end_s - progress_s) / period_s), 1), dtype=np.float64)
     free = np.ones(len(time_s), dtype=bool)
     for slot in slots if len(away) else ():
-        apart = at(leg.trajectories[slot], time_s).eta[:, None, :2] - away[:, :2]
+        apart = sample(segment.trajectories[slot], time_s).eta[:, None, :2] - away[:, :2]
         free &= np.all(np.hypot(*apart.transpose(2, 0, 1)) > away[:, 2] + SAME_M, axis=1)
     if not free.any():
         raise PlanError("something lies in the formation's places to the end of the path")
@@ -79,12 +81,12 @@ def _free_from(leg: Leg, reached_s: float, slots: Sequence[int], away: Array) ->
 
 
 def _then_on(
-    trajectory: Trajectory, move: NodeMotion | None, still: int, turn: int, reached_s: float, samples: int
+    trajectory: Trajectory, move: NodeMotion | None, still: int, turn: int, progress_s: float, samples: int
 ) -> NodeMotion:
-    """A move of `still` samples, or standing as long, a turn of `turn` samples, then the trajectory from `reached_s` on, its
-    clock starting slowly."""
+    """A move of `still` samples (None: rest as long), a turn of `turn` samples, then the trajectory from `progress_s` on with
+    a clock that starts slowly."""
     way_s, rate, bend = ramp(trajectory.period_s * np.arange(samples, dtype=np.float64))
-    on = at(trajectory, reached_s + way_s)
+    on = sample(trajectory, progress_s + way_s)
     velocity = on.velocity * rate[:, None]
     acceleration = on.acceleration * rate[:, None] ** 2 + on.velocity * bend[:, None]
     if move is None:
@@ -92,9 +94,9 @@ def _then_on(
     turns = 2.0 * np.pi * round(float(move.eta[-1, 3] - on.eta[0, 3]) / (2.0 * np.pi))
     eta = on.eta + np.array([0.0, 0.0, 0.0, turns])
     facing = np.tile(move.eta[-1], (turn, 1))
-    facing[:, 3] = turning(float(move.eta[-1, 3]), float(eta[0, 3]), turn)
+    facing[:, 3] = turn_profile(float(move.eta[-1, 3]), float(eta[0, 3]), turn)
     spin, push = np.zeros((turn, 4)), np.zeros((turn, 4))
-    spin[:, 3], push[:, 3] = spinning(facing[:, 3], trajectory.period_s)
+    spin[:, 3], push[:, 3] = heading_rates(facing[:, 3], trajectory.period_s)
     return NodeMotion(
         np.vstack([move.eta, facing, eta]),
         np.vstack([move.velocity, spin, velocity]),
@@ -102,22 +104,22 @@ def _then_on(
     )
 
 
-def assigned(leg: Leg, time_s: float, eta: Rests, slots: Sequence[int]) -> dict[int, int]:
-    """A slot for every robot so that the sum of squared ways is least: nobody crosses anybody."""
+def assign_slots(segment: PlanSegment, time_s: float, eta: Rests, slots: Sequence[int]) -> dict[int, int]:
+    """Slot of each robot so that the sum of squared distances is least; straight ways then do not cross."""
     robots = list(eta)
-    nodes = np.array([at(leg.trajectories[s], np.array([time_s])).eta[0, :3] for s in slots])
+    nodes = np.array([sample(segment.trajectories[s], np.array([time_s])).eta[0, :3] for s in slots])
     ways = np.sum((np.array([eta[r][:3] for r in robots])[:, None] - nodes) ** 2, axis=2)
     chosen = linear_sum_assignment(ways)[1].tolist()
     return {robot: slots[k] for robot, k in zip(robots, chosen, strict=True)}
 
 
-def keep_away(experiment: Experiment, things: Array) -> Array:
-    """Things (k, 3: x, y, radius) as discs that a robot's centre keeps out of."""
-    return np.asarray(things.reshape(-1, 3) + np.array([0.0, 0.0, experiment.safety.radius_m + DRIFT_M]))
+def keep_away(experiment: Experiment, obstacles: Array) -> Array:
+    """Obstacles (k, 3: x, y, radius) as discs that a robot's centre keeps out of."""
+    return np.asarray(obstacles.reshape(-1, 3) + np.array([0.0, 0.0, experiment.safety.radius_m + DRIFT_M]))
 
 
 def _at_least_two(motion: NodeMotion) -> NodeMotion:
-    """A trajectory has two samples or more, also of a robot that stays."""
+    """Motion with two samples or more: a trajectory needs them, also of a robot that stays."""
     if len(motion.eta) >= 2:
         return motion
     twice = replace(motion, eta=np.repeat(motion.eta, 2, axis=0))

@@ -1,39 +1,90 @@
-"""The shortest way around islands for a whole formation, as waypoints for a spline. Pure.
+"""Route planner: the shortest way around islands for a whole formation, as waypoints for a spline. Pure.
 
 A formation that keeps its orientation hits a round island where one of its nodes does: seen from the formation's centre that
 is a disc around (island - node), as wide as island, hull and clearance. One that turns with the path is a disc of its own. So
-the formation becomes a point among discs, and the shortest way is found on the visibility graph of polygons around them, by A*
-that looks at edges only when it comes to them. Walls shrink the rectangle that the point may be in.
+the formation becomes a point among discs. The shortest way is found by A* on the visibility graph of polygons around the
+discs; edges are computed when the search reaches them. Walls shrink the rectangle that the point may be in.
 """
 
 import heapq
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from groundstation.planning.formation import SlotOffset
 from groundstation.planning.paths import curve_through
+from wire.config.experiment import Experiment
+from wire.config.scene import Route, Waypoints
 from wire.frames import Array
 
-CORNERS = 24  # of the polygon around a disc: a way around it is 0.6 % longer than along it
-SMOOTHER = (1.0, 0.7, 0.5, 0.3, 0.15, 0.05)  # of what was asked for: as smooth as it goes
-SPARE_M = (0.02, 0.1, 0.2, 0.4)  # smoothing cuts corners: how much further from islands the way is sought, tried in turn
-SPACING_M = 0.25  # of waypoints along the way: straight lines then stay straight under the spline
-CHECK_M = 0.02  # spacing of the points at which the spline is looked at
+CORNERS = 24  # of the polygon around a disc: the route around it is 0.6 % longer than along the disc
+SMOOTHER = (1.0, 0.7, 0.5, 0.3, 0.15, 0.05)  # shares of `smooth_m`, tried in turn
+SPARE_M = (0.02, 0.1, 0.2, 0.4)  # extra distance from islands, tried in turn: smoothing cuts corners
+SPACING_M = 0.25  # of waypoints along the route: straight lines then stay straight under the spline
+CHECK_M = 0.02  # spacing of the points at which the spline is checked
 REACH = 4.5  # standard deviations, and half a sample for rounding, after which a Gaussian is cut off
-TOUCHING = 1.0 - 1e-9
+TOUCHING = 1.0 - 1e-9  # of a radius: rounding
+WIDTHS = 6  # tried for a turning formation: from its width on a straight path to a disc that holds all of it
 
 
 class NoRoute(ValueError):
-    """There is no way, or an end of it is not free."""
+    """No route exists, or an end of it is not free."""
 
 
-def route(via_m: Sequence[tuple[float, float]], discs: Array, half_m: tuple[float, float], smooth_m: float = 0.5) -> Array:
-    """Waypoints (n, 2) of a smooth way through `via_m`, clear of `discs` (k, 3: x, y, radius) and inside +-`half_m`, in m.
+def candidate_routes(experiment: Experiment, given: Route, nodes: Sequence[SlotOffset]) -> Iterator[Waypoints]:
+    """Routes to try, narrow ones first, each as waypoints of a spline; the caller takes the first that is clear.
 
-    Corners, also at places on the way, are spread over some `smooth_m`, less where there is no room. Raises NoRoute with the
+    A formation that keeps its form and orientation has one route. One that turns or changes is taken for wider and wider
+    discs, because nodes swing outside the path in bends. Raises NoRoute if there is no (further) route.
+    """
+    room_m = experiment.vehicle.radius_m + given.clearance_m
+    places = np.concatenate([node.place_m[:, :2] for node in nodes])
+    if experiment.formation.mode == "translate" and not experiment.formation.changes:
+        yield _waypoints(experiment, given, room_m, np.array([node.place_m[0, :2] for node in nodes]), 0.0)
+        return
+    whole_m = float(np.hypot(*places.T).max())
+    across_m = float(np.abs(places[:, 0]).max()) if experiment.formation.mode == "rotate" else whole_m
+    found = False
+    for wide_m in np.unique(np.linspace(across_m, whole_m, WIDTHS)).tolist():
+        try:
+            yield _waypoints(experiment, given, room_m, np.zeros((1, 2)), wide_m)
+        except NoRoute as error:
+            if found:
+                raise NoRoute(
+                    "in the bends of this way nodes would touch an island or a wall; wider gaps are needed"
+                ) from None
+            raise error
+        found = True
+
+
+def _waypoints(experiment: Experiment, given: Route, room_m: float, at_m: Array, wide_m: float) -> Waypoints:
+    """Route for nodes `at_m` (n, 2) around the centre, each a disc wider than hull and clearance by `wide_m`."""
+    islands = [(np.array(island.position_m), island.radius_m + room_m + wide_m) for island in experiment.islands]
+    discs = np.array([(*(place - at), radius) for place, radius in islands for at in at_m]).reshape(-1, 3)
+    length, width, _ = experiment.pool.size_m
+    reach = np.abs(at_m).max(axis=0) + room_m + wide_m
+    walls = experiment.pool.walls
+    half_m = (length / 2.0 - float(reach[0]), width / 2.0 - float(reach[1])) if walls else (math.inf, math.inf)
+    points = find_route(given.via_m, discs, half_m, given.smooth_m)
+    return Waypoints(
+        kind="waypoints",
+        points_m=tuple((x, y) for x, y in points.tolist()),
+        speed_mps=given.speed_mps,
+        depth_m=given.depth_m,
+        slow=given.slow,
+        stop=given.stop,
+    )
+
+
+def find_route(
+    via_m: Sequence[tuple[float, float]], discs: Array, half_m: tuple[float, float], smooth_m: float = 0.5
+) -> Array:
+    """Waypoints (n, 2) of a smooth route through `via_m`, clear of `discs` (k, 3: x, y, radius) and inside +-`half_m`, in m.
+
+    Corners, also those at `via_m`, are spread over about `smooth_m`, less where there is no room. Raises NoRoute with the
     reason.
     """
     ends = np.array(via_m, dtype=np.float64)
@@ -51,17 +102,17 @@ def route(via_m: Sequence[tuple[float, float]], discs: Array, half_m: tuple[floa
 
 
 def _line(ends: Array, discs: Array, spare_m: float, half_m: tuple[float, float]) -> Array:
-    """Corners (n, 2) of the shortest way, `spare_m` further from the discs where there is room."""
+    """Corners (n, 2) of the shortest route, `spare_m` further from the discs where there is room."""
     wide = [_but_free(discs, spare_m, a, b) for a, b in pairwise(ends)]
     try:
-        legs = [shortest(a, b, around, half_m) for (a, b), around in zip(pairwise(ends), wide, strict=True)]
+        segments = [shortest(a, b, around, half_m) for (a, b), around in zip(pairwise(ends), wide, strict=True)]
     except NoRoute:
-        legs = [shortest(a, b, discs, half_m) for a, b in pairwise(ends)]
-    return np.concatenate([legs[0], *[leg[1:] for leg in legs[1:]]])
+        segments = [shortest(a, b, discs, half_m) for a, b in pairwise(ends)]
+    return np.concatenate([segments[0], *[segment[1:] for segment in segments[1:]]])
 
 
 def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float]) -> Array:
-    """Corners (n, 2) of the shortest way from `start` to `goal` along polygons around `discs`. Raises NoRoute."""
+    """Corners (n, 2) of the shortest route from `start` to `goal` along polygons around `discs`. Raises NoRoute."""
     corners = _corners(discs, half_m)
     points = np.vstack([start, goal, corners])
     ahead = np.hypot(*(points - goal).T)
@@ -89,7 +140,7 @@ def shortest(start: Array, goal: Array, discs: Array, half_m: tuple[float, float
 
 
 def _corners(discs: Array, half_m: tuple[float, float]) -> Array:
-    """Corners (n, 2) of polygons around the discs, those that are free."""
+    """Free corners (n, 2) of polygons around the discs."""
     if len(discs) == 0:
         return np.zeros((0, 2))
     angle = 2.0 * np.pi / CORNERS * np.arange(CORNERS)
@@ -101,7 +152,7 @@ def _corners(discs: Array, half_m: tuple[float, float]) -> Array:
 
 
 def _visible(here: Array, there: Array, discs: Array) -> Array:
-    """Which of the straight lines from `here` (2,) to `there` (n, 2) run through no disc, (n,) bool."""
+    """Mask (n,) of the straight lines from `here` (2,) to `there` (n, 2) that cross no disc."""
     if len(discs) == 0:
         return np.ones(len(there), dtype=bool)
     way, out = there - here, discs[:, :2] - here
@@ -123,7 +174,7 @@ def _must_be_free(place: Array, discs: Array, half_m: tuple[float, float]) -> No
 
 
 def _but_free(discs: Array, spare_m: float, *ends: Array) -> Array:
-    """Discs wider by `spare_m`, but no wider than leaves the ends free."""
+    """Discs wider by `spare_m`, or by less where the ends would not stay free."""
     if len(discs) == 0:
         return discs
     room = np.min([np.hypot(*(discs[:, :2] - end).T) for end in ends], axis=0)
@@ -147,7 +198,7 @@ def _smoothed(line: Array, smooth_m: float) -> Array:
 
 
 def _clear(points: Array, discs: Array, half_m: tuple[float, float]) -> bool:
-    """Whether there is a spline through these points, and it stays clear."""
+    """True if a spline through these points exists and stays clear."""
     if np.any(np.hypot(*np.diff(points, axis=0).T) < 1e-9):  # there and back again: smoothed, the turn is two points in one
         return False
     knots, curve = curve_through(points)

@@ -1,6 +1,6 @@
-"""A leg: what the fleet flies until something changes, and how one follows upon another. Pure.
+"""Plan segment: the trajectories of the fleet until the next change of plan. Pure.
 
-Legs are made in three ways: by `first_leg`, before the run; by groundstation/planning/replanning.py, under way; by
+Segments are made in three ways: by `first_segment`, before the run; by groundstation/planning/replanning.py, under way; by
 groundstation/planning/rest_to_rest.py, for robots that hold. All raise PlanError with the reason. Times are on the clock that
 runs along the trajectories; it never goes back.
 """
@@ -17,35 +17,35 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Trajectory
 
-NOTHING = np.zeros((0, 3))  # no things: (k, 3), each x, y, radius
-BESIDE_M = 0.01  # nearer than at the ends of its way: less is rounding and what the localizer makes of a thing's outline
+NO_OBSTACLES = np.zeros((0, 3))  # discs (k, 3: x, y, radius)
+BESIDE_M = 0.01  # nearer than at the ends of a transfer; less is rounding and noise of an obstacle's outline
 LONGEST_WAIT = 36_000  # samples: half an hour at 20 Hz
 
 
 @dataclass(frozen=True, eq=False)
-class Leg:
-    """What is flown until something changes. `trajectories` are by slot: a robot's own, until gaps close."""
+class PlanSegment:
+    """Trajectories by slot (a robot's own, until gaps close), and the motion of the centre."""
 
     trajectories: Mapping[int, Trajectory]
     centre: Trajectory
     end_s: float
-    home: bool = False
-    via: tuple[tuple[float, float], ...] = ()  # places that a person asked for instead of the path's
-    own_ways_until_s: float = 0.0  # before it robots go into their places, each on its own way; the centre stands
+    is_return: bool = False
+    via: tuple[tuple[float, float], ...] = ()  # places that the operator gave instead of the path's
+    transfer_end_s: float = 0.0  # until then robots fly separate transfers into their slots; the centre stands
 
-    def apart(self, reached_s: float) -> bool:
-        """Whether robots are then on ways of their own, not in formation."""
-        return self.home or reached_s < self.own_ways_until_s
+    def is_separate(self, progress_s: float) -> bool:
+        """True if robots fly separate transfers at `progress_s`, not in formation."""
+        return self.is_return or progress_s < self.transfer_end_s
 
 
-def first_leg(experiment: Experiment) -> Leg:
-    """The run as planned before it."""
+def first_segment(experiment: Experiment) -> PlanSegment:
+    """Segment of a run as planned before it."""
     fleet = planner.plan_fleet(experiment)
-    return Leg(fleet.trajectories, fleet.centre, experiment.duration_s)
+    return PlanSegment(fleet.trajectories, fleet.centre, experiment.duration_s)
 
 
-def at(trajectory: Trajectory, time_s: Array) -> NodeMotion:
-    """A trajectory at instants (n,): between its samples linearly, as robots read it; at rest beyond its ends."""
+def sample(trajectory: Trajectory, time_s: Array) -> NodeMotion:
+    """Motion of a trajectory at instants (n,): linear between its samples, as robots read it; at rest beyond its ends."""
     rows = np.hstack([trajectory.eta, trajectory.velocity, trajectory.acceleration])
     place = (time_s - trajectory.begin_s) / trajectory.period_s
     inside = np.clip(place, 0.0, len(rows) - 1)
@@ -55,8 +55,9 @@ def at(trajectory: Trajectory, time_s: Array) -> NodeMotion:
     return NodeMotion(found[:, :4], found[:, 4:8], found[:, 8:])
 
 
-def continued(flown: Trajectory, then: Trajectory) -> Trajectory:
-    """A trajectory up to where the next one begins, and that one: under its id, for whoever looks at the whole run."""
+def concatenate(flown: Trajectory, then: Trajectory) -> Trajectory:
+    """Trajectory `flown` up to the beginning of `then`, continued by `then`, under its id; for pages and logs that show a
+    run."""
     kept = min(max(round((then.begin_s - flown.begin_s) / flown.period_s), 0), len(flown.eta))
     waits = max(round((then.begin_s - flown.begin_s) / flown.period_s) - kept, 0)  # a run that is over goes on later
     if waits > LONGEST_WAIT:
@@ -72,41 +73,42 @@ def continued(flown: Trajectory, then: Trajectory) -> Trajectory:
     )
 
 
-def on_grid(time_s: float, period_s: float) -> float:
-    """The first sampling instant at or after `time_s`."""
+def ceil_to_period(time_s: float, period_s: float) -> float:
+    """First sampling instant at or after `time_s`."""
     return math.ceil(time_s / period_s - 1e-9) * period_s
 
 
-def first_contact(experiment: Experiment, leg: Leg, from_s: float, until_s: float, things: Array) -> str:
-    """Which robot would come nearer than safety.radius_m to which thing (k, 3), when and where; empty if none does.
+def first_contact(experiment: Experiment, segment: PlanSegment, from_s: float, until_s: float, obstacles: Array) -> str:
+    """Text with place, robot and time of the first contact: a robot nearer than safety.radius_m to an obstacle (k, 3); empty
+    if there is none.
 
-    On ways of their own robots may begin and end beside things (groundstation/planning/transfer.py): there only who would come
-    nearer than at both ends of its way counts.
+    Transfers may begin and end beside obstacles (groundstation/planning/transfer.py): there only a robot counts that comes
+    nearer than at both ends of its transfer.
     """
-    if len(things) == 0:
+    if len(obstacles) == 0:
         return ""
-    apart = leg.apart(from_s)
-    ends_s = leg.end_s if leg.home or not apart else leg.own_ways_until_s
-    time_s = np.arange(from_s, min(until_s, ends_s), leg.centre.period_s)
+    apart = segment.is_separate(from_s)
+    ends_s = segment.end_s if segment.is_return or not apart else segment.transfer_end_s
+    time_s = np.arange(from_s, min(until_s, ends_s), segment.centre.period_s)
     found = []
-    for slot, trajectory in leg.trajectories.items():
-        short = _short_m(experiment, trajectory, time_s, things)
+    for slot, trajectory in segment.trajectories.items():
+        short = _short_m(experiment, trajectory, time_s, obstacles)
         if apart:
             short -= (
-                np.maximum(_short_m(experiment, trajectory, np.array([from_s, ends_s]), things).max(axis=0), 0.0) + BESIDE_M
+                np.maximum(_short_m(experiment, trajectory, np.array([from_s, ends_s]), obstacles).max(axis=0), 0.0) + BESIDE_M
             )
         meets = np.flatnonzero(short.max(axis=1, initial=-np.inf) > 0.0)
         if len(meets):
             first = int(meets[0])
-            x, y, _ = things[int(np.argmax(short[first]))]
+            x, y, _ = obstacles[int(np.argmax(short[first]))]
             found.append(
-                (first, f"at ({x:.2f}, {y:.2f}) m, on the path of robot {slot}, in {first * leg.centre.period_s:.1f} s")
+                (first, f"at ({x:.2f}, {y:.2f}) m, on the path of robot {slot}, in {first * segment.centre.period_s:.1f} s")
             )
     return min(found)[1] if found else ""
 
 
-def _short_m(experiment: Experiment, trajectory: Trajectory, time_s: Array, things: Array) -> Array:
-    """By how much a robot is too near to things (k, 3) at instants (n,): (n, k)."""
-    eta = at(trajectory, time_s).eta
-    apart_m = np.hypot(*(eta[:, None, :2] - things[:, :2]).transpose(2, 0, 1))
-    return np.asarray(things[:, 2] + experiment.safety.radius_m - apart_m)
+def _short_m(experiment: Experiment, trajectory: Trajectory, time_s: Array, obstacles: Array) -> Array:
+    """Distance in m by which a robot is too near to obstacles (k, 3) at instants (n,): (n, k)."""
+    eta = sample(trajectory, time_s).eta
+    apart_m = np.hypot(*(eta[:, None, :2] - obstacles[:, :2]).transpose(2, 0, 1))
+    return np.asarray(obstacles[:, 2] + experiment.safety.radius_m - apart_m)

@@ -1,6 +1,6 @@
-"""Slowing a path where a robot could not keep up: time scaling, so that the way stays the same and no limit is exceeded.
+"""Time scaling: slow a path down where a robot could not follow. The geometry stays; no limit is exceeded.
 
-Along path time tau a rate tau' <= 1 is chosen: where a node asks for too much, as low as needed, elsewhere 1, with smooth
+Along path time tau a rate tau' <= 1 is chosen: as low as needed where a node exceeds a limit, elsewhere 1, with smooth
 slopes in between. Speeds scale with tau', accelerations with tau'^2 and tau''.
 """
 
@@ -13,16 +13,16 @@ from scipy.ndimage import minimum_filter1d
 from groundstation.planning.paths import Path, PathState
 from wire.frames import Array
 
-SLOPE_S = 2.0  # of path time, from full pace to any other: braking from 0.3 m/s then takes 2 N of the 6 N there are
-SLOWEST = 0.05  # a robot that would need less turns on the spot; that is another path, not another pace
+SLOPE_S = 2.0  # of path time for a change of rate: braking from 0.3 m/s then takes 2 N of the available 6 N
+SLOWEST = 0.05  # rate; a robot that needs less turns on the spot, which a slower rate does not cure
 ROUNDS = 30  # slower slopes brake harder, so the rate is found step by step; 2-8 are usual
 CAUTION = 0.99  # aim this far below the limit: rounds are few then, and interpolation cannot touch it
 
-TooFast = Callable[[Path], Array]  # by what factor a path's worst node should be slower, at every period from 0 on
+SlowdownFunction = Callable[[Path], Array]  # factor by which a path's worst node should be slower, at every period from 0 on
 
 
-class SlowedPath:
-    """A path flown at a varying pace. `rate` (k,) is tau' at path times `period_s` apart, from 0."""
+class TimeScaledPath:
+    """A path flown at a varying rate. `rate` (k,) is tau' at path times `period_s` apart, from 0."""
 
     def __init__(self, path: Path, rate: Array, period_s: float) -> None:
         self._path = path
@@ -34,7 +34,7 @@ class SlowedPath:
         self.end_s = float(np.interp(path.end_s, tau, time_s)) if path.end_s <= tau[-1] else float("inf")
 
     def at(self, time_s: Array) -> PathState:
-        """See `Path`; not beyond the samples."""
+        """See `Path`; not defined beyond the samples."""
         rate, bend = self.warp(time_s, 1), self.warp(time_s, 2)
         at = self._path.at(self.warp(time_s))
         rates, bends = rate[:, None], bend[:, None]
@@ -49,13 +49,13 @@ class SlowedPath:
         )
 
 
-def slowed(path: Path, too_fast: TooFast, samples: int, period_s: float) -> SlowedPath:
-    """`path` at the highest pace found at which it is nowhere too fast for `samples` periods. Where even the slowest pace is
-    too fast it stays so: the planner says where."""
+def scale_time(path: Path, required_slowdown: SlowdownFunction, samples: int, period_s: float) -> TimeScaledPath:
+    """Path at the highest rate found at which it is nowhere too fast for `samples` periods. Where even SLOWEST is too fast it
+    stays too fast: the planner reports the place."""
     allowed, time_s = np.ones(samples), np.arange(samples) * period_s
     for _ in range(ROUNDS):
-        slow = SlowedPath(path, _smooth(allowed, period_s), period_s)
-        factor = too_fast(slow)
+        slow = TimeScaledPath(path, _smooth(allowed, period_s), period_s)
+        factor = required_slowdown(slow)
         over = np.flatnonzero(factor > 1.0)
         if len(over) == 0:
             break

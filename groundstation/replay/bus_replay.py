@@ -8,7 +8,7 @@ a fleet of that name. A robot in it would hear no station, so it could not be ar
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from groundstation.logs.logfile import Line, LogFile
+from groundstation.logs.logfile import LogFile, LogMessage
 from wire.messages import topics
 from wire.process.runtime import SLICE_S, Stop
 from wire.transport.bus import Bus
@@ -19,10 +19,10 @@ SEEN_AND_SAID = (
 )  # fmt: skip
 
 
-def chosen(log: LogFile, begin_s: float, end_s: float) -> Iterator[Line]:
-    """What goes out of a time of the run, in seconds from the log's beginning."""
+def chosen(log: LogFile, begin_s: float, end_s: float) -> Iterator[LogMessage]:
+    """Messages to send of a part of the run, in seconds from the log's beginning."""
     end_ns = log.start_ns + end_s * 1e9
-    for line in log.lines(lambda topic, _: topic in SEEN_AND_SAID, log.start_ns + round(begin_s * 1e9)):
+    for line in log.messages(lambda topic, _: topic in SEEN_AND_SAID, log.start_ns + round(begin_s * 1e9)):
         if line.arrived_ns > end_ns:
             return
         yield line
@@ -30,7 +30,7 @@ def chosen(log: LogFile, begin_s: float, end_s: float) -> Iterator[Line]:
 
 def send(
     bus: Bus,
-    lines: Iterable[Line],
+    lines: Iterable[LogMessage],
     rate: float,
     stop: Stop,
     clock_s: Callable[[], float] = time.monotonic,

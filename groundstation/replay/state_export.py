@@ -1,10 +1,10 @@
-"""SHELL: what a robot had been through up to a moment of a run, for whoever goes on from there (`sim-bridge sil --from`)."""
+"""SHELL: export of a robot's inputs up to an instant of a run, for `sim-bridge sil --from`, which goes on from there."""
 
 from pathlib import Path
 from typing import IO
 
-from groundstation.logs.logfile import Line, LogFile, open_log
-from groundstation.replay.step_replay import in_order_of_use, own_lines
+from groundstation.logs.logfile import LogFile, LogMessage, open_log
+from groundstation.replay.step_replay import in_order_of_use, own_messages
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -21,27 +21,27 @@ def hand_over(run: Path, at_s: float, robot: int, stream: IO[bytes]) -> None:
     experiment = load_experiment(str(run / "experiment.toml"))
     with open_log(run) as log:
         moment_ns = _moment(log, experiment.robot_ids[0], at_s)
-        own = own_lines(log, experiment.robot(robot).id, with_states=True)
+        own = own_messages(log, experiment.robot(robot).id, with_states=True)
         known = [line for line in own if line.topic is topics.STATE and line.arrived_ns <= moment_ns]
         if not known or not any(line.topic is topics.INPUTS for line in own):
             raise ConfigError(f"{log.path}: holds no inputs of robot {robot} before {at_s:g} s")
         until = [line for line in own if line.header.stamp_ns <= known[-1].header.stamp_ns]
         for line in in_order_of_use(log, robot, until):
             _write(stream, line)
-        for line in log.lines(lambda topic, _: topic is topics.TRUTH, max(moment_ns - AROUND_NS, log.start_ns)):
+        for line in log.messages(lambda topic, _: topic is topics.TRUTH, max(moment_ns - AROUND_NS, log.start_ns)):
             if line.arrived_ns > moment_ns + AROUND_NS:
                 break
             _write(stream, line)
 
 
-def _write(stream: IO[bytes], line: Line) -> None:
+def _write(stream: IO[bytes], line: LogMessage) -> None:
     write_raw(stream, line.topic, line.robot, line.header, line.payload)
 
 
 def _moment(log: LogFile, robot: int, at_s: float) -> int:
-    """When the recorder heard that the robot had come so far."""
+    """Instant at which the recorder heard of the robot's progress."""
     reached_s = 0.0
-    for line in log.lines(lambda topic, of: topic is topics.STATE and of == robot):
+    for line in log.messages(lambda topic, of: topic is topics.STATE and of == robot):
         reached_s = decode(RobotState, line.payload, "log", line.topic.name).trajectory_s
         if reached_s >= at_s:
             return line.arrived_ns

@@ -1,4 +1,5 @@
-"""What a robot did beside what it would have done: step by step, field by field. Pure; step_replay.py does the steps."""
+"""Comparison of a robot's recorded steps with the same steps done again, field by field. Pure; step_replay.py does the
+steps."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from groundstation.palette import COLOURS
-from groundstation.report.plotting import Line, Panel, stack
+from groundstation.report.plotting import Curve, Panel, stack
 from wire.frames import Array, wrap_angle
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -38,7 +39,7 @@ class Difference:
 
 
 @dataclass(frozen=True, eq=False)
-class Again:
+class StepComparison:
     """One robot's steps, done again."""
 
     robot: int
@@ -64,7 +65,7 @@ class Again:
 
 
 @dataclass
-class Told:
+class StepOutputs:
     """States and plans by their stamps, and what was said about gaps."""
 
     states: dict[int, bytes] = field(default_factory=dict)
@@ -79,8 +80,8 @@ class Told:
             (self.states if topic is topics.STATE else self.plans)[stamp_ns] = payload
 
 
-def compare(robot: int, before: Told, after: Told, same_experiment: bool) -> Again:
-    """What was, and what would have been. Only in the same experiment its name must be the same."""
+def compare(robot: int, before: StepOutputs, after: StepOutputs, same_experiment: bool) -> StepComparison:
+    """Compare recorded with repeated outputs. Only in the same experiment its name must be the same."""
     stamps = sorted(before.states.keys() & after.states.keys())
     was = [decode(RobotState, before.states[stamp], "log", "state") for stamp in stamps]
     would = [decode(RobotState, after.states[stamp], "rerun", "state") for stamp in stamps]
@@ -95,7 +96,7 @@ def compare(robot: int, before: Told, after: Told, same_experiment: bool) -> Aga
         if differs.any():
             differences.append(_difference(name, old, new, differs, time_s))
         differing |= differs
-    return Again(
+    return StepComparison(
         robot=robot,
         steps=len(after.states),
         compared=len(stamps),
@@ -108,12 +109,15 @@ def compare(robot: int, before: Told, after: Told, same_experiment: bool) -> Aga
     )
 
 
-def draw(again: Again) -> Figure | None:
-    """What the robot did and what it would have done, over time."""
+def draw(again: StepComparison) -> Figure | None:
+    """Draw recorded and repeated outputs over time."""
 
-    def lines(name: str, column: int) -> list[Line]:
+    def lines(name: str, column: int) -> list[Curve]:
         old, new = again.before[name][:, column], again.after[name][:, column]
-        return [Line("as it was", again.time_s, old, COLOURS[0]), Line("rerun", again.time_s, new, COLOURS[1], "--")]
+        return [
+            Curve("as it was", again.time_s, old, COLOURS[0]),
+            Curve("rerun", again.time_s, new, COLOURS[1], "--"),
+        ]
 
     panels = [
         Panel("surge [N]", lines("wrench", 0)),
@@ -127,15 +131,15 @@ def draw(again: Again) -> Figure | None:
 
 
 def _start_ns(stamps: Sequence[int], states: Sequence[RobotState]) -> int:
-    """When the trajectory began; if it never did, the first step."""
+    """Instant at which the trajectory began; if it never did, of the first step."""
     flown = (ns - round(s.trajectory_s * 1e9) for ns, s in zip(stamps, states, strict=True) if s.trajectory_s > 0.0)
     return next(flown, min(stamps, default=0))
 
 
-def _plan_columns(before: Told, after: Told, stamps: Sequence[int]) -> dict[str, tuple[list[Any], list[Any]]]:
+def _plan_columns(before: StepOutputs, after: StepOutputs, stamps: Sequence[int]) -> dict[str, tuple[list[Any], list[Any]]]:
     """The plans' fields at each step; None where there was no plan."""
 
-    def read(told: Told) -> list[Plan | None]:
+    def read(told: StepOutputs) -> list[Plan | None]:
         found = (told.plans.get(stamp) for stamp in stamps)
         return [None if payload is None else decode(Plan, payload, "log", "plan") for payload in found]
 

@@ -1,4 +1,4 @@
-"""SHELL: what a robot's program would have done: the log's inputs through `robot-agent rerun`, beside what it did.
+"""SHELL: replay of control steps: the log's inputs through `robot-agent rerun`, compared with the recorded outputs.
 
 The robot's own program does the steps, in a process of its own, so what runs here is what ran on the robot. It is handed what
 each step names just before the step (robot_agent/rerun.py).
@@ -13,8 +13,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import IO
 
-from groundstation.logs.logfile import Line, LogFile, open_log
-from groundstation.replay.step_diff import Again, Told, compare
+from groundstation.logs.logfile import LogFile, LogMessage, open_log
+from groundstation.replay.step_diff import StepComparison, StepOutputs, compare
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, decode
@@ -29,7 +29,7 @@ PATIENCE_NS = 5_000_000_000  # what a step names may have reached the recorder t
 Name = tuple[Topic, int, int, int]  # topic, robot, session, sequence
 
 
-def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -> list[Again]:
+def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -> list[StepComparison]:
     """Do the steps of some robots of a run again, of all if none is named, with keys of the experiment changed. Raises
     ConfigError for a run that holds no inputs, and for settings that cannot be."""
     file = run / "experiment.toml"
@@ -40,8 +40,8 @@ def rerun(run: Path, robots: Sequence[int] = (), settings: Sequence[str] = ()) -
         return [_rerun_one(log, file, robot, settings, same) for robot in chosen]
 
 
-def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[str], same: bool) -> Again:
-    own = own_lines(log, robot, with_states=not same)
+def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[str], same: bool) -> StepComparison:
+    own = own_messages(log, robot, with_states=not same)
     if not any(line.topic is topics.INPUTS for line in own):
         raise ConfigError(
             f"{log.path}: holds no inputs of robot {robot}: it is of an older version, or of a numeric flight, which has none"
@@ -52,7 +52,7 @@ def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[st
         assert program.stdin is not None and program.stdout is not None
         feeder = threading.Thread(target=_feed, args=(program.stdin, in_order_of_use(log, robot, own)), daemon=True)
         feeder.start()
-        again = Told()
+        again = StepOutputs()
         try:
             for topic, _, header, payload in read_pipe(program.stdout):
                 again.add(topic, header.stamp_ns, payload)
@@ -61,13 +61,13 @@ def _rerun_one(log: LogFile, experiment: Path, robot: int, settings: Sequence[st
         feeder.join()
     if program.returncode != 0:
         raise ConfigError(f"robot {robot}: its program ended with exit code {program.returncode}")
-    before = Told()
-    for line in log.lines(lambda topic, of: topic in (topics.STATE, topics.PLAN) and of == robot):
+    before = StepOutputs()
+    for line in log.messages(lambda topic, of: topic in (topics.STATE, topics.PLAN) and of == robot):
         before.add(line.topic, line.header.stamp_ns, line.payload)
     return compare(robot, before, again, same)
 
 
-def _feed(stream: IO[bytes], lines: Iterable[Line]) -> None:
+def _feed(stream: IO[bytes], lines: Iterable[LogMessage]) -> None:
     try:
         with stream:
             for line in lines:
@@ -79,17 +79,17 @@ def _feed(stream: IO[bytes], lines: Iterable[Line]) -> None:
 _ORDER = (topics.ORDERS, topics.INPUTS, topics.STATE)  # of one instant: an order, then the step, then what came of it
 
 
-def own_lines(log: LogFile, robot: int, with_states: bool) -> list[Line]:
+def own_messages(log: LogFile, robot: int, with_states: bool) -> list[LogMessage]:
     """A robot's inputs and orders in the order in which they came to it; perhaps its states."""
     wanted = _ORDER if with_states else _ORDER[:2]
-    lines = log.lines(lambda topic, of: topic in wanted and of == robot)
+    lines = log.messages(lambda topic, of: topic in wanted and of == robot)
     return sorted(lines, key=lambda line: (line.header.stamp_ns, _ORDER.index(line.topic), line.header.sequence))
 
 
-def in_order_of_use(log: LogFile, robot: int, own: Sequence[Line]) -> Iterator[Line]:
+def in_order_of_use(log: LogFile, robot: int, own: Sequence[LogMessage]) -> Iterator[LogMessage]:
     """A robot's inputs and orders, and before each step what it names and what was not named before."""
-    others = log.lines(lambda topic, of: topic is topics.OBSTACLES or (topic is topics.PLAN and of != robot))
-    known: dict[tuple[Topic, int], OrderedDict[Name, Line]] = {}
+    others = log.messages(lambda topic, of: topic is topics.OBSTACLES or (topic is topics.PLAN and of != robot))
+    known: dict[tuple[Topic, int], OrderedDict[Name, LogMessage]] = {}
     given: dict[tuple[Topic, int], Name] = {}
     ahead_ns = 0
     for line in own:
@@ -110,7 +110,7 @@ def in_order_of_use(log: LogFile, robot: int, own: Sequence[Line]) -> Iterator[L
         yield line
 
 
-def _names(line: Line) -> Iterator[Name]:
+def _names(line: LogMessage) -> Iterator[Name]:
     if line.topic is not topics.INPUTS:
         return
     try:

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from scipy.stats import t as student
 
 from groundstation.palette import COLOURS, colour
-from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, Line, Panel, stack
+from groundstation.report.plotting import BOTTOM_IN, GREY, RIGHT_IN, STYLE, WIDTH_IN, Curve, Panel, stack
 from wire.config.controller_benchmark import SETTLED_S, Comparison, Traces, Variant
 
 CONFIDENCE = 0.95
@@ -92,7 +92,7 @@ def cells(comparison: Comparison) -> list[tuple[str, list[str]]]:
 
 
 def failures(comparison: Comparison) -> list[str]:
-    """What a reader must know before the figures: flights that were not flown under way, and robots that came too close."""
+    """Failures to read before the figures: flights that were not flown under way, and robots that came too close."""
     return [
         f"{variant.name}, seed {flight.seed}: under way in {100.0 * flight.figures.under_way:.1f} % of the control steps only"
         for variant in comparison.variants
@@ -207,8 +207,8 @@ def wanted(comparison: Comparison) -> Figure | None:
         most = int(np.argmax([np.abs(each).max() for each in traces.wanted_n]))
         time_s = np.array([traces.input_period_s * k for k in range(len(traces.wanted_n[most]))])
         lines = [
-            Line("wanted", time_s, np.array(traces.wanted_n[most]), COLOURS[1]),
-            Line("applied", time_s, np.array(traces.applied_n[most]), COLOURS[0]),
+            Curve("wanted", time_s, np.array(traces.wanted_n[most]), COLOURS[1]),
+            Curve("applied", time_s, np.array(traces.applied_n[most]), COLOURS[0]),
         ]
         panels.append(Panel(f"{variant.name} [N]", lines, limit=comparison.surge_limit_n, unit="N"))
     return stack(panels, height_in=1.0)

@@ -7,21 +7,21 @@ from matplotlib.figure import Figure
 
 from groundstation.analysis.series import THRUSTERS, RobotSeries, Series
 from groundstation.palette import colour
-from groundstation.report.plotting import LIGHT, Line, Panel, stack, time_and_histogram
+from groundstation.report.plotting import LIGHT, Curve, Panel, stack, time_and_histogram
 from wire.frames import Array
 
 MOST_PULSE_PANELS = 6
 
 
 def inputs(series: Series) -> Figure | None:
-    """What the controllers asked for; where the law knows no limits, dotted what it would have asked for without."""
+    """Inputs that the controllers commanded; for a law without limits, dotted the input before saturation."""
     bounds = series.experiment.vehicle.limits.wrench
     wanted = None if series.experiment.controller.law == "eso-mpc" else lambda r: r.states.wrench_wanted
     return _wrench(series, lambda r: r.states.wrench, bounds, "", wanted)
 
 
 def input_steps(series: Series) -> Figure | None:
-    """How much each control step changed it: chatter is wear."""
+    """Change of the input in each control step: chatter is wear."""
     bounds = series.experiment.wrench_step
     return _wrench(series, lambda r: r.states.wrench_step, bounds, "step of ")
 
@@ -33,7 +33,7 @@ def _wrench(
     prefix: str,
     dotted: Callable[[RobotSeries], Array] | None = None,
 ) -> Figure | None:
-    def lines(axis: int) -> list[Line]:
+    def lines(axis: int) -> list[Curve]:
         each = list(enumerate(series.robots.items()))
         under = [(dotted, ", wanted", ":")] if dotted is not None else []
         return [
@@ -54,11 +54,11 @@ def _wrench(
     return stack(panels)
 
 
-def flown(series: Series, r: RobotSeries, label: str, values: Array, index: int, style: str = "-") -> Line:
+def flown(series: Series, r: RobotSeries, label: str, values: Array, index: int, style: str = "-") -> Curve:
     """A curve over the control steps of the run, broken where the robot was not under way."""
     inside = (r.states.time_s >= 0.0) & (r.states.time_s <= series.end_s)
     shown = np.where(r.states.tracking, values, np.nan)
-    return Line(label, r.states.time_s[inside], shown[inside], colour(index), style)
+    return Curve(label, r.states.time_s[inside], shown[inside], colour(index), style)
 
 
 def pulses(series: Series) -> Figure | None:
@@ -95,7 +95,7 @@ def disturbance(series: Series) -> Figure | None:
 
 
 def step_times(series: Series) -> Figure | None:
-    """How long a control step took on the robot."""
+    """Duration of the control steps on the robot."""
     lines = []
     for i, (robot, r) in enumerate(series.robots.items()):
         lines.append(flown(series, r, f"robot {robot}", np.where(r.states.step_us > 0.0, r.states.step_us, np.nan), i))
@@ -114,7 +114,7 @@ def latency(series: Series) -> Figure | None:
 
 
 def frame_times(series: Series) -> Figure | None:
-    """How long the localizer worked on a frame."""
+    """Time that the localizer needed for a frame."""
     inside = (series.frame_ms[:, 0] >= 0.0) & (series.frame_ms[:, 0] <= series.end_s)
     time_s, took_ms = series.frame_ms[inside].T
-    return time_and_histogram("frame [ms]", [Line("localizer", time_s, took_ms, colour(0))])
+    return time_and_histogram("frame [ms]", [Curve("localizer", time_s, took_ms, colour(0))])

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from groundstation.analysis.series import SETTLED_S, Series
 from groundstation.palette import colour
 from groundstation.report.figures_control import flown
-from groundstation.report.plotting import GREY, Line, Panel, stack
+from groundstation.report.plotting import GREY, Curve, Panel, stack
 from wire.frames import Array, wrap_angle
 
 
@@ -31,7 +31,7 @@ def _axis_errors(series: Series, errors: dict[str, Array], names: Sequence[str])
         [
             Panel(
                 name,
-                [Line(label, series.time_s, error[:, axis], colour(i)) for i, (label, error) in enumerate(errors.items())],
+                [Curve(label, series.time_s, error[:, axis], colour(i)) for i, (label, error) in enumerate(errors.items())],
             )
             for axis, name in enumerate(names)
         ],
@@ -41,7 +41,7 @@ def _axis_errors(series: Series, errors: dict[str, Array], names: Sequence[str])
 
 def yaw(series: Series) -> Figure | None:
     """Heading error twice: to the path's tangent, and to the heading that was commanded."""
-    tangent = [Line(f"robot {n}", series.time_s, r.error[:, 3], colour(i)) for i, (n, r) in enumerate(series.robots.items())]
+    tangent = [Curve(f"robot {n}", series.time_s, r.error[:, 3], colour(i)) for i, (n, r) in enumerate(series.robots.items())]
     commanded = []
     for i, (robot, r) in enumerate(series.robots.items()):
         error = wrap_angle(r.truth_at_states[:, 3] - r.states.eta_command[:, 3])
@@ -50,20 +50,20 @@ def yaw(series: Series) -> Figure | None:
 
 
 def pose_error(series: Series) -> Figure | None:
-    """How far off the localizer was, in the plane and in heading."""
+    """Error of the localizer in the plane and in heading."""
     place, heading = [], []
     for i, (robot, r) in enumerate(series.robots.items()):
         inside = (r.pose_time_s >= 0.0) & (r.pose_time_s <= series.end_s)
         time_s, error = r.pose_time_s[inside], r.pose_error[inside]
-        place.append(Line(f"robot {robot}", time_s, 1e3 * np.hypot(error[:, 0], error[:, 1]), colour(i)))
-        heading.append(Line(f"robot {robot}", time_s, error[:, 2], colour(i)))
+        place.append(Curve(f"robot {robot}", time_s, 1e3 * np.hypot(error[:, 0], error[:, 1]), colour(i)))
+        heading.append(Curve(f"robot {robot}", time_s, error[:, 2], colour(i)))
     return stack([Panel("place [mm]", place, least=1.0), Panel("heading [rad]", heading)])
 
 
 def separation(series: Series) -> Figure | None:
     """Distance of the robots' centres; the dashed line is 2 R, which they must not come below."""
     lines = [
-        Line(f"pair {a}-{b}", series.time_s, series.separation_m(a, b), colour(i))
+        Curve(f"pair {a}-{b}", series.time_s, series.separation_m(a, b), colour(i))
         for i, (a, b) in enumerate(combinations(series.robots, 2))
     ]
     figure = stack([Panel("distance [m]", lines)], height_in=1.8)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from groundstation.analysis.series import HOPS, Mask, RobotSeries, Series, active_limits
 from groundstation.palette import COLOURS, colour
-from groundstation.report.plotting import BOTTOM_IN, GREY, STYLE, TOP_IN, WIDTH_IN, Line, Panel, legend, place, stack
+from groundstation.report.plotting import BOTTOM_IN, GREY, STYLE, TOP_IN, WIDTH_IN, Curve, Panel, legend, place, stack
 from wire.frames import Array
 from wire.messages.messages import Mode
 
@@ -30,7 +30,7 @@ def timeline(series: Series) -> Figure | None:
         return None
     begin_s = min(float(states.time_s[0]) for _, states in known)
     end_s = max(float(states.time_s[-1]) for _, states in known)
-    within = [h for h in series.happenings if begin_s <= h.time_s <= end_s]
+    within = [h for h in series.timeline_events if begin_s <= h.time_s <= end_s]
     noticed = [h.time_s for h in within if h.fault]
     made = [h.time_s for h in within if h.text.startswith("fault") and not h.fault]
     with mpl.rc_context({**STYLE, "legend.markerscale": 1.0}):
@@ -49,7 +49,7 @@ def timeline(series: Series) -> Figure | None:
 
 
 def limits(series: Series) -> Figure | None:
-    """When which limit held an input back, and plans that entered another robot's space."""
+    """Times at which a limit held an input back, and plans that entered another robot's space."""
     rows: list[tuple[str, RobotSeries, Mask, int]] = []
     for index, (robot, r) in enumerate(series.robots.items()):
         flown = r.states.tracking & (r.states.time_s <= series.end_s)
@@ -74,14 +74,14 @@ def slack(series: Series) -> Figure | None:
 
 
 def links(series: Series) -> Figure | None:
-    """How much of what the boards said was lost."""
+    """Share of the boards' messages that was lost."""
     each = enumerate(series.robots.items())
     lines = [_shown(series, r, f"robot {robot}", 100.0 * r.states.board_loss, i) for i, (robot, r) in each]
     return stack([Panel("lost within 5 s [%]", lines, least=1.0)])
 
 
 def latency_budget(series: Series) -> Figure | None:
-    """Where the time from the exposure to the PWM goes: medians of all robots, second by second."""
+    """Shares of the time from the exposure to the PWM: medians of all robots, second by second."""
     times = np.concatenate([r.states.time_s for r in series.robots.values()])
     hops = np.concatenate([r.states.hops_ms for r in series.robots.values()])
     known = np.isfinite(hops).all(axis=1) & (times >= 0.0) & (times <= series.end_s)
@@ -101,9 +101,9 @@ def latency_budget(series: Series) -> Figure | None:
     return figure
 
 
-def _shown(series: Series, r: RobotSeries, label: str, values: Array, index: int) -> Line:
+def _shown(series: Series, r: RobotSeries, label: str, values: Array, index: int) -> Curve:
     inside = (r.states.time_s >= 0.0) & (r.states.time_s <= series.end_s)
-    return Line(label, r.states.time_s[inside], values[inside], colour(index))
+    return Curve(label, r.states.time_s[inside], values[inside], colour(index))
 
 
 def _rows(names: Sequence[str]) -> tuple[Figure, Axes]:

@@ -1,4 +1,4 @@
-"""How the report's figures look, and the few plots they consist of. Pure: figures in, SVG text out.
+"""Style of the report's figures, and the few plots that they consist of. Pure: figures in, SVG text out.
 
 What a line means never hangs on its colour
 alone (references are dashed, truth is dotted, limits are grey).
@@ -54,7 +54,7 @@ STYLE: Any = {  # Any: matplotlib types its keys as one literal of hundreds of n
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class Curve:
     """One curve over time."""
 
     label: str
@@ -70,7 +70,7 @@ class Panel:
     bit must not fill the plot), and a limit to compare with (drawn at both signs)."""
 
     label: str
-    lines: Sequence[Line]
+    lines: Sequence[Curve]
     least: float = 0.01
     limit: float | None = None
     unit: str = ""
@@ -137,7 +137,7 @@ def _limit(axes: Axes, panel: Panel) -> None:
 
 
 def time_and_histogram(
-    label: str, lines: Iterable[Line], limit: float | None = None, limit_label: str = "", height_in: float = 2.2
+    label: str, lines: Iterable[Curve], limit: float | None = None, limit_label: str = "", height_in: float = 2.2
 ) -> Figure | None:
     """Dots over time beside how often each value occurs; None without values."""
     lines = [line for line in lines if np.isfinite(line.values).any()]

@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from groundstation.analysis.alignment import align
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import Errors, Result
-from groundstation.analysis.series import Happening, Series
+from groundstation.analysis.series import Series, TimelineEvent
 from groundstation.logs.reader import RunLog, read_log
 from groundstation.logs.repair import recover
 from groundstation.report.figures import FIGURES
 from groundstation.report.plotting import to_svg
-from groundstation.report.run_comparison import Run, differences, drawn, figures_of
+from groundstation.report.run_comparison import Run, differences, drawn, metric_rows
 from wire.config.experiment import ArticleRow, Experiment, load_experiment
 from wire.process.output_files import replace_text, replacing
 from wire.process.runtime import log
@@ -67,7 +67,7 @@ def write_comparison(runs: Sequence[Run], path: Path) -> None:
     """One self-contained page with all runs side by side."""
     figures = [(title, caption, _svg(figure, f"compare-{title}")) for title, caption, figure in drawn(runs)]
     page = _environment().get_template("side_by_side.html")
-    replace_text(path, page.render(runs=runs, rows=figures_of(runs), differences=differences(runs), drawn=figures))
+    replace_text(path, page.render(runs=runs, rows=metric_rows(runs), differences=differences(runs), drawn=figures))
 
 
 def write_figures(run_dir: Path, folder: Path, flight: int | None = None) -> list[Path]:
@@ -91,7 +91,7 @@ def write_pdf(figure: Figure, path: Path) -> None:
 
 def render(series: Series, recorded: RunLog, result: Result) -> str:
     """The report as HTML."""
-    shown = _most_telling(series.happenings)
+    shown = _most_telling(series.timeline_events)
     return (
         _environment()
         .get_template("report.html")
@@ -105,8 +105,8 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
             timings=[("control step [µs]", result.control_step_us), ("exposure to PWM [ms]", result.exposure_to_pwm_ms)]
             + [(f"of it: {hop} [ms]", found) for hop, found in result.latency_hops_ms.items()],
             figures=[_draw(series, index) for index in range(len(FIGURES))],
-            happenings=shown,
-            omitted=len(series.happenings) - len(shown),
+            timeline_events=shown,
+            omitted=len(series.timeline_events) - len(shown),
         )
     )
 
@@ -221,12 +221,12 @@ def _compared(values: Sequence[float | None] | None, axis: int, other: Sequence[
     return Markup('<td class="{}">{}{}</td>').format(" ".join(classes), sign, _fixed(value))
 
 
-def _most_telling(happenings: Sequence[Happening]) -> Sequence[Happening]:
+def _most_telling(timeline_events: Sequence[TimelineEvent]) -> Sequence[TimelineEvent]:
     """All of them, or when there are too many the faults first."""
-    if len(happenings) <= MOST_HAPPENINGS:
-        return happenings
-    kept = sorted(range(len(happenings)), key=lambda i: (not happenings[i].fault, i))[:MOST_HAPPENINGS]
-    return [happenings[i] for i in sorted(kept)]
+    if len(timeline_events) <= MOST_HAPPENINGS:
+        return timeline_events
+    kept = sorted(range(len(timeline_events)), key=lambda i: (not timeline_events[i].fault, i))[:MOST_HAPPENINGS]
+    return [timeline_events[i] for i in sorted(kept)]
 
 
 def _fixed(value: float | None) -> str:

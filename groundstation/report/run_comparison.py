@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from groundstation.analysis.results import Errors, Result
 from groundstation.analysis.series import SETTLED_S, Series
 from groundstation.palette import colour
-from groundstation.report.plotting import Line, Panel, stack
+from groundstation.report.plotting import Curve, Panel, stack
 from wire.config.experiment import Experiment
 
 FLOWN_BY = ("(mode)", "(version)", "(commit)")  # no keys of an experiment, which have no brackets
@@ -36,7 +36,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Row:
+class MetricRow:
     """A figure of all runs; None where a run has none."""
 
     name: str
@@ -44,8 +44,8 @@ class Row:
     values: tuple[float | None, ...]
 
 
-def figures_of(runs: Sequence[Run]) -> list[Row]:
-    """What one compares runs by. Of errors the worst robot or pair and its worst axis counts."""
+def metric_rows(runs: Sequence[Run]) -> list[MetricRow]:
+    """Figures by which runs are compared. Of errors the worst robot or pair and its worst axis counts."""
     rows: list[tuple[str, str, Callable[[Result], float | None]]] = [
         ("tracking, RMS after 20 s", "m", lambda r: _worst(r.robots.values(), "rms_after_20s_m")),
         ("tracking, RMS of the whole run", "m", lambda r: _worst(r.robots.values(), "rms_m")),
@@ -62,7 +62,7 @@ def figures_of(runs: Sequence[Run]) -> list[Row]:
         ("missed deadlines", "", lambda r: float(r.missed_deadlines)),
         ("faults", "", lambda r: float(len(r.faults))),
     ]
-    return [Row(name, unit, tuple(figure(run.result) for run in runs)) for name, unit, figure in rows]
+    return [MetricRow(name, unit, tuple(figure(run.result) for run in runs)) for name, unit, figure in rows]
 
 
 def _worst(errors: Sequence[Errors] | Any, key: str) -> float | None:
@@ -111,22 +111,22 @@ def drawn(runs: Sequence[Run]) -> list[tuple[str, str, Figure | None]]:
 
 
 def _shared(known: Sequence[set[Any]]) -> list[Any]:
-    """What at least two of them have."""
+    """Names that at least two of them have."""
     every = sorted(set().union(*known))
     return [entry for entry in every if sum(entry in one for one in known) > 1]
 
 
-def _lines(runs: Sequence[Run], whose: tuple[int, ...]) -> list[Line]:
+def _lines(runs: Sequence[Run], whose: tuple[int, ...]) -> list[Curve]:
     """The tracking error of a robot or the formation error of a pair, its length over time, in each run that has it."""
     lines = []
     for i, run in enumerate(runs):
         if set(whose) <= set(run.series.robots):
             error = run.series.robots[whose[0]].error if len(whose) == 1 else run.series.pair_error(whose[0], whose[1])
-            lines.append(Line(run.name, run.series.time_s, np.linalg.norm(error[:, :3], axis=1), colour(i)))
+            lines.append(Curve(run.name, run.series.time_s, np.linalg.norm(error[:, :3], axis=1), colour(i)))
     return lines
 
 
 def _surge(runs: Sequence[Run], robot: int) -> Panel:
     known = [(i, run, run.series.robots[robot].states) for i, run in enumerate(runs) if robot in run.series.robots]
-    lines = [Line(run.name, states.time_s, states.wrench[:, 0], colour(i)) for i, run, states in known]
+    lines = [Curve(run.name, states.time_s, states.wrench[:, 0], colour(i)) for i, run, states in known]
     return Panel(f"robot {robot} [N]", lines, least=0.1)

@@ -1,4 +1,4 @@
-"""SHELL: where the stations of this user on this machine are, so that a terminal finds the one that runs.
+"""SHELL: discovery of this user's stations on this machine, so that a terminal finds the one that runs.
 
 Each station holds a lock on a file of its own in the user's runtime folder for as long as it lives; the kernel lets go of it
 however the process ends, so a file without a lock is of a station that is gone.
@@ -22,8 +22,8 @@ LARGEST_BYTES = 4096
 
 
 @dataclass(frozen=True)
-class Standing:
-    """A station that runs."""
+class RunningStation:
+    """A running station."""
 
     endpoint: str  # as it is called from this machine
     fleet: str
@@ -32,19 +32,19 @@ class Standing:
 
 
 def folder() -> Path | None:
-    """The user's own folder for what runs; None if there is none that is the user's alone."""
+    """Folder of the running stations; None if there is none that is the user's alone."""
     return private_folder(make=True)
 
 
 @contextmanager
 def announced(endpoint: Endpoint, fleet: str, experiment: str) -> Iterator[None]:
-    """Let terminals find this station meanwhile. Where that cannot be, they have to be told where it is."""
+    """Let terminals find this station meanwhile. Without a runtime folder they need --station."""
     place = folder()
     if place is None:
         log.warning("no runtime folder of this user's own: terminals find this station by --station only")
         yield
         return
-    standing = Standing(beside(endpoint).address, fleet, experiment, os.getpid())
+    standing = RunningStation(beside(endpoint).address, fleet, experiment, os.getpid())
     path = place / f"{os.getpid()}.json"
     new = path.with_suffix(".new")
     try:
@@ -58,23 +58,23 @@ def announced(endpoint: Endpoint, fleet: str, experiment: str) -> Iterator[None]
         path.unlink(missing_ok=True)
 
 
-def running() -> list[Standing]:
-    """Every station of this user on this machine. Files of those that are gone are taken away."""
+def running() -> list[RunningStation]:
+    """Every station of this user on this machine. Removes the files of stations that are gone."""
     place, found = folder(), []
     for path in sorted(place.glob("*.json")) if place is not None else []:
         with suppress(OSError, ValueError, TypeError), path.open(encoding="utf-8") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
-                found.append(Standing(**json.loads(file.read(LARGEST_BYTES))))
+                found.append(RunningStation(**json.loads(file.read(LARGEST_BYTES))))
             else:
                 path.unlink(missing_ok=True)
     return found
 
 
 def station(given: str | None, fleet: str) -> str:
-    """Where the station is that a terminal means: the one it names, or the only one of this fleet that runs here, or where one
-    listens by default. Raises ConfigError if there are several."""
+    """Endpoint of the station that a terminal means: the one it names, or the only one of this fleet that runs here, or where
+    one listens by default. Raises ConfigError if there are several."""
     if given is not None:
         return given
     here = [standing for standing in running() if standing.fleet == fleet]

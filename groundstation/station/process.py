@@ -1,7 +1,7 @@
-"""SHELL: the ground station's process: log, page and viewers around the station, and when its next cycle is due.
+"""SHELL: the ground station's process: log, page and viewers around the station, and the time of its next cycle.
 
-By the wall clock a cycle a control period, at once when somebody has given an order that cannot wait; in lockstep one a tick,
-when all that counts at it has come.
+By the wall clock a cycle a control period, at once after a request that cannot wait; in lockstep one a tick,
+when all messages of that tick have come.
 """
 
 import contextlib
@@ -9,17 +9,17 @@ import time
 from pathlib import Path
 
 from groundstation.export.foxglove_live import ViewerServer
-from groundstation.inboxes import listen
+from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
-from groundstation.mission.gain_update import Tuner
-from groundstation.mission.lap_statistics import Laps
+from groundstation.mission.gain_update import GainUpdater
+from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
-from groundstation.mission.state_machine import OVER, Phase
+from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning import planner
-from groundstation.planning.segment import first_leg
+from groundstation.planning.segment import first_segment
 from groundstation.station.station import Station, workers
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import Desk, Post
+from groundstation.web.live_backend import LiveBackend, StationApi
 from groundstation.web.server import WebServer
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
@@ -60,8 +60,8 @@ def run(
     """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
     are served. Makes `run_dir`. Returns whether the mission succeeded."""
     clock: Clock = LockstepClock() if lockstep else WallClock()
-    leg = first_leg(experiment)
-    trajectories = dict(leg.trajectories)
+    segment = first_segment(experiment)
+    trajectories = dict(segment.trajectories)
     starts = planner.start_poses(experiment, trajectories)
     mode = "lockstep" if lockstep else "real-time"
     metadata = run_metadata(experiment, mode)
@@ -69,28 +69,30 @@ def run(
     check_room(run_dir, experiment.recording.min_free_gb)
     with os_errors_as_config_errors(run_dir):
         run_dir.mkdir(parents=True, exist_ok=True)  # the router listens, the plan stands: a start that fails leaves no folder
-        _lay_down(run_dir / "experiment.toml", experiment, experiment_toml)
+        _write_experiment(run_dir / "experiment.toml", experiment, experiment_toml)
         recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
     recorder.whole_until_ns = -1 if lockstep else None
     try:
         record_everything(bus, recorder, clock)
         with workers(len(trajectories)) as threads, contextlib.ExitStack() as served:
-            mission = Mission(experiment, leg, starts, automatic)
-            heard, tuner = listen(bus, experiment.robot_ids), Tuner(experiment)
-            laps = Laps(tuner.lap_s)
+            mission = Mission(experiment, segment, starts, automatic)
+            heard, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
+            laps = LapStatistics(tuner.lap_s)
             station = Station(
                 experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure
             )
             station.seen = station.fleet()
-            bus.serve(WHOLE_FLEET, station.wish)
+            bus.serve(WHOLE_FLEET, station.on_operator_command)
             log_to_bus(bus, clock, "groundstation")
             if insecure:
                 log.warning(INSECURE)  # once more: now the recorder has it
             station.publish_paths(clock.now_ns())
             bus.watch_presence()
             if web is not None:
-                post = Post(station.status, station.ask, station.tune, run_dir.resolve(), lambda: station.paths)
-                served.enter_context(WebServer(Desk(experiment, trajectories, bus, heard, clock, post, mode), web))
+                post = StationApi(
+                    station.status, station.request, station.request_gains, run_dir.resolve(), lambda: station.paths
+                )
+                served.enter_context(WebServer(LiveBackend(experiment, trajectories, bus, heard, clock, post, mode), web))
                 log.info("operator page: %s", web.url)
             if viewer is not None:
                 served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
@@ -102,15 +104,15 @@ def run(
                 _lockstep_loop(station, ticks)
             else:
                 _wall_loop(station, stop)
-            log.info("mission %s after %.1f s", mission.phase.value, time.monotonic() - started_s)
-            return mission.phase is Phase.DONE and not mission.failed and not recorder.error
+            log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
+            return mission.state is MissionState.DONE and not recorder.error
     finally:
         recorder.close()
 
 
-def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
-    """Put what is flown into the run's folder. A file that is there, as a launcher has put it there, stays as it is; raises
-    ConfigError if it is another experiment, perhaps the very file that was named."""
+def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:
+    """Write the experiment into the run's folder. A file that a launcher has put there stays; raises ConfigError if it holds
+    another experiment."""
     if not file.exists():
         replace_text(file, text)
     elif load_experiment(str(file)).hash != loaded.hash:
@@ -118,35 +120,35 @@ def _lay_down(file: Path, loaded: Experiment, text: str) -> None:
 
 
 class _End:
-    """When the run is over: an automatic mission by itself, any other when a person says so; then pages and terminals are told
-    for FAREWELL_S."""
+    """End of the run: of an automatic mission by itself, of any other at a request. Then pages and terminals are told for
+    FAREWELL_S."""
 
     def __init__(self, station: Station) -> None:
         self._station = station
         self._since_s = 0.0
 
     def reached(self) -> bool:
-        """Whether to leave the loop."""
+        """True if the loop is to be left."""
         station, now_s = self._station, time.monotonic()
         if station.ended and not self._since_s:
             self._since_s = now_s
         if station.ended:
             return now_s - self._since_s > FAREWELL_S
-        return station.mission.automatic and station.mission.phase in OVER
+        return station.mission.automatic and station.mission.state in TERMINAL
 
 
 def _wall_loop(station: Station, stop: Stop) -> None:
     period_ns = round(station.experiment.controller.period_s * 1e9)
     due_ns, end = time.monotonic_ns(), _End(station)
     while not stop.requested:
-        station.hurry.clear()
+        station.wake.clear()
         station.cycle(station.clock.now_ns(), lockstep=False)
         if end.reached():
             return
         now_ns = time.monotonic_ns()
         if now_ns >= due_ns:
             due_ns = max(due_ns + period_ns, now_ns)
-        station.hurry.wait((due_ns - now_ns) * 1e-9)
+        station.wake.wait((due_ns - now_ns) * 1e-9)
 
 
 def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:

@@ -1,4 +1,4 @@
-"""What an operator must know now, worst first. Pure: made anew from the newest of everything, so an alarm goes with its cause.
+"""Alarms for the operator, worst first. Pure: made anew from the newest messages, so an alarm goes with its cause.
 
 What is amiss with a robot is decided in groundstation/telemetry.py, for preflight too. Levels: `critical` robots stop or
 must be stopped; `warning` the run is at risk; `notice` worth a look.

@@ -1,4 +1,4 @@
-"""Who may look in, and where: addresses, origins, tokens. Pure.
+"""Access to the page: addresses, origins, tokens. Pure.
 
 On loopback the danger is another page in the same browser: so the request's Host must be this machine by a name that nobody
 else can own (no rebinding), and a WebSocket's Origin must be that same host. Off loopback the network is the danger: TLS and a
@@ -29,7 +29,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class WebOptions:
-    """Where the page is served, and to whom."""
+    """Address, certificate and token of the page's server."""
 
     host: str = "127.0.0.1"
     port: int = 8000
@@ -39,12 +39,12 @@ class WebOptions:
 
     @property
     def local(self) -> bool:
-        """Whether only this machine can reach it."""
+        """True if only this machine can reach it."""
         return is_loopback(self.host)
 
     @property
     def url(self) -> str:
-        """What a person opens."""
+        """Address to open in a browser."""
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{'https' if self.certificate else 'http'}://{host}:{self.port}/"
 
@@ -67,7 +67,7 @@ def web_options(address: str, certificate: Path | None = None, key: Path | None 
 
 
 def host_allowed(options: WebOptions, host: str) -> bool:
-    """Whether a request's Host header may be answered."""
+    """True if a request with this Host header may be answered."""
     found = _HOST.fullmatch(host)
     if found is None:
         return False
@@ -76,7 +76,7 @@ def host_allowed(options: WebOptions, host: str) -> bool:
 
 
 def origin_allowed(options: WebOptions, host: str, origin: str) -> bool:
-    """Whether a WebSocket comes from our own page: scheme and host of its Origin are those of the request itself."""
+    """True if a WebSocket comes from our own page: scheme and host of its Origin are those of the request itself."""
     return host_allowed(options, host) and origin == f"{'https' if options.certificate else 'http'}://{host}"
 
 

@@ -1,4 +1,4 @@
-"""Where the camera's picture belongs under the map: pool points, and the places in the picture that show them. Pure."""
+"""Mesh that lays the camera's picture under the map: pool points, and their places in the picture. Pure."""
 
 import numpy as np
 

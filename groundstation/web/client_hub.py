@@ -1,4 +1,4 @@
-"""SHELL: everyone who watches, and what they watch. Lives in the page's event loop (server.py).
+"""SHELL: hub of all open pages and the backend that they watch. Lives in the page's event loop (server.py).
 
 Frames to a page: u32 number, f32 round trip of the last one in ms, then a MessagePack map. From the page: small JSON texts
 (protocol.py). Nobody ever waits for a page: see send_window.py.
@@ -17,11 +17,12 @@ from typing import Any, TypeVar
 import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.auth import WebOptions, origin_allowed, token_allowed
-from groundstation.web.control_lease import Lease
-from groundstation.web.live_backend import Source
-from groundstation.web.send_window import Window
+from groundstation.web.control_lease import ControlLease
+from groundstation.web.live_backend import Backend
+from groundstation.web.send_window import SendWindow
 from wire.messages.messages import Order
 from wire.process.runtime import log
 
@@ -43,29 +44,29 @@ T = TypeVar("T")
 
 
 @dataclass(eq=False)
-class Watcher:
+class Client:
     """One open page."""
 
     id: int
     websocket: WebSocket
     page: str = ""  # by which it is known when it comes back
-    window: Window = field(default_factory=Window)
+    window: SendWindow = field(default_factory=SendWindow)
     wake: asyncio.Event = field(default_factory=asyncio.Event)
     busy: bool = False  # an edit of this watcher is being planned
-    waiting: protocol.Try | None = None  # the newest one that came meanwhile
+    waiting: protocol.PreviewEdit | None = None  # the newest one that came meanwhile
 
     def note(self, message: dict[str, Any]) -> None:
         self.window.note(msgspec.msgpack.encode(message))
         self.wake.set()
 
 
-class Hub:
-    """All watchers, and what they watch. Lives in the event loop's thread."""
+class ClientHub:
+    """All open pages, and the backend. Lives in the event loop's thread."""
 
-    def __init__(self, source: Source, options: WebOptions) -> None:
+    def __init__(self, source: Backend, options: WebOptions) -> None:
         self._source, self._options = source, options
-        self._watchers: dict[int, Watcher] = {}
-        self._lease = Lease()
+        self._watchers: dict[int, Client] = {}
+        self._lease = ControlLease()
         self._history: deque[bytes] = deque(maxlen=KEPT_EVENTS)
         self._picture = b""
         self._count = 0
@@ -131,7 +132,7 @@ class Hub:
         body = msgspec.msgpack.encode(head | self._source.snapshot())
         self._each(lambda w: w.window.offer("state", body))
 
-    def _each(self, do: Callable[[Watcher], None]) -> None:
+    def _each(self, do: Callable[[Client], None]) -> None:
         for watcher in self._watchers.values():
             do(watcher)
             watcher.wake.set()
@@ -152,7 +153,7 @@ class Hub:
                 await websocket.close(NOT_ALLOWED, "wrong token")
             return
         self._count += 1
-        watcher = Watcher(self._count, websocket, hello.page)
+        watcher = Client(self._count, websocket, hello.page)
         events = [msgspec.Raw(body) for body in self._history]
         watcher.note({"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events})
         if self._picture:
@@ -184,7 +185,7 @@ class Hub:
         said = first.result()
         return said if isinstance(said, protocol.Hello) else None
 
-    def _replace(self, watcher: Watcher) -> None:
+    def _replace(self, watcher: Client) -> None:
         """A page that comes back over another connection keeps the control that it had: the one before it is dead, and does
         not know it yet."""
         for before in list(self._watchers.values()):
@@ -193,7 +194,7 @@ class Hub:
                     self._lease.ask(watcher.id, time.monotonic(), over=True)
                 self._spawn(_close(before.websocket, ELSEWHERE, "the page has come back over another connection"))
 
-    async def _listen(self, websocket: WebSocket, watcher: Watcher) -> None:
+    async def _listen(self, websocket: WebSocket, watcher: Client) -> None:
         while True:
             try:
                 request = await _receive(websocket)
@@ -206,7 +207,7 @@ class Hub:
             self._lease.heard(watcher.id, time.monotonic())
             self._take(watcher, request)
 
-    def _take(self, watcher: Watcher, request: protocol.Request) -> None:
+    def _take(self, watcher: Client, request: protocol.Request) -> None:
         now_s = time.monotonic()
         if isinstance(request, protocol.Ack):
             watcher.window.acknowledge(request.n, now_s)
@@ -217,11 +218,11 @@ class Hub:
         elif isinstance(request, protocol.Release):
             self._lease.leave(watcher.id)
             self._tell_now()
-        elif isinstance(request, protocol.Wish):
+        elif isinstance(request, protocol.OrderRequest):
             self._spawn(self._order(watcher, request))
-        elif isinstance(request, protocol.Tune):
+        elif isinstance(request, protocol.TuneRequest):
             self._spawn(self._tune(watcher, request))
-        elif isinstance(request, protocol.Try):
+        elif isinstance(request, protocol.PreviewEdit):
             watcher.waiting = request
             if not watcher.busy:
                 self._spawn(self._attempt(watcher))
@@ -235,7 +236,7 @@ class Hub:
         self._tasks.add(task)  # a task that nobody holds may vanish
         task.add_done_callback(self._tasks.discard)
 
-    def _may_command(self, watcher: Watcher) -> str:
+    def _may_command(self, watcher: Client) -> str:
         if self._lease.holder == watcher.id:
             return ""
         return "another page has control" if self._lease.holder else "take control first"
@@ -244,12 +245,12 @@ class Hub:
         return await asyncio.get_running_loop().run_in_executor(threads, do, *arguments)
 
     def _void(self, seen_ms: int) -> str:
-        """Why an order counts no longer, for what the page had seen; empty if it does."""
+        """Reason for which a request is too old, by the newest state that the page had; empty if it is not."""
         late_s = time.monotonic() - seen_ms * 1e-3
         return f"this came {late_s:.0f} s late, and was not done" if late_s > ORDER_VALID_S else ""
 
-    async def _order(self, watcher: Watcher, wish: protocol.Wish) -> None:
-        order, number = Order[wish.order.upper().replace("-", "_")], 0
+    async def _order(self, watcher: Client, wish: protocol.OrderRequest) -> None:
+        order, number = order_named(wish.order), 0
         if order is Order.STOP:
             reason, number = await self._at(self._stops, self._source.order, order)
         else:
@@ -258,13 +259,13 @@ class Hub:
                 reason, number = await self._at(self._orders, self._source.order, order)
         self._answer(watcher, wish.n, wish.order, reason, number)
 
-    async def _tune(self, watcher: Watcher, wish: protocol.Tune) -> None:
+    async def _tune(self, watcher: Client, wish: protocol.TuneRequest) -> None:
         reason, number = self._may_command(watcher) or self._void(wish.seen_ms), 0
         if not reason:
             reason, number = await self._at(self._orders, self._source.tune, wish.values, wish.next_lap)
         self._answer(watcher, wish.n, "tune", reason, number)
 
-    def _answer(self, watcher: Watcher, n: int, order: str, reason: str, number: int) -> None:
+    def _answer(self, watcher: Client, n: int, order: str, reason: str, number: int) -> None:
         watcher.note({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
         self._tell_now()
 
@@ -275,7 +276,7 @@ class Hub:
         except Exception as error:
             self._complain(error)
 
-    async def _attempt(self, watcher: Watcher) -> None:
+    async def _attempt(self, watcher: Client) -> None:
         """Plan the newest edit, and again while newer ones come; those in between were only passed over while dragging."""
         watcher.busy = True
         try:
@@ -285,7 +286,7 @@ class Hub:
         finally:
             watcher.busy = False
 
-    async def _save(self, watcher: Watcher, request: protocol.Save) -> None:
+    async def _save(self, watcher: Client, request: protocol.Save) -> None:
         reason = self._may_command(watcher)
         done = (
             {"ok": False, "problems": [reason]}
@@ -307,7 +308,7 @@ async def _receive(websocket: WebSocket) -> protocol.Request:
     return protocol.read_request(message.get("text") or message.get("bytes") or "")
 
 
-async def _send(websocket: WebSocket, watcher: Watcher) -> None:
+async def _send(websocket: WebSocket, watcher: Client) -> None:
     with contextlib.suppress(RuntimeError, WebSocketDisconnect, OSError):  # it has gone: `_listen` notices too
         while True:
             frame = watcher.window.next(time.monotonic())

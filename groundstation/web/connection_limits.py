@@ -17,7 +17,7 @@ MOST_EACH = 32  # from one address: a browser opens six, and a lab's pages may c
 MOST = 128
 
 
-class Crowd:
+class ConnectionLimiter:
     """All of them, the oldest first, and the addresses that they come from."""
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Crowd:
         oldest.transport.abort()
 
 
-def http_class(crowd: Crowd) -> type[H11Protocol]:
+def http_class(crowd: ConnectionLimiter) -> type[H11Protocol]:
     """uvicorn's protocol for a connection, with an end to its patience."""
 
     class Patient(H11Protocol):

@@ -46,7 +46,7 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
 
 
 def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
-    """What comes of an edit: the paths it would give with their clearances, or every reason against it."""
+    """Plan an edit: the paths it would give with their clearances, or every reason against it."""
     try:
         changed = edited(experiment, edit)
         trajectories = planner.plan(changed)

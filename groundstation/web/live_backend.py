@@ -10,16 +10,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from groundstation.inboxes import Inboxes
-from groundstation.mission.gain_update import TuningStatus
+from groundstation.inboxes import FleetInboxes
+from groundstation.mission.gain_update import GainStatus
 from groundstation.mission.lap_statistics import Lap
-from groundstation.mission.state_machine import Phase, allowed
-from groundstation.telemetry import Finding, Fleet, RobotView, barred, view
+from groundstation.mission.state_machine import MissionState, order_name, states_allowing
+from groundstation.telemetry import Finding, Fleet, RobotView, blocking_findings, robot_view
 from groundstation.web import experiment_editor
 from groundstation.web.alarms import alarms
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import flown_paths, scene
-from groundstation.web.snapshot import NEVER_MS, Aged, FleetNews, RobotNews, order_name, snapshot
+from groundstation.web.snapshot import NEVER_MS, AgedMessage, FleetSnapshot, RobotSnapshot, snapshot
 from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -32,8 +32,8 @@ MOST_EVENTS = 256  # between two looks
 STUCK_S = 1.0  # without a cycle of the station: robots hold by themselves then
 
 
-class Source(Protocol):
-    """Where the page's server gets everything from: the live fleet, or a recorded run. Used from one thread, but for `order`,
+class Backend(Protocol):
+    """Data source of the page's server: the live fleet, or a recorded run. Used from one thread, but for `order`,
     `tune`, `attempt` and `save`, which may take their time in others."""
 
     def scene(self) -> dict[str, Any]: ...
@@ -51,13 +51,13 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class Status:
-    """What the station says of itself."""
+    """Status of the station, as of its last cycle."""
 
-    phase: Phase
+    state: MissionState
     reason: str
     recorder_error: str = ""
     insecure: bool = False  # the network is open, as was asked for
-    tuning: TuningStatus | None = None
+    tuning: GainStatus | None = None
     laps: Sequence[Lap] = ()
     preflight: tuple[Finding, ...] | None = None  # why not to arm; None: whoever asks looks for himself
     seen: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
@@ -71,9 +71,9 @@ def _nobody_tunes(values: Mapping[str, float] | None, next_lap: bool) -> tuple[s
 
 
 @dataclass(frozen=True, eq=False)
-class Post:
-    """What the desk needs of the station. Requests are answered with why not, or nothing, and their number. `paths` are what
-    is flown now and until when [s]; None: what was planned before the run."""
+class StationApi:
+    """Functions of the station that the page needs. Requests return the reason of a refusal, or nothing, and their number.
+    `paths`: trajectories flown now and their end in s; None: as planned before the run."""
 
     status: Callable[[], Status]
     order: Callable[[Order], tuple[str, int]]
@@ -82,17 +82,17 @@ class Post:
     paths: Callable[[], tuple[Mapping[int, Trajectory], float] | None] = lambda: None
 
 
-class Desk:
-    """The live fleet."""
+class LiveBackend:
+    """Backend of the live fleet."""
 
     def __init__(
         self,
         experiment: Experiment,
         trajectories: Mapping[int, Trajectory],
         bus: Bus,
-        heard: Inboxes,
+        heard: FleetInboxes,
         clock: Clock,
-        station: Post,
+        station: StationApi,
         mode: str,
     ) -> None:
         self._experiment, self._trajectories, self._bus, self._clock = experiment, trajectories, bus, clock
@@ -109,13 +109,13 @@ class Desk:
         self._events.append((header, payload))
 
     def scene(self) -> dict[str, Any]:
-        """What does not change while the station runs, and the paths that are flown now."""
+        """Constants of the run, and the paths that are flown now."""
         run = str(self._station.run) if self._station.run is not None else ""
         found = scene(self._experiment, self._trajectories, self._mode) | {"run": run, "life": f"{self._bus.session:x}"}
         return found if self._drawn is None else found | {"paths": flown_paths(*self._drawn)}
 
     def paths(self) -> list[dict[str, Any]] | None:
-        """What is flown from now on, once when it changes."""
+        """Paths flown from now on; returned once after each change."""
         flown = self._station.paths()
         if flown is None or flown is self._drawn:
             return None
@@ -123,7 +123,7 @@ class Desk:
         return flown_paths(*flown)
 
     def changed(self) -> bool:
-        """Whether any robot has said something since the last call."""
+        """True if a robot's state has arrived since the last call."""
         seen = [inbox.newest_header() for inbox in self._heard.states.values()]
         changed, self._seen = seen != self._seen, seen
         return changed
@@ -134,21 +134,21 @@ class Desk:
         states = {r: inbox.newest() for r, inbox in self._heard.states.items()}
         poses = {r: inbox.newest() for r, inbox in self._heard.poses.items()}
         plans = {r: inbox.newest() for r, inbox in self._heard.plans.items()}
-        fleet = {r: _linked(view(states[r], poses[r], self._clock, plans[r]), status.seen.get(r)) for r in states}
-        why_not = barred(self._experiment, fleet) if status.preflight is None else status.preflight
+        fleet = {r: _linked(robot_view(states[r], poses[r], self._clock, plans[r]), status.seen.get(r)) for r in states}
+        why_not = blocking_findings(self._experiment, fleet) if status.preflight is None else status.preflight
         localizer = _aged(self._heard.localizer)
         return snapshot(
-            FleetNews(
+            FleetSnapshot(
                 time_s=self._clock.now_ns() * 1e-9,
-                robots={r: RobotNews(_age(states[r]), _age(poses[r]), _age(plans[r])) for r in states},
+                robots={r: RobotSnapshot(_age(states[r]), _age(poses[r]), _age(plans[r])) for r in states},
                 localizer=localizer,
                 obstacles=_aged(self._heard.obstacles),
-                phase=status.phase.name,
-                phase_text="ready" if status.phase is Phase.WAITING and not why_not else status.phase.value,
+                phase=status.state.name,
+                phase_text="ready" if status.state is MissionState.WAITING and not why_not else status.state.value,
                 reason=status.reason,
-                allowed=[order_name(order) for order in Order if order is Order.END or status.phase in allowed(order)],
+                allowed=[order_name(order) for order in Order if order is Order.END or status.state in states_allowing(order)],
                 preflight=why_not,
-                emergency_stop=status.phase is Phase.STOPPED,
+                emergency_stop=status.state is MissionState.STOPPED,
                 alarms=alarms(
                     self._experiment,
                     fleet,
@@ -166,7 +166,7 @@ class Desk:
             )
         )
 
-    def _localizer_age_s(self, found: Aged) -> float:
+    def _localizer_age_s(self, found: AgedMessage) -> float:
         """In lockstep a slow machine is no silence: what counts there is whether the robots get poses."""
         return found.age_ms * 1e-3 if self._mode == "real-time" else 0.0
 
@@ -180,7 +180,7 @@ class Desk:
         return None if found is None else {"age_ms": _age(found).age_ms, "jpeg": found.message.jpeg}
 
     def notes(self) -> list[dict[str, Any]]:
-        """What happened since the last call, in order: lines of the log, answers of robots."""
+        """Events since the last call, in order: lines of the log."""
         found = []
         while self._events:
             header, payload = self._events.popleft()
@@ -200,7 +200,7 @@ class Desk:
         return found
 
     def order(self, order: Order) -> tuple[str, int]:
-        """Why not, or nothing when it is under way; and the request's number."""
+        """Make a request. Returns the reason of a refusal, or nothing, and the request's number."""
         return self._station.order(order)
 
     def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
@@ -208,7 +208,7 @@ class Desk:
         return self._station.tune(values, next_lap)
 
     def attempt(self, edit: Edit) -> dict[str, Any]:
-        """What would come of an edit."""
+        """Plan an edit without flying it."""
         return experiment_editor.attempt(self._experiment, edit)
 
     def save(self, edit: Edit, name: str) -> dict[str, Any]:
@@ -227,12 +227,14 @@ def _linked(seen: RobotView, known: RobotView | None) -> RobotView:
     return replace(seen, clock_offset_s=known.clock_offset_s, loss=known.loss, behind_s=known.behind_s)
 
 
-def _aged(inbox: Inbox[Any]) -> Aged:
+def _aged(inbox: Inbox[Any]) -> AgedMessage:
     return _age(inbox.newest())
 
 
-def _age(received: Received[Any] | None) -> Aged:
+def _age(received: Received[Any] | None) -> AgedMessage:
     """By the machine's own clock, also in lockstep: nothing that has stopped coming may look alive."""
     if received is None:
-        return Aged()
-    return Aged(received.message, min((time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6, NEVER_MS))
+        return AgedMessage()
+    return AgedMessage(
+        received.message, min((time.monotonic_ns() - received.arrived_ns + received.header.age_ns) * 1e-6, NEVER_MS)
+    )

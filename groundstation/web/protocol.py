@@ -1,8 +1,10 @@
-"""What the page may say to the station: small JSON texts, checked field by field. Pure. What does not fit is refused."""
+"""Messages from the page to the station: small JSON texts, checked field by field, refused if they do not fit. Pure."""
 
 from typing import Annotated, Literal
 
 import msgspec
+
+from groundstation.mission.state_machine import FLEET_REQUESTS
 
 LONGEST_BYTES = 64 * 1024  # of one text: an edit of 49 nodes and 200 waypoints is 12 kB
 
@@ -11,9 +13,7 @@ Metres = Annotated[float, msgspec.Meta(ge=-1e4, le=1e4)]
 Typed = Annotated[float, msgspec.Meta(ge=-1e12, le=1e12)]  # by a person, key by key: the station says what is allowed
 Vec2 = tuple[Metres, Metres]
 Vec3 = tuple[Metres, Metres, Metres]
-OrderName = Literal[
-    "load", "arm", "start", "hold", "resume", "stop", "disarm", "clear-stop", "return", "rejoin", "test", "end"
-]
+OrderName = Annotated[str, msgspec.Meta(pattern=rf"\A(?:{'|'.join(FLEET_REQUESTS)})\Z")]
 
 
 class Hello(msgspec.Struct, tag_field="kind", tag="hello", forbid_unknown_fields=True, frozen=True):
@@ -39,7 +39,7 @@ class Release(msgspec.Struct, tag_field="kind", tag="release", forbid_unknown_fi
     """Give control back."""
 
 
-class Wish(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
+class OrderRequest(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=True, frozen=True):
     """An order for the whole fleet; `n` comes back with the answer."""
 
     n: Count
@@ -47,7 +47,7 @@ class Wish(msgspec.Struct, tag_field="kind", tag="order", forbid_unknown_fields=
     seen_ms: Count = 0  # `clock_ms` of the newest state that the page had: an order that was long on its way is none
 
 
-class Tune(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
+class TuneRequest(msgspec.Struct, tag_field="kind", tag="tune", forbid_unknown_fields=True, frozen=True):
     """Other gains for the whole fleet: those that are named; none: those before. `n` comes back with the answer."""
 
     n: Count
@@ -70,7 +70,7 @@ class Edit(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     nodes_m: Annotated[dict[Annotated[int, msgspec.Meta(ge=1, le=49)], Vec3], msgspec.Meta(max_length=49)] | None = None
 
 
-class Try(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):
+class PreviewEdit(msgspec.Struct, tag_field="kind", tag="try", forbid_unknown_fields=True, frozen=True):
     """Plan an edit with the real planner and tell what comes of it; nothing flies."""
 
     n: Count
@@ -92,7 +92,7 @@ class Seek(msgspec.Struct, tag_field="kind", tag="seek", forbid_unknown_fields=T
     rate: Annotated[float, msgspec.Meta(ge=0, le=64)] | None = None
 
 
-Request = Hello | Ack | Take | Release | Wish | Tune | Try | Save | Seek
+Request = Hello | Ack | Take | Release | OrderRequest | TuneRequest | PreviewEdit | Save | Seek
 _DECODER = msgspec.json.Decoder(Request)
 
 

@@ -14,13 +14,13 @@ from typing import Any, TypeVar
 import numpy as np
 
 from groundstation.logs.logfile import open_log
-from groundstation.mission.state_machine import Phase
-from groundstation.telemetry import LINK_WINDOW, Ear, RobotView
+from groundstation.mission.state_machine import MissionState
+from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web import experiment_editor
 from groundstation.web.alarms import alarms
 from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
-from groundstation.web.snapshot import Aged, FleetNews, RobotNews, snapshot
+from groundstation.web.snapshot import AgedMessage, FleetSnapshot, RobotSnapshot, snapshot
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -38,7 +38,7 @@ Said = tuple[list[int], list[bytes], list[Header]]  # arrivals, ascending, paylo
 Block = dict[tuple[str, int], Said]
 
 
-class Tape:
+class LogPlayer:
     """One recorded run: the newest message of a topic at a time, in ns from its first."""
 
     def __init__(self, run: Path) -> None:
@@ -49,36 +49,36 @@ class Tape:
             self._opened = opened.pop_all()
         self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns - self._log.start_ns
         self._blocks: OrderedDict[int, Block] = OrderedDict()
-        self.legs = self._legs()
-        self.trajectories = {robot: told[-1][1] for robot, told in self.legs.items()}
+        self.segments = self._segments()
+        self.trajectories = {robot: told[-1][1] for robot, told in self.segments.items()}
         self.flown_ns = self._first_flown_ns()
         self._first_plan_ns = {robot: self._first_ns(topics.PLAN, robot) for robot in self.experiment.robot_ids}
 
     def _each(self, topic: Topic, kind: type[M], robot: int | None = None) -> Any:
-        for line in self._log.lines(lambda t, r: t is topic and robot in (None, r)):
+        for line in self._log.messages(lambda t, r: t is topic and robot in (None, r)):
             found = _read(kind, line.payload)
             if found is not None:
                 yield line.robot, line.arrived_ns - self.start_ns, found
 
-    def _legs(self) -> dict[int, list[tuple[int, Trajectory]]]:
-        """What each robot was to fly, and since when: whole runs, each with what was flown before."""
+    def _segments(self) -> dict[int, list[tuple[int, Trajectory]]]:
+        """Trajectories of each robot with the instant of each change; each holds the whole run from its beginning."""
         found: dict[int, list[tuple[int, Trajectory]]] = {}
         for robot, at_ns, trajectory in self._each(topics.TRAJECTORY, Trajectory):
             found.setdefault(robot, []).append((at_ns, trajectory))
         return {robot: found[robot] for robot in self.experiment.robot_ids if robot in found}
 
     def _first_ns(self, topic: Topic, robot: int) -> float:
-        line = next(self._log.lines(lambda t, r: t is topic and r == robot), None)
+        line = next(self._log.messages(lambda t, r: t is topic and r == robot), None)
         return math.inf if line is None else line.arrived_ns - self.start_ns
 
-    def plan_age_s(self, plan: Aged, robot: int, at_ns: int) -> float:
+    def plan_age_s(self, plan: AgedMessage, robot: int, at_ns: int) -> float:
         """Of a robot's newest plan, as `Aged` has it: of one that is beyond LOOK_BACK, so long; infinite before the first."""
         if plan.message is not None:
             return plan.age_ms * 1e-3
         return LOOK_BACK * BLOCK_NS * 1e-9 if self._first_plan_ns[robot] <= at_ns else math.inf
 
     def _first_flown_ns(self) -> int:
-        """When the first robot set off along its trajectory; if it never did, when it first said anything."""
+        """Instant at which the first robot began its trajectory; if none did, of its first state."""
         said_ns = None
         for _, at_ns, state in self._each(topics.STATE, RobotState, self.experiment.robot_ids[0]):
             said_ns = at_ns if said_ns is None else said_ns
@@ -90,7 +90,7 @@ class Tape:
         if index not in self._blocks:
             begin = self.start_ns + index * BLOCK_NS
             block: Block = {}
-            for line in self._log.lines(lambda topic, robot: True, begin, begin + BLOCK_NS):
+            for line in self._log.messages(lambda topic, robot: True, begin, begin + BLOCK_NS):
                 arrivals, payloads, headers = block.setdefault((line.topic.name, line.robot), ([], [], []))
                 arrivals.append(line.arrived_ns - self.start_ns)
                 payloads.append(line.payload)
@@ -121,12 +121,12 @@ class Tape:
                     found.append((arrived, message))
         return found
 
-    def ear(self, robot: int, at_ns: int) -> Ear:
-        """What the station knew of a robot's link and clock at a time. The age that a sender stated is not in the log; of a
+    def link(self, robot: int, at_ns: int) -> LinkMonitor:
+        """Link and clock of a robot as the station knew them at a time. The age that a sender stated is not in the log; of a
         state it is about the time that its control step took."""
-        ear, newest = Ear(), self.newest(topics.STATE, RobotState, at_ns, robot)
+        link, newest = LinkMonitor(), self.newest(topics.STATE, RobotState, at_ns, robot)
         if newest is None:
-            return ear
+            return link
         heard: list[tuple[Header, int]] = []
         for index in range(at_ns // BLOCK_NS, max(at_ns // BLOCK_NS - LINK_BLOCKS, -1), -1):
             arrivals, _, headers = self._block(index).get((topics.STATE.name, robot), ([], [], []))
@@ -135,8 +135,8 @@ class Tape:
         for header, arrived in heard[-LINK_WINDOW:]:
             arrived_ns = arrived + self.start_ns  # in lockstep the stamp itself
             held_ns = round(newest[1].step_us * 1e3) if arrived_ns != header.stamp_ns else 0
-            ear.hear((header,), header, arrived_ns - held_ns)
-        return ear
+            link.add((header,), header, arrived_ns - held_ns)
+        return link
 
     def close(self) -> None:
         """Give the file back."""
@@ -151,99 +151,101 @@ def _read(kind: type[M], payload: bytes) -> M | None:
         return None
 
 
-class Replay:
+class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None) -> None:
-        self._tape = Tape(run)
-        self._against = Tape(against) if against is not None else None
-        self._at_ns, self._rate, self._since_s = self._tape.flown_ns, 0.0, time.monotonic()
+        self._log = LogPlayer(run)
+        self._against = LogPlayer(against) if against is not None else None
+        self._at_ns, self._rate, self._since_s = self._log.flown_ns, 0.0, time.monotonic()
         self._changed = True
         self._shown_s = 0.0
         self._noted_ns = self._at_ns
         self._picture_ns = -1
         self._drawn: list[int] = []
 
-    def __enter__(self) -> "Replay":
+    def __enter__(self) -> "ReplayBackend":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._tape.close()
+        self._log.close()
         if self._against is not None:
             self._against.close()
 
     @property
     def experiment(self) -> Experiment:
-        """What was flown."""
-        return self._tape.experiment
+        """The recorded experiment."""
+        return self._log.experiment
 
     def _now_ns(self) -> int:
         played = round((time.monotonic() - self._since_s) * self._rate * 1e9)
-        return min(self._at_ns + played, self._tape.end_ns)
+        return min(self._at_ns + played, self._log.end_ns)
 
     def scene(self) -> dict[str, Any]:
         """The recorded scene, and how long it is."""
-        return scene(self.experiment, self._tape.trajectories, "replay") | {"replay": {"end_s": self._tape.end_ns * 1e-9}}
+        return scene(self.experiment, self._log.trajectories, "replay") | {"replay": {"end_s": self._log.end_ns * 1e-9}}
 
     def changed(self) -> bool:
-        """Whether there is another state to show."""
+        """True if there is another state to show."""
         playing = self._rate > 0.0 and time.monotonic() - self._shown_s >= FRAME_S
         changed, self._changed = self._changed or playing, False
         return changed
 
     def seek(self, time_s: float | None, rate: float | None) -> None:
         """Go to a time of the run, or on at another pace."""
-        at_ns = self._now_ns() if time_s is None else min(round(time_s * 1e9), self._tape.end_ns)
+        at_ns = self._now_ns() if time_s is None else min(round(time_s * 1e9), self._log.end_ns)
         if time_s is not None:
             self._noted_ns = at_ns
         self._at_ns, self._since_s, self._changed = at_ns, time.monotonic(), True
         self._rate = self._rate if rate is None else rate
 
-    def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> Aged:
-        found = self._tape.newest(topic, kind, at_ns, robot)
-        return Aged() if found is None else Aged(found[1], (at_ns - found[0]) * 1e-6)
+    def _aged(self, topic: Topic, kind: type[Any], at_ns: int, robot: int = 0) -> AgedMessage:
+        found = self._log.newest(topic, kind, at_ns, robot)
+        return AgedMessage() if found is None else AgedMessage(found[1], (at_ns - found[0]) * 1e-6)
 
     def snapshot(self) -> dict[str, Any]:
         """The fleet at the present time of the replay."""
         self._shown_s = time.monotonic()
         now = self._now_ns()
         robots = {
-            r: RobotNews(*(self._aged(topic, topic.type, now, r) for topic in (topics.STATE, topics.POSE, topics.PLAN)))
+            r: RobotSnapshot(*(self._aged(topic, topic.type, now, r) for topic in (topics.STATE, topics.POSE, topics.PLAN)))
             for r in self.experiment.robot_ids
         }
         views = {r: self._view(r, found, now) for r, found in robots.items()}
         localizer = self._aged(topics.LOCALIZER, LocalizerStatus, now)
-        beat = self._tape.newest(topics.HEARTBEAT, StationHeartbeat, now)
-        phase = beat[1].mission if beat is not None and beat[1].mission in Phase.__members__ else ""
-        news = FleetNews(
+        beat = self._log.newest(topics.HEARTBEAT, StationHeartbeat, now)
+        phase = beat[1].mission if beat is not None and beat[1].mission in MissionState.__members__ else ""
+        news = FleetSnapshot(
             time_s=now * 1e-9,
             robots=robots,
             localizer=localizer,
             obstacles=self._aged(topics.OBSTACLES, topics.OBSTACLES.type, now),
             phase=phase,
-            phase_text=Phase[phase].value if phase else "recorded",  # a numeric flight has no station
+            phase_text=MissionState[phase].value if phase else "recorded",  # a numeric flight has no station
             emergency_stop=beat is not None and beat[1].emergency_stop,
             alarms=alarms(self.experiment, views, localizer.message, localizer.age_ms * 1e-3, ""),
         )
         return snapshot(news) | {"replay": {"time_s": now * 1e-9, "rate": self._rate}, "ghosts": self._ghosts(now)}
 
-    def _view(self, robot: int, news: RobotNews, now_ns: int) -> RobotView:
+    def _view(self, robot: int, news: RobotSnapshot, now_ns: int) -> RobotView:
         ages_s = [n.age_ms * 1e-3 if n.message is not None else math.inf for n in (news.state, news.pose)]
-        ages_s.append(self._tape.plan_age_s(news.plan, robot, now_ns))
-        ear = self._tape.ear(robot, now_ns)
-        return RobotView(news.state.message, ages_s[0], news.pose.message, ages_s[1], ages_s[2], ear.clock_offset_s, ear.loss)
+        ages_s.append(self._log.plan_age_s(news.plan, robot, now_ns))
+        link = self._log.link(robot, now_ns)
+        return RobotView(
+            news.state.message, ages_s[0], news.pose.message, ages_s[1], ages_s[2], link.clock_offset_s, link.loss
+        )
 
     def paths(self) -> list[dict[str, Any]] | None:
-        """What was flown at that time, once when it changes: of a later leg what it does not share with the one before."""
-        now, legs = self._now_ns(), self._tape.legs
-        flown = {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in legs.items()}
+        """Paths flown at that time, returned once after each change: of a later segment only the part that is new."""
+        now, segments = self._now_ns(), self._log.segments
+        flown = {robot: max(bisect_right([at for at, _ in told], now) - 1, 0) for robot, told in segments.items()}
         if list(flown.values()) == self._drawn:
             return None
         self._drawn = list(flown.values())
         found = []
         for robot, k in flown.items():
-            trajectory = legs[robot][k][1]
-            begin = _differ(legs[robot][k - 1][1], trajectory) if k > 0 else 0
+            trajectory = segments[robot][k][1]
+            begin = _differ(segments[robot][k - 1][1], trajectory) if k > 0 else 0
             end = len(trajectory.eta) if k > 0 else flown_samples(self.experiment)
             found += paths({robot: replace(trajectory, eta=trajectory.eta[begin:])}, max(end - begin, 1))
         return found
@@ -252,13 +254,13 @@ class Replay:
         """The other run's robots, as long after its start as this one is after its own."""
         if self._against is None:
             return []
-        then_ns = max(now_ns - self._tape.flown_ns + self._against.flown_ns, 0)
+        then_ns = max(now_ns - self._log.flown_ns + self._against.flown_ns, 0)
         found = ((r, self._against.newest(topics.STATE, RobotState, then_ns, r)) for r in self._against.experiment.robot_ids)
         return [{"id": r, "eta": floats(state[1].eta)} for r, state in found if state is not None]
 
     def picture(self) -> dict[str, Any] | None:
         """The picture of that time, once."""
-        found = self._tape.newest(topics.PREVIEW, Preview, self._now_ns())
+        found = self._log.newest(topics.PREVIEW, Preview, self._now_ns())
         if found is None or found[0] == self._picture_ns:
             return None
         self._picture_ns = found[0]
@@ -272,19 +274,19 @@ class Replay:
         self._noted_ns = now
         return [
             {"k": "event", "time_s": at * 1e-9, "level": event.level, "source": event.source, "text": event.message}
-            for at, event in self._tape.between(topics.EVENT, Event, after, now)
+            for at, event in self._log.between(topics.EVENT, Event, after, now)
         ]
 
     def order(self, order: Order) -> tuple[str, int]:
-        """Nobody hears it."""
+        """Refuse: a recorded run takes no requests."""
         return "this is a recorded run", 0
 
     def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
-        """What was flown was flown."""
+        """Refuse: a recorded run has its gains."""
         return "this is a recorded run", 0
 
     def attempt(self, edit: Edit) -> dict[str, Any]:
-        """What would come of an edit of the recorded experiment."""
+        """Plan an edit of the recorded experiment."""
         return experiment_editor.attempt(self.experiment, edit)
 
     def save(self, edit: Edit, name: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""What the page is told once: pool, robots, limits, planned paths, and how the camera's picture lies under them. Pure."""
+"""Scene that the page gets once: pool, robots, limits, planned paths, mesh of the camera's picture. Pure."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -41,7 +41,7 @@ def flown_paths(trajectories: Mapping[int, Trajectory], end_s: float) -> list[di
 
 
 def flown_samples(experiment: Experiment) -> int:
-    """How many samples of a trajectory belong to the run; the rest is horizon."""
+    """Number of samples of a trajectory that belong to the run; the rest is horizon."""
     return round(experiment.duration_s / experiment.controller.period_s) + 1
 
 

@@ -1,4 +1,4 @@
-"""What one watcher gets next: at most two frames on the way, the latest state and picture, and every note in order. Pure.
+"""Send window of one page: at most two frames on the way, the latest state and picture, every note in order. Pure.
 
 A browser that stops acknowledging stops being sent to. What it costs is one state, one picture and MOST_NOTES notes, and the
 bytes of two frames in a socket; nobody waits for it. Notes and states take turns, so that neither keeps the other waiting.
@@ -10,7 +10,7 @@ UNACKNOWLEDGED = 2
 MOST_NOTES = 256
 
 
-class Window:
+class SendWindow:
     """One watcher's side of the stream. Frames are bodies without a number; `next` numbers them."""
 
     def __init__(self) -> None:

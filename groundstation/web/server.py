@@ -21,9 +21,9 @@ from starlette.staticfiles import StaticFiles
 
 from groundstation.web import protocol
 from groundstation.web.auth import HEADERS, WebOptions, host_allowed
-from groundstation.web.client_hub import Hub
-from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, Crowd, http_class
-from groundstation.web.live_backend import Source
+from groundstation.web.client_hub import ClientHub
+from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
+from groundstation.web.live_backend import Backend
 from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 
@@ -60,9 +60,9 @@ class Guarded:
         await self._app(scope, receive, send_guarded)
 
 
-def make_app(source: Source, options: WebOptions) -> Any:
+def make_app(source: Backend, options: WebOptions) -> Any:
     """The ASGI application."""
-    hub = Hub(source, options)
+    hub = ClientHub(source, options)
 
     @contextlib.asynccontextmanager
     async def lifespan(app: Starlette) -> Any:
@@ -102,7 +102,7 @@ class _Loop(asyncio.SelectorEventLoop):
 class WebServer:
     """The page's thread. A page that fails says so in the log and is gone; the station flies on."""
 
-    def __init__(self, source: Source, options: WebOptions) -> None:
+    def __init__(self, source: Backend, options: WebOptions) -> None:
         """Bind at once. Raises ConfigError if the address cannot be had, or the certificate not be used."""
         self._failure, self._where = "", f"{options.host}:{options.port}"
         family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
@@ -118,7 +118,7 @@ class WebServer:
         config = uvicorn.Config(
             make_app(source, options),
             loop="asyncio",
-            http=http_class(Crowd()),
+            http=http_class(ConnectionLimiter()),
             ws="websockets-sansio",
             ws_max_size=protocol.LONGEST_BYTES,
             ws_per_message_deflate=False,  # costs more time than a local network's bytes

@@ -11,19 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from groundstation.mission.gain_update import Stage, TuningStatus
+from groundstation.mission.gain_update import GainStage, GainStatus
 from groundstation.mission.lap_statistics import Lap
+from groundstation.mission.state_machine import order_name
 from groundstation.telemetry import Finding
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from wire.frames import Array
-from wire.messages.messages import LocalizerStatus, Obstacles, Order, Outcome, Plan, Pose, RobotState
+from wire.messages.messages import LocalizerStatus, Obstacles, Outcome, Plan, Pose, RobotState
 
 NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
 
 
 @dataclass(frozen=True, eq=False)
-class Aged:
+class AgedMessage:
     """The newest message of a kind, and how old it is; None is "never heard"."""
 
     message: Any = None
@@ -31,22 +32,22 @@ class Aged:
 
 
 @dataclass(frozen=True, eq=False)
-class RobotNews:
+class RobotSnapshot:
     """The newest of one robot."""
 
-    state: Aged = field(default_factory=Aged)
-    pose: Aged = field(default_factory=Aged)
-    plan: Aged = field(default_factory=Aged)
+    state: AgedMessage = field(default_factory=AgedMessage)
+    pose: AgedMessage = field(default_factory=AgedMessage)
+    plan: AgedMessage = field(default_factory=AgedMessage)
 
 
 @dataclass(frozen=True, eq=False)
-class FleetNews:
+class FleetSnapshot:
     """The newest of everything."""
 
     time_s: float  # of the run, by the station's clock
-    robots: Mapping[int, RobotNews]
-    localizer: Aged = field(default_factory=Aged)
-    obstacles: Aged = field(default_factory=Aged)
+    robots: Mapping[int, RobotSnapshot]
+    localizer: AgedMessage = field(default_factory=AgedMessage)
+    obstacles: AgedMessage = field(default_factory=AgedMessage)
     phase: str = ""
     phase_text: str = ""
     reason: str = ""
@@ -55,18 +56,13 @@ class FleetNews:
     emergency_stop: bool = False
     alarms: Sequence[Alarm] = ()
     present: Sequence[str] = ()
-    tuning: TuningStatus | None = None
+    tuning: GainStatus | None = None
     laps: Sequence[Lap] = ()
     requests: Sequence[Outcome] = ()
     ended: bool = False
 
 
-def order_name(order: Order) -> str:
-    """An order as the page and a terminal call it."""
-    return order.name.lower().replace("_", "-")
-
-
-def snapshot(news: FleetNews) -> dict[str, Any]:
+def snapshot(news: FleetSnapshot) -> dict[str, Any]:
     """The page's view of it all."""
     return {
         "time_s": news.time_s,
@@ -74,7 +70,7 @@ def snapshot(news: FleetNews) -> dict[str, Any]:
         "phase_text": news.phase_text,
         "reason": news.reason,
         "allowed": list(news.allowed),
-        "preflight": [{"robot": found.robot, "text": found.told} for found in news.preflight],
+        "preflight": [{"robot": found.robot, "text": found.message} for found in news.preflight],
         "stop": news.emergency_stop,
         "alarms": [{"level": a.level, "key": a.key, "robot": a.robot, "text": a.text} for a in news.alarms],
         "present": list(news.present),
@@ -98,7 +94,7 @@ def _request(outcome: Outcome) -> dict[str, Any]:
     }
 
 
-def _robot(robot: int, news: RobotNews) -> dict[str, Any]:
+def _robot(robot: int, news: RobotSnapshot) -> dict[str, Any]:
     found: dict[str, Any] = {"id": robot, "age_ms": news.state.age_ms}
     if news.state.message is not None:
         found["state"] = _state(news.state.message)
@@ -166,7 +162,7 @@ def ellipse(covariance: Array) -> tuple[float, float, float]:
     return float(np.sqrt(max(mean + spread, 0.0))), float(np.sqrt(max(mean - spread, 0.0))), angle
 
 
-def _localizer(found: Aged) -> dict[str, Any] | None:
+def _localizer(found: AgedMessage) -> dict[str, Any] | None:
     status: LocalizerStatus | None = found.message
     if status is None:
         return None
@@ -181,14 +177,14 @@ def _localizer(found: Aged) -> dict[str, Any] | None:
     }
 
 
-def _obstacles(found: Aged) -> dict[str, Any] | None:
+def _obstacles(found: AgedMessage) -> dict[str, Any] | None:
     seen: Obstacles | None = found.message
     if seen is None:
         return None
     return {"age_ms": found.age_ms, "ids": list(seen.ids), "outline": floats(seen.outline), "velocity": floats(seen.velocity)}
 
 
-def _tuning(found: TuningStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | None:
+def _tuning(found: GainStatus | None, laps: Sequence[Lap]) -> dict[str, Any] | None:
     """The values are in the order of the scene's knobs, as they are: what is sent back must be what was."""
     if found is None:
         return None
@@ -197,7 +193,7 @@ def _tuning(found: TuningStatus | None, laps: Sequence[Lap]) -> dict[str, Any] |
         "values": found.flown.values.tolist(),
         "wanted": found.wanted,
         "stage": found.stage.value,
-        "waiting": found.stage is Stage.WAITING,
+        "waiting": found.stage is GainStage.WAITING,
         "reason": found.reason,
         "undo": found.undo,
         "known": list(found.known),

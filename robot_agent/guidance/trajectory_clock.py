@@ -82,7 +82,7 @@ class TrajectoryClock:
             planned = f", {self._planned_m:.2f} m of it as planned" if self._planned_m else ""
             return (
                 f"is {away_m:.2f} m from where its path is at {reached_s:.2f} s, allowed are {limit_m:.2f} m{planned} "
-                "(safety.join_within_m); bring it there, or: groundstation return"
+                "(safety.join_within_m); bring it there, or: groundstation mission return"
             )
         return ""
 

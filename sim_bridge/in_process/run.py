@@ -42,7 +42,7 @@ def prepared(experiment: Experiment) -> tuple[AgentFleet, DirectPlant]:
 def run(fleet: AgentFleet, plant: DirectPlant, run_dir: Path, *, stop: Stop, console: Console) -> int:
     """Fly a fleet that has started to its end, and report. Returns the exit code: 0 passed, 1 failed, 130 interrupted."""
     (run_dir / "experiment.toml").write_text(dump_experiment(fleet.experiment), encoding="utf-8")
-    recording = subprocess.Popen([*STATION, "record", str(run_dir)], stdin=subprocess.PIPE)
+    recording = subprocess.Popen([*STATION, "log", "record", str(run_dir)], stdin=subprocess.PIPE)
     assert recording.stdin is not None
     start_s = fleet.time_s
     begin_s, begin_cpu_s = time.perf_counter(), time.process_time()

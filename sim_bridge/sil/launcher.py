@@ -192,7 +192,7 @@ def report(run_dir: Path, console: Console) -> bool:
     file = run_dir / "result.json"
     before = _written(file)
     writing = subprocess.run(
-        [sys.executable, "-m", "groundstation", "report", str(run_dir)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "groundstation", "log", "report", str(run_dir)], capture_output=True, text=True, check=False
     )
     # 1: there is one, of a run that did not pass; but so ends a program with an error of its own
     if writing.returncode not in (0, 1) or _written(file) == before:

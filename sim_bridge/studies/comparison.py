@@ -119,7 +119,7 @@ def run(
         variants=found,
     )
     replace_text(folder / "comparison.json", comparison.to_json())
-    return subprocess.run([*STATION, "comparison", str(folder)], check=False).returncode
+    return subprocess.run([*STATION, "benchmark", "report", str(folder)], check=False).returncode
 
 
 def tasks_of(experiment: Experiment, seeds: Sequence[int], scatter: float) -> list[FlightTask]:

@@ -4,13 +4,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from groundstation.mission.command_dispatcher import Answer
+from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.mission import Mission
-from groundstation.mission.obstacle_monitor import Surroundings
-from groundstation.mission.state_machine import Phase
+from groundstation.mission.obstacle_monitor import ObstacleSet
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.segment import first_leg
+from groundstation.planning.segment import first_segment
 from groundstation.telemetry import RobotView
 from robot_agent.agent import Agent
 from robot_agent.inputs import StationView
@@ -29,21 +29,21 @@ class CrewedPool(DryPool):
 
     def __init__(self, experiment: Experiment, automatic: bool = False, seed: int = 1) -> None:
         super().__init__(experiment, seed)
-        leg = first_leg(self.experiment)
-        starts = planner.start_poses(self.experiment, leg.trajectories)
-        self.mission = Mission(self.experiment, leg, starts, automatic)
+        segment = first_segment(self.experiment)
+        starts = planner.start_poses(self.experiment, segment.trajectories)
+        self.mission = Mission(self.experiment, segment, starts, automatic)
         self.starts = starts
         self.things = np.zeros((0, 3))
         self.loses: Callable[[Command], bool] = lambda command: False  # orders that do not arrive
         self.references: list[Array] = []  # (robots, 12) at each step: pose, velocity, acceleration of the goal now
-        self.phases: list[Phase] = []
+        self.phases: list[MissionState] = []
         self.reasons: list[str] = []
-        self._answers: list[Answer] = []
+        self._answers: list[CommandResult] = []
         self._sent = 0
         self._heard_ns = [-1] * len(self.robots)
 
     def station(self) -> StationView:
-        pace = self.mission.pace
+        pace = self.mission.governor
         return StationView(STATION_SESSION, self.now_ns, 0.0, pace.lag_s, 1.0 - pace.rate)
 
     def fleet(self) -> dict[int, RobotView]:
@@ -72,16 +72,16 @@ class CrewedPool(DryPool):
         for _ in range(round(seconds * NS / self.period_ns)):
             self.step()
 
-    def until(self, *phases: Phase, within_s: float) -> None:
+    def until(self, *phases: MissionState, within_s: float) -> None:
         """Fly on until the mission is in one of these; not getting there is a failed test."""
         for _ in range(round(within_s * NS / self.period_ns)):
             self.step()
-            if self.mission.phase in phases:
+            if self.mission.state in phases:
                 return
-        raise AssertionError(f"still {self.mission.phase.name}: {self.mission.reason}; came by {self.phases}")
+        raise AssertionError(f"still {self.mission.state.name}: {self.mission.reason}; came by {self.phases}")
 
     def wish(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> str:
-        return self.mission.wish(order, self.fleet(), self.now_ns, via)
+        return self.mission.request(order, self.fleet(), self.now_ns, via)
 
     def restart(self, i: int) -> None:
         """The i-th robot's program anew, as after a crash."""
@@ -95,11 +95,11 @@ class CrewedPool(DryPool):
         return min(float(np.linalg.norm(truth[:, a] - truth[:, b], axis=1).min()) for a, b in pairs)
 
     def _command(self) -> None:
-        around = Surroundings(tuple(range(len(self.things))), self.things)
+        around = ObstacleSet(tuple(range(len(self.things))), self.things)
         fleet = self.fleet()
         commands = self.mission.step(fleet, self._answers, self.now_ns, around)
-        if self.mission.wanted is not None:
-            wanted = self.mission.wanted
+        if self.mission.plan_request is not None:
+            wanted = self.mission.plan_request
             try:
                 self.mission.planned(wanted.plan(), fleet, self.now_ns)
             except PlanError as error:
@@ -108,14 +108,14 @@ class CrewedPool(DryPool):
         for command in commands:
             i = self.experiment.robot_ids.index(command.robot)
             if self.loses(command):
-                self._answers.append(Answer(command, Reply(command.robot, False, "no answer")))
+                self._answers.append(CommandResult(command, Reply(command.robot, False, "no answer")))
             elif self.agents_work[i]:
                 self._sent += 1
                 header = Header(STATION_SESSION, self._sent, self.now_ns)
                 reply = self.robots[i].agent.handle_command(header, command, self.station(), self.now_ns + self.ahead_ns[i])
-                self._answers.append(Answer(command, reply))
-        if not self.phases or self.phases[-1] is not self.mission.phase:
-            self.phases.append(self.mission.phase)
+                self._answers.append(CommandResult(command, reply))
+        if not self.phases or self.phases[-1] is not self.mission.state:
+            self.phases.append(self.mission.state)
             self.reasons.append(self.mission.reason)
 
 

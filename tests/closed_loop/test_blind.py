@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from groundstation.mission.state_machine import Phase
+from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import findings
 from tests.closed_loop.crewed_pool import CrewedPool
 from wire.config.experiment import load_experiment
@@ -28,9 +28,9 @@ class DimPool(CrewedPool):
 
 def flying(*settings: str) -> DimPool:
     pool = DimPool(load_experiment("pool", ["duration_s=30", *settings]), automatic=True)
-    pool.until(Phase.RUNNING, within_s=5.0)
+    pool.until(MissionState.RUNNING, within_s=5.0)
     pool.run(1.0)
-    assert pool.mission.phase is Phase.RUNNING
+    assert pool.mission.state is MissionState.RUNNING
     return pool
 
 
@@ -42,16 +42,16 @@ def test_robots_hold_while_the_localizer_is_blind_and_go_on_when_it_sees_again()
     pool = flying()
     assert alarms(pool) == set()
     pool.blind = LAMP
-    pool.until(Phase.PAUSED, within_s=0.5)
+    pool.until(MissionState.PAUSED, within_s=0.5)
     assert pool.mission.reason == f"robots 1, 2 blind: {LAMP}"
     assert alarms(pool) == {f"blind: {LAMP}"}
     pool.run(3.0)
-    assert pool.mission.phase is Phase.PAUSED
+    assert pool.mission.state is MissionState.PAUSED
     assert [robot.agent.mode for robot in pool.robots] == [Mode.HOLDING] * 2
-    reached_s = pool.mission.itinerary.reached_s
+    reached_s = pool.mission.plans.progress_s
     pool.blind = ""
-    pool.until(Phase.RUNNING, within_s=3.0)
-    assert pool.mission.itinerary.reached_s == pytest.approx(reached_s, abs=0.1)
+    pool.until(MissionState.RUNNING, within_s=3.0)
+    assert pool.mission.plans.progress_s == pytest.approx(reached_s, abs=0.1)
     assert alarms(pool) == set()
 
 
@@ -59,8 +59,8 @@ def test_robots_hold_when_nobody_tells_of_obstacles_any_more() -> None:
     pool = flying()
     pool.telling = False
     pool.run(0.4)
-    assert pool.mission.phase is Phase.RUNNING
-    pool.until(Phase.PAUSED, within_s=0.5)
+    assert pool.mission.state is MissionState.RUNNING
+    pool.until(MissionState.PAUSED, within_s=0.5)
     assert pool.mission.reason == "robots 1, 2 blind: nobody tells of obstacles any more"
 
 
@@ -68,16 +68,16 @@ def test_with_warn_they_fly_on_and_the_alarm_is_there() -> None:
     pool = flying('mission.blind="warn"')
     pool.blind = LAMP
     pool.run(2.0)
-    assert pool.mission.phase is Phase.RUNNING
+    assert pool.mission.state is MissionState.RUNNING
     assert alarms(pool) == {f"blind: {LAMP}"}
 
 
-@pytest.mark.parametrize(("policy", "phase"), [("hold", Phase.WAITING), ("warn", Phase.RUNNING)])
-def test_nobody_arms_while_the_localizer_learns_unless_it_may(policy: str, phase: Phase) -> None:
+@pytest.mark.parametrize(("policy", "phase"), [("hold", MissionState.WAITING), ("warn", MissionState.RUNNING)])
+def test_nobody_arms_while_the_localizer_learns_unless_it_may(policy: str, phase: MissionState) -> None:
     pool = DimPool(load_experiment("pool", ["duration_s=30", f"mission.blind={policy}"]), automatic=True)
     pool.blind = "the localizer learns what the water looks like"
     pool.run(4.0)
-    assert pool.mission.phase is phase
+    assert pool.mission.state is phase
     assert (pool.blind in pool.mission.reason) == (policy == "hold")
 
 
@@ -85,7 +85,7 @@ def test_who_watches_for_nothing_by_choice_is_not_blind() -> None:
     pool = DimPool(load_experiment("pool", ["duration_s=30", "localizer.obstacle_min_m=0"]), automatic=True)
     pool.run(4.0)
     assert not pool.watched and alarms(pool) == set()
-    assert pool.mission.phase is Phase.RUNNING
+    assert pool.mission.state is MissionState.RUNNING
 
 
 def test_a_robot_keeps_away_from_where_an_unseen_pole_may_be() -> None:

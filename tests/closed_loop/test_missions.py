@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.mission import START_IN_S
-from groundstation.mission.state_machine import Phase
-from groundstation.planning.segment import at
+from groundstation.mission.state_machine import MissionState
+from groundstation.mission.timetable import START_IN_S
+from groundstation.planning.segment import sample
 from sim_bridge.plant.fleet import ActuatorFaults
 from tests.closed_loop.crewed_pool import CrewedPool
 from wire.config.experiment import load_experiment
@@ -16,7 +16,7 @@ def flying(scene: str, *settings: str) -> CrewedPool:
     pool = CrewedPool(load_experiment(scene, settings))
     pool.run(0.5)
     assert pool.wish(Order.START) == ""
-    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.until(MissionState.RUNNING, within_s=4.0)
     return pool
 
 
@@ -25,9 +25,9 @@ def test_everybody_comes_home_and_disarms() -> None:
     pool.run(15.0)
     begin = len(pool.truth)
     assert pool.wish(Order.RETURN) == ""
-    pool.until(Phase.DONE, Phase.FAILED, within_s=60.0)
-    assert pool.mission.phase is Phase.DONE and not pool.mission.failed
-    assert Phase.RETURNING in pool.phases
+    pool.until(MissionState.DONE, MissionState.FAILED, within_s=60.0)
+    assert pool.mission.state is MissionState.DONE
+    assert MissionState.RETURNING in pool.phases
     assert {robot.states[-1].mode for robot in pool.robots} == {Mode.DISARMED}
     for i, start in enumerate(pool.starts.values()):
         assert np.hypot(*(pool.truth[-1][i][:2] - start[:2])) < 0.1
@@ -41,12 +41,12 @@ def test_who_was_stopped_comes_home_later() -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(8.0)
     assert pool.wish(Order.DISARM) == ""
-    pool.until(Phase.CANCELLED, within_s=3.0)
+    pool.until(MissionState.CANCELLED, within_s=3.0)
     assert pool.mission.reason == "a person asked for DISARM when RUNNING"
     pool.run(2.0)
     assert pool.wish(Order.RETURN) == ""
-    pool.until(Phase.RETURNING, within_s=5.0)
-    pool.until(Phase.DONE, within_s=60.0)
+    pool.until(MissionState.RETURNING, within_s=5.0)
+    pool.until(MissionState.DONE, within_s=60.0)
     for i, start in enumerate(pool.starts.values()):
         assert np.hypot(*(pool.truth[-1][i][:2] - start[:2])) < 0.1
 
@@ -56,13 +56,13 @@ def test_on_the_way_home_one_can_hold_and_stop(order: Order) -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(10.0)
     pool.wish(Order.RETURN)
-    pool.until(Phase.RETURNING, within_s=15.0)
+    pool.until(MissionState.RETURNING, within_s=15.0)
     assert pool.wish(order) == ""
     pool.run(2.0)
     assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING if order is Order.HOLD else Mode.STOPPED}
     if order is Order.HOLD:
         assert pool.wish(Order.RESUME) == ""
-        pool.until(Phase.DONE, within_s=60.0)
+        pool.until(MissionState.DONE, within_s=60.0)
 
 
 def test_a_start_that_one_robot_takes_late_keeps_it_in_step() -> None:
@@ -70,30 +70,30 @@ def test_a_start_that_one_robot_takes_late_keeps_it_in_step() -> None:
     pool = CrewedPool(load_experiment("figure-eight"))
     pool.run(0.5)
     assert pool.wish(Order.START) == ""
-    pool.until(Phase.STARTING, within_s=3.0)
+    pool.until(MissionState.STARTING, within_s=3.0)
     first_ns = pool.now_ns
     pool.loses = lambda command: command.robot == 2 and command.order is Order.START and pool.now_ns < first_ns + 1_200_000_000
-    pool.until(Phase.RUNNING, within_s=3.0)
+    pool.until(MissionState.RUNNING, within_s=3.0)
     assert pool.now_ns >= first_ns + 1_200_000_000
     pool.run(2.0)
-    assert pool.mission.phase is Phase.RUNNING and pool.mission.reason == ""
+    assert pool.mission.state is MissionState.RUNNING and pool.mission.reason == ""
     reached = [robot.states[-1].trajectory_s for robot in pool.robots]
     assert np.ptp(reached) < 1e-9 and reached[0] == pytest.approx((pool.now_ns - first_ns) * 1e-9 - START_IN_S)
 
 
 def test_a_robot_whose_clock_leaps_makes_all_hold_and_they_go_on_in_step() -> None:
     pool = CrewedPool(load_experiment("figure-eight"), automatic=True)
-    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.until(MissionState.RUNNING, within_s=4.0)
     pool.run(4.0)
-    reached_s = pool.mission.itinerary.reached_s
+    reached_s = pool.mission.plans.progress_s
     pool.ahead_ns[1] += 800_000_000
-    pool.until(Phase.PAUSED, within_s=1.0)
+    pool.until(MissionState.PAUSED, within_s=1.0)
     assert pool.mission.reason == "robot 2 is 0.8 s ahead of the others"
-    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.until(MissionState.RUNNING, within_s=4.0)
     reached = [robot.states[-1].trajectory_s for robot in pool.robots]
     assert np.ptp(reached) < 1e-9 and abs(reached[0] - reached_s) < 1.0
     pool.run(1.0)
-    assert pool.mission.phase is Phase.RUNNING
+    assert pool.mission.state is MissionState.RUNNING
 
 
 def test_when_one_robot_misses_a_switch_all_get_one_new_plan_before_they_go_on() -> None:
@@ -101,19 +101,19 @@ def test_when_one_robot_misses_a_switch_all_get_one_new_plan_before_they_go_on()
     pool.run(4.0)
     pool.loses = lambda command: command.robot == 2 and command.order is Order.SWITCH
     assert pool.wish(Order.GO, [(-2.0, 1.0)]) == ""
-    pool.until(Phase.PAUSED, within_s=4.0)
+    pool.until(MissionState.PAUSED, within_s=4.0)
     assert "robot 2 has not gone over in time" in pool.mission.reason
     pool.run(1.0)
     assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING}
     assert pool.wish(Order.RESUME) == ""
     assert "has another plan" in pool.mission.reason
-    while pool.mission.phase is not Phase.RUNNING:
+    while pool.mission.state is not MissionState.RUNNING:
         pool.run(0.05)
         ids = {robot.states[-1].trajectory_id for robot in pool.robots if robot.states[-1].mode is Mode.TRACKING}
-        assert ids <= {t.id for t in pool.mission.leg.trajectories.values()}  # nobody moves on what the others do not fly
-    leg = pool.mission.leg
-    assert {robot.states[-1].trajectory_id for robot in pool.robots} == {t.id for t in leg.trajectories.values()}
-    later = [at(t, np.array([leg.own_ways_until_s + 5.0])).eta[0, :2] for t in leg.trajectories.values()]
+        assert ids <= {t.id for t in pool.mission.segment.trajectories.values()}  # nobody moves on what the others do not fly
+    segment = pool.mission.segment
+    assert {robot.states[-1].trajectory_id for robot in pool.robots} == {t.id for t in segment.trajectories.values()}
+    later = [sample(t, np.array([segment.transfer_end_s + 5.0])).eta[0, :2] for t in segment.trajectories.values()]
     apart = [float(np.linalg.norm(later[a] - later[b])) for a, b in ((0, 1), (0, 2), (1, 2))]
     assert apart == pytest.approx([0.9] * 3, abs=0.01)  # one triangle, on one path
 
@@ -123,19 +123,19 @@ def test_what_comes_to_lie_on_a_robots_way_home_is_gone_round() -> None:
     pool = flying("blocked-path", "sim.drifters=[]")
     pool.run(10.0)
     assert pool.wish(Order.RETURN) == ""
-    pool.until(Phase.RETURNING, within_s=15.0)
-    home = pool.mission.leg
+    pool.until(MissionState.RETURNING, within_s=15.0)
+    home = pool.mission.segment
     half_way = home.trajectories[1].eta[len(home.trajectories[1].eta) // 2, :2]
     pool.things = np.array([[*half_way, 0.05]])
-    pool.until(Phase.HALTING, within_s=2.0)
+    pool.until(MissionState.HALTING, within_s=2.0)
     assert "something lies at" in pool.mission.reason
-    pool.until(Phase.RETURNING, within_s=15.0)
-    assert pool.mission.leg is not home
-    for anew in pool.mission.leg.trajectories.values():
+    pool.until(MissionState.RETURNING, within_s=15.0)
+    assert pool.mission.segment is not home
+    for anew in pool.mission.segment.trajectories.values():
         away_m = np.hypot(*(anew.eta[:, :2] - half_way).T)
         assert away_m.min() > min(0.05 + pool.experiment.safety.radius_m, away_m[0]) - 0.001
     pool.run(3.0)
-    assert pool.mission.phase is Phase.RETURNING  # and not to rest once more
+    assert pool.mission.state is MissionState.RETURNING  # and not to rest once more
 
 
 BALL = np.array([[1.0, 0.1, 0.2]])  # where blocked-path's own ball comes to lie
@@ -159,12 +159,12 @@ def test_a_formation_goes_round_what_comes_to_lie_on_its_path() -> None:
     begin = len(pool.references)
     pool.run(9.0)
     pool.things = BALL
-    pool.until(Phase.SWITCHING, within_s=3.0)
+    pool.until(MissionState.SWITCHING, within_s=3.0)
     assert "something lies at (1.00, 0.10) m, on the path of robot" in pool.mission.reason
-    pool.until(Phase.RUNNING, within_s=3.0)
+    pool.until(MissionState.RUNNING, within_s=3.0)
     pool.run(33.0)
     truth = np.array(pool.truth[begin:])
-    assert truth[-1, :, 0].min() > 0.3 and Phase.PAUSED not in pool.phases
+    assert truth[-1, :, 0].min() > 0.3 and MissionState.PAUSED not in pool.phases
     assert np.hypot(*(truth[:, :, :2] - BALL[0, :2]).transpose(2, 0, 1)).min() > 0.2 + pool.experiment.safety.radius_m + 0.2
     assert pool.separation_m(begin) > 0.85  # of 0.9: the triangle stays one
     position, velocity, acceleration = jumps(pool, begin, len(pool.references))
@@ -175,15 +175,15 @@ def test_a_formation_goes_round_what_comes_to_lie_on_its_path() -> None:
 
 def test_where_there_is_no_way_round_it_holds_says_why_and_goes_on_when_it_is_clear() -> None:
     pool = CrewedPool(load_experiment("blocked-path", ["sim.drifters=[]"]), automatic=True)
-    pool.until(Phase.RUNNING, within_s=6.0)
+    pool.until(MissionState.RUNNING, within_s=6.0)
     pool.run(3.0)
     pool.things = np.array([[0.0, y, 0.3] for y in np.arange(-4.0, 4.1, 0.5)])
-    pool.until(Phase.PAUSED, within_s=3.0)
+    pool.until(MissionState.PAUSED, within_s=3.0)
     assert "no way round" in pool.mission.reason
     pool.run(4.0)
     assert {robot.states[-1].mode for robot in pool.robots} == {Mode.HOLDING}
     pool.things = np.zeros((0, 3))
-    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.until(MissionState.RUNNING, within_s=4.0)
 
 
 @pytest.mark.slow
@@ -193,10 +193,10 @@ def test_a_person_sends_the_formation_elsewhere_under_way() -> None:
     begin = len(pool.references) - 20
     assert "where to?" in pool.wish(Order.GO)
     assert pool.wish(Order.GO, [(-2.0, 1.0)]) == ""
-    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.until(MissionState.RUNNING, within_s=4.0)
     pool.run(8.0)
     assert max(jumps(pool, begin, len(pool.references))[:2]) < 1e-4
-    assert pool.mission.leg.via == ((-2.0, 1.0),)
+    assert pool.mission.segment.via == ((-2.0, 1.0),)
     pool.run(12.0)
     centre = np.mean([truth[:2] for truth in pool.truth[-1]], axis=0)
     assert np.hypot(*(centre - [-2.0, 1.0])) < 0.05
@@ -219,9 +219,9 @@ def lagging(*settings: str) -> tuple[CrewedPool, float]:
 def test_the_formation_waits_for_a_robot_that_lags() -> None:
     without, far = lagging()
     waited, near = lagging("mission.wait_from_m=0.1", "mission.wait_at_m=0.4")
-    assert without.mission.pace.lag_s == 0.0 and Phase.SLOWED not in without.phases
+    assert without.mission.governor.lag_s == 0.0 and MissionState.SLOWED not in without.phases
     assert far > 0.8 and near < 0.4
-    assert Phase.SLOWED in waited.phases and waited.mission.pace.lag_s > 2.0
+    assert MissionState.SLOWED in waited.phases and waited.mission.governor.lag_s > 2.0
     reached = [robot.states[-1].trajectory_s for robot in waited.robots]
     assert np.ptp(reached) < 1e-9  # all at the same place of the plan, though one is slow
     goal = np.array(waited.references[-300:])
@@ -235,10 +235,10 @@ def lose(pool: CrewedPool, i: int) -> None:
 
 @pytest.mark.parametrize(
     ("policy", "ends_in"),
-    [("abort", Phase.FAILED), pytest.param("hold", Phase.PAUSED, marks=pytest.mark.slow),
-     pytest.param("go-on", Phase.DEGRADED, marks=pytest.mark.slow), ("close-up", Phase.DEGRADED)],
+    [("abort", MissionState.FAILED), pytest.param("hold", MissionState.PAUSED, marks=pytest.mark.slow),
+     pytest.param("go-on", MissionState.DEGRADED, marks=pytest.mark.slow), ("close-up", MissionState.DEGRADED)],
 )  # fmt: skip
-def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
+def test_a_robot_is_lost(policy: str, ends_in: MissionState) -> None:
     pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
     pool.run(4.0)
     begin = len(pool.truth)
@@ -248,12 +248,12 @@ def test_a_robot_is_lost(policy: str, ends_in: Phase) -> None:
     assert "robot 1: silent" in said
     pool.run(4.0)
     modes = [robot.states[-1].mode for robot in pool.robots[1:]]
-    flies = {Phase.FAILED: Mode.DISARMED, Phase.PAUSED: Mode.HOLDING, Phase.DEGRADED: Mode.TRACKING}
+    flies = {MissionState.FAILED: Mode.DISARMED, MissionState.PAUSED: Mode.HOLDING, MissionState.DEGRADED: Mode.TRACKING}
     assert modes == [flies[ends_in]] * 2
     assert pool.separation_m(begin) > 0.5  # hulls touch at 0.3; who is out drifts
     if policy == "close-up":
-        slots = {pool.mission.crew.slots[r] for r in (2, 3)}
-        assert slots == {1, 2} and Phase.HALTING in pool.phases
+        slots = {pool.mission.roster.slots[r] for r in (2, 3)}
+        assert slots == {1, 2} and MissionState.HALTING in pool.phases
     assert np.all(pool.pulses[-1][0, :4] == 1500)
 
 
@@ -263,14 +263,14 @@ def test_those_who_held_for_a_lost_robot_go_on_past_it_when_asked() -> None:
     pool = flying("blocked-path", "sim.drifters=[]", 'mission.lost="hold"')
     pool.run(6.0)
     lose(pool, 1)
-    pool.until(Phase.PAUSED, within_s=5.0)
+    pool.until(MissionState.PAUSED, within_s=5.0)
     pool.run(8.0)
     begin = len(pool.truth)
     assert pool.wish(Order.RESUME) == ""
-    pool.until(Phase.DEGRADED, within_s=15.0)
-    assert Phase.RELOADING in pool.phases  # straight back to the plan, and they would have been beside it
+    pool.until(MissionState.DEGRADED, within_s=15.0)
+    assert MissionState.RELOADING in pool.phases  # straight back to the plan, and they would have been beside it
     pool.run(12.0)
-    assert pool.mission.phase is Phase.DEGRADED and "robot 2: silent" in pool.mission.reason
+    assert pool.mission.state is MissionState.DEGRADED and "robot 2: silent" in pool.mission.reason
     assert {pool.robots[i].states[-1].mode for i in (0, 2)} == {Mode.TRACKING}
     assert pool.separation_m(begin) > 0.5
     for i in (0, 2):
@@ -283,7 +283,7 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
     pool = flying("blocked-path", "sim.drifters=[]", f'mission.lost="{policy}"')
     pool.run(4.0)
     lose(pool, 1)
-    pool.until(Phase.DEGRADED, within_s=40.0)
+    pool.until(MissionState.DEGRADED, within_s=40.0)
     pool.run(5.0)
     assert "robot 2: not heard" in pool.wish(Order.REJOIN)
     pool.restart(1)
@@ -291,11 +291,11 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
     assert pool.robots[1].states[-1].mode is Mode.DISARMED  # nothing arms it but a person's order
     begin = len(pool.truth)
     assert pool.wish(Order.REJOIN) == ""
-    pool.until(Phase.RELEASING, within_s=15.0)
-    pool.until(Phase.RUNNING, within_s=3.0)
-    while pool.mission.itinerary.reached_s < pool.mission.leg.own_ways_until_s + 5.0:
+    pool.until(MissionState.RELEASING, within_s=15.0)
+    pool.until(MissionState.RUNNING, within_s=3.0)
+    while pool.mission.plans.progress_s < pool.mission.segment.transfer_end_s + 5.0:
         pool.run(1.0)
-    assert pool.mission.crew.out == {} and {robot.states[-1].mode for robot in pool.robots} == {Mode.TRACKING}
+    assert pool.mission.roster.lost == {} and {robot.states[-1].mode for robot in pool.robots} == {Mode.TRACKING}
     assert pool.separation_m(begin) > 0.5  # hulls touch at 0.3; who is out drifts
     goal = np.array(pool.references[-1])
     apart = [float(np.linalg.norm(goal[a, :2] - goal[b, :2])) for a, b in ((0, 1), (0, 2), (1, 2))]
@@ -307,13 +307,13 @@ def test_a_robot_that_was_restarted_takes_its_place_again_when_asked(policy: str
 def test_thrusters_are_tested_on_request_and_a_test_may_be_made_a_condition() -> None:
     pool = CrewedPool(load_experiment("pool", ["mission.thruster_test=true", "duration_s=20"]))
     pool.run(0.5)
-    assert "robot 1: thruster test: not done (groundstation order test)" in pool.wish(Order.START)
+    assert "robot 1: thruster test: not done (groundstation mission test)" in pool.wish(Order.START)
     assert pool.wish(Order.TEST) == ""
-    pool.until(Phase.TESTING, within_s=3.0)
+    pool.until(MissionState.TESTING, within_s=3.0)
     begin = len(pool.pulses)
-    pool.until(Phase.WAITING, within_s=10.0)
+    pool.until(MissionState.WAITING, within_s=10.0)
     moved = np.array(pool.pulses[begin:])[:, :, :4] != 1500
     assert np.all(moved.any(axis=0)) and moved.sum(axis=2).max() == 1  # every thruster of every robot, one at a time
     assert {robot.states[-1].mode for robot in pool.robots} == {Mode.DISARMED}
     assert pool.wish(Order.START) == ""
-    pool.until(Phase.RUNNING, within_s=4.0)
+    pool.until(MissionState.RUNNING, within_s=4.0)

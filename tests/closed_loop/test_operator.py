@@ -54,7 +54,7 @@ class Lab:
 
     def set_off(self) -> None:
         self.ready()
-        code, said = self.order("order", "start")
+        code, said = self.order("mission", "start")
         assert (code, said.splitlines()[-1]) == (0, "start: done"), said
 
     def told(self, name: str, text: str) -> None:
@@ -77,15 +77,15 @@ def lab(tmp_path: Path) -> Iterator[Lab]:
 
 def test_a_mission_by_hand(lab: Lab) -> None:
     lab.ready()
-    refused, why = lab.order("order", "resume")
+    refused, why = lab.order("mission", "resume")
     assert (refused, "RESUME is not possible when WAITING" in why) == (1, True)
     lab.set_off()  # each command returns when the robots have done it
     lab.told("agent", "INFO tracking")
-    code, said = lab.order("order", "hold")
+    code, said = lab.order("mission", "hold")
     assert (code, said.splitlines()[-1]) == (0, "hold: done"), said
     lab.told("agent", "INFO holding")
-    assert lab.order("order", "resume")[0] == 0
-    assert lab.order("go", "0.5", "-0.3")[0] == 1  # on a circle there is nowhere to go
+    assert lab.order("mission", "resume")[0] == 0
+    assert lab.order("mission", "go", "0.5", "-0.3")[0] == 1  # on a circle there is nowhere to go
 
     code, said = lab.order("stop")
     assert code == 0
@@ -93,12 +93,12 @@ def test_a_mission_by_hand(lab: Lab) -> None:
     lab.told("agent", "stopped: emergency stop")
     for robot in (1, 2):
         lab.says("sim-bridge", f"board of robot {robot}: neutral")
-    refused, why = lab.order("order", "start")
+    refused, why = lab.order("mission", "start")
     assert refused == 1
     assert "STOPPED" in why
-    assert lab.order("order", "clear-stop")[0] == 0
+    assert lab.order("mission", "clear-stop")[0] == 0
     lab.told("agent", "INFO disarmed")
-    assert lab.order("order", "nonsense")[0] == 2
+    assert lab.order("mission", "nonsense")[0] == 2
 
     assert lab.order("end")[0] == 0
     lab.says("groundstation", "the run is ended")
@@ -131,7 +131,7 @@ def test_the_log_of_a_mission_by_hand_gives_a_report(lab: Lab) -> None:
     lab.children.stop()
     run = lab.folder / "run"
     report = subprocess.run(
-        [sys.executable, "-m", "groundstation", "report", str(run)], check=False, capture_output=True, text=True
+        [sys.executable, "-m", "groundstation", "log", "report", str(run)], check=False, capture_output=True, text=True
     )
     assert report.returncode == 1 and report.stdout.rstrip().endswith("(failed)"), report.stderr
     result = json.loads((run / "result.json").read_text())

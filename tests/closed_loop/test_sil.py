@@ -93,8 +93,8 @@ def test_its_result_is_within_the_figures_to_reach(lockstep_run: tuple[Path, int
 
 
 def rerun(folder: Path, *arguments: str) -> list[dict[str, Any]]:
-    """The output of `groundstation rerun --json` for a run."""
-    command = [sys.executable, "-m", "groundstation", "rerun", str(folder), "--json", *arguments]
+    """The output of `groundstation log rerun --json` for a run."""
+    command = [sys.executable, "-m", "groundstation", "log", "rerun", str(folder), "--json", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.stdout, done.stderr
     robots: list[dict[str, Any]] = json.loads(done.stdout)
@@ -154,7 +154,9 @@ def test_and_otherwise_where_something_is_otherwise(lockstep_run: tuple[Path, in
     before, after = flown(lockstep_run[0]), flown(run_dir(tmp_path))
     apart = (after.robots[1].truth - before.robots[1].truth[: len(after.time_s)])[:, :2]
     assert np.nanmax(np.abs(apart)) > 0.01
-    assert any(h.text == "fault: battery 1 sag 0.1" and h.time_s == pytest.approx(12.0, abs=0.11) for h in after.happenings)
+    assert any(
+        h.text == "fault: battery 1 sag 0.1" and h.time_s == pytest.approx(12.0, abs=0.11) for h in after.timeline_events
+    )
 
 
 @pytest.mark.parametrize(
@@ -269,7 +271,7 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
         while not list(out.glob("pool-*")):
             time.sleep(0.05)
         wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: waiting for the fleet\n")
-        code, said = order("order", "start")
+        code, said = order("mission", "start")
         assert code == 0, said
         wait_for_line(run_dir(out) / "logs" / "groundstation.log", "mission: done")
         code, said = order("end")

@@ -4,9 +4,10 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from groundstation.mission.command_dispatcher import Answer
-from groundstation.mission.gain_update import START_IN_S, Stage, Tuner
-from groundstation.mission.lap_statistics import Laps
+from groundstation.mission.command_dispatcher import CommandResult
+from groundstation.mission.gain_update import GainStage, GainUpdater
+from groundstation.mission.lap_statistics import LapStatistics
+from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import Fleet, RobotView
 from tests.closed_loop.dry_pool import DryPool
 from wire.config.experiment import Experiment, load_experiment
@@ -57,10 +58,10 @@ class Lab:
 
     def __init__(self, experiment: Experiment) -> None:
         self.pool = DryPool(experiment)
-        self.tuner = Tuner(self.pool.experiment)
-        self.laps = Laps(self.tuner.lap_s)
+        self.tuner = GainUpdater(self.pool.experiment)
+        self.laps = LapStatistics(self.tuner.lap_s)
         self.mute: set[int] = set()
-        self.answers: list[Answer] = []
+        self.answers: list[CommandResult] = []
         self._sent = 1000
 
     def fleet(self) -> Fleet:
@@ -77,15 +78,15 @@ class Lab:
     def step(self) -> None:
         self.pool.step()
         commands = self.tuner.step(self.fleet(), self.answers, self.pool.now_ns)
-        self.answers = [Answer(command, self.send(command)) for command in commands]
-        self.laps.note(self.fleet())
+        self.answers = [CommandResult(command, self.send(command)) for command in commands]
+        self.laps.update(self.fleet())
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
             self.step()
 
     def wish(self, values: Mapping[str, float], next_lap: bool = False) -> str:
-        return self.tuner.wish(values, next_lap, self.fleet(), self.pool.now_ns)
+        return self.tuner.request(values, next_lap, self.fleet(), self.pool.now_ns)
 
     def states(self, robot: int = 0) -> list[RobotState]:
         return self.pool.robots[robot].states
@@ -184,7 +185,7 @@ def test_gains_stay_when_a_value_is_bad_or_one_robot_refuses() -> None:
     lab.mute = {2}
     assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
     assert "under way" in lab.wish({"controller.mpc.q.0": 3.0})
-    until(lab, lambda: lab.tuner.status().stage is Stage.IDLE, 5.0)
+    until(lab, lambda: lab.tuner.status().stage is GainStage.IDLE, 5.0)
     assert lab.tuner.status().reason == "robot 2 does not answer; nothing was changed"
     lab.run(1.0)
     assert {state.tuning_id for robot in (0, 1) for state in lab.states(robot)} == {flown}
@@ -195,10 +196,10 @@ def test_a_robot_that_changed_its_gains_changes_back_when_another_does_not_follo
     flown = tuning(pool().controller).id
     lab.run(1.0)
     assert lab.wish({"controller.mpc.q.0": 2.0}) == ""
-    until(lab, lambda: lab.tuner.status().stage is Stage.ADOPTING, 1.0)
+    until(lab, lambda: lab.tuner.status().stage is GainStage.ADOPTING, 1.0)
     lab.mute = {2}
     until(lab, lambda: lab.states(0)[-1].tuning_id != flown, 2.0)
-    until(lab, lambda: lab.tuner.status().stage is Stage.IDLE, 6.0)
+    until(lab, lambda: lab.tuner.status().stage is GainStage.IDLE, 6.0)
     lab.run(1.0)
     assert lab.states(0)[-1].tuning_id == lab.states(1)[-1].tuning_id == flown
     assert lab.tuner.status().reason == "robot 2 does not answer; the others go back"
@@ -212,10 +213,10 @@ def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> No
     lab.take_off()
     lab.run(20.0)
     assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
-    until(lab, lambda: lab.tuner.status().stage is Stage.WAITING, 1.0)
+    until(lab, lambda: lab.tuner.status().stage is GainStage.WAITING, 1.0)
     lab.run(2.0)
     assert lab.tuner.undo(lab.fleet(), lab.pool.now_ns) == ""  # another thought
-    until(lab, lambda: lab.tuner.status().stage is Stage.IDLE, 2.0)
+    until(lab, lambda: lab.tuner.status().stage is GainStage.IDLE, 2.0)
     assert lab.wish({"controller.mpc.q.0": 4.0}, next_lap=True) == ""
     lab.run(20.0)
     b = lab.tuner.status().flown.id
@@ -225,7 +226,7 @@ def test_a_set_for_the_next_lap_waits_for_it_and_its_laps_are_told_apart() -> No
     assert lab.tuner.undo(lab.fleet(), lab.pool.now_ns) == ""
     lab.run(12.0)
     assert [state.tuning_id for state in (lab.states(0)[-1], lab.states(1)[-1])] == [a, a]
-    laps = lab.laps.rows()
+    laps = lab.laps.laps()
     assert [(lap.number, lap.tuning_id) for lap in laps] == [(1, a), (2, b), (2, a), (3, a)]
     assert abs(laps[0].time_s - 25.0) < 0.2 and abs(laps[1].time_s + laps[2].time_s - 25.0) < 0.2
     for lap in laps:
@@ -246,7 +247,7 @@ def waiting_for_a_lap() -> Lab:
     lab.take_off()
     lab.run(5.0)
     assert lab.wish({"controller.mpc.q.0": 2.0}, next_lap=True) == ""
-    until(lab, lambda: lab.tuner.status().stage is Stage.WAITING, 1.0)
+    until(lab, lambda: lab.tuner.status().stage is GainStage.WAITING, 1.0)
     return lab
 
 

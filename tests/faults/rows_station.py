@@ -100,7 +100,7 @@ def _log(rig: Rig) -> Path:
 
 
 def _read_back(log: Path, until_unix_ns: int) -> dict[str, float]:
-    """The length of the log that is missing at its end, read by the usual reader after `groundstation recover`."""
+    """The length of the log that is missing at its end, read by the usual reader after `groundstation log repair`."""
     copy = Path(shutil.copy(log, Path(tempfile.mkdtemp(prefix="shoal-log-"))))
     try:
         recover(copy)

@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from groundstation.logs.repair import valid_records
-from groundstation.mission.command_dispatcher import Answer
+from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.mission import Mission
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.planner import plan
-from groundstation.planning.segment import Leg
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
 from groundstation.web.protocol import BadRequest, read_request
 from localizer.tracking.fleet_localizer import FleetLocalizer
@@ -204,8 +204,8 @@ def board(data: bytes) -> None:
 def mission(data: bytes) -> None:
     """Robots that say anything, and answer anything."""
     experiment, bites, now_ns = _pool(), Bites(data), 10**12
-    leg = Leg({r: dataclasses.replace(_trajectory(), id=str(r)) for r in experiment.robot_ids}, _trajectory(), 1.0)
-    flight = Mission(experiment, leg, dict.fromkeys(experiment.robot_ids, np.zeros(4)), True)
+    segment = PlanSegment({r: dataclasses.replace(_trajectory(), id=str(r)) for r in experiment.robot_ids}, _trajectory(), 1.0)
+    flight = Mission(experiment, segment, dict.fromkeys(experiment.robot_ids, np.zeros(4)), True)
     while bites.left:
         fleet = {
             robot: RobotView(bites.message(RobotState), abs(bites.number()), bites.message(Pose), abs(bites.number()))
@@ -214,13 +214,13 @@ def mission(data: bytes) -> None:
             for robot in experiment.robot_ids
         }
         if bites.byte(4) == 0:
-            flight.wish(list(Order)[bites.byte(len(Order))], fleet, now_ns)
-        commands = flight.step(fleet, [Answer(bites.message(Command), bites.message(Reply))], now_ns)
+            flight.request(list(Order)[bites.byte(len(Order))], fleet, now_ns)
+        commands = flight.step(fleet, [CommandResult(bites.message(Command), bites.message(Reply))], now_ns)
         for command in commands:
             decode(Command, encode(command), "station", "command")
-        if flight.wanted is not None:
+        if flight.plan_request is not None:
             with contextlib.suppress(PlanError):
-                flight.planned(flight.wanted.plan(), fleet, now_ns)
+                flight.planned(flight.plan_request.plan(), fleet, now_ns)
         now_ns += PERIOD_NS * (1 + bites.byte())
 
 

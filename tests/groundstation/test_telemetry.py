@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from groundstation.telemetry import Ear, RobotView, findings
+from groundstation.telemetry import LinkMonitor, RobotView, findings
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, encode
@@ -19,13 +19,13 @@ MS = 1_000_000
 @pytest.mark.parametrize(("lost", "share"), [((), 0.0), ((3, 7), 0.2), ((2, 4, 6, 8), 0.4)])
 def test_only_what_did_not_come_is_lost_however_late_somebody_looks(lost: tuple[int, ...], share: float) -> None:
     """Two messages between two looks, then none, again and again: a robot and a station that keep time alike."""
-    inbox, ear = Bus(MemoryTransport(MemoryHub())).inbox(topics.PLAN, Plan, 1), Ear()
+    inbox, ear = Bus(MemoryTransport(MemoryHub())).inbox(topics.PLAN, Plan, 1), LinkMonitor()
     for k in range(200):
         if k % 10 not in lost:
             inbox.store(Header(7, k + 1, k * 50 * MS), encode(Plan(0.05)))
         newest = inbox.newest()
         if k % 2 and newest is not None:
-            ear.hear(inbox.headers(), newest.header, (k * 50 - 3) * MS)
+            ear.add(inbox.headers(), newest.header, (k * 50 - 3) * MS)
     assert ear.loss == pytest.approx(share, abs=0.02)
     assert 0.002 < ear.clock_offset_s < 0.004
 
@@ -45,7 +45,7 @@ def test_the_station_calls_old_what_the_experiment_calls_old(limit: str, key: st
 def test_a_battery_of_which_nothing_was_heard_is_not_called_empty() -> None:
     experiment = load_experiment("pool")
     found = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0), 0.02))}
-    assert (found["battery"].text, found["battery"].bars) == ("battery not heard yet", True)
+    assert (found["battery"].text, found["battery"].blocks_arming) == ("battery not heard yet", True)
     low = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0, battery_v=9.0), 0.02))}
     assert low["battery"].text == "battery 9.0 V, needs 10.5 V"
 
@@ -66,5 +66,5 @@ def test_a_robot_out_of_step_is_an_alarm_but_does_not_keep_it_from_going_on(behi
     experiment = load_experiment("pool")
     seen = RobotView(RobotState(mode=Mode.TRACKING), 0.02, None, 0.02, behind_s=behind_s)
     (found,) = [f for f in findings(experiment, 1, seen) if f.key == "step"]
-    assert (found.level, found.bars, found.text) == ("critical", False, text)
+    assert (found.level, found.blocks_arming, found.text) == ("critical", False, text)
     assert not [f for f in findings(experiment, 1, replace(seen, behind_s=0.4)) if f.key == "step"]

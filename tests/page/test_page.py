@@ -18,15 +18,15 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
-from groundstation.inboxes import listen
+from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.logfile import open_log
 from groundstation.logs.reader import read_log
-from groundstation.mission.state_machine import Phase
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.replay.step_replay import rerun
 from groundstation.telemetry import Finding
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import Desk, Post, Status
+from groundstation.web.live_backend import LiveBackend, StationApi, Status
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.page.flights import Asked, Flight, open_page, wait_for_port
@@ -248,10 +248,16 @@ def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
     port, hub = free_port(), MemoryHub()
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
-        found = Alone(page, f"http://127.0.0.1:{port}/", Status(Phase.WAITING, ""), robots)
-        post = Post(lambda: found.status, found.order, paths=lambda: found.paths)
-        desk = Desk(
-            experiment, planner.plan(experiment), bus, listen(bus, experiment.robot_ids), WallClock(), post, "real-time"
+        found = Alone(page, f"http://127.0.0.1:{port}/", Status(MissionState.WAITING, ""), robots)
+        post = StationApi(lambda: found.status, found.order, paths=lambda: found.paths)
+        desk = LiveBackend(
+            experiment,
+            planner.plan(experiment),
+            bus,
+            subscribe_fleet(bus, experiment.robot_ids),
+            WallClock(),
+            post,
+            "real-time",
         )
         with WebServer(desk, WebOptions(port=port)):
             yield found
@@ -505,7 +511,7 @@ def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
 
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
     with alone(browser, load_experiment("pool")) as desk:
-        untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation order test")
+        untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation mission test")
         desk.status = replace(desk.status, preflight=(untested,))
         desk.page.goto(desk.url)
         expect(desk.page.locator(".preflight")).to_contain_text("thruster test: not done")
@@ -579,7 +585,7 @@ def first_armed_s(run: Path) -> float:
     """The time of the first arming, counted from the log's first message as in a replay: machines differ in how long they
     idle."""
     with open_log(run) as log:
-        for line in log.lines(lambda topic, robot: topic is topics.STATE):
+        for line in log.messages(lambda topic, robot: topic is topics.STATE):
             if decode(RobotState, line.payload, "log", "state").mode is not Mode.DISARMED:
                 return (line.arrived_ns - log.start_ns) * 1e-9
     raise AssertionError("nobody ever armed")
@@ -631,9 +637,9 @@ def test_the_log_holds_the_gains_and_the_solver_had_them(flight: Flight) -> None
 
 @contextmanager
 def replayed(run: Path) -> Iterator[str]:
-    """`groundstation replay` at work; where its page is."""
+    """`groundstation log replay` at work; where its page is."""
     port = free_port()
-    command = [sys.executable, "-m", "groundstation", "replay", str(run), "--web", f"127.0.0.1:{port}"]
+    command = [sys.executable, "-m", "groundstation", "log", "replay", str(run), "--web", f"127.0.0.1:{port}"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
         assert process.stdout is not None

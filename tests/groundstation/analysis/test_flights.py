@@ -12,8 +12,8 @@ from groundstation.__main__ import cli
 from groundstation.analysis.alignment import HOMEWARD, align, zero_ns
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.results import Result
-from groundstation.logs.reader import Entry, RunLog, read_log
-from groundstation.mission.state_machine import Phase
+from groundstation.logs.reader import DecodedMessage, RunLog, read_log
+from groundstation.mission.state_machine import MissionState
 from groundstation.report.report import write_report
 from sim_bridge.studies.metrics import broken_limits
 from tests.groundstation.synthetic import PERIOD_S, START_S, Script, write_run
@@ -34,7 +34,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Experiment, RunLog,
     return write_run(folder, Script(duration_s=DURATION_S)), read_log(folder / "run.mcap"), folder
 
 
-def later(entry: Entry[RobotState], by_s: float, **changes: object) -> Entry[RobotState]:
+def later(entry: DecodedMessage[RobotState], by_s: float, **changes: object) -> DecodedMessage[RobotState]:
     return dataclasses.replace(
         entry,
         stamp_ns=entry.stamp_ns + round(by_s * SECOND),
@@ -107,7 +107,7 @@ def test_the_report_has_a_table_of_flights(flown: tuple[Experiment, RunLog, Path
     assert [part["flown_s"] for part in json.loads((folder / "result.json").read_text())["flights"]] == pytest.approx(
         [4.0, 6.0]
     )
-    done = CliRunner().invoke(cli, ["report", str(folder), "--flight", "1"])
+    done = CliRunner().invoke(cli, ["log", "report", str(folder), "--flight", "1"])
     assert done.exit_code == 1 and "(failed)" in done.output
 
 
@@ -116,7 +116,7 @@ def test_a_robot_that_falls_out_and_comes_back_is_in_the_same_flight(flown: tupl
     experiment, log, _ = flown
     states = log.of(topics.STATE, RobotState, 2)
 
-    def away(entry: Entry[RobotState]) -> bool:
+    def away(entry: DecodedMessage[RobotState]) -> bool:
         return (START_S + 3.0) * SECOND < entry.stamp_ns < (START_S + 4.0) * SECOND
 
     gone = [later(e, 0.0, mode=Mode.ARMED, trajectory_s=0.0) if away(e) else e for e in states]
@@ -127,17 +127,17 @@ def test_a_robot_that_falls_out_and_comes_back_is_in_the_same_flight(flown: tupl
 
 def beats(log: RunLog, from_s: float, mission: str) -> RunLog:
     stamps = [round((START_S + from_s + k * PERIOD_S) * SECOND) for k in range(200)]
-    found = [Entry(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
+    found = [DecodedMessage(ns, ns, k, StationHeartbeat(mission=mission)) for k, ns in enumerate(stamps)]
     return dataclasses.replace(log, entries={**log.entries, (topics.HEARTBEAT.name, 0): found})
 
 
 def test_a_fleet_that_is_sent_home_has_not_flown_the_run(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
-    assert Phase[HOMEWARD] is Phase.RETURNING
+    assert MissionState[HOMEWARD] is MissionState.RETURNING
     found = result_of(experiment, beats(log, 2.0, HOMEWARD))
     assert not found.passed
     assert "sent home after 2.0 s of 6 s" in found.notes[0]
-    assert result_of(experiment, beats(log, 2.0, Phase.RUNNING.name)).passed
+    assert result_of(experiment, beats(log, 2.0, MissionState.RUNNING.name)).passed
 
 
 def test_the_way_home_is_no_flight_to_judge(flown: tuple[Experiment, RunLog, Path]) -> None:
@@ -253,7 +253,7 @@ def test_a_trajectory_that_nobody_can_fly_is_left_out(flown: tuple[Experiment, R
     for period_s, samples in ((5e-324, 10), (1e12, 10), (0.05, 0), (0.05, 1)):
         still = np.zeros((samples, 4))
         bad = Trajectory("bad", period_s, still, still, still)
-        entries = {**log.entries, (topics.TRAJECTORY.name, 1): [Entry(0, 0, 1, bad)]}
+        entries = {**log.entries, (topics.TRAJECTORY.name, 1): [DecodedMessage(0, 0, 1, bad)]}
         found = result_of(experiment, dataclasses.replace(log, entries=entries))
         assert found.robots["1"].rms_m is None and found.robots["2"].rms_m is not None
         assert not found.passed or not experiment.limits.rms_m

@@ -22,7 +22,7 @@ from websockets.sync.client import ClientConnection, connect
 from groundstation.__main__ import cli
 from groundstation.export.foxglove_layout import layout, used_topics, viewer_topics
 from groundstation.export.foxglove_live import ViewerServer
-from groundstation.export.foxglove_scene import GONE_NS, POOL_FRAME, Picture, upright
+from groundstation.export.foxglove_scene import GONE_NS, POOL_FRAME, SceneDrawer, upright
 from groundstation.logs.reader import key_topic
 from tests.groundstation.synthetic import Script, write_run
 from wire.config.experiment import load_experiment
@@ -43,7 +43,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """A run's folder, and what was made of it."""
     run, out = tmp_path_factory.mktemp("run"), tmp_path_factory.mktemp("out")
     write_run(run, Script(duration_s=6.0))
-    done = CliRunner().invoke(cli, ["export", str(run), "--out", str(out), "--foxglove"])
+    done = CliRunner().invoke(cli, ["log", "export", str(run), "--out", str(out), "--foxglove"])
     assert done.exit_code == 0, done.output
     return run, out
 
@@ -100,7 +100,7 @@ def test_hulls_are_drawn_where_robots_say_they_are(exported: tuple[Path, Path]) 
 
 
 def test_what_is_not_heard_of_any_more_is_not_drawn() -> None:
-    picture = Picture(load_experiment("pool"))
+    picture = SceneDrawer(load_experiment("pool"))
     picture.take(topics.STATE, 1, RobotState(), SECOND)
     picture.take(topics.PLAN, 2, Plan(0.05, np.ones((5, 4)), np.ones((5, 4))), SECOND)
     seen = Obstacles((4,), np.ones((1, 12, 2)), np.zeros((1, 2)), 0.3)
@@ -167,7 +167,7 @@ def test_every_panel_has_its_place() -> None:
 
 
 def test_the_layout_is_printed_for_any_experiment() -> None:
-    done = CliRunner().invoke(cli, ["foxglove-layout", "fleet-20", "--fleet", "lab"])
+    done = CliRunner().invoke(cli, ["foxglove", "layout", "fleet-20", "--fleet", "lab"])
     assert "lab/robot/20/state" in str(sorted(used_topics(json.loads(done.output))))
 
 
@@ -214,7 +214,7 @@ def test_a_viewer_hears_what_is_on_the_bus_and_sees_the_scene(served: tuple[Bus,
             if len(heard) == 2:
                 break
     assert heard[0] == encode(state)
-    scene = Picture(load_experiment("pool"))
+    scene = SceneDrawer(load_experiment("pool"))
     scene.take(topics.STATE, 1, state, SECOND)
     assert heard[1] == scene.moving(SECOND).SerializeToString()
 

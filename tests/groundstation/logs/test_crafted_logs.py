@@ -89,7 +89,7 @@ def test_a_small_file_never_takes_much_memory(
         found = read_log(path)
         assert found.damage and not found.complete and not found.entries
         with pytest.raises(ConfigError, match=r"run\.mcap: (cannot be read|holds no messages)"), open_log(tmp_path) as log:
-            list(log.lines(lambda topic, robot: True))
+            list(log.messages(lambda topic, robot: True))
         with pytest.raises(ConfigError):
             evaluate_log(path)
         assert recover(path) is not closed
@@ -197,7 +197,7 @@ def test_an_odd_record_does_not_keep_a_log_from_being_mended(tmp_path: Path) -> 
     path.write_bytes(whole[:end] + odd)
     for out in (tmp_path / "viewer",):
         (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
-        done = CliRunner().invoke(cli, ["export", str(tmp_path), "--out", str(out), "--foxglove"])
+        done = CliRunner().invoke(cli, ["log", "export", str(tmp_path), "--out", str(out), "--foxglove"])
         assert done.exit_code == 0, done.output
     assert recover(path)
     assert sorted(sequences(path)) == list(range(1, 22))
@@ -215,7 +215,7 @@ def test_keys_of_robots_are_numbers_of_three_digits() -> None:
 
 def first_line(folder: Path) -> tuple[int, str, str]:
     """Exit code, first line on the terminal, first text of the page."""
-    done = CliRunner().invoke(cli, ["report", str(folder)])
+    done = CliRunner().invoke(cli, ["log", "report", str(folder)])
     page = (folder / "report.html").read_text()
     body = page[page.index("<main>") :].partition("</p>")[0]
     return done.exit_code, done.output.splitlines()[0], body.rpartition(">")[2]
@@ -250,7 +250,7 @@ def test_a_log_with_gaps_says_how_many(tmp_path: Path) -> None:
 
 def test_json_on_stdout_stays_json_and_the_code_stays_1(tmp_path: Path) -> None:
     (tmp_path / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
-    done = CliRunner().invoke(cli, ["report", str(tmp_path), "--json"])
+    done = CliRunner().invoke(cli, ["log", "report", str(tmp_path), "--json"])
     assert done.exit_code == 1
     assert json.loads(done.stdout)["log_trouble"].startswith("No log")
 
@@ -261,7 +261,7 @@ def test_an_export_for_viewers_into_the_runs_own_folder_keeps_the_log(tmp_path: 
     run.mkdir()
     write_crafted(run, "shoal/robot/2/pose")
     before = (run / "run.mcap").read_bytes()
-    done = CliRunner().invoke(cli, ["export", str(run), "--foxglove", "--out", str(run)])
+    done = CliRunner().invoke(cli, ["log", "export", str(run), "--foxglove", "--out", str(run)])
     assert done.exit_code == 0
     assert (run / "run.mcap").read_bytes() == before
     assert sequences(run / "run-viewer.mcap")
@@ -271,7 +271,7 @@ def test_layouts_and_figures_are_written_over_nothing_of_a_run(tmp_path: Path) -
     write_crafted(tmp_path, "shoal/robot/2/pose")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for name in ("run.mcap", "experiment.toml", "result.json", "report.html"):
-        done = CliRunner().invoke(cli, ["foxglove-layout", "pool", "--out", str(tmp_path / name)])
+        done = CliRunner().invoke(cli, ["foxglove", "layout", "pool", "--out", str(tmp_path / name)])
         assert isinstance(done.exception, ConfigError) and "would be lost" in str(done.exception)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
@@ -279,7 +279,7 @@ def test_layouts_and_figures_are_written_over_nothing_of_a_run(tmp_path: Path) -
 def test_a_recorder_fed_by_a_pipe_does_not_replace_a_log(tmp_path: Path) -> None:
     write_crafted(tmp_path, "shoal/robot/2/pose")
     before = (tmp_path / "run.mcap").read_bytes()
-    command = [sys.executable, "-m", "groundstation", "record", str(tmp_path)]
+    command = [sys.executable, "-m", "groundstation", "log", "record", str(tmp_path)]
     done = subprocess.run(command, input=b"", capture_output=True, check=False)
     assert (done.returncode, done.stderr.count(b"\n")) == (2, 1)
     assert b"would be lost" in done.stderr

@@ -187,7 +187,7 @@ CHILD = """
 import sys, time
 from pathlib import Path
 from groundstation.logs.recorder import Recorder
-from wire import topics
+from wire.messages import topics
 from wire.transport.bus import Bus
 from wire.messages.codec import Header, encode
 from wire.messages.messages import Preview
@@ -231,7 +231,7 @@ FULL = """
 import resource, sys, time
 from pathlib import Path
 from groundstation.logs.recorder import Recorder
-from wire import topics
+from wire.messages import topics
 from wire.transport.bus import Bus
 from wire.messages.codec import Header, encode
 from wire.messages.messages import Preview

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from groundstation.mission.command_dispatcher import Answer
+from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.mission import Mission
-from groundstation.mission.state_machine import Phase
-from groundstation.planning.segment import Leg
+from groundstation.mission.state_machine import MissionState
+from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import RobotView
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages.messages import Command, Mode, Order, Pose, Reply, RobotState, Track, Trajectory
@@ -79,18 +79,18 @@ class Run:
         two = np.zeros((2, 4))
         trajectories = {r: Trajectory(f"t{r}", 0.05, two, two, two) for r in self.experiment.robot_ids}
         starts = dict.fromkeys(self.experiment.robot_ids, np.zeros(4))
-        leg = Leg(trajectories, trajectories[1], self.experiment.duration_s)
-        self.mission = Mission(self.experiment, leg, starts, automatic)
+        segment = PlanSegment(trajectories, trajectories[1], self.experiment.duration_s)
+        self.mission = Mission(self.experiment, segment, starts, automatic)
         self.robots = {r: Robot(self.experiment) for r in self.experiment.robot_ids}
         self.now_ns = 0
-        self.answers: list[Answer] = []
-        self.phases: list[Phase] = []
+        self.answers: list[CommandResult] = []
+        self.states: list[MissionState] = []
 
     def fleet(self) -> dict[int, RobotView]:
         return {r: robot.view() for r, robot in self.robots.items()}
 
-    def at(self, phase: Phase) -> bool:
-        return self.mission.phase is phase
+    def at(self, state: MissionState) -> bool:
+        return self.mission.state is state
 
     def in_mode(self, robot: int, mode: Mode) -> bool:
         return self.robots[robot].mode is mode
@@ -99,9 +99,9 @@ class Run:
         for _ in range(round(seconds / 0.05)):
             self.now_ns += STEP_NS
             commands = self.mission.step(self.fleet(), self.answers, self.now_ns)
-            self.answers = [Answer(c, self.robots[c.robot].obey(c, self.now_ns)) for c in commands]
+            self.answers = [CommandResult(c, self.robots[c.robot].obey(c, self.now_ns)) for c in commands]
             for robot in self.robots.values():
                 if robot.mode is Mode.TRACKING and self.now_ns >= robot.starts_at_ns and not robot.silent:
                     robot.trajectory_s += 0.05
-            if not self.phases or self.phases[-1] is not self.mission.phase:
-                self.phases.append(self.mission.phase)
+            if not self.states or self.states[-1] is not self.mission.state:
+                self.states.append(self.mission.state)

@@ -6,8 +6,9 @@ from itertools import pairwise
 
 import pytest
 
-from groundstation.mission.command_dispatcher import Answer
-from groundstation.mission.gain_update import AGAIN_S, PATIENCE_S, RETRY_S, START_IN_S, Stage, Tuner
+from groundstation.mission.command_dispatcher import RETRY_S, CommandResult
+from groundstation.mission.gain_update import AGAIN_S, PATIENCE_S, GainStage, GainUpdater
+from groundstation.mission.timetable import START_IN_S
 from groundstation.telemetry import RobotView
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState
@@ -61,11 +62,11 @@ class Fleet:
     """Two robots and the tuner, stepped together."""
 
     def __init__(self) -> None:
-        self.tuner = Tuner(EXPERIMENT)
+        self.tuner = GainUpdater(EXPERIMENT)
         self.first = self.tuner.status().flown.id
         self.robots = {r: Robot(self.first) for r in EXPERIMENT.robot_ids}
         self.now_s = 100.0
-        self.answers: list[Answer] = []
+        self.answers: list[CommandResult] = []
 
     def views(self) -> dict[int, RobotView]:
         return {r: robot.view() for r, robot in self.robots.items()}
@@ -74,13 +75,13 @@ class Fleet:
         for _ in range(round(seconds / STEP_S)):
             self.now_s += STEP_S
             commands = self.tuner.step(self.views(), self.answers, round(self.now_s * 1e9))
-            self.answers = [Answer(c, self.robots[c.robot].obey(c, self.now_s)) for c in commands]
+            self.answers = [CommandResult(c, self.robots[c.robot].obey(c, self.now_s)) for c in commands]
             for robot in self.robots.values():
                 robot.move(self.now_s)
                 robot.trajectory_s += STEP_S if robot.mode is Mode.TRACKING else 0.0
 
-    def wish(self, value: float = VALUE, next_lap: bool = False) -> str:
-        return self.tuner.wish({KEY: value}, next_lap, self.views(), round(self.now_s * 1e9))
+    def request(self, value: float = VALUE, next_lap: bool = False) -> str:
+        return self.tuner.request({KEY: value}, next_lap, self.views(), round(self.now_s * 1e9))
 
     def undo(self) -> str:
         return self.tuner.undo(self.views(), round(self.now_s * 1e9))
@@ -95,21 +96,21 @@ class Fleet:
 
 def test_all_check_then_all_change_over_at_one_instant() -> None:
     fleet = Fleet()
-    assert fleet.wish() == ""
+    assert fleet.request() == ""
     wanted = fleet.tuner.status().wanted
     fleet.step(1.0)
     assert fleet.flown == {wanted}
     status = fleet.tuner.status()
-    assert (status.stage, status.flown.id, status.reason, status.undo) == (Stage.IDLE, wanted, "", True)
+    assert (status.stage, status.flown.id, status.reason, status.undo) == (GainStage.IDLE, wanted, "", True)
     assert fleet.orders() == [Order.TUNE, Order.ADOPT]
-    assert [t.id for t in fleet.tuner.untold()] == [fleet.first, wanted]
-    assert fleet.tuner.untold() == []
+    assert [t.id for t in fleet.tuner.take_unlogged()] == [fleet.first, wanted]
+    assert fleet.tuner.take_unlogged() == []
 
 
 def test_an_instant_that_one_robot_hears_of_late_is_the_same_instant() -> None:
     fleet = Fleet()
     fleet.robots[2].mute = frozenset({Order.ADOPT})
-    fleet.wish()
+    fleet.request()
     fleet.step(0.3)
     fleet.robots[2].mute = frozenset()
     fleet.step(0.3)
@@ -139,11 +140,11 @@ def test_an_instant_that_one_robot_hears_of_late_is_the_same_instant() -> None:
 def test_a_robot_that_does_not_follow_leaves_all_with_the_gains_before(spoil: Callable[[Robot], Robot], reason: str) -> None:
     fleet = Fleet()
     fleet.robots[2] = spoil(fleet.robots[2])
-    assert fleet.wish() == ""
+    assert fleet.request() == ""
     fleet.step(5 * PATIENCE_S)
     status = fleet.tuner.status()
     assert status.reason.startswith(reason), status.reason
-    assert status.stage is Stage.IDLE
+    assert status.stage is GainStage.IDLE
     assert status.flown.id == fleet.first
     assert fleet.robots[1].tuning_id == fleet.first
     assert not status.undo
@@ -152,7 +153,7 @@ def test_a_robot_that_does_not_follow_leaves_all_with_the_gains_before(spoil: Ca
 def test_the_change_back_that_is_not_followed_either_says_that_gains_may_differ() -> None:
     fleet = Fleet()
     fleet.robots[2].forgets = True
-    fleet.wish()
+    fleet.request()
     fleet.step(1.0)
     fleet.robots[1].mute = frozenset({Order.TUNE, Order.ADOPT})
     fleet.step(3 * (PATIENCE_S + START_IN_S))
@@ -162,7 +163,7 @@ def test_the_change_back_that_is_not_followed_either_says_that_gains_may_differ(
 def test_an_order_that_is_not_answered_is_asked_again_and_not_sooner_than_it_should() -> None:
     fleet = Fleet()
     fleet.robots[2].mute = frozenset({Order.TUNE})
-    fleet.wish()
+    fleet.request()
     fleet.step(PATIENCE_S)
     times = [t for t, c in fleet.robots[2].got if c.order is Order.TUNE]
     assert min(b - a for a, b in pairwise(times)) >= RETRY_S - 1e-6
@@ -172,20 +173,20 @@ def test_an_order_that_is_not_answered_is_asked_again_and_not_sooner_than_it_sho
 
 def test_on_the_next_lap_all_wait_for_it_and_it_can_be_called_off() -> None:
     fleet = Fleet()
-    assert fleet.wish(next_lap=True) == ""
+    assert fleet.request(next_lap=True) == ""
     fleet.step(1.0)
-    assert fleet.tuner.status().stage is Stage.WAITING
+    assert fleet.tuner.status().stage is GainStage.WAITING
     assert {c.trajectory_s for _, c in fleet.robots[1].got if c.order is Order.ADOPT} == {25.0}
     fleet.step(1.0)
     assert fleet.flown == {fleet.first}
     assert fleet.undo() == ""
     fleet.step(1.0)
-    assert (fleet.tuner.status().stage, fleet.flown) == (Stage.IDLE, {fleet.first})
+    assert (fleet.tuner.status().stage, fleet.flown) == (GainStage.IDLE, {fleet.first})
 
 
 def test_a_robot_that_leaves_the_run_before_the_lap_begins_ends_the_change() -> None:
     fleet = Fleet()
-    fleet.wish(next_lap=True)
+    fleet.request(next_lap=True)
     fleet.step(1.0)
     fleet.robots[2].mode = Mode.FAULT
     fleet.step(1.0)
@@ -193,40 +194,40 @@ def test_a_robot_that_leaves_the_run_before_the_lap_begins_ends_the_change() -> 
 
 
 @pytest.mark.parametrize(
-    ("reached_s", "mode", "reason"),
+    ("progress_s", "mode", "reason"),
     [
         (99.0, Mode.TRACKING, "there is no next lap: the run ends with this one"),
         (10.0, Mode.HOLDING, "there is no next lap: not every robot is on its trajectory"),
     ],
 )
-def test_where_there_is_no_next_lap_nothing_waits_for_it(reached_s: float, mode: Mode, reason: str) -> None:
+def test_where_there_is_no_next_lap_nothing_waits_for_it(progress_s: float, mode: Mode, reason: str) -> None:
     fleet = Fleet()
-    fleet.robots[2] = replace(fleet.robots[2], trajectory_s=reached_s, mode=mode)
-    assert fleet.wish(next_lap=True) == reason
-    assert fleet.tuner.status().stage is Stage.IDLE
+    fleet.robots[2] = replace(fleet.robots[2], trajectory_s=progress_s, mode=mode)
+    assert fleet.request(next_lap=True) == reason
+    assert fleet.tuner.status().stage is GainStage.IDLE
 
 
 def test_a_path_without_laps_has_no_next_one() -> None:
-    tuner = Tuner(load_experiment("figure-eight"))
-    assert tuner.wish({KEY: VALUE}, True, {}, 0) == "this path has no laps"
+    tuner = GainUpdater(load_experiment("figure-eight"))
+    assert tuner.request({KEY: VALUE}, True, {}, 0) == "this path has no laps"
 
 
 def test_wishes_that_cannot_be() -> None:
     fleet = Fleet()
     assert fleet.undo() == "there is nothing to undo"
-    assert KEY in fleet.wish(-1.0)
-    assert fleet.wish(EXPERIMENT.controller.mpc.r[2]) == "this is what is flown already"
-    assert fleet.wish() == ""
-    assert fleet.wish(30.0) == fleet.undo() == "another change is under way: robots check the gains"
+    assert KEY in fleet.request(-1.0)
+    assert fleet.request(EXPERIMENT.controller.mpc.r[2]) == "this is what is flown already"
+    assert fleet.request() == ""
+    assert fleet.request(30.0) == fleet.undo() == "another change is under way: robots check the gains"
     fleet.step(1.0)
     fleet.robots[2].heard = False
-    assert fleet.wish(30.0) == "robot 2 is not heard"
+    assert fleet.request(30.0) == "robot 2 is not heard"
 
 
 def test_undo_goes_back_a_set_at_a_time() -> None:
     fleet, ids = Fleet(), []
     for value in (20.0, 30.0):
-        fleet.wish(value)
+        fleet.request(value)
         fleet.step(1.0)
         ids.append(fleet.tuner.status().flown.id)
     for expected in (ids[0], fleet.first):
@@ -239,7 +240,7 @@ def test_undo_goes_back_a_set_at_a_time() -> None:
 @pytest.mark.parametrize(("mode", "taken"), [(Mode.DISARMED, True), (Mode.HOLDING, False)])
 def test_a_robot_that_comes_back_with_other_gains_is_given_the_fleet_s_while_it_lies_disarmed(mode: Mode, taken: bool) -> None:
     fleet = Fleet()
-    fleet.wish()
+    fleet.request()
     fleet.step(1.0)
     fleet.robots[2].tuning_id, fleet.robots[2].mode = fleet.first, mode
     fleet.step(AGAIN_S + 1.5)
@@ -248,9 +249,9 @@ def test_a_robot_that_comes_back_with_other_gains_is_given_the_fleet_s_while_it_
 
 def test_a_late_answer_about_another_set_counts_for_nothing() -> None:
     fleet = Fleet()
-    fleet.wish()
+    fleet.request()
     fleet.step(STEP_S)
-    wrong = Answer(Command(Order.TUNE, 2, tuning_id="another"), Reply(2, False, "I cannot"))
+    wrong = CommandResult(Command(Order.TUNE, 2, tuning_id="another"), Reply(2, False, "I cannot"))
     fleet.answers.append(wrong)
     fleet.step(1.0)
     assert fleet.flown == {fleet.tuner.status().flown.id} != {fleet.first}

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.lap_statistics import Laps
+from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.telemetry import RobotView
 from wire.messages.messages import Mode, RobotState
 
 LAP_S = 10.0
 
 
-def note(laps: Laps, trajectory_s: dict[int, float], error_m: float = 0.01) -> None:
+def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0.01) -> None:
     """A step of robots that are so far along, all as far from their references."""
     away = np.array([error_m, 0.0, 0.0, 0.0])
-    laps.note(
+    laps.update(
         {
             robot: RobotView(RobotState(mode=Mode.TRACKING, tuning_id="a", trajectory_s=s, eta=away), 0.0)
             for robot, s in trajectory_s.items()
@@ -23,14 +23,14 @@ def note(laps: Laps, trajectory_s: dict[int, float], error_m: float = 0.01) -> N
 
 def test_holding_and_going_on_from_where_the_slowest_was_keeps_what_was_flown() -> None:
     """One robot holds by itself; until the others do they come a little further, and go back by that when all resume."""
-    laps = Laps(LAP_S)
+    laps = LapStatistics(LAP_S)
     for k in range(1, 301):
         note(laps, {1: 0.05 * k, 2: 0.05 * k}, 0.01 if k <= 200 else 0.02)
     for k in (301, 302, 303):
         note(laps, {1: 15.0, 2: 0.05 * k}, 0.02)
     for k in range(301, 381):
         note(laps, {1: 0.05 * k, 2: 0.05 * k}, 0.02)
-    first, second = laps.rows()
+    first, second = laps.laps()
     assert (first.number, second.number) == (1, 2)
     assert first.time_s == pytest.approx(LAP_S, abs=0.11)
     assert second.time_s == pytest.approx(9.0, abs=0.11)
@@ -38,9 +38,9 @@ def test_holding_and_going_on_from_where_the_slowest_was_keeps_what_was_flown() 
 
 
 def test_another_run_begins_another_table() -> None:
-    laps = Laps(LAP_S)
+    laps = LapStatistics(LAP_S)
     for k in range(1, 250):
         note(laps, {1: 0.05 * k})
     note(laps, {1: 0.05})
-    (only,) = laps.rows()
+    (only,) = laps.laps()
     assert only.number == 1 and only.time_s < 0.1

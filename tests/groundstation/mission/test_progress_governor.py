@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.progress_governor import Pace
+from groundstation.mission.progress_governor import ProgressGovernor
 from wire.config.mission import MissionConfig
 from wire.frames import Array
 
 PERIOD_S = 0.05
 
 
-def driven(pace: Pace, errors: Array) -> Array:
+def driven(pace: ProgressGovernor, errors: Array) -> Array:
     rates = []
     for error in errors.tolist():
         pace.step(error, PERIOD_S)
@@ -19,15 +19,15 @@ def driven(pace: Pace, errors: Array) -> Array:
 
 
 def test_on_time_is_exactly_on_time() -> None:
-    pace = Pace(MissionConfig(wait_from_m=0.2))
+    pace = ProgressGovernor(MissionConfig(wait_from_m=0.2))
     assert set(driven(pace, np.full(200, 0.19)).tolist()) == {1.0}
     assert pace.lag_s == 0.0
-    never = Pace(MissionConfig())
+    never = ProgressGovernor(MissionConfig())
     assert set(driven(never, np.full(200, 9.0)).tolist()) == {1.0}
 
 
 def test_it_slows_smoothly_down_to_the_slowest_and_comes_back_to_exactly_one() -> None:
-    pace = Pace(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
+    pace = ProgressGovernor(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
     slow = driven(pace, np.full(200, 1.0))
     assert slow[-1] == pytest.approx(0.1, abs=1e-3) and slow.min() >= 0.1
     assert np.abs(np.diff(slow)).max() < 0.04  # 0.3 m/s then changes by 12 mm/s in a step at most
@@ -42,12 +42,12 @@ def test_it_slows_smoothly_down_to_the_slowest_and_comes_back_to_exactly_one() -
 
 
 def test_between_the_two_errors_the_pace_falls_in_proportion() -> None:
-    pace = Pace(MissionConfig(wait_from_m=0.1, wait_at_m=0.5, slowest=0.2))
+    pace = ProgressGovernor(MissionConfig(wait_from_m=0.1, wait_at_m=0.5, slowest=0.2))
     assert driven(pace, np.full(400, 0.3))[-1] == pytest.approx(0.6, abs=1e-3)
 
 
 def test_a_start_is_on_time_again() -> None:
-    pace = Pace(MissionConfig(wait_from_m=0.1))
+    pace = ProgressGovernor(MissionConfig(wait_from_m=0.1))
     driven(pace, np.full(50, 1.0))
     pace.reset()
     assert pace.rate == 1.0 and pace.lag_s > 0.0
@@ -56,7 +56,7 @@ def test_a_start_is_on_time_again() -> None:
 
 
 def test_after_a_stall_the_lag_is_what_the_last_heartbeat_foretold_and_the_pace_does_not_leap() -> None:
-    pace = Pace(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
+    pace = ProgressGovernor(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
     driven(pace, np.full(200, 1.0))
     lag_s, rate = pace.lag_s, pace.rate
     pace.step(0.0, 0.5)
@@ -69,7 +69,7 @@ def test_after_a_stall_the_lag_is_what_the_last_heartbeat_foretold_and_the_pace_
 
 
 def test_the_lag_grows_up_to_the_moment_from_which_nobody_is_waited_for() -> None:
-    pace = Pace(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
+    pace = ProgressGovernor(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
     driven(pace, np.full(200, 1.0))
     lag_s, rate = pace.lag_s, pace.rate
     pace.step(None, PERIOD_S)

@@ -6,12 +6,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from groundstation.mission.command_dispatcher import Answer
-from groundstation.mission.gain_update import Stage, TuningStatus
-from groundstation.mission.request_progress import GOALS, KEPT, Requests
-from groundstation.mission.state_machine import TABLE, Phase
+from groundstation.mission.command_dispatcher import CommandResult
+from groundstation.mission.gain_update import GainStage, GainStatus
+from groundstation.mission.request_progress import GOALS, KEPT, RequestTracker
+from groundstation.mission.state_machine import TRANSITIONS, MissionState
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.segment import Leg
+from groundstation.planning.segment import PlanSegment
 from tests.groundstation.mission.mission_run import Run
 from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, Trajectory, Tuning
 
@@ -23,12 +23,12 @@ class Asked:
     """A mission by hand, and the account of what is asked for."""
 
     run: Run = field(default_factory=lambda: Run(automatic=False, settings=["duration_s=60"]))
-    requests: Requests = field(default_factory=lambda: Requests((1, 2)))
-    tuning: TuningStatus = field(default_factory=lambda: TuningStatus(FLOWN))
+    requests: RequestTracker = field(default_factory=lambda: RequestTracker((1, 2)))
+    tuning: GainStatus = field(default_factory=lambda: GainStatus(FLOWN))
 
     def ask(self, order: Order, **more: Any) -> int:
         run = self.run
-        assert run.mission.wish(order, run.fleet(), run.now_ns, **more) == ""
+        assert run.mission.request(order, run.fleet(), run.now_ns, **more) == ""
         return self.requests.begin(order, run.mission)
 
     def step(self, seconds: float = 0.05) -> None:
@@ -51,12 +51,12 @@ class Asked:
         number = self.ask(Order.START)
         self.step(1.0)
         assert self.progress(number) is Progress.DONE
-        assert self.run.at(Phase.RUNNING)
+        assert self.run.at(MissionState.RUNNING)
 
 
 def test_every_request_that_the_mission_takes_leads_somewhere() -> None:
-    assert {row.cause for row in TABLE if isinstance(row.cause, Order)} | {Order.END} == set(GOALS)
-    for row in TABLE:
+    assert {row.cause for row in TRANSITIONS if isinstance(row.cause, Order)} | {Order.END} == set(GOALS)
+    for row in TRANSITIONS:
         if isinstance(row.cause, Order):
             assert row.to in GOALS[row.cause].through | GOALS[row.cause].to, row
 
@@ -119,7 +119,7 @@ def test_places_are_gone_to_or_the_planner_says_why_not(found: bool) -> None:
     mission = asked.run.mission
     number = asked.requests.begin(Order.GO, mission)
     mission._go(Order.GO, asked.run.now_ns)
-    mission.itinerary.by_person = True
+    mission.plans.by_operator = True
     asked.look()
     assert asked.progress(number) is Progress.UNDER_WAY
     if not found:
@@ -129,9 +129,9 @@ def test_places_are_gone_to_or_the_planner_says_why_not(found: bool) -> None:
         assert asked.outcome(number).reason.endswith("no way there: robot 1: yaw rate 6.741 rad/s exceeds the limit 1.9")
         return
     line = np.zeros((2, 4))
-    there = {r: replace(t, id=f"{t.id} there", eta=line) for r, t in mission.leg.trajectories.items()}
-    mission.itinerary.adopt(Leg(there, there[1], 60.0))
-    mission.phase = Phase.RUNNING
+    there = {r: replace(t, id=f"{t.id} there", eta=line) for r, t in mission.segment.trajectories.items()}
+    mission.plans.adopt(PlanSegment(there, there[1], 60.0))
+    mission.state = MissionState.RUNNING
     asked.look()
     assert asked.progress(number) is Progress.DONE
 
@@ -149,7 +149,7 @@ def test_another_request_takes_the_place_of_one_under_way_and_the_same_is_one() 
 def test_a_disarmed_robot_that_nobody_hears_is_not_confirmed() -> None:
     asked = Asked()
     asked.fly()
-    asked.run.mission.crew.lose(2, "silent")
+    asked.run.mission.roster.mark_lost(2, "silent")
     asked.run.robots[2].silent = True
     number = asked.ask(Order.DISARM)
     asked.step(1.0)
@@ -161,14 +161,14 @@ def test_gains_are_told_apart_from_the_mission() -> None:
     asked.fly()
     number = asked.requests.begin(Order.TUNE, asked.run.mission, WANTED.id)
     hold = asked.ask(Order.HOLD)
-    asked.tuning = TuningStatus(FLOWN, WANTED.id, Stage.ASKING)
+    asked.tuning = GainStatus(FLOWN, WANTED.id, GainStage.ASKING)
     asked.step(0.5)
     assert (asked.progress(number), asked.progress(hold)) == (Progress.UNDER_WAY, Progress.DONE)
-    asked.tuning = TuningStatus(FLOWN, reason="robot 2 refuses: too much")
+    asked.tuning = GainStatus(FLOWN, reason="robot 2 refuses: too much")
     asked.look()
     assert (asked.progress(number), asked.outcome(number).reason) == (Progress.FAILED, "robot 2 refuses: too much")
     again = asked.requests.begin(Order.TUNE, asked.run.mission, WANTED.id)
-    asked.tuning = TuningStatus(WANTED)
+    asked.tuning = GainStatus(WANTED)
     asked.look()
     assert asked.progress(again) is Progress.DONE
 
@@ -178,7 +178,7 @@ def test_the_run_may_end_when_everybody_who_is_heard_is_at_rest() -> None:
     asked.fly()
     asked.run.robots[2].silent = True
     asked.run.robots[1].refuses = frozenset({Order.DISARM})
-    assert asked.run.mission.wish(Order.DISARM, asked.run.fleet(), asked.run.now_ns) == ""
+    assert asked.run.mission.request(Order.DISARM, asked.run.fleet(), asked.run.now_ns) == ""
     number = asked.requests.begin(Order.END, asked.run.mission)
     asked.step(1.0)
     assert asked.requests.ending and asked.progress(number) is Progress.UNDER_WAY
@@ -193,7 +193,7 @@ def test_the_run_may_end_when_everybody_who_is_heard_is_at_rest() -> None:
 def test_a_thruster_test_that_fails_is_told_with_the_thruster() -> None:
     asked = Asked()
     number = asked.ask(Order.TEST)
-    asked.run.mission.phase = Phase.WAITING  # as if it were over
+    asked.run.mission.state = MissionState.WAITING  # as if it were over
     fleet = asked.run.fleet()
     for robot, result in ((1, "passed"), (2, "thruster 3: no current")):
         state = fleet[robot].state
@@ -217,7 +217,7 @@ def test_the_last_outcomes_are_kept_and_no_more() -> None:
 def test_an_answer_about_gains_is_no_refusal_of_the_mission() -> None:
     asked = Asked()
     number = asked.ask(Order.ARM)
-    answers = [Answer(Command(order, 2), Reply(2, False, order.name)) for order in (Order.LOAD, Order.TUNE)]
+    answers = [CommandResult(Command(order, 2), Reply(2, False, order.name)) for order in (Order.LOAD, Order.TUNE)]
     asked.requests.follow(asked.run.mission, asked.run.fleet(), asked.tuning, answers)
     assert asked.outcome(number).why == ("is disarmed", "LOAD")
 
@@ -230,10 +230,12 @@ def test_a_return_that_leaves_a_robot_out_has_failed_and_says_which(fit: bool) -
     number = asked.ask(Order.RETURN)
     asked.step(0.5)
     line = np.zeros((20, 4))
-    home = {r: Trajectory(f"{t.id} home", 0.05, line, line, line, 0.05) for r, t in asked.run.mission.leg.trajectories.items()}
-    asked.run.mission.planned(Leg(home, home[1], 1.0, home=True), asked.run.fleet(), asked.run.now_ns)
+    home = {
+        r: Trajectory(f"{t.id} home", 0.05, line, line, line, 0.05) for r, t in asked.run.mission.segment.trajectories.items()
+    }
+    asked.run.mission.planned(PlanSegment(home, home[1], 1.0, is_return=True), asked.run.fleet(), asked.run.now_ns)
     asked.step(4.0)
-    assert asked.run.at(Phase.DONE)
+    assert asked.run.at(MissionState.DONE)
     found = asked.outcome(number)
     if fit:
         assert (found.progress, found.confirmed, found.waiting) == (Progress.DONE, (1, 2), ())

@@ -4,81 +4,105 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.mission.stages import STAGES
-from groundstation.mission.state_machine import FLYING, OVER, TABLE, Event, Phase, after, allowed, markdown, refusal
+from groundstation.mission.mission import STAGES
+from groundstation.mission.state_machine import (
+    IN_FLIGHT,
+    TERMINAL,
+    TRANSITIONS,
+    MissionEvent,
+    MissionState,
+    markdown,
+    next_state,
+    rejection_reason,
+    states_allowing,
+)
 from wire.messages.messages import Order
 
 PAGE = (Path(__file__).parents[3] / "docs" / "missions.md").read_text(encoding="utf-8")
-CAUSES: tuple[Order | Event, ...] = (*Order, *Event)
-WAITS = frozenset({Phase.WAITING, Phase.SWITCHING, Phase.HALTING, Phase.PAUSED, Phase.STOPPED, Phase.TESTING}) | FLYING
+CAUSES: tuple[Order | MissionEvent, ...] = (*Order, *MissionEvent)
+WAITS = (
+    frozenset(
+        {
+            MissionState.WAITING,
+            MissionState.SWITCHING,
+            MissionState.HALTING,
+            MissionState.PAUSED,
+            MissionState.STOPPED,
+            MissionState.TESTING,
+        }
+    )
+    | IN_FLIGHT
+)
 
 
-def documented() -> dict[tuple[Phase, str], Phase]:
+def documented() -> dict[tuple[MissionState, str], MissionState]:
     """(phase, what happens) -> phase, read off the page."""
-    found: dict[tuple[Phase, str], Phase] = {}
+    found: dict[tuple[MissionState, str], MissionState] = {}
     for line in PAGE.splitlines():
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if len(cells) != 3 or cells[2] not in Phase.__members__:
+        if len(cells) != 3 or cells[2] not in MissionState.__members__:
             continue
         what, when, to = cells
         names = when.removeprefix("always but ").split(", ")
-        listed = {Phase[name] for name in names if name in Phase.__members__}
-        phases = set(Phase) - listed if when.startswith("always") else listed
-        for phase in phases:
-            assert (phase, what) not in found, f"{what} from {phase.name} leads to two places"
-            found[phase, what] = Phase[to]
+        listed = {MissionState[name] for name in names if name in MissionState.__members__}
+        states = set(MissionState) - listed if when.startswith("always") else listed
+        for state in states:
+            assert (state, what) not in found, f"{what} from {state.name} leads to two places"
+            found[state, what] = MissionState[to]
     return found
 
 
 def test_the_page_is_the_table() -> None:
-    assert markdown() in PAGE, "docs/missions.md is old: groundstation phases shows the table as it is"
+    assert markdown() in PAGE, "docs/missions.md is old: groundstation mission states shows the table as it is"
 
 
 def test_every_pair_of_state_and_cause_leads_where_the_page_says() -> None:
     page = documented()
-    for phase in Phase:
+    for state in MissionState:
         for cause in CAUSES:
             name = cause.name if isinstance(cause, Order) else cause.value
-            assert after(phase, cause) is page.get((phase, name)), (phase, cause)
+            assert next_state(state, cause) is page.get((state, name)), (state, cause)
 
 
 def test_no_state_is_a_trap_and_every_state_is_reached() -> None:
-    reached, new = {Phase.WAITING}, {Phase.WAITING}
+    reached, new = {MissionState.WAITING}, {MissionState.WAITING}
     while new:
-        new = {to for phase in new for cause in CAUSES if (to := after(phase, cause)) is not None} - reached
+        new = {to for state in new for cause in CAUSES if (to := next_state(state, cause)) is not None} - reached
         reached |= new
-    assert reached == set(Phase)
-    for phase in Phase:
-        ways_out = {after(phase, cause) for cause in CAUSES} - {None, phase, Phase.STOPPED, Phase.ENDING}
-        assert ways_out, phase
+    assert reached == set(MissionState)
+    for state in MissionState:
+        ways_out = {next_state(state, cause) for cause in CAUSES} - {None, state, MissionState.STOPPED, MissionState.ENDING}
+        assert ways_out, state
 
 
 def test_stop_counts_everywhere_and_only_a_person_clears_it() -> None:
-    assert allowed(Order.STOP) == set(Phase)
-    assert all(after(Phase.STOPPED, event) is None for event in Event)
-    assert {after(Phase.STOPPED, order) for order in Order} == {None, Phase.STOPPED, Phase.CLEARING}
+    assert states_allowing(Order.STOP) == set(MissionState)
+    assert all(next_state(MissionState.STOPPED, event) is None for event in MissionEvent)
+    assert {next_state(MissionState.STOPPED, order) for order in Order} == {None, MissionState.STOPPED, MissionState.CLEARING}
 
 
 def test_what_is_over_starts_again_only_when_a_person_says_so() -> None:
-    for phase in OVER | {Phase.CLEARING}:
-        assert {after(phase, event) for event in Event} <= {None, Phase.WAITING, Phase.ABORTING}
+    for state in TERMINAL | {MissionState.CLEARING}:
+        assert {next_state(state, event) for event in MissionEvent} <= {None, MissionState.WAITING, MissionState.ABORTING}
 
 
 def test_every_state_is_driven() -> None:
-    assert set(STAGES) | WAITS | OVER == set(Phase)
-    for phase in STAGES:
-        assert after(phase, Event.OBEYED) is not None
-        assert after(phase, Event.UNHEEDED) in (Phase.ABORTING, Phase.FAILED)
-    assert len({(phase, row.cause) for row in TABLE for phase in row.phases}) == sum(len(row.phases) for row in TABLE)
+    assert set(STAGES) | WAITS | TERMINAL == set(MissionState)
+    for state in STAGES:
+        assert next_state(state, MissionEvent.ALL_CONFIRMED) is not None
+        assert next_state(state, MissionEvent.TIMEOUT) in (MissionState.ABORTING, MissionState.FAILED)
+    assert len({(state, row.cause) for row in TRANSITIONS for state in row.states}) == sum(
+        len(row.states) for row in TRANSITIONS
+    )
 
 
 def test_a_refusal_names_the_states_that_would_do() -> None:
-    assert refusal(Order.HOLD, Phase.RUNNING) == ""
-    assert refusal(Order.RESUME, Phase.RUNNING) == "RESUME is not possible when RUNNING (only when PAUSED)"
-    assert "allowed: LOAD" in refusal(Order.SWITCH, Phase.RUNNING)
+    assert rejection_reason(Order.HOLD, MissionState.RUNNING) == ""
+    assert rejection_reason(Order.RESUME, MissionState.RUNNING) == "RESUME is not possible when RUNNING (only when PAUSED)"
+    assert "allowed: LOAD" in rejection_reason(Order.SWITCH, MissionState.RUNNING)
 
 
-@pytest.mark.parametrize("phase", [phase for phase in Phase if phase in FLYING])
-def test_whoever_flies_can_be_held_and_disarmed(phase: Phase) -> None:
-    assert after(phase, Order.HOLD) is Phase.PAUSED
-    assert after(phase, Order.DISARM) is Phase.ENDING
+@pytest.mark.parametrize("state", [state for state in MissionState if state in IN_FLIGHT])
+def test_whoever_flies_can_be_held_and_disarmed(state: MissionState) -> None:
+    assert next_state(state, Order.HOLD) is MissionState.PAUSED
+    assert next_state(state, Order.DISARM) is MissionState.ENDING

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundstation.mission.progress_governor import Pace
+from groundstation.mission.progress_governor import ProgressGovernor
 from groundstation.mission.timetable import Timetable
 from groundstation.telemetry import RobotView
 from wire.config.mission import MissionConfig
@@ -23,7 +23,7 @@ def test_the_timetable_stands_until_its_instant() -> None:
 
 @pytest.mark.parametrize("age_s", [0.0, 0.1, 0.2])
 def test_what_is_told_late_counts_with_its_age(age_s: float) -> None:
-    pace = Pace(MissionConfig())
+    pace = ProgressGovernor(MissionConfig())
     told_s = 5.0 - age_s
     assert TIMETABLE.behind_s(seen(told_s, age_s), pace, 12 * NS) == pytest.approx(0.0)
     assert TIMETABLE.behind_s(seen(told_s - 0.7, age_s), pace, 12 * NS) == pytest.approx(0.7)
@@ -32,12 +32,12 @@ def test_what_is_told_late_counts_with_its_age(age_s: float) -> None:
 
 def test_a_formation_that_waits_is_not_behind_itself() -> None:
     """At a fifth of its pace, and two seconds late: 0.2 s ago it was 0.16 s less late."""
-    pace = Pace(MissionConfig())
+    pace = ProgressGovernor(MissionConfig())
     pace.lag_s, pace.rate = 2.0, 0.2
     assert TIMETABLE.behind_s(seen(5.0 - 0.2 - 1.84, 0.2), pace, 12 * NS) == pytest.approx(0.0)
 
 
 def test_only_who_is_heard_and_flies_has_a_place_on_the_timetable() -> None:
-    pace = Pace(MissionConfig())
+    pace = ProgressGovernor(MissionConfig())
     for robot in (seen(0.0, mode=Mode.HOLDING), seen(0.0, age_s=9.0), RobotView()):
         assert TIMETABLE.behind_s(robot, pace, 12 * NS) == 0.0

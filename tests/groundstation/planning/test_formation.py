@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from groundstation.planning.formation import NodeMotion, courses, node_motion, structure_rotation
+from groundstation.planning.formation import NodeMotion, node_motion, slot_offsets, structure_rotation
 from groundstation.planning.paths import CirclePath, Path, PathState, SplinePath
 from wire.config.formation_shapes import SHAPES, Shape, shape_nodes
 from wire.config.scene import Change, Circle, Waypoints
@@ -21,7 +21,7 @@ Mode = Literal["translate", "rotate"]
 
 def kept(centre: PathState, node: tuple[float, float, float], mode: Mode) -> NodeMotion:
     """The motion of a node that stays where it is in the structure."""
-    return node_motion(centre, courses(np.array([node]), (), np.zeros(len(centre.yaw_rad)))[0], mode, STEP_S)
+    return node_motion(centre, slot_offsets(np.array([node]), (), np.zeros(len(centre.yaw_rad)))[0], mode, STEP_S)
 
 
 def sampled(path: Path, until_s: float) -> Array:
@@ -111,7 +111,7 @@ CHANGES = (
 def test_derivatives_of_a_changing_form_by_finite_differences(mode: Mode, robot: int) -> None:
     path = CirclePath(Circle(kind="circle", diameter_m=3.0, lap_s=60.0, depth_m=0.3))
     time = sampled(path, 16.0)
-    course = courses(DIAMOND + np.arange(4)[:, None] * [0.0, 0.0, 0.05], CHANGES, time)[robot]
+    course = slot_offsets(DIAMOND + np.arange(4)[:, None] * [0.0, 0.0, 0.05], CHANGES, time)[robot]
     motion = node_motion(path.at(time), course, mode, STEP_S)
     velocity = (motion.eta[2:] - motion.eta[:-2]) / (2.0 * STEP_S)
     acceleration = (motion.velocity[2:] - motion.velocity[:-2]) / (2.0 * STEP_S)
@@ -126,7 +126,7 @@ def test_derivatives_of_a_changing_form_by_finite_differences(mode: Mode, robot:
 
 def ended(nodes: Array, *changes: Change) -> Array:
     """Nodes after all changes."""
-    return np.array([course.place_m[-1] for course in courses(nodes, changes, np.array([0.0, 1e4]))])
+    return np.array([course.place_m[-1] for course in slot_offsets(nodes, changes, np.array([0.0, 1e4]))])
 
 
 def test_a_change_ends_in_the_form_that_was_asked_for() -> None:
@@ -143,7 +143,7 @@ def test_robots_take_the_nodes_that_cost_least_and_stay_apart(seed: int) -> None
     count, before, after = int(random.integers(2, 6)), *random.choice(SHAPES, 2)
     nodes = shape_nodes(before, count, 1.0)[random.permutation(count)]
     change = Change(at_s=0.0, over_s=10.0, shape=after, spacing_m=1.0, turn_rad=float(random.uniform(-3.0, 3.0)))
-    places = np.array([c.place_m for c in courses(nodes, (change,), np.linspace(0.0, 10.0, 200))])
+    places = np.array([c.place_m for c in slot_offsets(nodes, (change,), np.linspace(0.0, 10.0, 200))])
     cost = np.sum((places[:, -1] - nodes) ** 2)
     others = (np.sum((places[list(order), -1] - nodes) ** 2) for order in itertools.permutations(range(count)))
     assert cost <= min(others) + 1e-9

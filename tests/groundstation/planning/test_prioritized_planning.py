@@ -11,16 +11,16 @@ from groundstation.planning import prioritized_planning as marshalling
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.formation import NodeMotion
 from groundstation.planning.planner import start_poses
-from groundstation.planning.prioritized_planning import marshal
-from groundstation.planning.rest_to_rest import gathered
-from groundstation.planning.segment import first_leg
-from groundstation.planning.transfer import Basin, Trip, glide, planned_trip
+from groundstation.planning.prioritized_planning import plan_transfers
+from groundstation.planning.rest_to_rest import plan_regroup
+from groundstation.planning.segment import first_segment
+from groundstation.planning.transfer import FreeSpace, Transfer, plan_transfer, s_curve_profile
 from wire.config.experiment import NO_CAMERA, Experiment, load_experiment
 from wire.config.scene import Island
 from wire.frames import Array
 
 PERIOD_S = 0.05
-NOTHING = np.zeros((0, 3))
+NO_OBSTACLES = np.zeros((0, 3))
 
 
 def pool(*islands: tuple[float, float, float], size_m: tuple[float, float, float] = (12.0, 10.0, 3.0)) -> Experiment:
@@ -59,7 +59,7 @@ def check(experiment: Experiment, motions: dict[int, NodeMotion], starts: dict[i
 
 def test_a_glide_is_smooth_and_ends_where_it_should() -> None:
     for length in (0.01, 0.3, 5.0):
-        way, rate, bend = glide(length, 0.15, PERIOD_S)
+        way, rate, bend = s_curve_profile(length, 0.15, PERIOD_S)
         assert way[0] == 0.0 and way[-1] == pytest.approx(length, abs=1e-9)
         assert rate.max() <= 0.15 + 1e-12 and rate.min() >= -1e-12
         np.testing.assert_allclose(np.gradient(way, PERIOD_S)[1:-1], rate[1:-1], atol=2e-4)
@@ -82,27 +82,27 @@ def test_random_robots_find_home_clear_of_one_another(seed: int) -> None:
         return dict(enumerate(found, 1))
 
     starts, goals = places(), places()
-    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+    check(experiment, plan_transfers(experiment, starts, goals, NO_OBSTACLES), starts, goals)
 
 
 def test_two_on_one_anothers_places_change_them() -> None:
     experiment = pool(size_m=(4.0, 3.0, 2.0))
     starts = {1: pose(-0.5, 0.0), 2: pose(0.5, 0.0)}
     goals = {1: starts[2], 2: starts[1]}
-    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+    check(experiment, plan_transfers(experiment, starts, goals, NO_OBSTACLES), starts, goals)
 
 
 def test_three_go_round_in_a_ring() -> None:
     experiment = pool(size_m=(5.0, 4.0, 2.0))
     starts = {1: pose(-0.6, 0.0), 2: pose(0.6, 0.0), 3: pose(0.0, 1.0)}
     goals = {1: starts[2], 2: starts[3], 3: starts[1]}
-    check(experiment, marshal(experiment, starts, goals, NOTHING), starts, goals)
+    check(experiment, plan_transfers(experiment, starts, goals, NO_OBSTACLES), starts, goals)
 
 
 def test_a_thing_in_the_way_is_gone_round() -> None:
     experiment = pool()
     starts, goals = {1: pose(-3.0, 0.0)}, {1: pose(3.0, 0.0)}
-    motions = marshal(experiment, starts, goals, np.array([[0.0, 0.1, 0.5]]))
+    motions = plan_transfers(experiment, starts, goals, np.array([[0.0, 0.1, 0.5]]))
     check(experiment, motions, starts, goals)
     assert np.hypot(*(motions[1].eta[:, :2] - [0.0, 0.1]).T).min() >= 0.5 - 1e-6
 
@@ -110,7 +110,7 @@ def test_a_thing_in_the_way_is_gone_round() -> None:
 def test_who_is_there_already_stays() -> None:
     starts = {1: pose(0.0, 0.0), 2: pose(2.0, 0.0)}
     goals = {1: pose(0.0, 0.0), 2: pose(1.0, 0.0)}
-    motions = marshal(pool(), starts, goals, NOTHING)
+    motions = plan_transfers(pool(), starts, goals, NO_OBSTACLES)
     assert np.ptp(motions[1].eta, axis=0).max() == 0.0
     assert len(motions[1].eta) == len(motions[2].eta)
 
@@ -118,27 +118,27 @@ def test_who_is_there_already_stays() -> None:
 def test_no_way_is_said_and_why() -> None:
     ring = np.array([[2.0 * np.cos(a), 2.0 * np.sin(a), 0.7] for a in np.linspace(0.0, 2.0 * np.pi, 16)])
     with pytest.raises(PlanError, match=r"robot 1: no way from \(0\.00, 0\.00\) to \(4\.00, 0\.00\) m"):
-        marshal(pool(), {1: pose(0.0, 0.0)}, {1: pose(4.0, 0.0)}, ring)
+        plan_transfers(pool(), {1: pose(0.0, 0.0)}, {1: pose(4.0, 0.0)}, ring)
 
 
 @pytest.mark.parametrize("absurd", [(np.nan, 0.0), (1e9, 0.0), (0.0, np.nan), (0.0, np.inf)])
 def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, float]) -> None:
     x, yaw = absurd
     with pytest.raises(PlanError, match="robot 1 says that it"):
-        marshal(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NOTHING)
+        plan_transfers(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NO_OBSTACLES)
 
 
 def test_a_robot_whose_way_leads_past_one_that_waits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no way leads around: here because every trip is planned as if nobody stood anywhere."""
 
-    def as_if_alone(of: Experiment, around: Basin, start: Array, goal: Array, parked: Sequence[Array]) -> Trip:
-        return planned_trip(of, around, start, goal, [])
+    def as_if_alone(of: Experiment, around: FreeSpace, start: Array, goal: Array, parked: Sequence[Array]) -> Transfer:
+        return plan_transfer(of, around, start, goal, [])
 
-    monkeypatch.setattr(marshalling, "planned_trip", as_if_alone)
+    monkeypatch.setattr(marshalling, "plan_transfer", as_if_alone)
     monkeypatch.setattr(marshalling, "ORDERS", 2)
     starts = {1: pose(-2.0, 0.0), 2: pose(0.0, 0.1)}
     with pytest.raises(PlanError, match="robot 1 would pass too near a robot that waits"):
-        marshal(pool(), starts, {1: pose(2.0, 0.0), 2: starts[2]}, NOTHING)
+        plan_transfers(pool(), starts, {1: pose(2.0, 0.0), 2: starts[2]}, NO_OBSTACLES)
 
 
 def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
@@ -149,7 +149,7 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
         1: np.array([0.53692761, 0.06801661, 0.25018865, 2.48896894]),
         2: np.array([-0.29450748, 0.15240046, 0.26044311, 2.37850454]),
     }
-    things = np.array(
+    obstacles = np.array(
         [
             [2.0196855927151156, -0.9989661938522431, 0.1788811895480024],
             [1.4630468041366795, 0.4795651934960071, 0.571192825510389],
@@ -157,24 +157,24 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
         ]
     )
     with pytest.raises(PlanError, match="robot 1"):
-        gathered(experiment, first_leg(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, things)
+        plan_regroup(experiment, first_segment(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, obstacles)
 
 
 def test_where_a_dense_fleet_finds_no_way_it_says_so_instead_of_searching_for_hours(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty robots of a grid, a third of a circle from where they began: each goal is beside somebody who waits."""
     made = []
 
-    def counted(*given: Any) -> Trip:
+    def counted(*given: Any) -> Transfer:
         made.append(given)
-        return planned_trip(*given)
+        return plan_transfer(*given)
 
     monkeypatch.setattr("groundstation.planning.prioritized_planning.MOST_TRIES", 60)
-    monkeypatch.setattr("groundstation.planning.prioritized_planning.planned_trip", counted)
+    monkeypatch.setattr("groundstation.planning.prioritized_planning.plan_transfer", counted)
     experiment = load_experiment("fleet-20")
-    leg = first_leg(experiment)
-    rests, goals = {r: t.eta[400] for r, t in leg.trajectories.items()}, start_poses(experiment, leg.trajectories)
+    segment = first_segment(experiment)
+    rests, goals = {r: t.eta[400] for r, t in segment.trajectories.items()}, start_poses(experiment, segment.trajectories)
     with pytest.raises(PlanError, match="in 60 tries"):
-        marshal(experiment, rests, goals, NOTHING)
+        plan_transfers(experiment, rests, goals, NO_OBSTACLES)
     assert len(made) <= 60 * 2 * len(rests)
 
 
@@ -183,7 +183,7 @@ def test_a_way_that_leads_out_of_the_camera_s_picture_is_refused() -> None:
     experiment = load_experiment("pool", ["pool.size_m=[8,8,1]", "islands=[{position_m=[0,0],radius_m=1.2}]"])
     starts, goals = {1: pose(-1.6, 0.0, 0.3)}, {1: pose(1.6, 0.0, 0.3)}
     with pytest.raises(PlanError, match=r"robot 1: its way leads 0\.\d+ m beyond the camera's picture, at \("):
-        marshal(experiment, starts, goals, NOTHING)
-    marshal(load_experiment("pool", ["pool.size_m=[8,8,1]", NO_CAMERA]), starts, goals, NOTHING)
+        plan_transfers(experiment, starts, goals, NO_OBSTACLES)
+    plan_transfers(load_experiment("pool", ["pool.size_m=[8,8,1]", NO_CAMERA]), starts, goals, NO_OBSTACLES)
     open_water = experiment.model_copy(update={"islands": ()})
-    marshal(open_water, {1: pose(2.2, 0.0, 0.3)}, {1: pose(0.5, 0.0, 0.3)}, NOTHING)
+    plan_transfers(open_water, {1: pose(2.2, 0.0, 0.3)}, {1: pose(0.5, 0.0, 0.3)}, NO_OBSTACLES)

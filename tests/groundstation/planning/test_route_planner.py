@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from groundstation.planning.route_planner import NoRoute, route
+from groundstation.planning.route_planner import NoRoute, find_route
 from wire.frames import Array
 
 WIDE = (8.0, 8.0)
@@ -54,21 +54,21 @@ def grid_length(discs: Array, half_m: float) -> float:
 
 
 def test_nothing_in_the_way_is_a_straight_line() -> None:
-    points = route([START, GOAL], np.zeros((0, 3)), WIDE)
+    points = find_route([START, GOAL], np.zeros((0, 3)), WIDE)
     assert length(points) == pytest.approx(14.0 * math.sqrt(2.0))
     assert np.abs(points[:, 0] - points[:, 1]).max() < 1e-12
 
 
 def test_ends_stay_however_short_the_way() -> None:
     for length_m in (0.02, 0.3, 0.8, 1.7):
-        points = route([(0.0, 0.0), (length_m, 0.0)], np.array([[0.0, 3.0, 0.5]]), WIDE, smooth_m=2.0)
+        points = find_route([(0.0, 0.0), (length_m, 0.0)], np.array([[0.0, 3.0, 0.5]]), WIDE, smooth_m=2.0)
         assert np.abs(points[[0, -1]] - [(0.0, 0.0), (length_m, 0.0)]).max() < 1e-12
 
 
 @pytest.mark.parametrize("radius", [0.4, 1.0, 2.5])
 def test_around_one_island_it_is_two_tangents_and_an_arc(radius: float) -> None:
     distance = 5.0
-    points = route([(-distance, 0.0), (distance, 0.0)], np.array([[0.0, 0.0, radius]]), WIDE)
+    points = find_route([(-distance, 0.0), (distance, 0.0)], np.array([[0.0, 0.0, radius]]), WIDE)
     exact = 2.0 * math.sqrt(distance**2 - radius**2) + radius * (math.pi - 2.0 * math.acos(radius / distance))
     assert exact <= length(points) * 1.001 and length(points) < 1.02 * exact
 
@@ -79,10 +79,10 @@ def test_in_random_worlds_it_is_clear_and_short(seed: int) -> None:
     for end in (START, GOAL):
         if np.any(np.hypot(*(discs[:, :2] - end).T) < discs[:, 2]):
             with pytest.raises(NoRoute, match="too near an island"):
-                route([START, GOAL], discs, WIDE)
+                find_route([START, GOAL], discs, WIDE)
             return
     try:
-        points = route([START, GOAL], discs, WIDE)
+        points = find_route([START, GOAL], discs, WIDE)
     except NoRoute:
         assert grid_length(discs + np.array([0.0, 0.0, 0.05]), 8.0) == math.inf
         return
@@ -98,7 +98,7 @@ def test_a_thousand_random_worlds_are_clear() -> None:
     for seed in range(1000):
         discs = world(np.random.default_rng([seed, 1]))
         try:
-            curve = flown(route([START, GOAL], discs, WIDE))
+            curve = flown(find_route([START, GOAL], discs, WIDE))
         except NoRoute:
             refused += 1
             continue
@@ -108,7 +108,7 @@ def test_a_thousand_random_worlds_are_clear() -> None:
 
 def test_it_goes_through_its_waypoints_in_order() -> None:
     via = [START, (3.0, -5.0), (-2.0, 4.0), GOAL]
-    points = route(via, np.array([[0.0, 0.0, 1.5]]), WIDE)
+    points = find_route(via, np.array([[0.0, 0.0, 1.5]]), WIDE)
     places = [int(np.argmin(np.hypot(*(points - p).T))) for p in via]
     assert places == sorted(places)
     assert all(np.hypot(*(points[i] - p)) < 0.5 for i, p in zip(places, via, strict=True))
@@ -117,21 +117,21 @@ def test_it_goes_through_its_waypoints_in_order() -> None:
 def test_it_says_what_is_wrong() -> None:
     ring = np.array([[math.cos(a) * 3.0, math.sin(a) * 3.0, 1.0] for a in np.linspace(0.0, 2.0 * np.pi, 12)])
     with pytest.raises(NoRoute, match=r"no way from \(0\.00, 0\.00\) to \(7\.00, 0\.00\) m: the gaps"):
-        route([(0.0, 0.0), (7.0, 0.0)], ring, WIDE)
+        find_route([(0.0, 0.0), (7.0, 0.0)], ring, WIDE)
     with pytest.raises(NoRoute, match=r"\(9\.00, 0\.00\) m: there the formation would touch a wall"):
-        route([START, (9.0, 0.0)], ring, WIDE)
+        find_route([START, (9.0, 0.0)], ring, WIDE)
     with pytest.raises(NoRoute, match=r"\(3\.00, 0\.00\) m: there the formation is 1\.00 m too near an island"):
-        route([START, (3.0, 0.0)], ring, WIDE)
+        find_route([START, (3.0, 0.0)], ring, WIDE)
     with pytest.raises(NoRoute, match=r"leads nowhere: all its places are \(1\.00, 2\.00\) m"):  # not what a spline says of it
-        route([(1.0, 2.0), (1.0, 2.0)], np.zeros((0, 3)), WIDE)
+        find_route([(1.0, 2.0), (1.0, 2.0)], np.zeros((0, 3)), WIDE)
     with pytest.raises(NoRoute, match="bends too sharply"):
-        route([START, (1.0, 2.0), START], np.zeros((0, 3)), WIDE)
+        find_route([START, (1.0, 2.0), START], np.zeros((0, 3)), WIDE)
 
 
 def test_walls_close_a_gap() -> None:
     """The way past an island is on the side where there is room."""
     island = np.array([[0.0, 1.0, 1.2]])
-    points = route([(-3.0, 1.0), (3.0, 1.0)], island, (4.0, 2.0))
+    points = find_route([(-3.0, 1.0), (3.0, 1.0)], island, (4.0, 2.0))
     assert points[:, 1].min() < -0.1
     with pytest.raises(NoRoute):
-        route([(-3.0, 1.0), (3.0, 1.0)], np.array([[0.0, 1.0, 1.2], [0.0, -1.3, 1.2]]), (4.0, 2.0))
+        find_route([(-3.0, 1.0), (3.0, 1.0)], np.array([[0.0, 1.0, 1.2], [0.0, -1.3, 1.2]]), (4.0, 2.0))

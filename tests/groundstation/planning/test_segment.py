@@ -5,11 +5,11 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from groundstation.mission.obstacle_monitor import Lookout, Surroundings
+from groundstation.mission.obstacle_monitor import ObstacleMonitor, ObstacleSet
 from groundstation.planning.feasibility import PlanError
-from groundstation.planning.replanning import detour
-from groundstation.planning.rest_to_rest import assigned, gathered, homeward
-from groundstation.planning.segment import NOTHING, Leg, at, continued, first_contact, first_leg
+from groundstation.planning.replanning import replan
+from groundstation.planning.rest_to_rest import assign_slots, plan_regroup, plan_return
+from groundstation.planning.segment import NO_OBSTACLES, PlanSegment, concatenate, first_contact, first_segment, sample
 from groundstation.telemetry import RobotView
 from robot_agent.guidance.reference import Follow, ReferenceSampler, splice, splice_objection
 from robot_agent.guidance.trajectory_check import unflyable
@@ -23,10 +23,10 @@ SEEN_S = {"blocked-path": 52.0, "islands": 80.0}  # when the centre would come b
 BALL = np.array([[1.0, 0.1, 0.2]])
 
 
-def clearance(leg: Leg, thing: Array, from_s: float) -> float:
+def clearance(segment: PlanSegment, thing: Array, from_s: float) -> float:
     """How near any robot comes to a thing's edge."""
     nearest: list[float] = []
-    for t in leg.trajectories.values():
+    for t in segment.trajectories.values():
         first = max(round((from_s - t.begin_s) / PERIOD_S), 0)
         nearest.append(float(np.hypot(*(t.eta[first:, :2] - thing[:2]).T).min()) - float(thing[2]))
     return min(nearest)
@@ -44,32 +44,32 @@ def check_smooth(trajectory: Trajectory, from_row: int = 0, to_row: int | None =
 
 
 def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
-    leg = first_leg(BLOCKED)
-    new = detour(BLOCKED, leg, 14.0, BALL)
-    assert clearance(leg, BALL[0], 14.0) < 0.3  # it was in the way
+    segment = first_segment(BLOCKED)
+    new = replan(BLOCKED, segment, 14.0, BALL)
+    assert clearance(segment, BALL[0], 14.0) < 0.3  # it was in the way
     assert clearance(new, BALL[0], 14.0) > BLOCKED.safety.radius_m + 0.2
     for a, b in combinations(new.trajectories.values(), 2):
         apart = a.eta[:, :2] - b.eta[:, :2]
         assert np.abs(apart - apart[0]).max() < 1e-9  # in `translate` the shape does not change at all
     for robot, t in new.trajectories.items():
-        assert np.hypot(*(t.eta[-1, :2] - leg.trajectories[robot].eta[-1, :2])) < 0.01
-    assert leg.end_s < new.end_s < leg.end_s + 15.0
+        assert np.hypot(*(t.eta[-1, :2] - segment.trajectories[robot].eta[-1, :2])) < 0.01
+    assert segment.end_s < new.end_s < segment.end_s + 15.0
 
 
 @pytest.mark.parametrize("scene", ["blocked-path", "islands"])
 def test_going_over_moves_nobodys_reference(scene: str) -> None:
     """What the robot is given at each step, through its own splice and its own sampler, across the seam."""
     experiment = load_experiment(scene)
-    leg = first_leg(experiment)
+    segment = first_segment(experiment)
     begin_s = 30.0
-    middle = leg.centre.eta[round(SEEN_S[scene] / PERIOD_S), :2]
-    new = detour(experiment, leg, begin_s, np.array([[*middle, 0.1]]))
+    middle = segment.centre.eta[round(SEEN_S[scene] / PERIOD_S), :2]
+    new = replan(experiment, segment, begin_s, np.array([[*middle, 0.1]]))
     for robot, then in new.trajectories.items():
-        old = leg.trajectories[robot]
+        old = segment.trajectories[robot]
         assert splice_objection(old, then) == ""
-        joined = splice(old, then, begin_s - 1.0)
-        seam = round((then.begin_s - joined.begin_s) / PERIOD_S)
-        check_smooth(joined, seam - 10, seam + round(10.0 / PERIOD_S))
+        join = splice(old, then, begin_s - 1.0)
+        seam = round((then.begin_s - join.begin_s) / PERIOD_S)
+        check_smooth(join, seam - 10, seam + round(10.0 / PERIOD_S))
         before, after = ReferenceSampler(PERIOD_S * np.arange(51.0)), ReferenceSampler(PERIOD_S * np.arange(51.0))
         now = begin_s - 2.6  # all of the horizon lies before the seam: nothing may change
         a, b = before.sample(Follow(old, now)), after.sample(Follow(splice(old, then, now), now))
@@ -80,9 +80,9 @@ def test_going_over_moves_nobodys_reference(scene: str) -> None:
 
 
 def test_a_seam_that_jumps_is_refused_by_the_robot() -> None:
-    leg = first_leg(BLOCKED)
-    old = leg.trajectories[1]
-    new = detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
+    segment = first_segment(BLOCKED)
+    old = segment.trajectories[1]
+    new = replan(BLOCKED, segment, 14.0, BALL).trajectories[1]
     beside = new.eta + np.array([0.0, 1e-3, 0.0, 0.0])
     aside = Trajectory("x", new.period_s, beside, new.velocity, new.acceleration, new.begin_s)
     assert "its pose jumps by 0.001" in splice_objection(old, aside)
@@ -95,53 +95,53 @@ def test_a_seam_that_jumps_is_refused_by_the_robot() -> None:
 
 
 def test_two_detours_one_after_the_other_and_a_place_that_a_person_asks_for() -> None:
-    leg = first_leg(BLOCKED)
-    first = detour(BLOCKED, leg, 10.0, BALL)
-    second = detour(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
+    segment = first_segment(BLOCKED)
+    first = replan(BLOCKED, segment, 10.0, BALL)
+    second = replan(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
     assert all(splice_objection(first.trajectories[r], second.trajectories[r]) == "" for r in (1, 2, 3))
     assert clearance(second, BALL[0], 16.0) > 0.3 and clearance(second, np.array([2.5, 1.0, 0.2]), 16.0) > 0.3
-    asked = detour(BLOCKED, leg, 10.0, NOTHING, [(1.0, 1.5)])
+    asked = replan(BLOCKED, segment, 10.0, NO_OBSTACLES, [(1.0, 1.5)])
     assert np.hypot(*(asked.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01
-    again = detour(BLOCKED, asked, 13.0, np.array([[-0.7, 0.3, 0.1]]))
+    again = replan(BLOCKED, asked, 13.0, np.array([[-0.7, 0.3, 0.1]]))
     assert np.hypot(*(again.centre.eta[-1, :2] - [1.0, 1.5])) < 0.01  # the person's place still counts
 
 
 def test_no_way_round_is_refused_with_the_reason() -> None:
     wall = np.array([[1.0, y, 0.3] for y in np.arange(-4.0, 4.1, 0.5)])
-    leg = first_leg(BLOCKED)
+    segment = first_segment(BLOCKED)
     with pytest.raises(PlanError, match="no way from"):
-        detour(BLOCKED, leg, 14.0, wall)
+        replan(BLOCKED, segment, 14.0, wall)
     with pytest.raises(PlanError, match="only a level path"):
-        detour(load_experiment("pool"), first_leg(load_experiment("pool")), 5.0, BALL)
+        replan(load_experiment("pool"), first_segment(load_experiment("pool")), 5.0, BALL)
     with pytest.raises(PlanError, match=r"too near|exceeds"):
-        detour(BLOCKED, leg, leg.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
+        replan(BLOCKED, segment, segment.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
 
 
 def test_what_lies_on_the_path_is_told_with_robot_place_and_time() -> None:
-    leg = first_leg(BLOCKED)
-    said = first_contact(BLOCKED, leg, 14.0, 60.0, BALL)
+    segment = first_segment(BLOCKED)
+    said = first_contact(BLOCKED, segment, 14.0, 60.0, BALL)
     assert said.startswith("at (1.00, 0.10) m, on the path of robot 3, in 2")
-    assert first_contact(BLOCKED, leg, 14.0, 20.0, BALL) == ""  # later
-    assert first_contact(BLOCKED, leg, 60.0, 75.0, BALL) == ""  # behind
-    assert first_contact(BLOCKED, leg, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
+    assert first_contact(BLOCKED, segment, 14.0, 20.0, BALL) == ""  # later
+    assert first_contact(BLOCKED, segment, 60.0, 75.0, BALL) == ""  # behind
+    assert first_contact(BLOCKED, segment, 0.0, 75.0, np.array([[0.0, 3.0, 0.2]])) == ""  # beside
 
 
-@pytest.mark.parametrize("reached_s", [20.0, 20.013, 20.031])
-def test_robots_load_every_plan_that_is_made_under_way_and_plans_made_of_plans(reached_s: float) -> None:
+@pytest.mark.parametrize("progress_s", [20.0, 20.013, 20.031])
+def test_robots_load_every_plan_that_is_made_under_way_and_plans_made_of_plans(progress_s: float) -> None:
     """The first path stops at once at its end; a plan from rest takes its samples from between the path's."""
 
-    def check(leg: Leg) -> None:
-        for trajectory in leg.trajectories.values():
+    def check(segment: PlanSegment) -> None:
+        for trajectory in segment.trajectories.values():
             assert unflyable(trajectory, BLOCKED.pool, BLOCKED.vehicle) == ""
 
-    leg = first_leg(BLOCKED)
-    check(detour(BLOCKED, leg, 10.0, BALL))
+    segment = first_segment(BLOCKED)
+    check(replan(BLOCKED, segment, 10.0, BALL))
     for begin_s in (30.0, 60.0, 90.0):
-        now = np.array([max(reached_s, leg.own_ways_until_s + 3.017)])
-        rests = {r: at(t, now).eta[0] + np.array([0.1, -0.1 * r, 0.0, 0.0]) for r, t in leg.trajectories.items()}
-        check(homeward(BLOCKED, begin_s, rests, {r: t.eta[0] for r, t in first_leg(BLOCKED).trajectories.items()}))
-        leg = gathered(BLOCKED, leg, begin_s, float(now[0]), rests, {r: r for r in rests})
-        check(leg)
+        now = np.array([max(progress_s, segment.transfer_end_s + 3.017)])
+        rests = {r: sample(t, now).eta[0] + np.array([0.1, -0.1 * r, 0.0, 0.0]) for r, t in segment.trajectories.items()}
+        check(plan_return(BLOCKED, begin_s, rests, {r: t.eta[0] for r, t in first_segment(BLOCKED).trajectories.items()}))
+        segment = plan_regroup(BLOCKED, segment, begin_s, float(now[0]), rests, {r: r for r in rests})
+        check(segment)
 
 
 def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: float = 20.0) -> Trajectory:
@@ -155,45 +155,45 @@ def glides(from_m: tuple[float, float], to_m: tuple[float, float], seconds: floa
 
 def test_on_ways_of_their_own_robots_may_begin_and_end_beside_a_thing_but_not_come_nearer_to_it() -> None:
     way = glides((0.0, 0.0), (2.0, 0.0))
-    home = Leg({1: way}, way, 20.0, home=True)
-    into_place = Leg({1: way}, way, 60.0, own_ways_until_s=20.0)
-    for leg in (home, into_place):
-        assert "on the path of robot 1, in 5.6 s" in first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[1.0, 0.0, 0.15]]))
-        assert first_contact(BLOCKED, leg, 15.0, 40.0, np.array([[1.0, 0.0, 0.15]])) == ""  # gone by
+    is_return = PlanSegment({1: way}, way, 20.0, is_return=True)
+    into_place = PlanSegment({1: way}, way, 60.0, transfer_end_s=20.0)
+    for segment in (is_return, into_place):
+        assert "on the path of robot 1, in 5.6 s" in first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[1.0, 0.0, 0.15]]))
+        assert first_contact(BLOCKED, segment, 15.0, 40.0, np.array([[1.0, 0.0, 0.15]])) == ""  # gone by
         for x in (-0.3, 2.3):  # behind its start, and behind its goal
-            assert first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[x, 0.0, 0.15]])) == ""
-        assert first_contact(BLOCKED, leg, 0.0, 25.0, np.array([[0.3, 0.0, 0.15]])) != ""  # it would run through it
-        assert first_contact(BLOCKED, leg, 0.0, 25.0, NOTHING) == ""
+            assert first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[x, 0.0, 0.15]])) == ""
+        assert first_contact(BLOCKED, segment, 0.0, 25.0, np.array([[0.3, 0.0, 0.15]])) != ""  # it would run through it
+        assert first_contact(BLOCKED, segment, 0.0, 25.0, NO_OBSTACLES) == ""
 
 
 def test_robots_on_their_own_ways_look_out_for_lost_ones_also_where_no_path_is_changed_for_things() -> None:
     way = glides((0.0, 0.0), (2.0, 0.0))
     lost = RobotView(RobotState(eta=np.array([1.0, 0.0, 0.0, 0.0])), 9.0)
-    seen = Surroundings((1,), np.array([[1.5, 0.0, 0.1]]))
+    seen = ObstacleSet((1,), np.array([[1.5, 0.0, 0.1]]))
     for settings, sees_things in ((["mission.detours=true"], True), (["mission.detours=false"], False)):
-        lookout = Lookout(load_experiment("pool", settings))
-        lookout.see(seen, 0)
-        home = Leg({1: way}, way, 20.0, home=True)
-        assert "at (1.00, 0.00) m" in lookout.contact(home, 0.0, [lost], 1_000_000_000)
-        assert ("at (1.50, 0.00) m" in lookout.contact(home, 0.0, [], 1_000_000_000)) == sees_things
-        in_formation = Leg({1: way}, way, 20.0)
-        assert lookout.contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
+        lookout = ObstacleMonitor(load_experiment("pool", settings))
+        lookout.update(seen, 0)
+        is_return = PlanSegment({1: way}, way, 20.0, is_return=True)
+        assert "at (1.00, 0.00) m" in lookout.first_contact(is_return, 0.0, [lost], 1_000_000_000)
+        assert ("at (1.50, 0.00) m" in lookout.first_contact(is_return, 0.0, [], 1_000_000_000)) == sees_things
+        in_formation = PlanSegment({1: way}, way, 20.0)
+        assert lookout.first_contact(in_formation, 0.0, [lost], 1_000_000_000) == ""  # a circle: robots give way by themselves
 
 
 def test_from_rest_into_the_slots_and_on_along_the_leg() -> None:
-    leg = first_leg(BLOCKED)
-    reached_s, begin_s = 20.0, 21.0
-    here = {r: at(t, np.array([reached_s])).eta[0] for r, t in leg.trajectories.items()}
+    segment = first_segment(BLOCKED)
+    progress_s, begin_s = 20.0, 21.0
+    here = {r: sample(t, np.array([progress_s])).eta[0] for r, t in segment.trajectories.items()}
     rests = {**here, 3: here[3] + [-1.0, -0.6, 0.0, 0.0]}
-    new = gathered(BLOCKED, leg, begin_s, reached_s, rests, {1: 1, 2: 2, 3: 3})
+    new = plan_regroup(BLOCKED, segment, begin_s, progress_s, rests, {1: 1, 2: 2, 3: 3})
     for robot, t in new.trajectories.items():
         assert np.abs(t.eta[0, :3] - rests[robot][:3]).max() < 1e-9
         assert np.abs(t.velocity[0]).max() == 0.0
         check_smooth(t, 0, len(t.eta) - 250)
-        np.testing.assert_allclose(t.eta[-1], leg.trajectories[robot].eta[-1], atol=1e-6)
+        np.testing.assert_allclose(t.eta[-1], segment.trajectories[robot].eta[-1], atol=1e-6)
     for a, b in combinations(new.trajectories.values(), 2):
         assert np.linalg.norm(a.eta[:, :3] - b.eta[:, :3], axis=1).min() > 0.59
-    assert new.end_s > leg.end_s
+    assert new.end_s > segment.end_s
 
 
 def test_a_vehicle_that_turns_slowly_is_given_time_to_turn() -> None:
@@ -201,35 +201,35 @@ def test_a_vehicle_that_turns_slowly_is_given_time_to_turn() -> None:
     pool = load_experiment("pool")
     limits = pool.vehicle.limits.model_copy(update={"yaw_rate_radps": 1.2})
     vehicle = pool.vehicle.model_copy(update={"limits": limits})
-    experiment, ready = pool.model_copy(update={"vehicle": vehicle}), first_leg(pool)
+    experiment, ready = pool.model_copy(update={"vehicle": vehicle}), first_segment(pool)
     starts = {r: t.eta[0] for r, t in ready.trajectories.items()}
     rests = {r: np.array([start[0] + 0.9, start[1], start[2], 0.0]) for r, start in starts.items()}  # they look away
-    home = homeward(experiment, 1.0, rests, starts)
-    into_place = gathered(experiment, ready, 1.0, 5.0, rests, {r: r for r in rests})
-    for leg in (home, into_place):
-        assert [unflyable(t, experiment.pool, vehicle) for t in leg.trajectories.values()] == ["", ""]
-    assert home.end_s < 25.0  # and not at a snail's pace
+    is_return = plan_return(experiment, 1.0, rests, starts)
+    into_place = plan_regroup(experiment, ready, 1.0, 5.0, rests, {r: r for r in rests})
+    for segment in (is_return, into_place):
+        assert [unflyable(t, experiment.pool, vehicle) for t in segment.trajectories.values()] == ["", ""]
+    assert is_return.end_s < 25.0  # and not at a snail's pace
 
 
 def test_a_gap_closes_without_anybody_crossing() -> None:
-    leg = first_leg(BLOCKED)
-    eta = {r: at(leg.trajectories[r], np.array([20.0])).eta[0] for r in (2, 3)}
-    slots = assigned(leg, 20.0, eta, (1, 2))
+    segment = first_segment(BLOCKED)
+    eta = {r: sample(segment.trajectories[r], np.array([20.0])).eta[0] for r in (2, 3)}
+    slots = assign_slots(segment, 20.0, eta, (1, 2))
     assert set(slots) == {2, 3} and set(slots.values()) == {1, 2}
 
     def way(robot: int, slot: int) -> float:
-        return float(np.sum((eta[robot] - at(leg.trajectories[slot], np.array([20.0])).eta[0])[:3] ** 2))
+        return float(np.sum((eta[robot] - sample(segment.trajectories[slot], np.array([20.0])).eta[0])[:3] ** 2))
 
     assert way(2, slots[2]) + way(3, slots[3]) <= way(2, slots[3]) + way(3, slots[2])
 
 
 def test_what_was_flown_and_what_comes_are_one_path() -> None:
-    leg = first_leg(BLOCKED)
-    new = detour(BLOCKED, leg, 14.0, BALL).trajectories[1]
-    whole = continued(leg.trajectories[1], new)
+    segment = first_segment(BLOCKED)
+    new = replan(BLOCKED, segment, 14.0, BALL).trajectories[1]
+    whole = concatenate(segment.trajectories[1], new)
     seam = round(14.0 / PERIOD_S)
     assert (whole.begin_s, whole.id) == (0.0, new.id)
-    np.testing.assert_array_equal(whole.eta[:seam], leg.trajectories[1].eta[:seam])
+    np.testing.assert_array_equal(whole.eta[:seam], segment.trajectories[1].eta[:seam])
     np.testing.assert_array_equal(whole.eta[seam:], new.eta)
 
 
@@ -253,14 +253,14 @@ def replanned(seed: int) -> str:
     and differences alone; else why there was none."""
     experiment, random = world(seed)
     try:
-        leg = first_leg(experiment)
+        segment = first_segment(experiment)
     except PlanError as error:
         return f"first: {error}"
     begin_s = float(np.round(random.uniform(5.0, 20.0) / PERIOD_S)) * PERIOD_S
-    ahead = leg.centre.eta[round((begin_s + random.uniform(14.0, 25.0)) / PERIOD_S), :2]
+    ahead = segment.centre.eta[round((begin_s + random.uniform(14.0, 25.0)) / PERIOD_S), :2]
     thing = np.array([[*(ahead + random.uniform(-0.4, 0.4, 2)), random.uniform(0.1, 0.3)]])
     try:
-        new = detour(experiment, leg, begin_s, thing)
+        new = replan(experiment, segment, begin_s, thing)
     except PlanError as error:
         return f"detour: {error}"
     for a, b in combinations(new.trajectories.values(), 2):
@@ -268,7 +268,7 @@ def replanned(seed: int) -> str:
     assert clearance(new, thing[0], begin_s) >= experiment.safety.radius_m - 1e-6, seed
     limits = experiment.vehicle.limits
     for robot, t in new.trajectories.items():
-        assert splice_objection(leg.trajectories[robot], t) == "", seed
+        assert splice_objection(segment.trajectories[robot], t) == "", seed
         flown = slice(0, round((new.end_s - begin_s) / PERIOD_S))
         for island in experiment.islands:
             shore = np.hypot(*(t.eta[flown, :2] - island.position_m).T).min() - island.radius_m

@@ -6,7 +6,7 @@ import pytest
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.paths import make_path
 from groundstation.planning.planner import plan
-from groundstation.planning.time_scaling import SlowedPath
+from groundstation.planning.time_scaling import TimeScaledPath
 from wire.config.experiment import Experiment, load_experiment
 from wire.config.scene import Waypoints
 from wire.frames import Array
@@ -42,7 +42,7 @@ def test_derivatives_of_a_slowed_path_are_those_of_its_positions() -> None:
     waypoints = load_experiment("numeric").path
     assert isinstance(waypoints, Waypoints)
     tau = np.arange(400) * PERIOD_S
-    path = SlowedPath(make_path(waypoints), 0.6 + 0.4 * np.cos(0.7 * tau), PERIOD_S)
+    path = TimeScaledPath(make_path(waypoints), 0.6 + 0.4 * np.cos(0.7 * tau), PERIOD_S)
     time_s, h = np.linspace(1.0, 19.0, 300), 1e-5
     before, now, after = path.at(time_s - h), path.at(time_s), path.at(time_s + h)
     np.testing.assert_allclose((after.position_m - before.position_m) / (2 * h), now.velocity_mps, atol=1e-8)
@@ -114,6 +114,6 @@ def test_a_slowed_path_ends_later() -> None:
     waypoints = load_experiment("numeric").path
     assert isinstance(waypoints, Waypoints)
     path = make_path(waypoints)
-    half = SlowedPath(path, np.full(2000, 0.5), PERIOD_S)
+    half = TimeScaledPath(path, np.full(2000, 0.5), PERIOD_S)
     assert half.end_s == pytest.approx(2.0 * path.end_s)
-    assert SlowedPath(path, np.full(100, 0.5), PERIOD_S).end_s == float("inf")
+    assert TimeScaledPath(path, np.full(100, 0.5), PERIOD_S).end_s == float("inf")

@@ -75,7 +75,7 @@ def replay(log: LogFile, rate: float, begin_s: float = 0.0, end_s: float = 1e9) 
 
 @pytest.mark.parametrize("rate", [0.5, 1.0, 8.0])
 def test_bytes_stamps_and_pace_are_those_of_the_log(log: LogFile, rate: float) -> None:
-    recorded = list(log.lines(lambda topic, _: topic in SEEN_AND_SAID))
+    recorded = list(log.messages(lambda topic, _: topic in SEEN_AND_SAID))
     heard = replay(log, rate)
     assert [(h.stamp_ns, payload) for _, h, payload, _ in heard] == [(x.header.stamp_ns, x.payload) for x in recorded]
     assert [key for key, *_ in heard] == [f"replay/shoal/{x.topic.key(x.robot or None)}" for x in recorded]

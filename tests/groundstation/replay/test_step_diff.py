@@ -1,13 +1,13 @@
-"""What `groundstation rerun` makes of a robot's steps, the log's beside the program's."""
+"""What `groundstation log rerun` makes of a robot's steps, the log's beside the program's."""
 
-from groundstation.replay.step_diff import Told, compare
+from groundstation.replay.step_diff import StepOutputs, compare
 from wire.messages import topics
 from wire.messages.codec import encode
 from wire.messages.messages import Event, RobotState
 
 
-def told(stamps: range, gap: str = "") -> Told:
-    found = Told()
+def told(stamps: range, gap: str = "") -> StepOutputs:
+    found = StepOutputs()
     for stamp_ns in stamps:
         found.add(topics.STATE, stamp_ns, encode(RobotState(trajectory_s=0.05)))
     if gap:

@@ -18,7 +18,7 @@ from groundstation.logs.reader import read_log
 from groundstation.logs.recorder import Recorder
 from groundstation.logs.repair import is_complete
 from groundstation.report import figures, figures_errors, figures_paths
-from groundstation.report.plotting import MOST_POINTS, Line, Panel, stack, thin, to_svg
+from groundstation.report.plotting import MOST_POINTS, Curve, Panel, stack, thin, to_svg
 from groundstation.report.report import write_report
 from tests.groundstation import synthetic
 from tests.groundstation.synthetic import Script, write_run
@@ -236,7 +236,7 @@ def test_paths_are_seen_from_above(series: Series) -> None:
 def test_limits_are_drawn_when_near_and_told_when_far() -> None:
     time_s = np.linspace(0.0, 10.0, 50)
     for amplitude, drawn_lines in ((0.25, 3), (0.01, 1)):
-        line = Line("robot 1", time_s, amplitude * np.sin(time_s), "#000000")
+        line = Curve("robot 1", time_s, amplitude * np.sin(time_s), "#000000")
         axes = drawn(stack([Panel("surge [N]", [line], limit=0.3, unit="N")])).axes[0]
         assert len(axes.lines) == drawn_lines
         assert (axes.get_title(loc="right") == "limit ±0.3 N") == (drawn_lines == 1)
@@ -244,14 +244,14 @@ def test_limits_are_drawn_when_near_and_told_when_far() -> None:
 
 def test_rounding_noise_does_not_fill_a_panel() -> None:
     time_s = np.linspace(0.0, 10.0, 50)
-    line = Line("robot 1", time_s, 0.03 + 1e-14 * np.sin(time_s), "#000000")
+    line = Curve("robot 1", time_s, 0.03 + 1e-14 * np.sin(time_s), "#000000")
     low, high = drawn(stack([Panel("z error [m]", [line])])).axes[0].get_ylim()
     assert high - low == pytest.approx(0.01)
     assert low < 0.03 < high
 
 
 def test_nothing_to_draw_is_none() -> None:
-    assert stack([Panel("x", [Line("robot 1", np.zeros(3), np.full(3, np.nan), "#000000")])]) is None
+    assert stack([Panel("x", [Curve("robot 1", np.zeros(3), np.full(3, np.nan), "#000000")])]) is None
 
 
 def test_svg_keeps_text_as_text(series: Series) -> None:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from groundstation.__main__ import cli
 from groundstation.logs.repair import is_complete
 from groundstation.report.report import evaluated, write_figures
-from groundstation.report.run_comparison import Run, differences, drawn, figures_of
+from groundstation.report.run_comparison import Run, differences, drawn, metric_rows
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 from wire.toml_loader import ConfigError
 
@@ -44,7 +44,7 @@ def station(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_figures_are_those_of_the_results(runs: list[Path]) -> None:
     both = read(runs)
-    rows = {row.name: row.values for row in figures_of(both)}
+    rows = {row.name: row.values for row in metric_rows(both)}
     assert rows["missed deadlines"] == (0.0, 6.0)
     worst = max(max(error.rms_after_20s_m or (0.0,)) for error in both[0].result.robots.values())
     assert rows["tracking, RMS after 20 s"] == pytest.approx((worst, worst))
@@ -57,7 +57,7 @@ def test_a_run_in_which_one_robot_has_no_errors_has_no_worst_robot(runs: list[Pa
     one, other = read(runs)
     lame = dataclasses.replace(other.result.robots["1"], rms_after_20s_m=None)
     other = dataclasses.replace(other, result=dataclasses.replace(other.result, robots={**other.result.robots, "1": lame}))
-    rows = {row.name: row.values for row in figures_of([one, other])}
+    rows = {row.name: row.values for row in metric_rows([one, other])}
     assert rows["tracking, RMS after 20 s"][0] is not None and rows["tracking, RMS after 20 s"][1] is None
 
 
@@ -77,14 +77,14 @@ def test_curves_are_the_errors_of_each_run(runs: list[Path]) -> None:
 
 def test_the_command_prints_a_table_and_writes_a_page(runs: list[Path], tmp_path: Path) -> None:
     page = tmp_path / "page.html"
-    done = station("compare", *map(str, runs), "--out", str(page))
+    done = station("log", "compare", *map(str, runs), "--out", str(page))
     assert done.returncode == 0, done.stderr
     assert "controller.mpc.horizon" in done.stdout and "[m]" in done.stdout
     text = page.read_text()
     assert "controller.mpc.horizon" in text and text.count("<svg") == 3 and "http" not in text.replace("http://www.w3.org", "")
-    alone = station("compare", str(runs[0]))
+    alone = station("log", "compare", str(runs[0]))
     assert alone.returncode == 2 and "two runs or more" in alone.stderr
-    gone = station("compare", str(runs[0]), str(tmp_path))
+    gone = station("log", "compare", str(runs[0]), str(tmp_path))
     assert gone.returncode == 2 and "no run.mcap there" in gone.stderr
 
 
@@ -106,13 +106,13 @@ def test_a_comparison_leaves_the_runs_as_they_are(runs: list[Path], tmp_path: Pa
     folder.mkdir()
     whole = (runs[0] / "run.mcap").read_bytes()
     (folder / "run.mcap").write_bytes(whole[: len(whole) // 2])
-    done = CliRunner().invoke(cli, ["compare", str(runs[0]), str(folder), "--out", str(tmp_path / "page.html")])
+    done = CliRunner().invoke(cli, ["log", "compare", str(runs[0]), str(folder), "--out", str(tmp_path / "page.html")])
     assert done.exit_code == 0, done.output
     assert "cut: Cut log:" in done.output
     assert [path.name for path in folder.iterdir()] == ["run.mcap"]
     assert (folder / "run.mcap").read_bytes() == whole[: len(whole) // 2]
     for out in (runs[0] / "experiment.toml", runs[1] / "run.mcap", folder / "result.json"):
-        done = CliRunner().invoke(cli, ["compare", *map(str, runs), "--out", str(out)])
+        done = CliRunner().invoke(cli, ["log", "compare", *map(str, runs), "--out", str(out)])
         assert isinstance(done.exception, ConfigError) and str(out) in str(done.exception)
     assert (runs[0] / "run.mcap").read_bytes() == whole
 
@@ -121,7 +121,7 @@ def test_a_cut_log_is_mended_on_request(runs: list[Path], tmp_path: Path) -> Non
     whole, cut = (runs[0] / "run.mcap").read_bytes(), tmp_path / "run.mcap"
     cut.write_bytes(whole[: len(whole) // 2])
     assert not is_complete(cut)
-    mended = station("recover", str(cut))
+    mended = station("log", "repair", str(cut))
     assert mended.returncode == 0 and "mended up to the cut" in mended.stdout and is_complete(cut)
-    assert "nothing to mend" in station("recover", str(cut)).stdout
-    assert station("recover", str(tmp_path / "none.mcap")).returncode == 2
+    assert "nothing to mend" in station("log", "repair", str(cut)).stdout
+    assert station("log", "repair", str(tmp_path / "none.mcap")).returncode == 2

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from groundstation.analysis.alignment import _hops_ms, _lost, align
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.series import HOPS, Series, active_limits
-from groundstation.logs.reader import Entry, RunLog, read_log
+from groundstation.logs.reader import DecodedMessage, RunLog, read_log
 from groundstation.report import figures_timeline as drawn
 from tests.groundstation.synthetic import Script, write_run
 from wire.frames import Array
@@ -68,8 +68,8 @@ def test_a_limit_counts_where_it_is_reached_and_only_while_under_way(flown: tupl
     assert not curve(drawn.links(changed), "robot 2").any()
 
 
-def entry(state: RobotState, stamp_ns: int) -> Entry[RobotState]:
-    return Entry(stamp_ns, stamp_ns, 1, state)
+def entry(state: RobotState, stamp_ns: int) -> DecodedMessage[RobotState]:
+    return DecodedMessage(stamp_ns, stamp_ns, 1, state)
 
 
 def test_the_hops_add_up_to_the_whole() -> None:
@@ -90,8 +90,8 @@ def test_a_step_without_a_new_pose_says_nothing_about_latency() -> None:
 
 
 def test_numbers_left_out_are_messages_lost_and_a_new_beginning_is_none() -> None:
-    def entries(numbers: list[int]) -> list[Entry[RobotState]]:
-        return [Entry(k, k, number, RobotState()) for k, number in enumerate(numbers)]
+    def entries(numbers: list[int]) -> list[DecodedMessage[RobotState]]:
+        return [DecodedMessage(k, k, number, RobotState()) for k, number in enumerate(numbers)]
 
     assert _lost(entries([1, 2, 3])) == 0
     assert _lost(entries([5, 6, 9, 10, 12])) == 3

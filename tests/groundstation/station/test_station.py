@@ -9,17 +9,17 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.inboxes import listen
+from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.recorder import Recorder
-from groundstation.mission.gain_update import Tuner
-from groundstation.mission.lap_statistics import Laps
+from groundstation.mission.gain_update import GainUpdater
+from groundstation.mission.lap_statistics import LapStatistics
 from groundstation.mission.mission import Mission
-from groundstation.mission.plan_manager import Wanted
-from groundstation.mission.state_machine import Phase
+from groundstation.mission.plan_manager import PlanRequest
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
-from groundstation.planning.segment import Leg, first_leg
+from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
-from groundstation.station.station import IN_FLIGHT, Station, workers
+from groundstation.station.station import MAX_UNANSWERED, Station, workers
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
@@ -49,13 +49,14 @@ def next_beat_ns(bus: Bus, stop: Stop, beats: Inbox[StationHeartbeat]) -> int:
 def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     """Alone on its bus, unless there is a hub with others."""
     experiment = load_experiment("pool")
-    leg, bus = first_leg(experiment), Bus(MemoryTransport(hub or MemoryHub()))
-    starts = planner.start_poses(experiment, leg.trajectories)
-    recorder, tuner = Recorder(folder / "run.mcap", "", {}), Tuner(experiment)
+    segment, bus = first_segment(experiment), Bus(MemoryTransport(hub or MemoryHub()))
+    starts = planner.start_poses(experiment, segment.trajectories)
+    recorder, tuner = Recorder(folder / "run.mcap", "", {}), GainUpdater(experiment)
     with workers(len(experiment.robot_ids)) as threads:
         yield Station(
-            experiment, bus, WallClock(), recorder, Mission(experiment, leg, starts, False), tuner, Laps(tuner.lap_s),
-            listen(bus, experiment.robot_ids), threads, starts,
+            experiment, bus, WallClock(), recorder, Mission(experiment, segment, starts, False), tuner,
+            LapStatistics(tuner.lap_s),
+            subscribe_fleet(bus, experiment.robot_ids), threads, starts,
         )  # fmt: skip
     recorder.close()
 
@@ -64,32 +65,35 @@ def test_a_plan_that_comes_when_another_is_wanted_counts_for_nothing(tmp_path: P
     """A detour was being planned when a person sent everybody home."""
     late = threading.Event()
     with a_station(tmp_path) as station:
-        mission, detour = station.mission, station.mission.leg
-        home = replace(detour, home=True)
+        mission, detour = station.mission, station.mission.segment
+        home = replace(detour, is_return=True)
 
-        def slow() -> Leg:
+        def slow() -> PlanSegment:
             late.wait(PATIENCE_S)
             return detour
 
-        mission.phase, mission.itinerary.wanted = Phase.HALTING, Wanted("another path", slow)
+        mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
         station._plan(False, 0)
-        mission.itinerary.wanted = Wanted("a way for everybody from rest", lambda: home)
+        mission.plans.request = PlanRequest("a way for everybody from rest", lambda: home)
         late.set()
         deadline = time.monotonic() + PATIENCE_S
-        while mission.phase is Phase.HALTING and time.monotonic() < deadline:
+        while mission.state is MissionState.HALTING and time.monotonic() < deadline:
             station._plan(False, 0)
             time.sleep(0.001)
-        assert mission.phase is Phase.RELOADING
-        assert mission.leg is home
+        assert mission.state is MissionState.RELOADING
+        assert mission.segment is home
 
 
 def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         mission = station.mission
         station.seen = station.fleet()
-        mission.phase, mission.itinerary.wanted = Phase.HALTING, Wanted("another path", lambda: dict[str, Leg]()["robot 3"])
+        mission.state, mission.plans.request = (
+            MissionState.HALTING,
+            PlanRequest("another path", lambda: dict[str, PlanSegment]()["robot 3"]),
+        )
         station._plan(True, 0)
-        assert mission.phase is Phase.PAUSED
+        assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
 
 
@@ -127,14 +131,14 @@ LEADS = {Order.STOP: Mode.STOPPED, Order.CLEAR_STOP: Mode.DISARMED, Order.DISARM
 
 
 def asked(station: Station, order: Order) -> int:
-    reason, number = station.ask(order)
+    reason, number = station.request(order)
     assert reason == ""
     return number
 
 
 def outcome(station: Station, number: int) -> Outcome:
     """As a terminal asks for it."""
-    reply = station.wish(Header(9, 1, 0), Command(Order.NONE, WHOLE_FLEET, about=number))
+    reply = station.on_operator_command(Header(9, 1, 0), Command(Order.NONE, WHOLE_FLEET, about=number))
     assert reply.accepted and reply.outcome is not None
     return reply.outcome
 
@@ -175,22 +179,22 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
             asked(station, Order.STOP)
             for k in range(100):
                 station.cycle(k * 1_000_000_000, lockstep=False)  # each would ask anew
-            assert len(station.pending) == IN_FLIGHT * 2
+            assert len(station.pending) == MAX_UNANSWERED * 2
         finally:
             free.set()
-    assert out == [Order.STOP] * IN_FLIGHT * 2
+    assert out == [Order.STOP] * MAX_UNANSWERED * 2
 
 
 def test_a_request_is_known_by_its_number_and_no_other(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
-        reply = station.wish(Header(9, 1, 0), Command(Order.STOP, WHOLE_FLEET))
+        reply = station.on_operator_command(Header(9, 1, 0), Command(Order.STOP, WHOLE_FLEET))
         assert reply.accepted and reply.outcome is not None
         assert outcome(station, reply.outcome.request).order is Order.STOP
-        unknown = station.wish(Header(9, 2, 0), Command(Order.NONE, WHOLE_FLEET, about=77))
+        unknown = station.on_operator_command(Header(9, 2, 0), Command(Order.NONE, WHOLE_FLEET, about=77))
         assert (unknown.accepted, unknown.reason) == (False, "request 77 is not known here (any more)")
-        refused = station.wish(Header(9, 3, 0), Command(Order.RESUME, WHOLE_FLEET))
+        refused = station.on_operator_command(Header(9, 3, 0), Command(Order.RESUME, WHOLE_FLEET))
         assert not refused.accepted and refused.outcome is None
-        nothing = station.wish(Header(9, 4, 0), Command(Order.NONE, WHOLE_FLEET))
+        nothing = station.on_operator_command(Header(9, 4, 0), Command(Order.NONE, WHOLE_FLEET))
         assert not nothing.accepted
 
 
@@ -200,11 +204,13 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
     with a_station(tmp_path, hub) as station:
         fleet = Fleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, mode)
-        station.mission.phase = {Mode.TRACKING: Phase.RUNNING, Mode.STOPPED: Phase.STOPPED}.get(mode, Phase.WAITING)
+        station.mission.state = {Mode.TRACKING: MissionState.RUNNING, Mode.STOPPED: MissionState.STOPPED}.get(
+            mode, MissionState.WAITING
+        )
         fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
         number = asked(station, Order.END)
         assert not station.ended
-        assert station.tune(None, next_lap=False)[0] == "there is nothing to undo"
+        assert station.request_gains(None, next_lap=False)[0] == "there is nothing to undo"
         station.requests.begin(Order.TUNE, station.mission, station.tuner.status().flown.id)  # gains are no other end
         fleet.until(station, lambda: station.ended)
         assert outcome(station, number).progress is Progress.DONE
@@ -218,7 +224,7 @@ def test_an_end_that_a_start_takes_the_place_of_ends_nothing(tmp_path: Path) -> 
     with a_station(tmp_path, hub) as station:
         fleet = Fleet(hub, station.experiment)
         fleet.modes = dict.fromkeys(fleet.modes, Mode.TRACKING)
-        station.mission.phase = Phase.RUNNING
+        station.mission.state = MissionState.RUNNING
         fleet.until(station, lambda: all(seen.heard for seen in station.seen.values()))
         number = asked(station, Order.END)
         stop = asked(station, Order.STOP)
@@ -231,21 +237,21 @@ def test_a_cycle_that_hangs_holds_up_nobody_who_asks_how_things_are(tmp_path: Pa
     with a_station(tmp_path) as station:
         station.cycle(station.clock.now_ns(), lockstep=False)
         before = station.status()
-        with station.turn:  # as a cycle does
+        with station.lock:  # as a cycle does
             station._beat_s -= 5.0
             hung = station.status()
         assert before.beat_age_s < 5.0 <= hung.beat_age_s
-        assert hung.phase is before.phase
+        assert hung.state is before.state
 
 
 def test_what_is_flown_now_is_told_with_its_end(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
-        leg = station.mission.leg
+        segment = station.mission.segment
         station.publish_paths(0)
-        assert station.paths == (leg.trajectories, leg.end_s)
-        short = replace(leg, end_s=3.0)
-        station.mission.itinerary.adopt(short)
-        station.mission.crew.lose(2, "silent")
+        assert station.paths == (segment.trajectories, segment.end_s)
+        short = replace(segment, end_s=3.0)
+        station.mission.plans.adopt(short)
+        station.mission.roster.mark_lost(2, "silent")
         station.publish_paths(0)
         assert (list(station.paths[0]), station.paths[1]) == ([1], 3.0)
 

@@ -9,8 +9,8 @@ import pytest
 
 from groundstation.logs.recorder import Recorder
 from groundstation.planning.planner import plan
-from groundstation.planning.segment import continued
-from groundstation.web.replay_backend import Replay
+from groundstation.planning.segment import concatenate
+from groundstation.web.replay_backend import ReplayBackend
 from tests.groundstation.synthetic import POSE_OFFSET_M, START_S, Script, tracking_error, write_run
 from wire.config.experiment import dump_experiment, load_experiment
 from wire.frames import Array
@@ -30,12 +30,12 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def replay(run: Path) -> Iterator[Replay]:
-    with Replay(run) as found:
+def replay(run: Path) -> Iterator[ReplayBackend]:
+    with ReplayBackend(run) as found:
         yield found
 
 
-def at(replay: Replay, time_s: float) -> dict[str, Any]:
+def at(replay: ReplayBackend, time_s: float) -> dict[str, Any]:
     replay.seek(time_s, 0.0)
     return replay.snapshot()
 
@@ -45,7 +45,7 @@ def error_m(robot: dict[str, Any]) -> Array:
     return np.asarray((eta - reference)[:2])
 
 
-def test_it_waits_where_the_robots_begin_to_fly(replay: Replay) -> None:
+def test_it_waits_where_the_robots_begin_to_fly(replay: ReplayBackend) -> None:
     first = replay.snapshot()
     assert first["replay"] == {"time_s": pytest.approx(START_S + 0.05, abs=0.01), "rate": 0.0}
     assert first["robots"][0]["state"]["t_s"] == pytest.approx(0.05, abs=0.01)
@@ -54,7 +54,7 @@ def test_it_waits_where_the_robots_begin_to_fly(replay: Replay) -> None:
 
 
 @pytest.mark.parametrize("order", [(3.0, 12.5, 25.0), (25.0, 3.0, 12.5)])
-def test_any_time_shows_what_was_logged_then(replay: Replay, order: tuple[float, ...]) -> None:
+def test_any_time_shows_what_was_logged_then(replay: ReplayBackend, order: tuple[float, ...]) -> None:
     for flown_s in order:
         shown = at(replay, START_S + flown_s + 0.001)
         for robot in shown["robots"]:
@@ -66,15 +66,15 @@ def test_any_time_shows_what_was_logged_then(replay: Replay, order: tuple[float,
 
 def test_what_was_never_said_or_long_ago_is_not_shown_as_now(run: Path, tmp_path: Path) -> None:
     write_run(tmp_path, Script(duration_s=30.0, until_s=10.0))
-    with Replay(tmp_path) as cut:
+    with ReplayBackend(tmp_path) as cut:
         before = at(cut, 0.5)
         assert "state" not in before["robots"][0]
         assert at(cut, 1e6)["robots"][0]["age_ms"] < 100.0  # the end is the last message
-    with Replay(run) as whole:
+    with ReplayBackend(run) as whole:
         assert not any("silent" in alarm["text"] for alarm in at(whole, START_S + 10.0)["alarms"])
 
 
-def test_lines_of_the_log_come_by_once(replay: Replay) -> None:
+def test_lines_of_the_log_come_by_once(replay: ReplayBackend) -> None:
     replay.seek(START_S - 1.0, 0.0)
     assert replay.notes() == []
     replay._at_ns = round((START_S + 1.0) * 1e9)  # as if it had played on
@@ -84,7 +84,7 @@ def test_lines_of_the_log_come_by_once(replay: Replay) -> None:
 
 def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) -> None:
     write_run(tmp_path, Script(duration_s=30.0, clock=lambda since_s: since_s - 2.0))  # its robots set off 2 s later
-    with Replay(run, tmp_path) as both:
+    with ReplayBackend(run, tmp_path) as both:
         shown = at(both, START_S + 10.05)
         ghosts = {ghost["id"]: np.frombuffer(ghost["eta"], "<f4") for ghost in shown["ghosts"]}
         for robot in shown["robots"]:
@@ -92,13 +92,13 @@ def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) ->
             np.testing.assert_allclose(ghosts[robot["id"]][:2], here[:2], atol=1e-3)
 
 
-def test_a_recorded_run_takes_no_orders(replay: Replay) -> None:
+def test_a_recorded_run_takes_no_orders(replay: ReplayBackend) -> None:
     assert replay.order(Order.STOP) == ("this is a recorded run", 0)
 
 
 def test_what_is_no_run_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"run\.mcap"):
-        Replay(tmp_path)
+        ReplayBackend(tmp_path)
 
 
 def test_of_a_run_that_was_cut_off_a_copy_is_mended(run: Path, tmp_path: Path) -> None:
@@ -106,14 +106,14 @@ def test_of_a_run_that_was_cut_off_a_copy_is_mended(run: Path, tmp_path: Path) -
     cut = whole[: len(whole) * 2 // 3]
     (tmp_path / "run.mcap").write_bytes(cut)
     (tmp_path / "experiment.toml").write_bytes((run / "experiment.toml").read_bytes())
-    with Replay(tmp_path) as found:
+    with ReplayBackend(tmp_path) as found:
         assert at(found, START_S + 3.0)["robots"][0]["state"]["t_s"] == pytest.approx(3.0, abs=0.06)
     assert (tmp_path / "run.mcap").read_bytes() == cut  # a recorder may still be writing it
 
 
 def test_a_run_that_never_flew_begins_with_the_first_word(tmp_path: Path) -> None:
     write_run(tmp_path, Script(duration_s=5.0, started=False))
-    with Replay(tmp_path) as found:
+    with ReplayBackend(tmp_path) as found:
         assert found.snapshot()["robots"][0]["state"]["mode"] == "DISARMED"
 
 
@@ -139,10 +139,10 @@ def test_alarms_are_those_that_were(tmp_path: Path) -> None:
                 recorder.put(topic, key, header, encode(message), stamp_ns + 20_000_000)
     recorder.close()
 
-    def keys(replay: Replay, time_s: float) -> set[str]:
+    def keys(replay: ReplayBackend, time_s: float) -> set[str]:
         return {alarm["key"] for alarm in at(replay, time_s)["alarms"] if alarm["key"].split(":")[-1] in KINDS}
 
-    with Replay(tmp_path) as found:
+    with ReplayBackend(tmp_path) as found:
         for time_s in (34.9, 15.0, 22.0, 8.0):  # forth and back
             expected = {15.0: {"2:link"}, 22.0: {"2:plan"}, 34.9: {"2:clock"}}.get(time_s, set())
             assert keys(found, time_s) == expected, time_s
@@ -159,13 +159,13 @@ def test_the_map_shows_what_was_flown_at_the_time(run: Path, tmp_path: Path) -> 
     planned = plan(experiment)
     way = np.linspace(planned[1].eta[200], np.zeros(4), 100)
     rest = np.zeros((100, 4))
-    leg = Trajectory("home", planned[1].period_s, way, rest, rest, begin_s=200 * planned[1].period_s)
-    for begin_s, robot, trajectory in ((0, 1, planned[1]), (0, 2, planned[2]), (10, 1, continued(planned[1], leg))):
+    segment = Trajectory("home", planned[1].period_s, way, rest, rest, begin_s=200 * planned[1].period_s)
+    for begin_s, robot, trajectory in ((0, 1, planned[1]), (0, 2, planned[2]), (10, 1, concatenate(planned[1], segment))):
         key = f"shoal/{topics.TRAJECTORY.key(robot)}"
         recorder.put(topics.TRAJECTORY, key, Header(1, begin_s + robot, 0), encode(trajectory), begin_s * SECOND)
     recorder.put(topics.STATE, "shoal/robot/1/state", Header(2, 1, 0), encode(RobotState()), 20 * SECOND)
     recorder.close()
-    with Replay(tmp_path) as found:
+    with ReplayBackend(tmp_path) as found:
         shown: dict[float, dict[int, Any]] = {}
         for time_s in (5.0, 15.0):
             found.seek(time_s, 0.0)

@@ -19,13 +19,13 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from groundstation.inboxes import listen
-from groundstation.mission.state_machine import Phase
+from groundstation.inboxes import subscribe_fleet
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.telemetry import Finding, RobotView
 from groundstation.web import connection_limits, protocol
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import Desk, Post, Status
+from groundstation.web.live_backend import LiveBackend, StationApi, Status
 from groundstation.web.server import WebServer
 from wire.config.experiment import load_experiment
 from wire.messages import codec, fleet_pb2, topics
@@ -51,7 +51,7 @@ class Lab:
     bus: Bus
     robots: Bus
     opened: contextlib.ExitStack
-    phase: Phase = Phase.WAITING
+    phase: MissionState = MissionState.WAITING
     orders: list[Order] = field(default_factory=list)
     outcomes: list[Outcome] = field(default_factory=list)
     seen: dict[int, RobotView] = field(default_factory=dict)
@@ -124,13 +124,15 @@ def free_port() -> int:
         return int(probe.getsockname()[1])
 
 
-def make_desk(lab: Lab) -> Desk:
+def make_desk(lab: Lab) -> LiveBackend:
     def status() -> Status:
         told = tuple(lab.outcomes)
         return Status(lab.phase, "", preflight=lab.preflight, seen=lab.seen, requests=told)
 
-    post = Post(status, lab.order, lab.tune, paths=lambda: lab.paths)
-    return Desk(POOL, planner.plan(POOL), lab.bus, listen(lab.bus, POOL.robot_ids), WallClock(), post, "real-time")
+    post = StationApi(status, lab.order, lab.tune, paths=lambda: lab.paths)
+    return LiveBackend(
+        POOL, planner.plan(POOL), lab.bus, subscribe_fleet(lab.bus, POOL.robot_ids), WallClock(), post, "real-time"
+    )
 
 
 @pytest.fixture

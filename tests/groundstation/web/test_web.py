@@ -18,8 +18,8 @@ from groundstation.web import experiment_editor, protocol
 from groundstation.web.alarms import alarms
 from groundstation.web.auth import host_allowed, origin_allowed, token_allowed, web_options
 from groundstation.web.camera_underlay import mesh
-from groundstation.web.control_lease import SILENT_S, Lease
-from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, Window
+from groundstation.web.control_lease import SILENT_S, ControlLease
+from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, SendWindow
 from groundstation.web.snapshot import ellipse
 from sim_bridge.camera import optics
 from wire.camera_coverage import project
@@ -36,7 +36,7 @@ STRAIGHT = load_experiment("straight")
 
 
 def test_at_most_two_frames_are_on_their_way() -> None:
-    window = Window()
+    window = SendWindow()
     for k in range(10):
         window.offer("state", b"%d" % k)
         window.next(0.0)
@@ -48,7 +48,7 @@ def test_at_most_two_frames_are_on_their_way() -> None:
 
 
 def test_states_and_pictures_take_turns_and_so_do_notes_which_come_in_order() -> None:
-    window = Window()
+    window = SendWindow()
     for body in (b"1", b"2", b"3"):
         window.note(body)
     window.offer("picture", b"p")
@@ -61,7 +61,7 @@ def test_states_and_pictures_take_turns_and_so_do_notes_which_come_in_order() ->
 
 
 def test_notes_without_end_keep_no_state_waiting() -> None:
-    window, sent = Window(), []
+    window, sent = SendWindow(), []
     for _ in range(MOST_NOTES):
         window.note(b"note")
     for k in range(10):
@@ -75,7 +75,7 @@ def test_notes_without_end_keep_no_state_waiting() -> None:
 
 
 def test_a_stopped_page_costs_a_bounded_memory() -> None:
-    window = Window()
+    window = SendWindow()
     for k in range(3 * MOST_NOTES):
         window.note(b"%d" % k)
         window.offer("state", b"x" * 1000)
@@ -92,7 +92,7 @@ def test_a_stopped_page_costs_a_bounded_memory() -> None:
 
 
 def test_an_acknowledgement_of_what_was_never_sent_changes_nothing() -> None:
-    window = Window()
+    window = SendWindow()
     window.offer("state", b"a")
     window.next(0.0)
     window.acknowledge(0, 1.0)
@@ -107,7 +107,7 @@ def test_an_acknowledgement_of_what_was_never_sent_changes_nothing() -> None:
 
 
 def test_one_has_control_and_a_silent_one_loses_it() -> None:
-    lease = Lease()
+    lease = ControlLease()
     assert lease.ask(1, 0.0)
     assert not lease.ask(2, 1.0)
     lease.heard(2, 4.0)  # a watcher's life does not keep the holder's lease
@@ -194,10 +194,10 @@ def test_a_host_that_only_begins_like_ours_is_refused(host: str) -> None:
 
 
 def test_requests_are_read() -> None:
-    assert protocol.read_request('{"kind":"order","n":3,"order":"clear-stop"}') == protocol.Wish(3, "clear-stop")
+    assert protocol.read_request('{"kind":"order","n":3,"order":"clear-stop"}') == protocol.OrderRequest(3, "clear-stop")
     edit = protocol.Edit(nodes_m={1: (0.0, 1.0, 0.0)}, scale=1.5)
     text = json.dumps({"kind": "try", "n": 1, "edit": {"nodes_m": {"1": [0, 1, 0]}, "scale": 1.5}})
-    assert protocol.read_request(text) == protocol.Try(1, edit)
+    assert protocol.read_request(text) == protocol.PreviewEdit(1, edit)
 
 
 @pytest.mark.parametrize("key", ["speed_mps", "depth_m", "diameter_m", "lap_s", "duration_s", "scale"])
@@ -205,7 +205,7 @@ def test_requests_are_read() -> None:
 def test_an_edit_with_a_number_that_cannot_be_is_a_request_and_is_answered(key: str, value: float) -> None:
     """Whoever types 0.5 has typed 0 first."""
     request = protocol.read_request(json.dumps({"kind": "try", "n": 1, "edit": {key: value}}))
-    assert isinstance(request, protocol.Try)
+    assert isinstance(request, protocol.PreviewEdit)
     answer = experiment_editor.attempt(POOL, request.edit)
     assert not answer["ok"] or (key, value) in {("depth_m", 0.0), ("lap_s", 1e9)}
     assert answer["ok"] or answer["problems"]

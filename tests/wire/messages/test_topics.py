@@ -13,7 +13,7 @@ import pytest
 from google.protobuf.descriptor import FieldDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 
-from groundstation.planning.segment import first_leg
+from groundstation.planning.segment import first_segment
 from tests.wire.strategies import CLASSES, OWN, example, nested
 from wire.config.controller import Safety
 from wire.config.experiment import load_experiment
@@ -96,7 +96,7 @@ def test_a_maximum_age_set_by_an_experiment_is_the_same_for_all_processes() -> N
 @each_topic
 def test_recovered_topics_have_a_cache_that_fits_a_boards_memory(topic: Topic) -> None:
     assert (topic.cache_depth > 0) == (topic.qos in topics.RECOVERED)
-    path = first_leg(load_experiment("pool")).trajectories[1]
+    path = first_segment(load_experiment("pool")).trajectories[1]
     largest: dict[Topic, Message] = {
         topics.TRAJECTORY: path,
         topics.ORDERS: OrderTaken(0, 0, 1, 1, 0, command=Command(Order.LOAD, 1, trajectory=path)),
