@@ -333,7 +333,7 @@ class BoardReading:
 @dataclass(frozen=True, eq=False)
 class StepInputs:
     """Everything that a robot's control step had to go by; the header's stamp is the step's instant. With the plans and the
-    obstacles that it names, and the orders, the step can be done again (`groundstation log rerun`). Instants are on the robot's
+    obstacles that it names, and the orders, the step can be done again (`groundstation log rerun`). Instants are on a robot's
     clock."""
 
     step: int  # 0, 1, 2 ... since the robot's program began, or met a new station

@@ -1,6 +1,6 @@
 """Messages through a pipe, for a program that hands a whole run to another without a network: `sim-bridge numeric` flies,
-`groundstation log record` writes the log; `groundstation log rerun` reads one, `robot-agent rerun` does its steps again. Both ends
-belong to one installation, so a topic is told by its row in the table.
+`groundstation log record` writes the log; `groundstation log rerun` reads one, `robot-agent rerun` does its steps again. Both
+ends belong to one installation, so a topic is told by its row in the table.
 """
 
 import struct
