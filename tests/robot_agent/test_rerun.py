@@ -38,7 +38,7 @@ ME, OTHER = 1, 2
 PERIOD_NS = 50_000_000
 HOUR_NS = 3_600_000_000_000
 BEHIND_NS = 3_000_000_000
-LogMessage = tuple[Topic, int | None, Header, bytes]
+Line = tuple[Topic, int | None, Header, bytes]
 
 UNMOVED = ("safety.watch_thrusters=false",)  # nothing that its thrusters do moves the robot of these tests
 
@@ -61,7 +61,7 @@ class Pond:
     """One robot's program with its surroundings, stepped by hand."""
 
     experiment: Experiment
-    lines: list[LogMessage] = field(default_factory=list)
+    lines: list[Line] = field(default_factory=list)
     states: list[RobotState] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
 
@@ -88,7 +88,7 @@ class Pond:
     def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
         robot = int(key.split("/")[2]) if "/robot/" in key else None
         if topic is not topics.PLAN or robot != ME:
-            self.messages.append((topic, robot, header, payload))
+            self.lines.append((topic, robot, header, payload))
 
     def order(self, order: Order) -> Reply:
         command = Command(
@@ -135,7 +135,7 @@ def flown() -> Pond:
     return pond
 
 
-def again(lines: list[LogMessage], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
+def again(lines: list[Line], experiment: Experiment) -> tuple[list[RobotState], list[Plan], list[str]]:
     states, plans, said = [], [], []
     for _, message, _ in Rerun(experiment, ME).run(iter(lines)):
         if isinstance(message, RobotState):
@@ -153,17 +153,17 @@ def same(one: list[RobotState], other: list[RobotState]) -> list[bool]:
 
 
 def test_every_step_comes_out_the_same(flown: Pond) -> None:
-    states, plans, said = again(flown.messages, flown.experiment)
+    states, plans, said = again(flown.lines, flown.experiment)
     assert said == []
     assert all(same(states, flown.states))
     assert [encode(plan) for plan in plans] == [encode(plan) for plan in flown.plans]
     assert any(state.solve for state in states)
 
 
-def with_states(flown: Pond) -> list[LogMessage]:
+def with_states(flown: Pond) -> list[Line]:
     """The flight as in a station's log: each step followed by its state."""
     states, lines = iter(flown.states), []
-    for line in flown.messages:
+    for line in flown.lines:
         lines.append(line)
         if line[0] is topics.INPUTS:
             lines.append((topics.STATE, ME, line[2], encode(next(states))))
@@ -191,16 +191,16 @@ def test_what_really_went_out_is_what_the_estimate_goes_by(flown: Pond) -> None:
 
 @pytest.mark.parametrize("topic", [topics.PLAN, topics.OBSTACLES, topics.INPUTS])
 def test_what_the_log_does_not_hold_is_said(flown: Pond, topic: Topic) -> None:
-    of_this = [k for k, line in enumerate(flown.messages) if line[0] is topic]
+    of_this = [k for k, line in enumerate(flown.lines) if line[0] is topic]
     gap = of_this[len(of_this) // 2]
-    states, _, said = again(flown.messages[:gap] + flown.messages[gap + 1 :], flown.experiment)
+    states, _, said = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)
     assert len(said) == 1
     assert "not in the log" in said[0]
     assert len(states) == len(flown.states) - (topic is topics.INPUTS)
 
 
 def test_a_record_of_halves_is_left_out(flown: Pond) -> None:
-    def broken() -> Iterator[LogMessage]:
+    def broken() -> Iterator[Line]:
         yield topics.INPUTS, ME, Header(1, 1, 1), b"\x50\x01"  # plan_robots = [1], nothing else
         yield topics.INPUTS, ME, Header(1, 1, 1), b"\xff\xff"
 
@@ -215,17 +215,17 @@ def test_with_a_new_station_a_disarmed_robot_begins_anew_and_its_log_is_whole() 
     pond.step(5)
     pond.station = Bus(MemoryTransport(pond.hub))
     first = len(pond.states)
-    before = len(pond.messages)
+    before = len(pond.lines)
     pond.step(3)
     assert pond.states[-1].trajectory_id == ""  # what the old station had loaded is gone
     for order in (Order.LOAD, Order.ARM, Order.START):
         assert pond.order(order).accepted
     pond.step(10)
-    states, _, said = again(pond.messages[before:], pond.experiment)
+    states, _, said = again(pond.lines[before:], pond.experiment)
     assert said == []
     assert all(same(states, pond.states[first:]))
     # and the log of both lives, as a recorder that outlived the station would have it
-    states, _, said = again(pond.messages, pond.experiment)
+    states, _, said = again(pond.lines, pond.experiment)
     assert said == []
     assert all(same(states, pond.states))
 
