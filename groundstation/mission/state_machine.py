@@ -86,7 +86,7 @@ ANY = frozenset(MissionState)
 
 
 @dataclass(frozen=True)
-class Transition:
+class MissionTransition:
     """From any of `states`, `cause` leads to state `to`. Transitions do not overlap."""
 
     states: frozenset[MissionState]
@@ -94,8 +94,8 @@ class Transition:
     to: MissionState
 
 
-def _row(states: MissionState | frozenset[MissionState], cause: Order | MissionEvent, to: MissionState) -> Transition:
-    return Transition(states if isinstance(states, frozenset) else frozenset({states}), cause, to)
+def _row(states: MissionState | frozenset[MissionState], cause: Order | MissionEvent, to: MissionState) -> MissionTransition:
+    return MissionTransition(states if isinstance(states, frozenset) else frozenset({states}), cause, to)
 
 
 _STAGES = frozenset(
@@ -111,7 +111,7 @@ _STAGES = frozenset(
 )
 _TEST = frozenset({MissionState.TEST_ARMING, MissionState.TESTING, MissionState.TEST_ENDING})
 
-TRANSITIONS: tuple[Transition, ...] = (
+TRANSITIONS: tuple[MissionTransition, ...] = (
     # requests of the operator
     _row(frozenset({MissionState.WAITING}) | TERMINAL, Order.LOAD, MissionState.LOADING),
     _row(frozenset({MissionState.WAITING, MissionState.LOADING}), Order.ARM, MissionState.LOADING),
@@ -232,7 +232,7 @@ def markdown() -> str:
     return "\n".join(lines) + "\n"
 
 
-def _row_text(cause: str, row: Transition) -> str:
+def _row_text(cause: str, row: MissionTransition) -> str:
     missing = [state.name for state in MissionState if state not in row.states]
     names = ", ".join(state.name for state in MissionState if state in row.states)
     when = "always" if not missing else f"always but {', '.join(missing)}" if len(missing) < 4 else names

@@ -36,7 +36,7 @@ _WAVE_SLOPE_RAD = 0.0043  # rad, standard deviation of the surface's slope; a sl
 
 
 @dataclass(frozen=True)
-class PoseMeasurement:
+class TrackMeasurement:
     """A measured pose [x, y, yaw] with its covariance (3, 3), and the correlation's peak (0 for a marker)."""
 
     pose: Array
@@ -99,7 +99,7 @@ class PredictedView:
         at = self.tangent
         return BodyProjection(at.nearby_px(pose[:2]), at.pool_to_px @ np.array([[c, -s], [s, c]]), at.down_px)
 
-    def measurement(self, pose: Array, noise: MeasurementNoise, peak: float = 0.0) -> PoseMeasurement:
+    def measurement(self, pose: Array, noise: MeasurementNoise, peak: float = 0.0) -> TrackMeasurement:
         """A measurement of `pose`: its covariance sums the picture's noise, moving water, depth error and the camera's
         pose error."""
         wave_m = 0.25 * _WAVE_SLOPE_RAD * max(self.depth.plate_m, 0.0)
@@ -108,4 +108,4 @@ class PredictedView:
         covariance = self.mapping.copy()
         covariance[:2, :2] += spread @ spread.T + round_m2 * np.eye(2)
         covariance[2, 2] += (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
-        return PoseMeasurement(pose, covariance, peak)
+        return TrackMeasurement(pose, covariance, peak)

@@ -42,7 +42,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from localizer.tracking.kalman import GATE, KalmanState, initial_state, mahalanobis_squared, predict, stopped, update
-from localizer.tracking.observation import PoseMeasurement
+from localizer.tracking.observation import TrackMeasurement
 from wire.frames import Array, wrap
 from wire.messages.messages import Pose, Track
 
@@ -87,7 +87,7 @@ class RobotTrack:
     state: Track = Track.LOST
     verified: bool = False
     unseen_s: float = 0.0
-    measured: PoseMeasurement | None = None
+    measured: TrackMeasurement | None = None
     refuted: bool = False
     peak: float = 0.0
     claim: Claim | None = None
@@ -104,7 +104,7 @@ class RobotTrack:
         claim = None if self.claim is None else self.claim.predicted(step_s)
         return replace(self, motion=motion, unseen_s=self.unseen_s + step_s, measured=None, refuted=False, claim=claim)
 
-    def with_marker(self, measurement: PoseMeasurement, jump_m: float) -> "RobotTrack":
+    def with_marker(self, measurement: TrackMeasurement, jump_m: float) -> "RobotTrack":
         """The track after its marker was read, as in the table above.
 
         A reading farther than `jump_m` from where a followed track can be contradicts it. A nearer one is right whatever
@@ -133,7 +133,7 @@ class RobotTrack:
         """The track after another marker ruled its position out: nothing else counts in this frame."""
         return replace(self, verified=False, refuted=True)
 
-    def with_match(self, measurement: PoseMeasurement, least_peak: float) -> "RobotTrack":
+    def with_match(self, measurement: TrackMeasurement, least_peak: float) -> "RobotTrack":
         """The track after its appearance was matched: a measurement if no marker was read, the peak suffices and the gate
         holds."""
         if not measurement.finite:
@@ -178,7 +178,7 @@ class RobotTrack:
             track=self.state, identity_verified=self.verified, peak=self.peak, depth_m=depth_m,
         )  # fmt: skip
 
-    def _updated(self, measurement: PoseMeasurement, restart: bool) -> "RobotTrack":
+    def _updated(self, measurement: TrackMeasurement, restart: bool) -> "RobotTrack":
         if restart or self.motion is None:
             motion = initial_state(measurement.pose, measurement.covariance)
         else:

@@ -22,26 +22,28 @@ ANY = frozenset(Mode)
 
 
 @dataclass(frozen=True)
-class Transition:
+class ModeTransition:
     """Modes in which a command is accepted, and the mode that it leads to; None keeps the mode."""
 
     accepted_in: frozenset[Mode]
     to: Mode | None
 
 
-ORDERS: dict[Order, Transition] = {
-    Order.LOAD: Transition(frozenset({Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), None),  # TRACKING: for later
-    Order.SWITCH: Transition(frozenset({Mode.TRACKING}), None),
-    Order.TEST: Transition(frozenset({Mode.ARMED}), None),
-    Order.ARM: Transition(frozenset({Mode.DISARMED}), Mode.ARMED),
-    Order.START: Transition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
-    Order.HOLD: Transition(frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), Mode.HOLDING),
-    Order.RESUME: Transition(frozenset({Mode.HOLDING}), Mode.TRACKING),
-    Order.DISARM: Transition(ANY - {Mode.STOPPED}, Mode.DISARMED),
-    Order.STOP: Transition(ANY, Mode.STOPPED),
-    Order.CLEAR_STOP: Transition(frozenset({Mode.STOPPED}), Mode.DISARMED),
-    Order.TUNE: Transition(ANY - {Mode.STOPPED}, None),
-    Order.ADOPT: Transition(ANY - {Mode.STOPPED}, None),
+ORDERS: dict[Order, ModeTransition] = {
+    Order.LOAD: ModeTransition(
+        frozenset({Mode.DISARMED, Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), None
+    ),  # TRACKING: for later
+    Order.SWITCH: ModeTransition(frozenset({Mode.TRACKING}), None),
+    Order.TEST: ModeTransition(frozenset({Mode.ARMED}), None),
+    Order.ARM: ModeTransition(frozenset({Mode.DISARMED}), Mode.ARMED),
+    Order.START: ModeTransition(frozenset({Mode.ARMED, Mode.HOLDING}), Mode.TRACKING),
+    Order.HOLD: ModeTransition(frozenset({Mode.ARMED, Mode.TRACKING, Mode.HOLDING}), Mode.HOLDING),
+    Order.RESUME: ModeTransition(frozenset({Mode.HOLDING}), Mode.TRACKING),
+    Order.DISARM: ModeTransition(ANY - {Mode.STOPPED}, Mode.DISARMED),
+    Order.STOP: ModeTransition(ANY, Mode.STOPPED),
+    Order.CLEAR_STOP: ModeTransition(frozenset({Mode.STOPPED}), Mode.DISARMED),
+    Order.TUNE: ModeTransition(ANY - {Mode.STOPPED}, None),
+    Order.ADOPT: ModeTransition(ANY - {Mode.STOPPED}, None),
 }
 
 
@@ -71,7 +73,7 @@ class Health:
 
 @dataclass(frozen=True)
 class Reaction:
-    """Transition from one of `modes` to `to`, with `reason`, if `when` holds."""
+    """ModeTransition from one of `modes` to `to`, with `reason`, if `when` holds."""
 
     reason: str
     modes: frozenset[Mode]

@@ -38,7 +38,7 @@ def tracking_error(robot: int, time_s: float) -> Array:
 
 @dataclass
 class Script:
-    """What the run is like."""
+    """Properties of a synthetic run."""
 
     duration_s: float = 40.0
     settings: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""What headers tell of a robot's link and clock, and what is found amiss."""
+"""A robot's link and clock from message headers, and the findings about them."""
 
 from dataclasses import replace
 

@@ -23,7 +23,7 @@ def no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) -> tuple[Reply, list[Command], list[Outcome]]:
-    """What comes of a request that is answered so; the last answer is given for ever."""
+    """Outcome of a request that gets these answers; the last one repeats for ever."""
     commands: list[Command] = []
     told: list[Outcome] = []
 

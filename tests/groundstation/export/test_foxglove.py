@@ -1,4 +1,4 @@
-"""What 3-D viewers get: the log with a scene in it, a layout that finds everything, and the same live."""
+"""Output for 3-D viewers: the log with a scene in it, a layout that finds everything, and the same live."""
 
 import dataclasses
 import json

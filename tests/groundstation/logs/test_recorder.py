@@ -286,7 +286,7 @@ def test_put_costs_the_caller_nothing_while_the_disk_hangs(tmp_path: Path) -> No
 
 
 def test_when_the_disk_fills_pictures_go_first_and_somebody_says_so(tmp_path: Path) -> None:
-    """What is said goes on into the log; room that comes back later changes nothing."""
+    """Messages go on into the log; room that comes back later changes nothing."""
     path, free = tmp_path / "run.mcap", [10_000]
     recorder = Recorder(path, "", {}, stop_pictures_below=1000, free_bytes=lambda folder: free[0])
 

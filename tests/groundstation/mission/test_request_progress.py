@@ -1,4 +1,4 @@
-"""What becomes of people's requests, as pages and terminals are told."""
+"""Progress of operators' requests, as pages and terminals are told."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any

@@ -1,4 +1,4 @@
-"""How far a robot is behind the fleet, by what it told some time ago."""
+"""Lag of a robot behind the fleet, from a state that is some time old."""
 
 import numpy as np
 import pytest

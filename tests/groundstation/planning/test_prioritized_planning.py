@@ -129,7 +129,7 @@ def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, floa
 
 
 def test_a_robot_whose_way_leads_past_one_that_waits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where no way leads around: here because every trip is planned as if nobody stood anywhere."""
+    """No route leads around: each transfer is planned here as if no robot stood anywhere."""
 
     def as_if_alone(of: Experiment, around: FreeSpace, start: Array, goal: Array, parked: Sequence[Array]) -> Transfer:
         return plan_transfer(of, around, start, goal, [])

@@ -24,7 +24,7 @@ BALL = np.array([[1.0, 0.1, 0.2]])
 
 
 def clearance(segment: PlanSegment, thing: Array, from_s: float) -> float:
-    """How near any robot comes to a thing's edge."""
+    """Smallest distance of any robot to an obstacle's edge."""
     nearest: list[float] = []
     for t in segment.trajectories.values():
         first = max(round((from_s - t.begin_s) / PERIOD_S), 0)
@@ -58,7 +58,7 @@ def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
 
 @pytest.mark.parametrize("scene", ["blocked-path", "islands"])
 def test_going_over_moves_nobodys_reference(scene: str) -> None:
-    """What the robot is given at each step, through its own splice and its own sampler, across the seam."""
+    """The reference at each step, through the robot's own splice and sampler, across the seam."""
     experiment = load_experiment(scene)
     segment = first_segment(experiment)
     begin_s = 30.0

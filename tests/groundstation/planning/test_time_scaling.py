@@ -21,7 +21,7 @@ def scene(*settings: str) -> Experiment:
 
 
 def taken(experiment: Experiment, trajectory: Trajectory) -> dict[str, Array]:
-    """What a robot takes of its limits along a trajectory, from its poses alone: central differences."""
+    """Share of its limits that a robot uses along a trajectory, from its poses alone by central differences."""
     vehicle = experiment.vehicle
     eta = trajectory.eta
     v = (eta[2:] - eta[:-2]) / (2.0 * PERIOD_S)

@@ -1,4 +1,4 @@
-"""What `groundstation log rerun` makes of a robot's steps, the log's beside the program's."""
+"""Comparison by `groundstation log rerun` of a robot's steps: the log's beside the program's."""
 
 from groundstation.replay.step_diff import StepOutputs, compare
 from wire.messages import topics

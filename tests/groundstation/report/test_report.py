@@ -32,7 +32,7 @@ VOID = {"meta", "br", "img", "input", "link", "hr"}
 
 
 class Page(HTMLParser):
-    """What the tests ask of a page: open tags, ids, addresses, cells."""
+    """A page's structure for the tests: open tags, ids, addresses, cells."""
 
     def __init__(self, text: str) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What a report says of limits, links and time: against states and records of known content."""
+"""A report's figures of limits, links and time, against states and records of known content."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -33,7 +33,7 @@ def with_states(series: Series, robot: int, **columns: object) -> Series:
 
 
 def bars(figure: Figure | None) -> list[float]:
-    """Where the bars of a figure begin, row by row."""
+    """Begin of each bar of a figure, row by row."""
     assert figure is not None
     return [float(np.asarray(path.vertices)[:, 0].min()) for c in figure.axes[0].collections for path in c.get_paths()]
 

@@ -1,4 +1,4 @@
-"""How a terminal finds the station that runs on its machine."""
+"""A terminal finds the station that runs on its machine."""
 
 import os
 import signal

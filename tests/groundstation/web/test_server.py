@@ -80,7 +80,7 @@ class Lab:
 
 @dataclass
 class Page:
-    """What a browser does, as far as the server can tell."""
+    """The actions of a browser that the server can see."""
 
     socket: ClientConnection
     last: int = 0

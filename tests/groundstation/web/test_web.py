@@ -203,7 +203,7 @@ def test_requests_are_read() -> None:
 @pytest.mark.parametrize("key", ["speed_mps", "depth_m", "diameter_m", "lap_s", "duration_s", "scale"])
 @pytest.mark.parametrize("value", [0.0, -1.0, 1e9])
 def test_an_edit_with_a_number_that_cannot_be_is_a_request_and_is_answered(key: str, value: float) -> None:
-    """Whoever types 0.5 has typed 0 first."""
+    """An operator who types 0.5 has typed 0 first."""
     request = protocol.read_request(json.dumps({"kind": "try", "n": 1, "edit": {key: value}}))
     assert isinstance(request, protocol.PreviewEdit)
     answer = experiment_editor.attempt(POOL, request.edit)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localizer.tracking.observation import PoseMeasurement
+from localizer.tracking.observation import TrackMeasurement
 from localizer.tracking.robot_track import RobotTrack, close_pairs
 from wire.messages.messages import Track
 
@@ -16,8 +16,8 @@ JUMP_M = 0.15
 STEP_S = 0.05
 
 
-def _seen(x: float, y: float = 0.0, yaw: float = 0.0, peak: float = 0.0) -> PoseMeasurement:
-    return PoseMeasurement(np.array([x, y, yaw]), SIGMA, peak)
+def _seen(x: float, y: float = 0.0, yaw: float = 0.0, peak: float = 0.0) -> TrackMeasurement:
+    return TrackMeasurement(np.array([x, y, yaw]), SIGMA, peak)
 
 
 def _followed() -> RobotTrack:
@@ -203,7 +203,7 @@ def _doubted_by(what: str) -> RobotTrack:
 @pytest.mark.parametrize(
     "second", [_seen(0.8, -0.9), _seen(-1.0, 0.5, 2.0), _seen(1.0, 0.5, 1.5)], ids=["elsewhere", "both", "another heading"]
 )
-def test_two_misreadings_that_disagree_move_no_track(why: str, second: PoseMeasurement) -> None:
+def test_two_misreadings_that_disagree_move_no_track(why: str, second: TrackMeasurement) -> None:
     track = _doubted_by(why)
     before = track.message(0.3, LEVEL)
     for measurement in (_seen(1.0, 0.5), second):
@@ -241,7 +241,7 @@ def test_a_camera_of_one_picture_a_second_confirms_a_claim_too() -> None:
 
 def test_what_is_not_finite_is_no_measurement() -> None:
     track, nan = _followed().predicted(STEP_S), float("nan")
-    bad = [_seen(nan), _seen(0.0, 0.0, nan), _seen(0.0, peak=nan), PoseMeasurement(np.zeros(3), np.full((3, 3), np.inf), 0.9)]
+    bad = [_seen(nan), _seen(0.0, 0.0, nan), _seen(0.0, peak=nan), TrackMeasurement(np.zeros(3), np.full((3, 3), np.inf), 0.9)]
     for measurement in bad:
         assert track.with_marker(measurement, JUMP_M) is track
         assert track.with_match(measurement, 0.3) is track

@@ -21,7 +21,7 @@ LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_st
 
 
 def check(output: ControlOutput) -> None:
-    """What must be true of every output whatever came in."""
+    """Assert the properties of every output, for any input."""
     arrays = [getattr(output, f.name) for f in dataclasses.fields(output) if isinstance(getattr(output, f.name), np.ndarray)]
     assert all(np.isfinite(array).all() for array in arrays)
     assert np.all(np.abs(output.wrench) <= LIMIT + 1e-9)
