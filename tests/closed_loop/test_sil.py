@@ -34,7 +34,7 @@ from wire.process.runtime import Stop
 from wire.transport.endpoint import Endpoint
 from wire.transport.zenoh_transport import ZenohTransport
 
-pytestmark = [pytest.mark.real_time, pytest.mark.timeout(400)]
+pytestmark = pytest.mark.timeout(400)
 
 
 def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
@@ -200,6 +200,7 @@ def test_one_seed_gives_the_same_pulses_bit_for_bit_and_another_seed_does_not(tm
         assert otherwise[:steps] != robot[:steps]
 
 
+@pytest.mark.real_time
 @pytest.mark.parametrize("victim", [pytest.param("localizer", marks=pytest.mark.slow), "agent-1", "groundstation"])
 def test_a_process_killed_in_flight_leaves_neutral_boards_and_is_named(victim: str, tmp_path: Path) -> None:
     run = start(tmp_path, "--duration", "60")
@@ -239,6 +240,7 @@ def _neutral_at(log: Path, robot: int, since: datetime) -> float:
     return (at - since).total_seconds()
 
 
+@pytest.mark.real_time
 def test_ctrl_c_stops_everything_cleanly(tmp_path: Path) -> None:
     run = start(tmp_path, "--duration", "60")
     while not list(tmp_path.glob("pool-*")):
@@ -256,6 +258,7 @@ def test_ctrl_c_stops_everything_cleanly(tmp_path: Path) -> None:
         assert make_reader(file).get_summary() is not None  # the log was closed, not cut
 
 
+@pytest.mark.real_time
 def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Which finds it by itself; and the launcher reports what was flown."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -286,6 +289,7 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
     assert order("stop")[0] == 1  # nobody is there any more
 
 
+@pytest.mark.real_time
 def test_no_process_outlives_a_launcher_that_is_killed(tmp_path: Path) -> None:
     run = start(tmp_path, "--duration", "60")
     while not list(tmp_path.glob("pool-*")):
@@ -298,7 +302,7 @@ def test_no_process_outlives_a_launcher_that_is_killed(tmp_path: Path) -> None:
 
 
 def test_a_setting_that_cannot_be_is_explained_at_once(tmp_path: Path) -> None:
-    code, output = finish(start(tmp_path, "--set", "controller.mpc.horizon=1"), 20)
+    code, output = finish(start(tmp_path, "--set", "controller.mpc.horizon=1"))
     assert code == 2
     assert "controller.mpc.horizon = 1" in output
     assert "greater than or equal to 2" in output

@@ -38,7 +38,7 @@ from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
-pytestmark = [pytest.mark.real_time, pytest.mark.timeout(600)]  # what waits for a browser waits for a loaded machine
+pytestmark = pytest.mark.timeout(600)  # what waits for a browser waits for a loaded machine
 
 YAW_WEIGHT = "800"  # a hundred times that of the file
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
