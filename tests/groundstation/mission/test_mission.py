@@ -986,3 +986,29 @@ def test_a_robot_that_was_out_of_the_run_comes_home_after_it_though_the_others_c
         run.robots[robot].battery_v = 10.0
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     assert set(run.mission.roster.lost) == {1, 3}
+
+
+def test_a_robot_far_from_its_place_slows_the_formation() -> None:
+    run = Run(settings=["duration_s=60", "mission.wait_from_m=0.1", "mission.wait_at_m=0.4"])
+    while not run.at(MissionState.RUNNING):
+        run.step()
+    run.robots[2].eta = (0.35, 0.0, 0.0, 0.0)
+    run.step(1.5)
+    assert run.at(MissionState.SLOWED) and run.mission.reason == "robot 2 is 0.35 m from its place"
+
+
+def test_a_robot_that_disarms_when_its_way_home_is_blocked_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It lay disarmed before this return, and might be while that was planned; it has flown since."""
+    run = Run(automatic=False)
+    run.step(0.2)
+    assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
+    run.step(0.5)
+    run.mission.planned(replace(next_leg(run, 0.05), is_return=True), run.fleet(), run.now_ns)
+    run.step(2.0)
+    assert run.at(MissionState.RETURNING)
+    monkeypatch.setattr(run.mission.plans, "first_contact", lambda fleet, now_ns: "on the way of robot 1")
+    run.step()
+    assert run.at(MissionState.HALTING)
+    run.robots[2].mode = Mode.DISARMED
+    run.step(0.2)
+    assert run.mission.reason == "robot 2: disarmed" and run.in_mode(1, Mode.DISARMED)
