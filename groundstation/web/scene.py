@@ -74,7 +74,7 @@ def scene(experiment: Experiment, trajectories: Mapping[int, Trajectory], mode: 
         "robots": [{"id": r.id, "node_m": list(r.node_m), "neighbours": list(r.neighbours)} for r in experiment.robots],
         "path": experiment.path.model_dump(mode="json"),
         "formation": experiment.formation.model_dump(mode="json"),
-        "tunable_parameters": [
+        "knobs": [
             {"key": k.key, "value": k.value, "least": k.least, "most": k.most, "above": k.above, "below": k.below}
             for k in tunable_parameters(controller)
         ],
