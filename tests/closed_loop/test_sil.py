@@ -39,7 +39,7 @@ pytestmark = pytest.mark.timeout(400)
 
 def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(
-        [sys.executable, "-m", "sim_bridge", "sil", "pool", "--out", str(out), *arguments],
+        [sys.executable, "-m", "sim_bridge", "sil", "pool", "--no-web", "--out", str(out), *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -179,7 +179,7 @@ def test_its_processes_are_gone(lockstep_run: tuple[Path, int, str]) -> None:
 def test_one_seed_gives_the_same_pulses_bit_for_bit_and_another_seed_does_not(tmp_path: Path) -> None:
     faults = ("--fault", "t=1 for=1 link 1 noisy 0.3", "--fault", "t=2 thruster 2/3 dead")  # even these are repeatable
     started = {
-        name: start(tmp_path / name, "--lockstep", "--no-web", "--duration", "4", *faults, *more)
+        name: start(tmp_path / name, "--lockstep", "--duration", "4", *faults, *more)
         for name, more in (("a", ["--seed", "3"]), ("b", ["--seed", "3", "--signed"]), ("c", ["--seed", "4"]))
     }
 
@@ -263,7 +263,7 @@ def test_a_manual_run_is_flown_and_ended_from_another_terminal(tmp_path: Path, m
     """Which finds it by itself; and the launcher reports what was flown."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     out = tmp_path / "runs"
-    run = start(out, "--lockstep", "--manual", "--no-web", "--poses", "--duration", "2")
+    run = start(out, "--lockstep", "--manual", "--poses", "--duration", "2")
 
     def order(*what: str) -> tuple[int, str]:
         command = [sys.executable, "-m", "groundstation", *what]
