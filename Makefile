@@ -22,7 +22,8 @@ run: $(INSTALLED) ## fly the pool experiment in software, all processes for real
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
-	$(BIN)/python -m pytest -n logical --dist loadgroup $(ARGS)
+	$(BIN)/python -m pytest -n logical --dist loadgroup $(or $(ARGS),--ignore=tests/page)
+	$(if $(ARGS),,$(BIN)/python -m pytest tests/page)
 
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)
