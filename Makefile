@@ -21,8 +21,17 @@ help: ## this list
 run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
+COMPUTING := tests/closed_loop tests/localizer tests/robot_agent tests/sim_bridge
+OTHERS := tests/benchmarks tests/faults tests/groundstation tests/page tests/wire $(wildcard tests/test_*.py)
+
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
-	$(BIN)/python -m pytest -n logical --dist loadgroup $(ARGS)
+ifdef ARGS
+	$(BIN)/python -m pytest $(ARGS)
+else
+	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time" $(COMPUTING)
+	$(BIN)/python -m pytest -m "not slow and real_time" $(COMPUTING)
+	$(BIN)/python -m pytest $(OTHERS)
+endif
 
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)

@@ -9,11 +9,14 @@ import os
 import tempfile
 
 import pytest
+import zenoh
 from hypothesis import HealthCheck, settings
 
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
+
+zenoh.try_init_log_from_env()  # once in a process: else a test that logs everything would have Zenoh print in all later ones
 
 _runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
