@@ -1064,3 +1064,12 @@ def test_a_robot_that_was_out_of_the_run_comes_home_after_it_though_the_others_c
         run.robots[robot].battery_v = 10.0
     assert run.mission.wish(Order.RETURN, run.fleet(), run.now_ns) == ""
     assert set(run.mission.crew.out) == {1, 3}
+
+
+def test_a_robot_far_from_its_place_slows_the_formation() -> None:
+    run = Run(settings=["duration_s=60", "mission.wait_from_m=0.1", "mission.wait_at_m=0.4"])
+    while not run.at(Phase.RUNNING):
+        run.step()
+    run.robots[2].eta = (0.35, 0.0, 0.0, 0.0)
+    run.step(1.5)
+    assert run.at(Phase.SLOWED) and run.mission.reason == "robot 2 is 0.35 m from its place"

@@ -36,6 +36,10 @@ def test_a_robot_that_is_well_arms() -> None:
 @pytest.mark.parametrize(
     ("inputs", "station", "reason"),
     [
+        (replace(WELL, telemetry=replace(BOARD, depth_m=POOL.pool.size_m[2] + 0.29)), STATION, ""),
+        (replace(WELL, telemetry=replace(BOARD, depth_m=-0.29)), STATION, ""),
+        (replace(WELL, telemetry=replace(BOARD, depth_m=-0.31)), STATION,
+         "the depth sensor says -0.31 m in a pool of 1 m: check it, or its zero"),
         (replace(WELL, emergency_stop=True), STATION, "the emergency stop is down"),
         (WELL, StationView(7, NOW_NS, 1.01), "no station is heard"),
         (WELL, StationView(), "no station is heard"),

@@ -77,3 +77,12 @@ def test_a_late_stop_makes_no_other_order_new_again() -> None:
     assert once.settled(head, command()) is armed
     refused = once.settled(Header(7, 4, 0), command())
     assert refused is not None and refused.reason == "ARM is old: order 4 after 5"
+
+
+def test_a_sender_that_keeps_speaking_is_remembered_however_many_others_come() -> None:
+    """Otherwise a replay of its last command would be obeyed again once enough strangers had spoken."""
+    once = Once(ME)
+    for session in range(2, 3 * SENDERS):
+        once.settle(Header(1, session, 0), Reply(1, True))
+        once.settle(Header(session, 1, 0), Reply(1, True))
+    assert once.settled(Header(1, 3 * SENDERS - 1, 0), command()) is not None
