@@ -21,8 +21,8 @@ help: ## this list
 run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
+# Tests that start programs meet at ports, at the page's address and in the build folder: they run one after the other.
 COMPUTING := tests/closed_loop tests/localizer tests/robot_agent tests/sim_bridge
-OTHERS := tests/benchmarks tests/faults tests/groundstation tests/page tests/wire $(wildcard tests/test_*.py)
 
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
 ifdef ARGS
@@ -30,7 +30,7 @@ ifdef ARGS
 else
 	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time" $(COMPUTING)
 	$(BIN)/python -m pytest -m "not slow and real_time" $(COMPUTING)
-	$(BIN)/python -m pytest $(OTHERS)
+	$(BIN)/python -m pytest $(COMPUTING:%=--ignore=%)
 endif
 
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing

@@ -151,11 +151,15 @@ def campaign(
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
 ) -> Experiment:
+    return _cautioned(load_experiment(name, _changes(seed, duration_s, settings), faults or ()))
+
+
+def _cautioned(experiment: Experiment) -> Experiment:
+    """The same experiment, after the warnings that it deserves."""
     from sim_bridge.faults import never
 
-    loaded = load_experiment(name, _changes(seed, duration_s, settings), faults or ())
-    caution(loaded, *never(loaded))
-    return loaded
+    caution(experiment, *never(experiment))
+    return experiment
 
 
 def _changes(seed: int | None, duration_s: float | None, settings: list[str] | None) -> list[str]:
@@ -172,12 +176,10 @@ def _go_on(
     from rich.console import Console
 
     from sim_bridge import branch_run
-    from sim_bridge.faults import never
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
-    loaded = branch_run.experiment_of(source, changes, faults or ())
-    caution(loaded, *never(loaded))
+    loaded = _cautioned(branch_run.experiment_of(source, changes, faults or ()))
     fleet, water = branch_run.prepared(loaded, source, at_s)
     folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)
