@@ -21,9 +21,17 @@ help: ## this list
 run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
+# Tests that start programs meet at ports, at the page's address and in the build folder: they run one after the other.
+COMPUTING := tests/closed_loop tests/localizer tests/robot_agent tests/sim_bridge
+
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
-	$(BIN)/python -m pytest -n logical --dist loadgroup $(or $(ARGS),--ignore=tests/page)
-	$(if $(ARGS),,$(BIN)/python -m pytest tests/page)
+ifdef ARGS
+	$(BIN)/python -m pytest $(ARGS)
+else
+	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time" $(COMPUTING)
+	$(BIN)/python -m pytest -m "not slow and real_time" $(COMPUTING)
+	$(BIN)/python -m pytest $(COMPUTING:%=--ignore=%)
+endif
 
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)

@@ -1,22 +1,20 @@
 """One thread for the matrices and for OpenCV, so that results do not depend on the machine; the same examples in every run;
 and no station that runs here for other reasons is found by a test's terminal.
 
-Tests run in as many processes as the machine has cores. A file's tests stay together, for they share what is dear to make. All
-that are marked `real_time` stay together too, so that they never run beside one another.
+Where tests run in several processes (`pytest -n`), a file's tests stay together, for they share what is dear to make. All that
+are marked `real_time` stay together too, so that they never run beside one another.
 """
 
 import os
 import tempfile
+from collections.abc import Iterator
 
 import pytest
-import zenoh
 from hypothesis import HealthCheck, settings
 
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
-
-zenoh.try_init_log_from_env()  # once in a process: else a test that logs everything would have Zenoh print in all later ones
 
 _runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
@@ -33,3 +31,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         together = "real-time" if item.get_closest_marker("real_time") else item.nodeid.partition("::")[0]
         item.add_marker(pytest.mark.xdist_group(together))
+
+
+@pytest.fixture
+def address() -> Iterator[str]:
+    """Address of a router on this machine, for one test."""
+    from sim_bridge.sil.ports import free_port  # these import numpy: not before its number of threads is set
+    from wire.transport.endpoint import Endpoint
+    from wire.transport.zenoh_transport import ZenohTransport
+
+    where = f"tcp/127.0.0.1:{free_port()}"
+    router = ZenohTransport(Endpoint(where, router=True))
+    yield where
+    router.close()

@@ -153,11 +153,15 @@ def campaign(
 def _load(
     name: str, seed: int | None, duration_s: float | None, settings: list[str] | None, faults: list[str] | None
 ) -> Experiment:
+    return _cautioned(load_experiment(name, _changes(seed, duration_s, settings), faults or ()))
+
+
+def _cautioned(experiment: Experiment) -> Experiment:
+    """Print the warnings that the experiment deserves, and return it."""
     from sim_bridge.fault_schedule import faults_after_the_end
 
-    loaded = load_experiment(name, _changes(seed, duration_s, settings), faults or ())
-    caution(loaded, *faults_after_the_end(loaded))
-    return loaded
+    caution(experiment, *faults_after_the_end(experiment))
+    return experiment
 
 
 def _changes(seed: int | None, duration_s: float | None, settings: list[str] | None) -> list[str]:
@@ -173,13 +177,11 @@ def _go_on(
     """Run `sil --from`."""
     from rich.console import Console
 
-    from sim_bridge.fault_schedule import faults_after_the_end
     from sim_bridge.in_process import resume, run
 
     if experiment is not None:
         raise typer.BadParameter(f"{experiment!r}: with --from, the run says what is flown (change it with --set)")
-    loaded = resume.load_changed(source, changes, faults or ())
-    caution(loaded, *faults_after_the_end(loaded))
+    loaded = _cautioned(resume.load_changed(source, changes, faults or ()))
     fleet, water = resume.prepared(loaded, source, at_s)
     folder, console = _new_folder(out, f"{loaded.name}-from-{at_s:g}"), Console()
     console.print(f"{loaded.title or loaded.name}: from {at_s:g} s of {source} on, into {folder}", soft_wrap=True)

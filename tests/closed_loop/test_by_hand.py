@@ -12,6 +12,7 @@ from sim_bridge.sil.ports import free_base_port, free_port
 from wire.config.experiment import dump_experiment, load_experiment
 
 
+@pytest.mark.real_time
 @pytest.mark.timeout(400)
 def test_a_station_whose_run_met_not_every_limit_says_so_in_its_exit_code(tmp_path: Path) -> None:
     experiment = load_experiment("pool", ["duration_s=1", "limits.rms_m=1e-9"])

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from socket import AF_INET, SOCK_DGRAM, socket
 
@@ -128,14 +127,6 @@ class Station:
                 reply = self.bus.order(Command(order, 1, experiment_hash=POOL.hash), time.time_ns(), 1.0)
                 refused = refused if reply.accepted else f"{order.name}: {reply.reason}"
             time.sleep(0.05)
-
-
-@pytest.fixture
-def address() -> Iterator[str]:
-    where = f"tcp/127.0.0.1:{free_port()}"
-    router = ZenohTransport(Endpoint(where, router=True))
-    yield where
-    router.close()
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,8 @@ its age protects nobody, and the old station's heartbeats are played back with i
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-
-import pytest
 
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
@@ -96,14 +93,6 @@ class Beating:
         time.sleep(0.2)
         state = self.states.newest()
         return state.message.mode if state is not None else None
-
-
-@pytest.fixture
-def address() -> Iterator[str]:
-    where = f"tcp/127.0.0.1:{free_port()}"
-    router = ZenohTransport(Endpoint(where, router=True))
-    yield where
-    router.close()
 
 
 def robot(address: str, log: Path) -> Program:
