@@ -10,11 +10,14 @@ import tempfile
 from collections.abc import Iterator
 
 import pytest
+import zenoh
 from hypothesis import HealthCheck, settings
 
 for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which is after this
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
+
+zenoh.init_log_from_env_or("error")  # the first call in a process counts: else one verbose test makes Zenoh print in all later ones
 
 _runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
