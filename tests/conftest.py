@@ -17,7 +17,8 @@ for library in ("OMP", "OPENBLAS"):  # read when numpy is first imported, which 
     os.environ[f"{library}_NUM_THREADS"] = "1"
 os.environ["OPENCV_FOR_THREADS_NUM"] = "1"
 
-zenoh.init_log_from_env_or("error")  # the first call in a process counts: else one verbose test makes Zenoh print in all later ones
+# The first call in a process counts: without it, one verbose test would make Zenoh print in all later ones.
+zenoh.init_log_from_env_or("error")
 
 _runtime = tempfile.TemporaryDirectory(prefix="shoal-tests-")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
