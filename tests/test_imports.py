@@ -24,6 +24,7 @@ ALLOWED = {"sim_bridge/in_process/fleet.py": {"robot_agent"}, "sim_bridge/in_pro
 PARTS: dict[str, dict[str, set[str]]] = {
     "wire": {
         "frames": set(),
+        "kernels": set(),
         "loopback": set(),
         "toml_loader": set(),
         "config": {"frames", "toml_loader"},
