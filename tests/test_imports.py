@@ -273,6 +273,7 @@ def _base_install() -> set[str]:
 def test_the_agent_runs_on_the_base_install() -> None:
     """Import all of the agent in a fresh interpreter: nothing that only the other roles install may come along."""
     base = _base_install() | {"shoal", "setuptools", "pip"}
+    base |= {"pyyaml"}  # Numba imports it where it is installed
     assert "numpy" in base and "opencv-python-headless" not in base and "mcap" not in base
     modules = [s.removesuffix(".py").replace("/", ".") for s in _sources() if s.startswith(("robot_agent/", "wire/"))]
     script = f"import sys; {'; '.join(f'import {m}' for m in modules)}; print(*{{m.partition('.')[0] for m in sys.modules}})"
