@@ -380,3 +380,58 @@ def test_a_token_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     ):
         refused = CliRunner().invoke(groundstation, ["run", "pool", "--web-token-file", str(tmp_path / name)]).exception
         assert isinstance(refused, ConfigError) and says in str(refused)
+
+
+def _site(folder: Path) -> Path:
+    """A folder with one file of each kind that commands read, each with its own name as content."""
+    run = folder / "run"
+    run.mkdir()
+    for name in ("picture.png", "video.mp4", "truth.txt", "run/run.mcap", "run/report.html", "run/experiment.toml"):
+        (folder / name).write_text(name)
+    (folder / "lab.toml").write_text((ROOT / "wire" / "experiments" / "pool.toml").read_text())
+    (folder / "campaign.toml").write_text('name = "two"\nexperiment = "pool"\nseeds = 2\n')
+    (folder / "out").mkdir()
+    (folder / "out" / "comparison.html").symlink_to(folder / "lab.toml")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("line", "lost"),
+    [
+        ("localizer latency lab.toml --source video:video.mp4 --json video.mp4", "video.mp4"),
+        ("localizer latency lab.toml --json lab.toml", "lab.toml"),
+        ("localizer evaluate video.mp4 --truth truth.txt --json truth.txt", "truth.txt"),
+        ("localizer evaluate video.mp4 --truth truth.txt --experiment lab.toml --json lab.toml", "lab.toml"),
+        ("localizer check lab.toml --out lab.toml", "lab.toml"),
+        ("localizer check lab.toml --image picture.png --out picture.png", "picture.png"),
+        ("groundstation log compare run run --out run/report.html", "run/report.html"),
+        ("groundstation foxglove layout lab.toml --out lab.toml", "lab.toml"),
+        ("sim-bridge campaign campaign.toml --out run", "run/report.html"),
+        ("sim-bridge compare lab.toml --out out", "lab.toml"),
+        ("robot-agent init --robot 1 --station tcp/127.0.0.1:7447 --experiment lab.toml --out lab.toml --force", "lab.toml"),
+    ],
+)
+def test_output_that_would_replace_an_input_is_refused(
+    line: str, lost: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(_site(tmp_path))
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
+    program, *arguments = line.split()
+    cli = importlib.import_module(f"{PROGRAMS[program]}.__main__").cli
+    result = CliRunner().invoke(cli, arguments)
+    assert isinstance(result.exception, ConfigError), result.output
+    assert "would be lost" in str(result.exception)
+    assert (tmp_path / lost).read_bytes() == before[tmp_path / lost]
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
+
+
+def test_table_in_the_place_of_a_runs_file_is_refused(tmp_path: Path) -> None:
+    from tests.groundstation.small_log import record_poses
+
+    log = tmp_path / "run.mcap"
+    record_poses(log, 5)
+    before = log.read_bytes()
+    (tmp_path / "robot-1-pose.csv").symlink_to(log)
+    result = CliRunner().invoke(groundstation, ["log", "export", str(tmp_path), "--out", str(tmp_path)])
+    assert isinstance(result.exception, ConfigError) and "would be lost" in str(result.exception)
+    assert log.read_bytes() == before

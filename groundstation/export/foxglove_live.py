@@ -18,7 +18,7 @@ from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode, protobuf_class
 from wire.messages.topics import Topic
 from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock
+from wire.process.runtime import Clock, log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 
@@ -48,7 +48,8 @@ class ViewerServer:
         self.port: int = self._server.port
         for topic in SHOWN:
             bus.subscribe(topic, None, self._hear)
-        self._drawer = threading.Thread(target=self._draw, name="viewer", daemon=True)
+        self._standing_s = 0.0  # when what stands still was drawn last, monotonic
+        self._drawer = threading.Thread(target=self._draw_until_closed, name="viewer", daemon=True)
         self._drawer.start()
 
     def _hear(self, topic: Topic, key: str, header: Header, payload: bytes) -> None:
@@ -73,24 +74,34 @@ class ViewerServer:
     def _now_ns(self, stamp_ns: int) -> int:
         return max(stamp_ns if isinstance(self._clock, LockstepClock) else self._clock.now_ns(), 0)
 
-    def _draw(self) -> None:
-        standing_s = 0.0
+    def _draw_until_closed(self) -> None:
+        """Draw again and again. An error costs one picture: the run does not depend on viewers."""
+        told: set[str] = set()
         while not self._closing.wait(SCENE_S):
-            with self._turn:
-                heard, self._heard = self._heard, {}
-            for (topic, robot), (at_ns, payload) in heard.items():
-                try:
-                    self._picture.take(topic, robot, decode(topic.type, payload, "bus", topic.name), at_ns)
-                except DecodeError:
-                    continue
-            if not heard:
+            try:
+                self._draw()
+            except Exception as error:  # whatever it is: the next picture may be whole again
+                reason = f"{type(error).__name__}: {error}"
+                if reason not in told:
+                    told.add(reason)
+                    log.error("the scene for viewers could not be drawn: %s", reason)
+
+    def _draw(self) -> None:
+        with self._turn:
+            heard, self._heard = self._heard, {}
+        for (topic, robot), (at_ns, payload) in heard.items():
+            try:
+                self._picture.take(topic, robot, decode(topic.type, payload, "bus", topic.name), at_ns)
+            except DecodeError:
                 continue
-            now_ns = max(at_ns for at_ns, _ in heard.values())
-            self._log(MOVING, self._picture.moving(now_ns), now_ns)
-            if self._picture.replanned or time.monotonic() - standing_s >= STANDING_S:
-                standing_s = time.monotonic()
-                self._log(STANDING, self._picture.standing(now_ns), now_ns)
-                self._log(FRAMES, upright(now_ns), now_ns)
+        if not heard:
+            return
+        now_ns = max(at_ns for at_ns, _ in heard.values())
+        self._log(MOVING, self._picture.moving(now_ns), now_ns)
+        if self._picture.replanned or time.monotonic() - self._standing_s >= STANDING_S:
+            self._standing_s = time.monotonic()
+            self._log(STANDING, self._picture.standing(now_ns), now_ns)
+            self._log(FRAMES, upright(now_ns), now_ns)
 
     def _log(self, name: str, message: Any, now_ns: int) -> None:
         self._channel(f"{self._fleet}{name}", SCHEMAS[name]).log(message.SerializeToString(), log_time=now_ns)

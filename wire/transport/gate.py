@@ -108,8 +108,8 @@ class Gate:
             time.sleep(AGAIN_S)
             try:
                 self._start()
-            except OSError as error:  # no memory, no process to be had: again, until there is
-                log.error("the guard of %s cannot be started: %s", self._public.address, error.strerror)
+            except Exception as error:  # no memory, no process, no thread to be had: again, until there is
+                log.error("the guard of %s cannot be started: %s: %s", self._public.address, type(error).__name__, error)
                 self._guard = None
 
     def close(self) -> None:

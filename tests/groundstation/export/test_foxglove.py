@@ -227,6 +227,28 @@ def test_a_bad_message_is_passed_on_and_not_drawn(served: tuple[Bus, ViewerServe
         advertised(viewer, {"shoal/robot/1/state", "shoal/robot/2/state", "shoal/viewer/scene"})
 
 
+def test_an_error_while_drawing_costs_one_picture(
+    served: tuple[Bus, ViewerServer], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Otherwise the scene would stand still for the rest of the run, without a word."""
+    bus, server = served
+    draw, drawn = SceneDrawer.moving, list[int]()
+
+    def fails_twice(scene: SceneDrawer, now_ns: int) -> Any:
+        drawn.append(now_ns)
+        if len(drawn) <= 2:
+            raise RuntimeError("no colour")
+        return draw(scene, now_ns)
+
+    monkeypatch.setattr(SceneDrawer, "moving", fails_twice)
+    with connect(f"ws://127.0.0.1:{server.port}", subprotocols=["foxglove.sdk.v1"]) as viewer:  # type: ignore[list-item]
+        while len(drawn) < 3:
+            bus.publish(topics.STATE, RobotState(), SECOND, 1)
+            time.sleep(0.02)
+        advertised(viewer, {"shoal/viewer/scene"})
+    assert caplog.text.count("the scene for viewers could not be drawn: RuntimeError: no colour") == 1
+
+
 def test_an_address_that_cannot_be_is_refused() -> None:
     done = CliRunner().invoke(cli, ["run", "pool", "--foxglove", "8765"])
     assert "127.0.0.1:8765" in str(done.exception)

@@ -260,3 +260,20 @@ def test_a_short_horizon_does_not_damp_surge() -> None:
     """Robots with a short horizon leave a slow path: the figures of docs/control.md."""
     found = [surge_damping(horizon) for horizon in (20, 25, 30, 45, 50)]
     assert found == pytest.approx([0.04, 0.36, 0.59, 0.65, 0.65], abs=0.01)
+
+
+def test_the_plan_hardly_depends_on_the_control_period() -> None:
+    """`r` is scaled with the period: unscaled, a period of 0.025 s would weigh changes of the wrench half as much against errors."""
+    poses = {}
+    for period_s in (0.025, 0.05):
+        nodes = round(2.5 / period_s)
+        config = MpcConfig(
+            horizon=nodes, blocks=tuple(round(seconds / period_s) for seconds in (0.25, 0.5, 0.75)), r=(3.0, 3.0, 3.0)
+        )
+        controller = Mpc(VEHICLE, Model(VEHICLE), config, period_s, ROWS)
+        reference = np.zeros((nodes + 1, 4))
+        reference[:, 0] = 0.1
+        plan = controller.plan(START, np.zeros(4), np.zeros(3), reference, WEIGHT, NOWHERE)
+        poses[period_s] = plan.eta[:: round(0.25 / period_s), 0]
+    assert poses[0.05][-1] > 0.02
+    assert poses[0.025] == pytest.approx(poses[0.05], rel=0.03, abs=5e-4)

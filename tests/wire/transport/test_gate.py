@@ -131,6 +131,25 @@ def test_a_guard_that_dies_is_started_again_and_links_come_back(
     assert "has ended (exit code -9): it is started again" in caplog.text
 
 
+def test_a_guard_that_cannot_be_started_at_once_is_started_later(
+    station: Bus, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    found = station._transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
+    start, tries = found._start, list[int]()
+
+    def fails_once() -> None:
+        tries.append(1)
+        if len(tries) == 1:
+            raise RuntimeError("can't start new thread")
+        start()
+
+    monkeypatch.setattr(found, "_start", fails_once)
+    before = found.guard_pid
+    os.kill(before, signal.SIGKILL)
+    assert eventually(lambda: found.guard_pid not in (0, before))
+    assert "cannot be started: RuntimeError: can't start new thread" in caplog.text
+
+
 # --- the door
 
 
