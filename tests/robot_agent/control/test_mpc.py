@@ -263,7 +263,7 @@ def test_a_short_horizon_does_not_damp_surge() -> None:
 
 
 def test_the_plan_hardly_depends_on_the_control_period() -> None:
-    """`r` is scaled with the period: unscaled, a period of 0.025 s would weigh changes of the wrench half as much against errors."""
+    """`r` is scaled with the period; unscaled it would weigh half as much against errors at 0.025 s."""
     poses = {}
     for period_s in (0.025, 0.05):
         nodes = round(2.5 / period_s)
