@@ -12,7 +12,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run test test-slow mutants faults fuzz soak bench lint format proto docs lock clean
+.PHONY: help page run check test test-real-time test-computing test-slow mutants faults fuzz soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -21,17 +21,22 @@ help: ## this list
 run: $(INSTALLED) ## fly the pool experiment in software, all processes for real; says where the report is. ARGS="--lockstep --seed 2"
 	$(BIN)/sim-bridge sil pool $(ARGS)
 
-# Tests that start programs meet at ports, at the page's address and in the build folder: they run one after the other.
-COMPUTING := tests/closed_loop tests/localizer tests/robot_agent tests/sim_bridge
+check: lint ## ruff, mypy, and the unit tests that start no process: under a minute
+	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time and not long"
 
+# What only computes fills the idle time of the tests that wait for programs, at a lower priority, so that it delays none of them.
 test: $(INSTALLED) ## all tests but the slow ones. ARGS="tests/wire -x"
 ifdef ARGS
 	$(BIN)/python -m pytest $(ARGS)
 else
-	$(BIN)/python -m pytest -n logical --dist loadgroup -m "not slow and not real_time" $(COMPUTING)
-	$(BIN)/python -m pytest -m "not slow and real_time" $(COMPUTING)
-	$(BIN)/python -m pytest $(COMPUTING:%=--ignore=%)
+	@$(MAKE) --no-print-directory --keep-going --jobs=2 test-real-time test-computing
 endif
+
+test-real-time:
+	$(BIN)/python -m pytest -m "real_time and not slow"
+
+test-computing:
+	nice -n 15 $(BIN)/python -m pytest -n logical --dist loadgroup -m "not real_time and not slow"
 
 test-slow: $(INSTALLED) ## the long checks: fault campaigns, deep fuzzing
 	$(BIN)/python -m pytest -m slow --timeout=1800 $(ARGS)
