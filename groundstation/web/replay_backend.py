@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from groundstation.logs.logfile import open_log
+from groundstation.logs.reader import open_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
 from groundstation.web import experiment_editor

@@ -19,8 +19,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
 from groundstation.inboxes import subscribe_fleet
-from groundstation.logs.logfile import open_log
-from groundstation.logs.reader import read_log
+from groundstation.logs.reader import open_log, read_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.replay.step_replay import rerun

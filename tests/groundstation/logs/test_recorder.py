@@ -15,8 +15,9 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from groundstation.logs.reader import is_complete
 from groundstation.logs.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
-from groundstation.logs.repair import is_complete, recover
+from groundstation.logs.repair import recover
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.small_log import SECOND, pose, record_poses, sequences
 from wire.messages import topics

@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
-from groundstation.logs.reader import read_log
+from groundstation.logs.reader import is_complete, read_log
 from groundstation.logs.recorder import Recorder
-from groundstation.logs.repair import is_complete
 from groundstation.report import figures, figures_errors, figures_paths
 from groundstation.report.plotting import MOST_POINTS, Curve, Panel, stack, thin, to_svg
 from groundstation.report.report import write_report
