@@ -232,7 +232,7 @@ def _tell_station(
     told = _Printer(what, as_json)
     try:
         with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
-            reply = follow(lambda c: bus.order(c, time.time_ns(), ORDER_TIMEOUT_S), command, patience_s, told.progress)
+            reply = follow(lambda c: bus.command(c, time.time_ns(), ORDER_TIMEOUT_S), command, patience_s, told.progress)
     except KeyboardInterrupt:
         typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
         raise typer.Exit(130) from None

@@ -19,7 +19,7 @@ from groundstation.planning import planner
 from groundstation.planning.segment import first_segment
 from groundstation.station.station import Station, workers
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import LiveBackend, StationApi
+from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
@@ -89,10 +89,8 @@ def run(
             station.publish_paths(clock.now_ns())
             bus.watch_presence()
             if web is not None:
-                post = StationApi(
-                    station.status, station.request, station.request_gains, run_dir.resolve(), lambda: station.paths
-                )
-                served.enter_context(WebServer(LiveBackend(experiment, trajectories, bus, heard, clock, post, mode), web))
+                backend = LiveBackend(experiment, trajectories, bus, heard, clock, station, mode, run_dir.resolve())
+                served.enter_context(WebServer(backend, web))
                 log.info("operator page: %s", web.url)
             if viewer is not None:
                 served.enter_context(ViewerServer(experiment, bus, clock, *viewer))

@@ -25,7 +25,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
 from groundstation.telemetry import Fleet, LinkMonitor, blocking_findings, robot_view
-from groundstation.web.live_backend import Status
+from groundstation.web.backend import Status
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -127,7 +127,7 @@ class Station:
         for command in commands:
             if self._unanswered(command) < MAX_UNANSWERED:
                 # Sent from here, in the mission's order; only the waiting is for other threads.
-                reply = self.bus.send_order(command, now_ns, timeout_s)
+                reply = self.bus.send_command(command, now_ns, timeout_s)
                 self.pending.append((command, self.workers.of(command.order).submit(reply)))
         if lockstep:
             for _, future in self.pending:

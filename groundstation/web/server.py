@@ -1,6 +1,6 @@
 """SHELL: serves the operator's page from a thread of its own, with its own event loop.
 
-with WebServer(desk, options): ...                  # binds at once, or says why not
+with WebServer(backend, options): ...                  # binds at once, or says why not
 """
 
 import asyncio
@@ -21,9 +21,9 @@ from starlette.staticfiles import StaticFiles
 
 from groundstation.web import protocol
 from groundstation.web.auth import HEADERS, WebOptions, host_allowed
+from groundstation.web.backend import Backend
 from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
-from groundstation.web.live_backend import Backend
 from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 

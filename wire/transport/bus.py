@@ -230,12 +230,12 @@ class Bus:
 
         self._transport.serve(self._key(name), answer)
 
-    def order(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
+    def command(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
         """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
-        return self.send_order(command, stamp_ns, timeout_s)()
+        return self.send_command(command, stamp_ns, timeout_s)()
 
-    def send_order(self, command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
-        """Send an order, and return what waits for its answer (`order`). Orders to one recipient reach it in the order of
+    def send_command(self, command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
+        """Send an order, and return what waits for its answer (`command`). Orders to one recipient reach it in the order of
         these calls: an order neither overtakes another nor waits until another is answered.
 
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been

@@ -174,7 +174,7 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
         return reply
 
     with a_station(tmp_path) as station:
-        monkeypatch.setattr(station.bus, "send_order", silent)
+        monkeypatch.setattr(station.bus, "send_command", silent)
         try:
             asked(station, Order.STOP)
             for k in range(100):
@@ -270,7 +270,7 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
     try:
         for _ in range(TRIES):  # a busy machine may take longer than a period now and then, but not every time
             before_ns = next_beat_ns(person, stop, beats)
-            assert person.order(Command(Order.STOP, WHOLE_FLEET), time.time_ns(), PATIENCE_S).accepted
+            assert person.command(Command(Order.STOP, WHOLE_FLEET), time.time_ns(), PATIENCE_S).accepted
             gaps_s.append((next_beat_ns(person, stop, beats) - before_ns) * 1e-9)
             beat = beats.newest()
             assert beat is not None and beat.message.emergency_stop

@@ -93,7 +93,7 @@ def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) ->
 
 
 def test_a_recorded_run_takes_no_orders(replay: ReplayBackend) -> None:
-    assert replay.order(Order.STOP) == ("this is a recorded run", 0)
+    assert replay.station.request(Order.STOP) == ("this is a recorded run", 0)
 
 
 def test_what_is_no_run_is_refused_by_name(tmp_path: Path) -> None:

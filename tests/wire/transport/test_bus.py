@@ -115,13 +115,13 @@ def test_an_order_is_answered_refused_or_reported_unanswered(make_bus: MakeBus) 
     robot.serve(1, handle)
     order = messages.Order
     trajectory = messages.Trajectory("t", 0.05, np.ones((4000, 4)), np.ones((4000, 4)), np.ones((4000, 4)))
-    assert eventually(lambda: station.order(messages.Command(order.ARM, 1), 5, 1.0).accepted)
-    refused = station.order(messages.Command(order.LOAD, 1, trajectory=trajectory), 6, 1.0)
+    assert eventually(lambda: station.command(messages.Command(order.ARM, 1), 5, 1.0).accepted)
+    refused = station.command(messages.Command(order.LOAD, 1, trajectory=trajectory), 6, 1.0)
     assert (refused.accepted, refused.reason) == (False, "only arming")
     assert seen[-1][1].trajectory is not None
     assert seen[-1][1].trajectory.eta.shape == (4000, 4)
     assert seen[-1][0].sequence > seen[-2][0].sequence
-    assert "no answer" in station.order(messages.Command(order.ARM, 2), 7, 0.2).reason
+    assert "no answer" in station.command(messages.Command(order.ARM, 2), 7, 0.2).reason
 
 
 def test_presence_comes_and_goes(make_bus: MakeBus) -> None:
@@ -263,7 +263,7 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
     make_bus: MakeBus, monkeypatch: pytest.MonkeyPatch, slow: messages.Command, quick: messages.Command
 ) -> None:
     station, robot = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     robot.told.clear()
     begun, go_on = threading.Event(), threading.Event()
 
@@ -275,10 +275,10 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
 
     monkeypatch.setattr("wire.transport.bus.encode", encode_slowly)
     with ThreadPoolExecutor(1) as pool:
-        late = pool.submit(station.order, slow, 1, 5.0)
+        late = pool.submit(station.command, slow, 1, 5.0)
         assert begun.wait(20.0)
         try:
-            answer = station.order(quick, 1, 5.0)
+            answer = station.command(quick, 1, 5.0)
         finally:
             go_on.set()
         assert (answer.accepted, late.result().accepted) == (True, True), (answer.reason, late.result().reason)
@@ -287,9 +287,9 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
 
 def test_orders_from_many_threads_are_all_taken(make_bus: MakeBus) -> None:
     station, _ = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     with ThreadPoolExecutor(8) as pool:
-        replies = list(pool.map(lambda k: station.order(HOLD if k % 2 else TUNE, k, 5.0), range(200)))
+        replies = list(pool.map(lambda k: station.command(HOLD if k % 2 else TUNE, k, 5.0), range(200)))
     assert [reply.reason for reply in replies if not reply.accepted] == []
 
 
@@ -309,9 +309,11 @@ def test_messages_of_one_topic_from_many_threads_all_arrive(make_bus: MakeBus) -
 
 def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any_thread(make_bus: MakeBus) -> None:
     station, robot = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     robot.told.clear()
-    waiting = [station.send_order(HOLD if k % 3 else TUNE, 1, 5.0) for k in range(8)]  # more than 16 at once a queue may drop
+    waiting = [
+        station.send_command(HOLD if k % 3 else TUNE, 1, 5.0) for k in range(8)
+    ]  # more than 16 at once a queue may drop
     assert [reply.reason for wait in reversed(waiting) if not (reply := wait()).accepted] == []
     assert robot.told == [(HOLD if k % 3 else TUNE).order for k in range(8)]
 
@@ -319,7 +321,7 @@ def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any
 def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> None:
     """A robot that is met for the first time is asked who it is: by then another order may have been given."""
     station, robot = make_bus(), Obeying(make_bus())
-    resume, hold = station.send_order(messages.Command(messages.Order.RESUME, 1), 1, 2.0), station.send_order(HOLD, 1, 2.0)
+    resume, hold = station.send_command(messages.Command(messages.Order.RESUME, 1), 1, 2.0), station.send_command(HOLD, 1, 2.0)
     overtaken = resume()
     assert (overtaken.accepted, overtaken.reason) == (False, "RESUME was overtaken by a later order")
     assert hold().accepted

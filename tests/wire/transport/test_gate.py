@@ -74,7 +74,7 @@ def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) 
 def stopped(ring: Path, address: str) -> bool:
     """True if a remote operator gets a stop through."""
     with Bus(ZenohTransport(endpoint(address, "operator", ring), patience_s=SOON_S)) as bus:
-        return bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
+        return bus.command(Command(Order.STOP, 0), 1, SOON_S).accepted
 
 
 @pytest.mark.parametrize("source", ["127.0.0.1", "127.0.0.2"])  # also from where the members are
@@ -143,8 +143,8 @@ def test_the_door_is_for_orders_to_the_station_and_for_nothing_else(station: Bus
     station.subscribe(topics.HEARTBEAT, None, lambda topic, key, header, payload: heard.append(header.session))
     with Bus(ZenohTransport(where, patience_s=SOON_S)) as bus:
         bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1)
-        assert bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
-        assert not bus.order(Command(Order.ARM, 1), 1, 0.2).accepted
+        assert bus.command(Command(Order.STOP, 0), 1, SOON_S).accepted
+        assert not bus.command(Command(Order.ARM, 1), 1, 0.2).accepted
     assert (obeyed, bus.session in heard) == ([], False)
 
 

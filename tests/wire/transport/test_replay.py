@@ -87,7 +87,7 @@ class Beating:
     def order(self, order: Order) -> Reply:
         self.beat()
         time.sleep(0.05)
-        return self.bus.order(Command(order, 1, HOUR_S, POOL.hash), self._clock.now_ns(), 2.0)
+        return self.bus.command(Command(order, 1, HOUR_S, POOL.hash), self._clock.now_ns(), 2.0)
 
     def mode(self) -> Mode | None:
         time.sleep(0.2)
@@ -148,8 +148,8 @@ def test_a_station_obeys_nothing_twice_not_live_and_not_after_a_restart(tmp_path
         terminal = Bus(ZenohTransport(Endpoint(address), patience_s=30.0))
         tape.record(terminal)
         wishes = (Order.STOP, Order.CLEAR_STOP)
-        assert eventually(lambda: terminal.order(Command(Order.NONE, 0, HOUR_S), 0, 1.0).session != 0, 30.0)
-        assert [terminal.order(Command(order, 0, HOUR_S), 0, 2.0).accepted for order in wishes] == [True, True]
+        assert eventually(lambda: terminal.command(Command(Order.NONE, 0, HOUR_S), 0, 1.0).session != 0, 30.0)
+        assert [terminal.command(Command(order, 0, HOUR_S), 0, 2.0).accepted for order in wishes] == [True, True]
         terminal.close()
         tape.play(address)
         assert program.said("CLEAR_STOP asked for: under way") == 1
