@@ -1,5 +1,8 @@
 """The same contract for real Zenoh sessions through a real router, and for the in-memory twin."""
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +16,7 @@ from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
 from wire.messages import messages, topics
 from wire.messages.codec import Header, encode
+from wire.toml_loader import ConfigError
 from wire.transport import zenoh_transport
 from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
@@ -326,3 +330,79 @@ def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> No
     assert (overtaken.accepted, overtaken.reason) == (False, "RESUME was overtaken by a later order")
     assert hold().accepted
     assert robot.told == [messages.Order.HOLD]
+
+
+@pytest.mark.parametrize("make_bus", ["zenoh"], indirect=True)  # in memory the sender's thread does what is asked
+def test_a_stop_is_obeyed_while_another_command_is_under_way(make_bus: MakeBus) -> None:
+    station, robot = make_bus(), make_bus()
+    begun, go_on, obeyed = threading.Event(), threading.Event(), list[messages.Order]()
+
+    def handle(header: Header, command: messages.Command) -> messages.Reply:
+        if command.order is messages.Order.TUNE:
+            begun.set()
+            assert go_on.wait(20.0)
+        obeyed.append(command.order)
+        return messages.Reply(1, True)
+
+    robot.serve(1, handle)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    obeyed.clear()
+    with ThreadPoolExecutor(2) as pool:
+        slow = pool.submit(station.command, TUNE, 1, 20.0)
+        assert begun.wait(20.0)
+        behind = pool.submit(station.command, HOLD, 1, 20.0)
+        try:
+            assert station.command(messages.Command(messages.Order.STOP, 1), 1, 5.0).accepted
+            assert obeyed == [messages.Order.STOP]
+        finally:
+            go_on.set()
+        assert slow.result().accepted
+        behind.result()  # obeyed, or refused as older than the STOP
+    assert obeyed[:2] == [messages.Order.STOP, messages.Order.TUNE]
+    assert station.command(HOLD, 1, 5.0).accepted
+
+
+# --- one process of a name
+
+THERE = """
+import sys, time
+from wire.transport.bus import Bus
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
+bus = Bus(ZenohTransport(Endpoint(sys.argv[1]), patience_s=20.0))
+bus.claim("agent-1", bool)
+bus.announce("agent-1")
+print("there", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.fixture
+def fleet_with_agent() -> Iterator[tuple[Bus, "subprocess.Popen[bytes]"]]:
+    """A client of a router where another process is agent-1, and that process."""
+    address = f"tcp/127.0.0.1:{free_port()}"
+    with Bus(ZenohTransport(Endpoint(address, router=True))), Bus(ZenohTransport(Endpoint(address))) as bus:
+        other = subprocess.Popen([sys.executable, "-c", THERE, address], stdout=subprocess.PIPE)
+        try:
+            assert other.stdout is not None and other.stdout.readline() == b"there\n"
+            yield bus, other
+        finally:
+            other.kill()
+            other.communicate()
+
+
+def test_a_second_process_of_a_name_is_refused(fleet_with_agent: tuple[Bus, "subprocess.Popen[bytes]"]) -> None:
+    bus, _ = fleet_with_agent
+    with pytest.raises(ConfigError, match=r"agent-1: another process of this name is in fleet shoal .*end it"):
+        bus.claim("agent-1", bool, patience_s=0.5)
+    bus.claim("agent-2", bool)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["crashed", "cut off"])
+def test_a_name_is_free_when_its_process_is_gone(
+    fleet_with_agent: tuple[Bus, "subprocess.Popen[bytes]"], how: signal.Signals
+) -> None:
+    bus, other = fleet_with_agent
+    other.send_signal(how)
+    bus.claim("agent-1", bool)
+    bus.announce("agent-1")

@@ -174,7 +174,7 @@ def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: Guarde
 def test_a_robot_cannot_answer_for_another(guarded: Guarded) -> None:
     guarded.obeyed.clear()
     usurped: list[bytes] = []
-    guarded.buses["agent-1"]._transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"")  # type: ignore[func-returns-value]
+    guarded.buses["agent-1"]._transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"", bool)  # type: ignore[func-returns-value]
     time.sleep(0.2)
     assert guarded.buses["groundstation"].command(Command(Order.STOP, 2), 1, 2.0).accepted
     assert (usurped, guarded.obeyed) == ([], [(2, Order.STOP)])
