@@ -25,7 +25,7 @@ from benchmarks.harness import Row
 from groundstation.inboxes import subscribe_fleet
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
-from groundstation.telemetry import robot_view
+from groundstation.telemetry import LinkMonitor, robot_view
 from groundstation.web.auth import WebOptions
 from groundstation.web.backend import Status
 from groundstation.web.live_backend import LiveBackend
@@ -159,7 +159,7 @@ class _Station:
     def status(self) -> Status:
         heard, clock = self.heard, self.clock
         views = {
-            r: robot_view(states.newest(), heard.poses[r].newest(), clock, heard.plans[r].newest())
+            r: robot_view(states.newest(), heard.poses[r].newest(), heard.plans[r].newest(), LinkMonitor(), clock)
             for r, states in heard.states.items()
         }
         return Status(MissionState.RUNNING, "", seen=views)

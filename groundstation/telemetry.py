@@ -5,7 +5,7 @@ ages are arguments.
 import math
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -89,19 +89,20 @@ Fleet = Mapping[int, RobotView]
 def robot_view(
     state: Received[RobotState] | None,
     pose: Received[Pose] | None,
+    plan: Received[Plan] | None,
+    link: "LinkMonitor",
     clock: Clock,
-    plan: Received[Plan] | None = None,
-    ear: "LinkMonitor | None" = None,
 ) -> RobotView:
     """View of a robot from the newest messages of its inboxes; ages by the process's clock."""
-    seen = RobotView(
+    return RobotView(
         state.message if state else None,
         age_s(clock, state) if state else float("inf"),
         pose.message if pose else None,
         age_s(clock, pose) if pose else float("inf"),
         age_s(clock, plan) if plan else float("inf"),
+        link.clock_offset_s,
+        link.loss,
     )
-    return seen if ear is None else replace(seen, clock_offset_s=ear.clock_offset_s, loss=ear.loss)
 
 
 @dataclass

@@ -158,10 +158,10 @@ class Station:
         """View of every robot now."""
         found = {}
         for robot in self.experiment.robot_ids:
-            state, ear = self.heard.states[robot].newest(), self.links.setdefault(robot, LinkMonitor())
+            state, link = self.heard.states[robot].newest(), self.links.setdefault(robot, LinkMonitor())
             if state is not None:
-                ear.add(self.heard.states[robot].headers(), state.header, self.clock.instant_ns(state))
-            seen = robot_view(state, self.heard.poses[robot].newest(), self.clock, self.heard.plans[robot].newest(), ear)
+                link.add(self.heard.states[robot].headers(), state.header, self.clock.instant_ns(state))
+            seen = robot_view(state, self.heard.poses[robot].newest(), self.heard.plans[robot].newest(), link, self.clock)
             found[robot] = replace(seen, behind_s=self.mission.behind_s(seen, self.clock.now_ns()))
         return found
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 from groundstation.inboxes import FleetInboxes, subscribe_fleet
 from groundstation.mission.state_machine import MissionState
-from groundstation.telemetry import Finding, Fleet, blocking_findings, robot_view
+from groundstation.telemetry import Finding, Fleet, LinkMonitor, blocking_findings, robot_view
 from groundstation.web.backend import Status
 from wire.config.experiment import Experiment
 from wire.messages.messages import Order, Trajectory
@@ -32,7 +32,7 @@ class FakeStation:
     def status(self) -> Status:
         heard = self.heard
         fleet: Fleet = {
-            r: robot_view(states.newest(), heard.poses[r].newest(), self.clock, heard.plans[r].newest())
+            r: robot_view(states.newest(), heard.poses[r].newest(), heard.plans[r].newest(), LinkMonitor(), self.clock)
             for r, states in heard.states.items()
         }
         fleet = {**fleet, **self.told.seen}
