@@ -97,7 +97,7 @@ def test_a_small_file_never_takes_much_memory(
         tracemalloc.stop()
 
 
-def test_what_lies_before_a_bomb_is_read(tmp_path: Path) -> None:
+def test_records_before_an_oversized_chunk_are_read(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     record_poses(path, 20)
     whole = path.read_bytes()

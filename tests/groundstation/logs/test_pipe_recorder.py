@@ -23,7 +23,7 @@ def poses(count: int) -> bytes:
     return stream.getvalue()
 
 
-def test_what_came_through_the_pipe_is_in_the_log(tmp_path: Path) -> None:
+def test_messages_from_a_pipe_are_recorded(tmp_path: Path) -> None:
     experiment = load_experiment("pool")
     assert record(experiment, tmp_path, "numeric", io.BytesIO(poses(40))) == ""
     log = read_log(tmp_path / "run.mcap")
@@ -36,7 +36,7 @@ def test_what_came_through_the_pipe_is_in_the_log(tmp_path: Path) -> None:
     assert 'name = "pool"' in log.experiment_toml
 
 
-def test_a_pipe_that_breaks_off_leaves_a_whole_log_of_what_came(tmp_path: Path) -> None:
+def test_a_broken_pipe_leaves_a_readable_log(tmp_path: Path) -> None:
     problem = record(load_experiment("pool"), tmp_path, "numeric", io.BytesIO(poses(40)[:-10]))
     assert "ends after" in problem
     log = read_log(tmp_path / "run.mcap")

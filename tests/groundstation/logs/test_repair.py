@@ -81,7 +81,7 @@ def test_an_open_cut_log_has_the_messages_that_mending_keeps(tmp_path: Path) -> 
     assert len(found) > 2
 
 
-def test_a_length_that_is_none_ends_what_can_be_read(tmp_path: Path) -> None:
+def test_an_impossible_length_ends_reading(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     lying = struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", 1 << 53)  # an attachment: times, name, type, length of data
     path.write_bytes(MCAP0_MAGIC + b"\x09" + struct.pack("<Q", len(lying) + 4) + lying + bytes(4))
@@ -138,7 +138,7 @@ def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_what_was_mended_is_on_the_disk_before_it_takes_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_repaired_log_is_on_the_disk_before_it_replaces_the_cut_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A power cut between the two would else leave a file without its content."""
     path = tmp_path / "run.mcap"
     record_poses(path, 20)

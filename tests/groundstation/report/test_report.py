@@ -187,7 +187,7 @@ def test_a_cut_log_is_mended_and_gives_back_the_experiment(tmp_path: Path) -> No
         (Script(until_s=3.0, truth=False), "errors against the localizer"),
     ],
 )
-def test_whatever_became_of_the_run_there_is_a_report(tmp_path: Path, script: Script, words: str) -> None:
+def test_every_outcome_of_a_run_gets_a_report(tmp_path: Path, script: Script, words: str) -> None:
     write_run(tmp_path, script)
     assert not write_report(tmp_path).passed
     text = (tmp_path / "report.html").read_text()

@@ -61,7 +61,7 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     recorder.close()
 
 
-def test_a_plan_that_comes_when_another_is_wanted_counts_for_nothing(tmp_path: Path) -> None:
+def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
     """A detour was being planned when a person sent everybody home."""
     late = threading.Event()
     with a_station(tmp_path) as station:
@@ -219,7 +219,7 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         assert station.status().ended
 
 
-def test_an_end_that_a_start_takes_the_place_of_ends_nothing(tmp_path: Path) -> None:
+def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
         fleet = Fleet(hub, station.experiment)
@@ -233,7 +233,7 @@ def test_an_end_that_a_start_takes_the_place_of_ends_nothing(tmp_path: Path) -> 
         assert not station.ended
 
 
-def test_a_cycle_that_hangs_holds_up_nobody_who_asks_how_things_are(tmp_path: Path) -> None:
+def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         station.cycle(station.clock.now_ns(), lockstep=False)
         before = station.status()

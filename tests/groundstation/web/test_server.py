@@ -161,7 +161,7 @@ def test_a_stranger_s_page_is_not_let_in(lab: Lab, origin: str | None) -> None:
     assert refused.value.response.status_code == 403
 
 
-def test_a_wrong_token_sees_nothing(lab: Lab) -> None:
+def test_a_page_with_a_wrong_token_gets_no_state(lab: Lab) -> None:
     page = lab.open()
     page.say(kind="hello", token="guess")
     with pytest.raises(ConnectionClosed) as closed:
@@ -213,7 +213,7 @@ def test_who_has_control_commands_and_all_may_stop(lab: Lab) -> None:
     assert second.until(lambda f: state(f) and f["holder"] == yours)
 
 
-def test_a_stopped_page_holds_nobody_up(lab: Lab) -> None:
+def test_a_page_that_stops_reading_delays_no_other(lab: Lab) -> None:
     """It stays connected and takes nothing in; the other still gets every second state and more, and memory stays flat."""
     stopped, other = lab.open(), lab.open()
     stopped.say(kind="hello", token=TOKEN)  # and never a word again
@@ -240,7 +240,7 @@ def test_a_stopped_page_holds_nobody_up(lab: Lab) -> None:
         stopped.socket.recv(timeout=0.5)
 
 
-def test_what_became_of_a_request_and_lines_of_the_log_reach_the_page(lab: Lab) -> None:
+def test_request_outcomes_and_log_lines_reach_the_page(lab: Lab) -> None:
     page = lab.open()
     page.hello()
     outcome = Outcome(7, Order.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",))
@@ -270,7 +270,7 @@ def test_while_dragging_the_newest_edit_is_answered(lab: Lab) -> None:
     assert last["ok"] and last["fastest_mps"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
 
 
-def test_a_certificate_that_cannot_be_used_is_told_before_anything_flies(lab: Lab, tmp_path: Path) -> None:
+def test_an_unusable_certificate_is_refused_at_start(lab: Lab, tmp_path: Path) -> None:
     """Not a line in the log, and then a station without a page that says where its page is."""
     (none := tmp_path / "none.pem").write_text("no certificate\n")
     for certificate in (tmp_path / "absent.pem", none):
@@ -278,7 +278,7 @@ def test_a_certificate_that_cannot_be_used_is_told_before_anything_flies(lab: La
             WebServer(make_desk(lab), WebOptions(port=free_port(), certificate=certificate, key=none))
 
 
-def test_assets_are_ours_alone_and_say_so(lab: Lab) -> None:
+def test_assets_are_served_with_security_headers(lab: Lab) -> None:
     from urllib.request import Request, urlopen
 
     with urlopen(f"http://127.0.0.1:{lab.port}/") as answer:
@@ -294,7 +294,7 @@ def test_assets_are_ours_alone_and_say_so(lab: Lab) -> None:
 # --- what must not be kept waiting, and by what
 
 
-def test_a_stop_is_heard_while_everything_else_is_at_work_on_something(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """Requests, changes of gains, edits and saves, more of each than there are threads for."""
     release = lab.blocked = threading.Event()
 
@@ -359,7 +359,7 @@ def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_end
     assert other.until(state)["holder"] == mine
 
 
-def test_a_look_that_fails_is_told_and_the_next_one_shows_the_fleet_again(
+def test_a_failed_snapshot_is_logged_and_the_next_one_is_shown(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     page = lab.open()
@@ -381,7 +381,7 @@ def test_a_look_that_fails_is_told_and_the_next_one_shows_the_fleet_again(
     assert "nothing new is shown: KeyError" in caplog.text
 
 
-def test_connections_that_ask_for_nothing_keep_nobody_out(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_idle_connections_do_not_block_new_ones(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     from urllib.request import urlopen
 
     idle = [lab.opened.enter_context(socket.create_connection(("127.0.0.1", lab.port))) for _ in range(150)]
@@ -416,7 +416,7 @@ def test_a_page_that_is_watched_is_not_cut_off(monkeypatch: pytest.MonkeyPatch) 
             assert page.until(state)
 
 
-def test_a_server_that_does_not_come_up_is_told_and_nothing_flies(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_server_that_does_not_start_is_refused(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     async def never(server: Any, sockets: Any = None) -> None:
         raise RuntimeError("no more file descriptors")
 

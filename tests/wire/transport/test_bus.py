@@ -263,7 +263,7 @@ TUNE, HOLD = messages.Command(messages.Order.TUNE, 1), messages.Command(messages
 
 
 @pytest.mark.parametrize(("slow", "quick"), [(TUNE, HOLD), (HOLD, TUNE)], ids=["tune is slow", "hold is slow"])
-def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_waiting(
+def test_a_command_slow_to_encode_neither_outdates_nor_delays_another(
     make_bus: MakeBus, monkeypatch: pytest.MonkeyPatch, slow: messages.Command, quick: messages.Command
 ) -> None:
     station, robot = make_bus(), Obeying(make_bus())

@@ -118,7 +118,7 @@ def may_write(process: str, topic: Topic, robot: int | None) -> bool:
     return ROLES[process] in topic.writers and own
 
 
-def test_everybody_hears_what_the_table_says_and_nothing_else(guarded: Guarded) -> None:
+def test_each_role_receives_exactly_the_topics_of_the_table(guarded: Guarded) -> None:
     """Everybody but the router publishes everything, also for robots that are not theirs."""
     writers = {process: bus for process, bus in guarded.buses.items() if process != "groundstation"}
     wanted = {

@@ -99,7 +99,7 @@ def robot(address: str, log: Path) -> Program:
     return Program(log, "robot_agent", "run", "pool", "--robot", "1", "--link", "udp:127.0.0.1:9", "--station", address)
 
 
-def test_a_robot_obeys_nothing_twice_not_live_and_not_after_a_restart_of_either_side(address: str, tmp_path: Path) -> None:
+def test_a_robot_ignores_replayed_commands_live_and_after_restarts(address: str, tmp_path: Path) -> None:
     tape, heartbeats = Tape(), []
     agent = robot(address, tmp_path / "agent.log")
     station = Beating(address)
@@ -136,7 +136,7 @@ def test_a_robot_obeys_nothing_twice_not_live_and_not_after_a_restart_of_either_
         agent.end()
 
 
-def test_a_station_obeys_nothing_twice_not_live_and_not_after_a_restart(tmp_path: Path) -> None:
+def test_a_station_ignores_replayed_requests_live_and_after_a_restart(tmp_path: Path) -> None:
     address = f"tcp/127.0.0.1:{free_port()}"
 
     def station(name: str) -> Program:
