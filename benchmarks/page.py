@@ -22,10 +22,9 @@ import psutil
 from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.harness import Row
-from groundstation.inboxes import subscribe_fleet
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
-from groundstation.telemetry import LinkMonitor, robot_view
+from groundstation.telemetry import LinkMonitor, subscribe_fleet
 from groundstation.web.auth import WebOptions
 from groundstation.web.backend import Status
 from groundstation.web.live_backend import LiveBackend
@@ -157,11 +156,7 @@ class _Station:
         self.heard, self.clock = subscribe_fleet(bus, experiment.robot_ids), WallClock()
 
     def status(self) -> Status:
-        heard, clock = self.heard, self.clock
-        views = {
-            r: robot_view(states.newest(), heard.poses[r].newest(), heard.plans[r].newest(), LinkMonitor(), clock)
-            for r, states in heard.states.items()
-        }
+        views = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
         return Status(MissionState.RUNNING, "", seen=views)
 
     def request(self, order: Order) -> tuple[str, int]:

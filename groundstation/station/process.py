@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 
 from groundstation.export.foxglove_live import ViewerServer
-from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
@@ -18,6 +17,7 @@ from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning import planner
 from groundstation.planning.segment import first_segment
 from groundstation.station.station import Station, workers
+from groundstation.telemetry import subscribe_fleet
 from groundstation.web.auth import WebOptions
 from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer, bind

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from groundstation.inboxes import FleetInboxes
 from groundstation.mission.state_machine import MissionState, order_name, states_allowing
+from groundstation.telemetry import FleetInboxes
 from groundstation.web.alarms import alarms
 from groundstation.web.backend import StationApi
 from groundstation.web.scene import flown_paths, scene

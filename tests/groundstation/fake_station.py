@@ -3,9 +3,8 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from groundstation.inboxes import FleetInboxes, subscribe_fleet
 from groundstation.mission.state_machine import MissionState
-from groundstation.telemetry import Finding, Fleet, LinkMonitor, blocking_findings, robot_view
+from groundstation.telemetry import Finding, Fleet, FleetInboxes, LinkMonitor, blocking_findings, subscribe_fleet
 from groundstation.web.backend import Status
 from wire.config.experiment import Experiment
 from wire.messages.messages import Order, Trajectory
@@ -30,11 +29,7 @@ class FakeStation:
         self.heard = subscribe_fleet(self.bus, self.experiment.robot_ids)
 
     def status(self) -> Status:
-        heard = self.heard
-        fleet: Fleet = {
-            r: robot_view(states.newest(), heard.poses[r].newest(), heard.plans[r].newest(), LinkMonitor(), self.clock)
-            for r, states in heard.states.items()
-        }
+        fleet: Fleet = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
         fleet = {**fleet, **self.told.seen}
         preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
         return replace(self.told, seen=fleet, preflight=preflight)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
@@ -20,6 +19,7 @@ from groundstation.planning import planner
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
 from groundstation.station.station import MAX_UNANSWERED, Station, workers
+from groundstation.telemetry import subscribe_fleet
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
