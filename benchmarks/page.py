@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from select import select
@@ -22,17 +22,30 @@ import psutil
 from playwright.sync_api import Page, sync_playwright
 
 from benchmarks.harness import Row
-from groundstation.inboxes import subscribe_fleet
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
+from groundstation.telemetry import LinkMonitor, subscribe_fleet
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import LiveBackend, StationApi, Status
+from groundstation.web.backend import Status
+from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import STATIC, WebServer
 from sim_bridge.sil.ports import free_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header, encode
-from wire.messages.messages import CameraHealth, LocalizerStatus, Message, Mode, Plan, Pose, Preview, RobotState, Solve, Track
+from wire.messages.messages import (
+    CameraHealth,
+    LocalizerStatus,
+    Message,
+    Mode,
+    Order,
+    Plan,
+    Pose,
+    Preview,
+    RobotState,
+    Solve,
+    Track,
+)
 from wire.messages.topics import Topic
 from wire.process.cli_options import DEFAULT_FLEET
 from wire.process.runtime import WallClock
@@ -134,22 +147,33 @@ def _publish(address: str, robots: int) -> None:
             due = max(due + PERIOD_S, time.monotonic())
 
 
+class _Station:
+    """A station whose mission runs, seen afresh for each picture of it."""
+
+    paths = None
+
+    def __init__(self, experiment: Experiment, bus: Bus) -> None:
+        self.heard, self.clock = subscribe_fleet(bus, experiment.robot_ids), WallClock()
+
+    def status(self) -> Status:
+        views = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
+        return Status(MissionState.RUNNING, "", seen=views)
+
+    def request(self, order: Order) -> tuple[str, int]:
+        return "", 0
+
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+        return "", 0
+
+
 @contextmanager
 def lab(robots: int) -> Iterator[str]:
     """Station's side and fleet; where the page is."""
     experiment = fleet(robots)
     address, port = f"tcp/127.0.0.1:{free_port()}", free_port()
     with Bus(ZenohTransport(Endpoint(address, router=True))) as bus:
-        post = StationApi(lambda: Status(MissionState.RUNNING, ""), lambda order: ("", 0))
-        desk = LiveBackend(
-            experiment,
-            planner.plan(experiment),
-            bus,
-            subscribe_fleet(bus, experiment.robot_ids),
-            WallClock(),
-            post,
-            "real-time",
-        )
+        station = _Station(experiment, bus)
+        desk = LiveBackend(experiment, planner.plan(experiment), bus, station.heard, station.clock, station, "real-time")
         with WebServer(desk, WebOptions(port=port)):
             command = [sys.executable, "-m", "benchmarks.page", address, str(robots)]
             talking = subprocess.Popen(command, stdin=subprocess.PIPE)

@@ -33,8 +33,9 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from benchmarks.fleet_load import ROBOTS, VARIANTS, load
 from benchmarks.harness import Row
+from groundstation.logs.reader import valid_records
 from groundstation.logs.recorder import Recorder
-from groundstation.logs.repair import recover, valid_records
+from groundstation.logs.repair import recover
 from groundstation.planning import planner
 from groundstation.station.process import record_everything
 from robot_agent.agent import Agent

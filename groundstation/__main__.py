@@ -9,7 +9,7 @@ import typer
 from groundstation.cli.deploy import deploy
 from groundstation.cli.foxglove import foxglove_cli, foxglove_layout
 from groundstation.cli.keys import keys_cli
-from groundstation.cli.mission import gains_cli, go, mission_cli, order, register, request_command, set_or_undo, states
+from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli, order, register, set_or_undo, states
 from groundstation.cli.replay import replay
 from groundstation.cli.rerun import moment, rerun
 from groundstation.cli.run import plan, run
@@ -66,7 +66,7 @@ cli.command(hidden=True)(moment)
 
 OLD_NAMES: dict[str, tuple[Callable[..., None], str]] = {
     "order": (order, "mission load|arm|start|hold|resume|return|rejoin|test|disarm|clear-stop, or stop, end"),
-    "return": (request_command("return"), "mission return"),
+    "return": (fleet_request("return"), "mission return"),
     "go": (go, "mission go"),
     "set": (set_or_undo, "gains set|undo"),
     "phases": (states, "mission states"),

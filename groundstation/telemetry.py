@@ -1,11 +1,12 @@
-"""Telemetry of the robots and their health: ONE list of checks for preflight, flight and alarms. Pure: messages with their
-ages are arguments.
+"""Telemetry of the robots as the station hears it, and their health: ONE list of checks for preflight, flight and alarms.
+
+Pure, but for the inboxes, which the bus fills.
 """
 
 import math
 from collections import deque
 from collections.abc import Callable, Container, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
 from wire.messages.codec import Header
-from wire.messages.messages import Mode, Plan, Pose, RobotState, Solve, Track
+from wire.messages.messages import LocalizerStatus, Mode, Obstacles, Plan, Pose, RobotState, Solve, Track
 from wire.process.runtime import Clock, age_s
-from wire.transport.bus import Received
+from wire.transport.bus import Bus, Inbox
 
 NEVER_S = 1000.0  # age by which an agent reports a board that it never heard
 LOSSY = 0.2  # share of lost messages; above it echoes, battery voltages and poses are too old
@@ -86,24 +87,6 @@ class RobotView:
 Fleet = Mapping[int, RobotView]
 
 
-def robot_view(
-    state: Received[RobotState] | None,
-    pose: Received[Pose] | None,
-    clock: Clock,
-    plan: Received[Plan] | None = None,
-    ear: "LinkMonitor | None" = None,
-) -> RobotView:
-    """View of a robot from the newest messages of its inboxes; ages by the process's clock."""
-    seen = RobotView(
-        state.message if state else None,
-        age_s(clock, state) if state else float("inf"),
-        pose.message if pose else None,
-        age_s(clock, pose) if pose else float("inf"),
-        age_s(clock, plan) if plan else float("inf"),
-    )
-    return seen if ear is None else replace(seen, clock_offset_s=ear.clock_offset_s, loss=ear.loss)
-
-
 @dataclass
 class LinkMonitor:
     """Link loss and clock offset of one robot, from the headers of its last LINK_WINDOW states."""
@@ -131,6 +114,43 @@ class LinkMonitor:
     def clock_offset_s(self) -> float:
         """Offset of the robot's clock in s. Messages are late, never early: the one with the least delay counts."""
         return max((ahead_s for _, _, ahead_s in self.headers if ahead_s > -math.inf), default=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FleetInboxes:
+    """Newest messages of the fleet: one inbox a topic, or one a robot. One set for the process; mission and page read it."""
+
+    states: dict[int, Inbox[RobotState]]
+    poses: dict[int, Inbox[Pose]]
+    plans: dict[int, Inbox[Plan]]
+    localizer: Inbox[LocalizerStatus]
+    obstacles: Inbox[Obstacles]
+
+    def view(self, robot: int, link: LinkMonitor, clock: Clock) -> RobotView:
+        """View of a robot now; ages by the process's clock. Takes its last states into `link`."""
+        state, pose, plan = self.states[robot].newest(), self.poses[robot].newest(), self.plans[robot].newest()
+        if state is not None:
+            link.add(self.states[robot].headers(), state.header, clock.instant_ns(state))
+        return RobotView(
+            state.message if state else None,
+            age_s(clock, state) if state else float("inf"),
+            pose.message if pose else None,
+            age_s(clock, pose) if pose else float("inf"),
+            age_s(clock, plan) if plan else float("inf"),
+            link.clock_offset_s,
+            link.loss,
+        )
+
+
+def subscribe_fleet(bus: Bus, robots: tuple[int, ...]) -> FleetInboxes:
+    """Open inboxes that fill from now on."""
+    return FleetInboxes(
+        bus.inboxes(topics.STATE, RobotState, robots),
+        bus.inboxes(topics.POSE, Pose, robots),
+        bus.inboxes(topics.PLAN, Plan, robots),
+        bus.inbox(topics.LOCALIZER, LocalizerStatus),
+        bus.inbox(topics.OBSTACLES, Obstacles),
+    )
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,7 @@ def run(experiment: Experiment, endpoint: Endpoint, fleet: str, stop: Stop, lock
         if options.page_port is not None:
             page = stack.enter_context(closing(MjpegServer(options.page_port, stop)))
         bus = stack.enter_context(Bus(ZenohTransport(endpoint, stop), fleet))
+        bus.claim("localizer", stop)
         LocalizerNode(experiment, bus, stop, clock, own, page, options.publish_frames).run()
     stop.raise_failure()
 

@@ -109,6 +109,7 @@ def run(
     try:
         receive_on_one_thread()
         with Bus(ZenohTransport(where, stop), board.fleet) as bus:
+            bus.claim(me, stop)
             for refused in realtime.apply(board.realtime):
                 log.warning("real time: %s", refused)
             node = AgentNode(loaded, board.robot, bus, wires, lockstep, stop, watchdog, signing)

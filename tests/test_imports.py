@@ -62,7 +62,6 @@ PARTS: dict[str, dict[str, set[str]]] = {
     },
     "groundstation": {
         "deploy": set(),
-        "inboxes": set(),
         "logs": set(),
         "analysis": {"logs"},
         "palette": set(),
@@ -72,8 +71,8 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "replay": {"logs", "palette", "report"},
         "telemetry": set(),
         "mission": {"planning", "telemetry"},
-        "web": {"inboxes", "logs", "mission", "planning", "telemetry"},
-        "station": {"export", "inboxes", "logs", "mission", "planning", "telemetry", "web"},
+        "web": {"logs", "mission", "planning", "telemetry"},
+        "station": {"export", "logs", "mission", "planning", "telemetry", "web"},
         "cli": {"deploy", "export", "logs", "mission", "planning", "replay", "report", "station", "web"},
     },
     "sim_bridge": {

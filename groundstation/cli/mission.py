@@ -3,11 +3,12 @@
 Each command waits for the outcome of its request, prints it robot by robot, and exits by it (docs/commands.md).
 """
 
+import functools
+import inspect
 import json
 import time
-from collections.abc import Callable
-from pathlib import Path
-from typing import Annotated
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, ParamSpec
 
 import numpy as np
 import typer
@@ -15,6 +16,8 @@ import typer
 from groundstation.mission.state_machine import FLEET_REQUESTS, markdown, order_named
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply, Tuning
 from wire.process.cli_options import DEFAULT_FLEET, AsJson, FleetName, Insecure, KeyRing
+
+P = ParamSpec("P")
 
 ORDER_TIMEOUT_S = 2.0
 ASK_EVERY_S = 0.2
@@ -72,26 +75,61 @@ gains_cli = typer.Typer(
 )
 
 
-def request_command(name: str) -> Callable[..., None]:
+def _tell_station(
+    what: str,
+    command: Command,
+    *,
+    station: Station = None,
+    fleet: FleetName = DEFAULT_FLEET,
+    keys: KeyRing = None,
+    insecure: Insecure = False,
+    wait: Wait = None,
+    as_json: AsJson = False,
+) -> None:
+    """Make a request of the running station as its operator, wait for the outcome, and exit by it."""
+    from groundstation.station import discovery
+    from wire.messages.topics import Role, process_name
+    from wire.transport.bus import Bus
+    from wire.transport.gate import nearest
+    from wire.transport.network import endpoint
+    from wire.transport.zenoh_transport import ZenohTransport
+
+    where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
+    patience_s = PATIENCE_S.get(command.order, OTHERWISE_S) if wait is None else wait
+    told = _Printer(what, as_json)
+    try:
+        with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
+            reply = follow(lambda c: bus.command(c, time.time_ns(), ORDER_TIMEOUT_S), command, patience_s, told.progress)
+    except KeyboardInterrupt:
+        typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
+        raise typer.Exit(130) from None
+    raise typer.Exit(told.end(reply, patience_s))
+
+
+def request(command: Callable[P, tuple[str, Command]]) -> Callable[..., None]:
+    """Turn a function that makes a request, and gives its name, into a command of a terminal: with the options that all
+    requests have. It sends the request to the running station, waits for the outcome, and exits by it."""
+    own, common = inspect.signature(command, eval_str=True), inspect.signature(_tell_station, eval_str=True)
+    options = [option for option in common.parameters.values() if option.kind is option.KEYWORD_ONLY]
+
+    @functools.wraps(command)
+    def ask(*arguments: Any, **given: Any) -> None:
+        shared = {option.name: given.pop(option.name) for option in options if option.name in given}
+        _tell_station(*command(*arguments, **given), **shared)
+
+    ask.__signature__ = own.replace(parameters=[*own.parameters.values(), *options], return_annotation=None)  # type: ignore[attr-defined]
+    return ask
+
+
+def fleet_request(name: str) -> Callable[..., None]:
     """Command that makes one request of the whole fleet."""
-
-    def command(
-        station: Station = None,
-        fleet: FleetName = DEFAULT_FLEET,
-        keys: KeyRing = None,
-        insecure: Insecure = False,
-        wait: Wait = None,
-        as_json: AsJson = False,
-    ) -> None:
-        _tell_station(name, Command(order_named(name), robot=0), station, fleet, keys, insecure, wait, as_json)
-
-    return command
+    return request(lambda: (name, Command(order_named(name), robot=0)))
 
 
 def register(cli: typer.Typer, name: str, group: str = "") -> None:
     """Add the request `name` to a group of commands."""
     help_text = f"{HELP[name]}\n\n    Example:  groundstation {group}{name}"
-    cli.command(name, help=help_text)(request_command(name))
+    cli.command(name, help=help_text)(fleet_request(name))
 
 
 for _name in FLEET_REQUESTS:
@@ -99,93 +137,68 @@ for _name in FLEET_REQUESTS:
         register(mission_cli, _name, "mission ")
 
 
+@request
 def order(
     what: Annotated[str, typer.Argument(metavar="ORDER", help=f"One of: {', '.join(FLEET_REQUESTS)}.")],
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
+) -> tuple[str, Command]:
     """Make a request of the whole fleet. Old name of `groundstation mission ...`."""
     if what not in FLEET_REQUESTS:
         raise typer.BadParameter(f"{what!r} is no order (allowed: {', '.join(FLEET_REQUESTS)})")
-    request_command(what)(station, fleet, keys, insecure, wait, as_json)
+    return what, Command(order_named(what), robot=0)
 
 
 @gains_cli.command("set")
+@request
 def set_gains(
     changes: Annotated[list[str], typer.Argument(metavar="KEY=VALUE", help="For example controller.mpc.q=[2,2,1,1].")],
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
+) -> tuple[str, Command]:
     """Change weights and gains while the fleet flies: all robots at the same instant, or none.
 
     Exit code 0 when all fly with them, 1 and the reason if not.
 
     Example:  groundstation gains set controller.mpc.q=[2,2,1,1]
     """
-    from wire.messages.live_gains import values_of
-
-    values = values_of(changes)
-    tuning = Tuning("", tuple(values), np.array(list(values.values())))
-    _tell_station("set", Command(Order.TUNE, robot=0, tuning=tuning), station, fleet, keys, insecure, wait, as_json)
+    return _gains(changes)
 
 
 @gains_cli.command("undo")
-def undo_gains(
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
+@request
+def undo_gains() -> tuple[str, Command]:
     """Go back to the gains before the last change, as `gains set` does.
 
     Example:  groundstation gains undo
     """
-    tuning = Tuning("", (), np.zeros(0))
-    _tell_station("undo", Command(Order.TUNE, robot=0, tuning=tuning), station, fleet, keys, insecure, wait, as_json)
+    return _gains(())
 
 
+@request
 def set_or_undo(
     changes: Annotated[list[str] | None, typer.Argument(metavar="KEY=VALUE", help="Gains.")] = None,
     undo: Annotated[bool, typer.Option("--undo", help="Go back to the gains before.")] = False,
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
+) -> tuple[str, Command]:
     """Change gains. Old name of `groundstation gains set` and `gains undo`."""
     if bool(changes) == undo:
         raise typer.BadParameter("either KEY=VALUE, or --undo")
-    if changes:
-        set_gains(changes, station, fleet, keys, insecure, wait, as_json)
-    else:
-        undo_gains(station, fleet, keys, insecure, wait, as_json)
+    return _gains(changes or ())
+
+
+def _gains(changes: Sequence[str]) -> tuple[str, Command]:
+    """Request of these gains; of those before if there are none."""
+    from wire.messages.live_gains import values_of
+
+    values = values_of(changes)
+    tuning = Tuning("", tuple(values), np.array(list(values.values())))
+    return "set" if changes else "undo", Command(Order.TUNE, robot=0, tuning=tuning)
 
 
 @mission_cli.command(context_settings={"ignore_unknown_options": True})  # places may be negative
+@request
 def go(
     places: Annotated[
         list[float],
         typer.Argument(metavar="X Y", help="Places for the formation's centre, x and y in m; as many as you like."),
     ],
-    station: Station = None,
-    fleet: FleetName = DEFAULT_FLEET,
-    keys: KeyRing = None,
-    insecure: Insecure = False,
-    wait: Wait = None,
-    as_json: AsJson = False,
-) -> None:
+) -> tuple[str, Command]:
     """Lead the running formation to other places than planned, by the shortest clear route, without stopping it.
 
     Exit code 0 when all fly the new path, 1 and the reason if there is none.
@@ -196,8 +209,7 @@ def go(
         raise typer.BadParameter(f"{len(places)} numbers: each place has two, x and y")
     if not np.all(np.isfinite(places)):
         raise typer.BadParameter(f"{' '.join(map(str, places))}: no places (allowed: finite numbers, in m)")
-    command = Command(Order.GO, robot=0, via=np.array(places).reshape(-1, 2))
-    _tell_station("go", command, station, fleet, keys, insecure, wait, as_json)
+    return "go", Command(Order.GO, robot=0, via=np.array(places).reshape(-1, 2))
 
 
 @mission_cli.command()
@@ -207,36 +219,6 @@ def states() -> None:
     Example:  groundstation mission states
     """
     typer.echo(markdown(), nl=False)
-
-
-def _tell_station(
-    what: str,
-    command: Command,
-    given: str | None,
-    fleet: str,
-    keys: Path | None,
-    insecure: bool,
-    wait_s: float | None,
-    as_json: bool,
-) -> None:
-    """Make a request of the running station as its operator, wait for the outcome, and exit by it."""
-    from groundstation.station.discovery import station
-    from wire.messages.topics import Role, process_name
-    from wire.transport.bus import Bus
-    from wire.transport.gate import nearest
-    from wire.transport.network import endpoint
-    from wire.transport.zenoh_transport import ZenohTransport
-
-    where = nearest(endpoint(station(given, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
-    patience_s = PATIENCE_S.get(command.order, OTHERWISE_S) if wait_s is None else wait_s
-    told = _Printer(what, as_json)
-    try:
-        with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
-            reply = follow(lambda c: bus.order(c, time.time_ns(), ORDER_TIMEOUT_S), command, patience_s, told.progress)
-    except KeyboardInterrupt:
-        typer.echo(f"{what}: not waited for; the station goes on with it", err=True)
-        raise typer.Exit(130) from None
-    raise typer.Exit(told.end(reply, patience_s))
 
 
 def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float, told: Callable[[Outcome], None]) -> Reply:

@@ -50,7 +50,7 @@ def replay(
     start_log("groundstation")
     stop = Stop()
     if on_bus:
-        from groundstation.logs.logfile import open_log
+        from groundstation.logs.reader import open_log
         from groundstation.replay.bus_replay import chosen, send
         from wire.messages.topics import Role, process_name
         from wire.transport.bus import Bus

@@ -90,6 +90,7 @@ def run(
     if (folder / "run.mcap").exists():
         raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
     with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
+        bus.claim(me, stop)
         succeeded = process.run(
             loaded,
             text,

@@ -21,9 +21,9 @@ def record(
 
     Example:  sim-bridge numeric numeric        (starts it, and hands over what is flown)
     """
-    from groundstation.logs import pipe_recorder
+    from groundstation.logs.recorder import record_pipe
 
-    problem = pipe_recorder.record(load_experiment(str(run_folder / "experiment.toml")), run_folder, mode, sys.stdin.buffer)
+    problem = record_pipe(load_experiment(str(run_folder / "experiment.toml")), run_folder, mode, sys.stdin.buffer)
     if problem:
         typer.echo(f"{run_folder / 'run.mcap'}: {problem}", err=True)
     raise typer.Exit(1 if problem else 0)

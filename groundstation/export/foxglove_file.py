@@ -4,18 +4,18 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.records import Channel
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from groundstation.export.foxglove_layout import layout
 from groundstation.export.foxglove_scene import DRAWN, FRAMES, MOVING, SCHEMAS, STANDING, SceneDrawer, upright
-from groundstation.logs.logfile import open_log
-from groundstation.logs.reader import key_topic
+from groundstation.logs.reader import Channels, LogMessage, open_log, valid_records
 from groundstation.logs.recorder import CHUNK_BYTES
-from groundstation.logs.repair import valid_records
+from groundstation.logs.repair import RecordCopier
 from wire.config.experiment import load_experiment
 from wire.messages.codec import DecodeError, decode
+from wire.messages.topics import Topic
 from wire.process.output_files import RUN, check_output, replace_text, replacing
 
 LAYOUT_NAME = "foxglove-layout.json"
@@ -34,7 +34,7 @@ def export(run: Path, folder: Path) -> list[Path]:
     with open_log(run) as log:
         folder.mkdir(parents=True, exist_ok=True)
         with replacing(copy) as file:
-            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), SceneDrawer(experiment)).run(log.readable)
+            fleet = _Copy(Writer(file, chunk_size=CHUNK_BYTES), SceneDrawer(experiment)).run(log.path)
     replace_text(described, json.dumps(layout(experiment, fleet.removesuffix("/")), indent=1) + "\n")
     return [copy, described]
 
@@ -44,9 +44,6 @@ class _Copy:
 
     def __init__(self, writer: Any, picture: SceneDrawer) -> None:
         self._writer, self._picture = writer, picture
-        self._schemas: dict[int, int] = {0: 0}
-        self._channels: dict[int, int] = {}
-        self._topics: dict[int, tuple[Any, int]] = {}
         self._viewer: dict[str, int] = {}
         self._fleet = ""
         self._next_ns, self._next_standing_ns, self._scenes = 0, 0, 0
@@ -54,52 +51,35 @@ class _Copy:
     def run(self, path: Path) -> str:
         """Copy a log. Returns what its keys begin with."""
         self._writer.start(library="shoal")
+        copier, channels = RecordCopier(self._writer), Channels()
         for record in valid_records(path):
-            match record:
-                case Schema() if record.id not in self._schemas:
-                    self._schemas[record.id] = self._writer.register_schema(record.name, record.encoding, record.data)
-                case Channel() if record.id not in self._channels:
-                    self._channel(record)
-                case Message() if record.channel_id in self._channels:
-                    channel, times = self._channels[record.channel_id], (record.publish_time, record.sequence)
-                    self._writer.add_message(channel, record.log_time, record.data, *times)
-                    self._look(record)
-                case Attachment():
-                    self._writer.add_attachment(
-                        record.create_time, record.log_time, record.name, record.media_type, record.data
-                    )
-                case Metadata():
-                    self._writer.add_metadata(record.name, record.metadata)
+            copier.copy(record)
+            line = channels.take(record)
+            if isinstance(record, Channel) and record.id in channels and not self._viewer:
+                self._add_channels(record.topic, *channels[record.id][:2])
+            elif line is not None:
+                self._look(line)
         self._writer.finish()
         return self._fleet
 
-    def _channel(self, record: Channel) -> None:
-        schema = self._schemas.get(record.schema_id, 0)
-        self._channels[record.id] = self._writer.register_channel(
-            record.topic, record.message_encoding, schema, record.metadata
-        )
-        found = key_topic(record.topic)
-        if found is None:
-            return
-        self._topics[record.id] = found
-        if not self._viewer:
-            self._fleet = record.topic.removesuffix(found[0].key(found[1] or None))
-            for name, cls in SCHEMAS.items():
-                files = build_file_descriptor_set(cls).SerializeToString()
-                viewed = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
-                self._viewer[name] = self._writer.register_channel(f"{self._fleet}{name}", "protobuf", viewed)
+    def _add_channels(self, key: str, topic: Topic, robot: int) -> None:
+        """Add the scene's channels to the fleet of a channel."""
+        self._fleet = key.removesuffix(topic.key(robot or None))
+        for name, cls in SCHEMAS.items():
+            files = build_file_descriptor_set(cls).SerializeToString()
+            viewed = self._writer.register_schema(cls.DESCRIPTOR.full_name, "protobuf", files)
+            self._viewer[name] = self._writer.register_channel(f"{self._fleet}{name}", "protobuf", viewed)
 
-    def _look(self, record: Message) -> None:
+    def _look(self, line: LogMessage) -> None:
         """A scene shows what was there before its own instant."""
-        topic, robot = self._topics.get(record.channel_id, (None, 0))
-        if self._viewer and record.log_time >= self._next_ns:
-            self._draw(record.log_time)
-        if topic in DRAWN:
+        if line.arrived_ns >= self._next_ns:
+            self._draw(line.arrived_ns)
+        if line.topic in DRAWN:
             try:
-                message: Any = decode(topic.type, record.data, "log", topic.name)
+                message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
             except DecodeError:
                 return
-            self._picture.take(topic, robot, message, record.log_time)
+            self._picture.take(line.topic, line.robot, message, line.arrived_ns)
 
     def _draw(self, now_ns: int) -> None:
         self._next_ns = now_ns + SCENE_NS

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import Any
 
-from groundstation.export.foxglove_scene import FRAMES, MOVING, STANDING, UPRIGHT_FRAME
+from groundstation.export.foxglove_scene import MOVING, STANDING, UPRIGHT_FRAME
 from groundstation.palette import colour
 from wire.config.experiment import Experiment
 from wire.messages import topics
@@ -68,23 +68,6 @@ def layout(experiment: Experiment, fleet: str) -> Layout:
         "playbackConfig": {"speed": 1},
         "layout": _split("column", arranged, plots, 65),
     }
-
-
-def used_topics(made: Layout) -> set[str]:
-    """Every topic that a layout looks at."""
-    panels = made["configById"]
-    plotted = [path["value"].partition(".")[0] for panel in panels.values() for path in panel.get("paths", ())]
-    shown = [
-        *panels["3D!pool"]["topics"],
-        panels["Image!camera"]["imageMode"]["imageTopic"],
-        panels["RosOut!log"]["topicToRender"],
-    ]
-    return {*plotted, *shown}
-
-
-def viewer_topics(fleet: str) -> set[str]:
-    """Those that only an exported log and a live viewer have."""
-    return {f"{fleet}/{name}" for name in (MOVING, STANDING, FRAMES)}
 
 
 def _each(experiment: Experiment, fleet: str, topic: topics.Topic, path: str) -> list[Layout]:

@@ -11,7 +11,7 @@ import importlib
 import io
 import json
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -20,15 +20,12 @@ from types import TracebackType
 from typing import IO, Any, Protocol, get_args, get_origin, get_type_hints
 
 import numpy as np
-from mcap.records import Channel, Message
 
 from groundstation.analysis.alignment import zero_ns
-from groundstation.logs.reader import EVERYTHING, key_topic, read_log
-from groundstation.logs.repair import checked_records
+from groundstation.logs.reader import LogMessage, read_log, valid_messages
 from wire.config.experiment import load_experiment
 from wire.messages import messages, topics
 from wire.messages.codec import DecodeError, decode
-from wire.messages.log_records import Damaged
 from wire.messages.topics import Topic
 from wire.process.output_files import RUN, check_output, replacing
 from wire.toml_loader import ConfigError
@@ -130,31 +127,17 @@ def export(run: Path, folder: Path, parquet: bool) -> Exported:
                 open_tables[topic, robot] = stack.enter_context(_Table(topic, path, zero, kind))
             return open_tables[topic, robot]
 
-        for (topic, robot), session, record in _messages(log):
+        for line in valid_messages(log):
+            if not line.topic.recorded:
+                continue
             try:
-                message: Any = decode(topic.type, record.data, "log", topic.name)
+                message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
             except DecodeError:
                 done.undecodable += 1
                 continue
-            table(topic, robot).add(message, session, record)
+            table(line.topic, line.robot).add(message, line)
     done.files = [(t.path, t.rows) for _, t in sorted(open_tables.items(), key=lambda item: (item[0][0].name, item[0][1]))]
     return done
-
-
-def _messages(log: Path) -> Iterator[tuple[tuple[Topic, int], str, Message]]:
-    """Topic and robot, session, and record of every message of ours, in the order of the file."""
-    channels: dict[int, tuple[tuple[Topic, int], str]] = {}
-    with log.open("rb") as file:
-        try:
-            for record in checked_records(file):
-                if isinstance(record, Channel):
-                    found = key_topic(record.topic)
-                    if found is not None and found[0] in EVERYTHING:
-                        channels[record.id] = found, record.metadata.get("session", "")
-                elif isinstance(record, Message) and record.channel_id in channels:
-                    yield *channels[record.channel_id], record
-        except Damaged:  # `trouble` tells it
-            return
 
 
 # --- columns
@@ -287,9 +270,10 @@ class _Table:
                 raise
         self._stack.__exit__(kind, error, trace)
 
-    def add(self, message: Any, session: str, record: Message) -> None:
+    def add(self, message: Any, line: LogMessage) -> None:
         """Add a message's rows."""
-        when = [(record.publish_time - self._zero) * 1e-9, record.publish_time, record.log_time, session, record.sequence]
+        stamp_ns, session = line.header.stamp_ns, f"{line.header.session:x}"
+        when = [(stamp_ns - self._zero) * 1e-9, stamp_ns, line.arrived_ns, session, line.header.sequence]
         for row in range(rows(message)):
             self._waiting.append([*when, *(column.cell(message, row) for column in self._columns)])
             self.rows += 1

@@ -1,20 +1,46 @@
-"""SHELL: reads a recorded run back into checked messages. A cut or damaged file gives what lies before the damage."""
+"""SHELL: reads a recorded run back. A cut or damaged file gives what lies before the damage.
 
+with open_log(run) as log:                     # bytes unchanged, in order of arrival, any part of the time
+    for line in log.messages(wanted): ...
+log = read_log(run / "run.mcap")               # decoded messages in memory
+for record in valid_records(path): ...         # everything in the file, in its order
+"""
+
+import io
 import json
+import os
 import re
-from collections.abc import Collection, Mapping
+import struct
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from heapq import heappop, heappush
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import IO, Any, Generic, TypeVar
 
-from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, McapRecord, Message, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
 
 from groundstation.logs.recorder import END_METADATA, EXPERIMENT_NAME, RUN_METADATA
-from groundstation.logs.repair import checked_records
-from wire.messages import topics
-from wire.messages.codec import DecodeError, decode
-from wire.messages.log_records import Damaged
+from wire.messages import log_records, topics
+from wire.messages.codec import DecodeError, Header, decode
+from wire.messages.log_records import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    FOOTER,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    METADATA,
+    SCHEMA,
+    Allowance,
+    Damaged,
+)
 from wire.messages.topics import Topic
+from wire.toml_loader import ConfigError
 
 M = TypeVar("M")
 
@@ -29,11 +55,226 @@ READ = (
     topics.TUNING,
     topics.EVENT,
 )
-EVERYTHING = tuple(topic for topic in topics.TOPICS if topic.recorded)
 # below any fleet's name: "shoal/robot/3/pose" is topic POSE of robot 3; no robot has a number of more than three digits
 _PATTERNS = tuple(
     (re.compile(r"(?:.*/)?" + topic.name.replace("{robot}", r"([1-9][0-9]{0,2})")), topic) for topic in topics.TOPICS
 )
+_READ: dict[int, Any] = {SCHEMA: Schema, CHANNEL: Channel, ATTACHMENT: Attachment, METADATA: Metadata}
+_CHUNK_HEAD = struct.Struct("<QQQ")  # first and last log time, unpacked size
+
+
+# --- records
+
+
+def is_complete(path: Path) -> bool:
+    """True if the file was closed: a file that was cut does not end in MCAP's magic. Raises ConfigError for what never was a
+    log, which must not be mended: nothing would be left of it."""
+    with path.open("rb") as file:
+        if not MCAP0_MAGIC.startswith(file.read(len(MCAP0_MAGIC))):
+            raise ConfigError(f"{path}: is no log: it does not begin as MCAP files do")
+        if file.seek(0, os.SEEK_END) < 2 * len(MCAP0_MAGIC):
+            return False
+        file.seek(-len(MCAP0_MAGIC), os.SEEK_END)
+        return file.read() == MCAP0_MAGIC
+
+
+def valid_records(path: Path) -> Iterator[McapRecord]:
+    """All records up to the first that is cut, damaged, or larger than wire/messages/log_records.py allows."""
+    with path.open("rb") as file:
+        try:
+            yield from _checked_records(file)
+        except Damaged:
+            return
+
+
+def _checked_records(file: IO[bytes]) -> Iterator[McapRecord]:
+    """All schemas, channels, messages, attachments and metadata of a file; chunks taken apart, checksums verified. Raises
+    Damaged where it is cut or damaged."""
+    for opcode, body in log_records.records(file):
+        if opcode == MESSAGE:
+            yield _message(body)
+        elif opcode in _READ:
+            yield _parse(opcode, body)
+
+
+def _message(body: bytes) -> Message:
+    channel, sequence, log_time, publish_time, data = log_records.message(body)
+    return Message(channel, log_time, data, publish_time, sequence)
+
+
+def _parse(opcode: int, body: bytes) -> McapRecord:
+    """A record of one of the kinds in _READ. Raises Damaged."""
+    try:
+        found: McapRecord = _READ[opcode].read(ReadDataStream(io.BytesIO(body)))
+    except (McapError, ValueError, struct.error) as error:
+        raise Damaged(f"a record {opcode} that cannot be read: {error}") from None
+    return found
+
+
+def key_topic(key: str) -> tuple[Topic, int] | None:
+    """Topic and robot (0: it has none) of a recorded key; None for what is none of ours."""
+    for pattern, topic in _PATTERNS:
+        match = pattern.fullmatch(key)
+        if match:
+            return topic, int(match[1]) if match.groups() else 0
+    return None
+
+
+# --- messages
+
+
+@dataclass(frozen=True)
+class LogMessage:
+    """One message of the log. The age that its sender stated is not recorded."""
+
+    topic: Topic
+    robot: int  # 0: the topic has no robots
+    header: Header
+    payload: bytes
+    arrived_ns: int
+
+
+class Channels(dict[int, tuple[Topic, int, int]]):
+    """Topic, robot and session of each channel of a log, as far as it is ours."""
+
+    def take(self, record: McapRecord) -> LogMessage | None:
+        """Take in a record. Returns the message that it is, if it is one of ours."""
+        if isinstance(record, Channel):
+            found, told = key_topic(record.topic), record.metadata.get("session", "0")
+            if found is not None and re.fullmatch("[0-9a-fA-F]{1,16}", told):
+                self[record.id] = (*found, int(told, 16))
+        elif isinstance(record, Message) and record.channel_id in self:
+            topic, robot, session = self[record.channel_id]
+            header = Header(session, record.sequence, record.publish_time)
+            return LogMessage(topic, robot, header, record.data, record.log_time)
+        return None
+
+
+def valid_messages(path: Path) -> Iterator[LogMessage]:
+    """All messages of ours, in the order of the file, up to where it is cut or damaged."""
+    channels = Channels()
+    found = (channels.take(record) for record in valid_records(path))
+    return (line for line in found if line is not None)
+
+
+# --- any part of a log
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Position of a chunk in the file, with the times and channels that it states."""
+
+    start_ns: int
+    end_ns: int
+    at: int
+    length: int  # of the record, after its head
+    channels: set[int] = field(default_factory=set)  # of its messages; empty if the file has no index of it
+
+
+class LogFile:
+    """A whole log, open. Chunks are read when they are needed, one after the other. Of one that was cut off, whose run may
+    still go on, all chunks that were whole when it was opened."""
+
+    def __init__(self, file: IO[bytes], path: Path) -> None:
+        """Raises ConfigError for a file without messages, and for a damaged one that was not cut off."""
+        self.path, self._file, self._cut = path, file, not is_complete(path)
+        self._channels, places = Channels(), list[_Place]()
+        try:
+            self._index(places)
+        except Damaged as error:
+            if not self._cut:
+                raise ConfigError(f"{path}: cannot be read: {error}") from None
+        with_messages = [place for place in places if place.channels]
+        if not with_messages and not self._cut:  # a file without an index of its messages
+            with_messages = places
+        if not with_messages:
+            raise ConfigError(f"{path}: holds no messages")
+        self._places = sorted(with_messages, key=lambda place: (place.start_ns, place.at))
+        self.start_ns = self._places[0].start_ns
+        self.end_ns = max(place.end_ns for place in self._places)
+
+    def _index(self, found: list[_Place]) -> None:
+        """Find the places of all chunks, and fill `_channels`. A closed file repeats its channels behind its chunks; of a cut
+        one the chunks are looked through. Raises Damaged."""
+        file_bytes = self._file.seek(0, os.SEEK_END)
+        allowed, at, opcode = Allowance(file_bytes), len(MAGIC), 0
+        while opcode != FOOTER:
+            self._file.seek(at)
+            opcode, length = log_records.read_head(self._file, at, file_bytes)
+            if opcode == CHUNK:
+                head = self._file.read(min(_CHUNK_HEAD.size, length))
+                if len(head) < _CHUNK_HEAD.size:
+                    raise Damaged(f"byte {at}: a chunk of {length} bytes")
+                start_ns, end_ns, size = _CHUNK_HEAD.unpack(head)
+                allowed.take(size, at)
+                place = _Place(start_ns, end_ns, at, length)
+                for part, body in self._parts(place) if self._cut else ():
+                    if part == CHANNEL:
+                        self._channels.take(_parse(CHANNEL, body))
+                    elif part == MESSAGE and (number := _message(body).channel_id) in self._channels:
+                        place.channels.add(number)
+                found += [place] if size else []
+            elif opcode == MESSAGE_INDEX and found and length >= 2:
+                found[-1].channels.add(int.from_bytes(self._file.read(2), "little"))
+            elif opcode == CHANNEL:
+                self._channels.take(_parse(CHANNEL, self._file.read(length)))
+            elif opcode == MESSAGE:
+                raise Damaged(f"byte {at}: a message outside a chunk, which our recorder does not write")
+            at += 9 + length
+
+    def _parts(self, place: _Place) -> Iterator[tuple[int, bytes]]:
+        """The records of a chunk. Raises Damaged."""
+        self._file.seek(place.at + 9)
+        found = log_records.chunk(self._file.read(place.length), place.at)
+        data = log_records.unpacked(found, Allowance(self._file.seek(0, os.SEEK_END)), place.at)
+        return log_records.parts(data, place.at)
+
+    def messages(
+        self, wanted: Callable[[Topic, int], bool], from_ns: int | None = None, before_ns: int | None = None
+    ) -> Iterator[LogMessage]:
+        """The messages of the wanted topics and robots in the order of their arrival, from `from_ns` on and before
+        `before_ns`. Raises ConfigError where the log is damaged."""
+        channels = {number for number, (topic, robot, _) in self._channels.items() if wanted(topic, robot)}
+        low = 0 if from_ns is None else from_ns
+        high = 1 << 64 if before_ns is None else before_ns
+        waiting: list[tuple[int, int, int, LogMessage]] = []  # log time, place in the file, place in the chunk
+        for place in self._places:
+            if place.end_ns < low or place.start_ns >= high or (place.channels and not place.channels & channels):
+                continue
+            while waiting and waiting[0][0] < place.start_ns:
+                yield heappop(waiting)[-1]
+            for k, line in enumerate(self._chunk(place, channels)):
+                if low <= line.arrived_ns < high:
+                    heappush(waiting, (line.arrived_ns, place.at, k, line))
+        while waiting:
+            yield heappop(waiting)[-1]
+
+    def _chunk(self, place: _Place, channels: set[int]) -> Iterator[LogMessage]:
+        """The messages of some channels in a chunk."""
+        try:
+            for opcode, body in self._parts(place):
+                record = _message(body) if opcode == MESSAGE else None
+                if record is not None and record.channel_id in channels:
+                    line = self._channels.take(record)
+                    assert line is not None
+                    yield line
+        except Damaged as error:
+            raise ConfigError(f"{self.path}: cannot be read: {error}") from None
+
+
+@contextmanager
+def open_log(run: Path) -> Iterator[LogFile]:
+    """The log in a run's folder. Raises ConfigError for what is no run."""
+    path = run / "run.mcap"
+    try:
+        file = path.open("rb")
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}") from None
+    with file:
+        yield LogFile(file, path)
+
+
+# --- the whole run in memory
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,68 +328,44 @@ class RunLog:
 def read_log(path: Path, wanted: Collection[Topic] = READ) -> RunLog:
     """Read the wanted topics of a run into memory (docs/runs.md says how much that takes). Raises OSError if there is no such
     file; damage inside it only shortens what is found, and is told in `damage`."""
-    reading = _Reading(wanted)
-    damage = ""
+    channels, entries = Channels(), dict[tuple[str, int], list[DecodedMessage[Any]]]()
+    metadata: dict[str, dict[str, str]] = {}
+    experiment_toml, damage, messages, undecodable = "", "", 0, 0
     with path.open("rb") as file:
         try:
-            for record in checked_records(file):
-                reading.take(record)
+            for record in _checked_records(file):
+                messages += isinstance(record, Message)
+                if isinstance(record, Attachment) and record.name == EXPERIMENT_NAME:
+                    experiment_toml = record.data.decode(errors="replace")
+                elif isinstance(record, Metadata):
+                    metadata[record.name] = record.metadata
+                line = channels.take(record)
+                if line is None or line.topic not in wanted:
+                    continue
+                try:
+                    message: Any = decode(line.topic.type, line.payload, "log", line.topic.name)
+                except DecodeError:
+                    undecodable += 1
+                    continue
+                entry = DecodedMessage(line.header.stamp_ns, line.arrived_ns, line.header.sequence, message)
+                entries.setdefault((line.topic.name, line.robot), []).append(entry)
         except Damaged as error:
             damage = str(error)
-    for found_entries in reading.entries.values():
+    for found_entries in entries.values():
         found_entries.sort(key=lambda entry: entry.stamp_ns)
-    end = reading.metadata.get(END_METADATA, {})
+    end = metadata.get(END_METADATA, {})
     return RunLog(
-        entries=reading.entries,
-        metadata=reading.metadata.get(RUN_METADATA, {}),
-        experiment_toml=reading.experiment_toml,
-        messages=reading.messages,
+        entries=entries,
+        metadata=metadata.get(RUN_METADATA, {}),
+        experiment_toml=experiment_toml,
+        messages=messages,
         # a mended file ends as it should, and lacks what was cut off all the same
-        complete=END_METADATA in reading.metadata and not damage,
+        complete=END_METADATA in metadata and not damage,
         damage=damage,
         dropped=_dropped(end),
         pace=_pace(end),
-        undecodable=reading.undecodable,
+        undecodable=undecodable,
     )
-
-
-@dataclass(eq=False)
-class _Reading:
-    """Content of a log as read so far."""
-
-    wanted: Collection[Topic]
-    entries: dict[tuple[str, int], list[DecodedMessage[Any]]] = field(default_factory=dict)
-    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    experiment_toml: str = ""
-    messages: int = 0
-    undecodable: int = 0
-    channels: dict[int, tuple[Topic, int]] = field(default_factory=dict)
-
-    def take(self, record: McapRecord) -> None:
-        """Take in one record."""
-        if isinstance(record, Message):
-            self._message(record)
-        elif isinstance(record, Channel):
-            found = key_topic(record.topic)
-            if found is not None and found[0] in self.wanted:
-                self.channels[record.id] = found
-        elif isinstance(record, Attachment) and record.name == EXPERIMENT_NAME:
-            self.experiment_toml = record.data.decode(errors="replace")
-        elif isinstance(record, Metadata):
-            self.metadata[record.name] = record.metadata
-
-    def _message(self, record: Message) -> None:
-        self.messages += 1
-        if record.channel_id not in self.channels:
-            return
-        topic, robot = self.channels[record.channel_id]
-        try:
-            message: Any = decode(topic.type, record.data, "log", topic.name)
-        except DecodeError:
-            self.undecodable += 1
-            return
-        entry = DecodedMessage(record.publish_time, record.log_time, record.sequence, message)
-        self.entries.setdefault((topic.name, robot), []).append(entry)
 
 
 def _dropped(end: Mapping[str, str]) -> int:
@@ -163,12 +380,3 @@ def _pace(end: Mapping[str, str]) -> tuple[tuple[int, int], ...]:
         return tuple((int(stamp_ns), int(wall_ns)) for stamp_ns, wall_ns in json.loads(end.get("pace", "[]")))
     except (ValueError, TypeError, OverflowError, RecursionError):
         return ()
-
-
-def key_topic(key: str) -> tuple[Topic, int] | None:
-    """Topic and robot (0: it has none) of a recorded key; None for what is none of ours."""
-    for pattern, topic in _PATTERNS:
-        match = pattern.fullmatch(key)
-        if match:
-            return topic, int(match[1]) if match.groups() else 0
-    return None

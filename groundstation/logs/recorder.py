@@ -31,9 +31,11 @@ from typing import IO, Any, cast
 from mcap.writer import Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from wire.config.experiment import Experiment
-from wire.messages.codec import Header, protobuf_class
+from wire.config.experiment import Experiment, dump_experiment
+from wire.messages.codec import DecodeError, Header, protobuf_class
+from wire.messages.pipe import read_pipe
 from wire.messages.topics import STATE, Qos, Role, Topic
+from wire.process.cli_options import DEFAULT_FLEET
 from wire.process.version import code
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Collected
@@ -296,3 +298,18 @@ def check_room(folder: Path, least_gb: float) -> None:
         raise ConfigError(
             f"{folder}: {free_gb:.2f} GB free, a run needs {least_gb:g} (recording.min_free_gb): make room, or --out elsewhere"
         )
+
+
+def record_pipe(experiment: Experiment, run_dir: Path, mode: str, stream: IO[bytes]) -> str:
+    """Write `run.mcap` of a run that another program flies and hands over through a pipe (wire/messages/pipe.py), until the
+    pipe ends. Returns why the log is not whole; empty if it is."""
+    recorder = Recorder(run_dir / "run.mcap", dump_experiment(experiment), run_metadata(experiment, mode))
+    problem = ""
+    try:
+        for topic, robot, header, payload in read_pipe(stream):
+            recorder.put(topic, f"{DEFAULT_FLEET}/{topic.key(robot)}", header, payload, header.stamp_ns)
+    except DecodeError as error:  # the program died in the middle of a message; what came before counts
+        problem = str(error)
+    finally:
+        recorder.close()
+    return problem or recorder.error

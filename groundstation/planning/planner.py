@@ -5,7 +5,6 @@ starts = start_poses(experiment, trajectories)      # where each robot is put in
 """
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -49,10 +48,20 @@ def plan(experiment: Experiment) -> dict[int, Trajectory]:
 
 def plan_fleet(experiment: Experiment) -> FleetPlan:
     """Each robot's trajectory: samples every controller period from 0 to the run's end, and a controller's horizon more.
+    Raises PlanError with the problems of `draft`."""
+    drafted, problems = draft(experiment)
+    if problems:
+        raise PlanError("\n".join(problems))
+    return drafted
 
-    Raises PlanError if a robot would exceed its speed, heave, yaw-rate or thrust limits (with `path.slow` only if slowing
+
+def draft(experiment: Experiment) -> tuple[FleetPlan, list[str]]:
+    """A plan, and every reason for which it must not be flown.
+
+    A reason is that a robot would exceed its speed, heave, yaw-rate or thrust limits (with `path.slow` only if slowing
     down does not help), touch a wall, floor or surface, or come closer than 2 R (36) to another on the same path. Those on
-    different paths need to be apart at the end only: in flight they give way to one another.
+    different paths need to be apart at the end only: in flight they give way to one another. Raises PlanError where there is
+    no such path at all, or it ends before the run.
     """
     period_s = experiment.controller.period_s
     flown = round(experiment.duration_s / period_s) + 1
@@ -71,11 +80,9 @@ def plan_fleet(experiment: Experiment) -> FleetPlan:
             centre = middle if centre is None or path == experiment.path else centre
     motions = {robot: motions[robot] for robot in experiment.robot_ids}
     problems = [*robot_problems(experiment, motions, flown), *pair_problems(experiment, motions, flown)]
-    if problems:
-        raise PlanError("\n".join(problems))
     assert centre is not None  # there is at least one robot
     sent = {robot: trajectory(motion, period_s) for robot, motion in motions.items()}
-    return FleetPlan(sent, trajectory(centre, period_s))
+    return FleetPlan(sent, trajectory(centre, period_s)), problems
 
 
 def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[int, Array]:
@@ -101,12 +108,6 @@ def start_poses(experiment: Experiment, trajectories: Mapping[int, Trajectory]) 
     if problems:
         raise PlanError("\n".join(problems))
     return starts
-
-
-def starts_json(starts: Mapping[int, Array]) -> str:
-    """Start poses as JSON `{"1": [x_m, y_m, z_m, yaw_rad], ...}`, for the person or program that puts the robots into the
-    water."""
-    return json.dumps({str(robot): starts[robot].tolist() for robot in sorted(starts)}, indent=1) + "\n"
 
 
 def _group_motions(

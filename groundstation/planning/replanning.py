@@ -1,6 +1,6 @@
 """Replanning in flight: around obstacles on the present path, or to other places. Pure.
 
-    leg = detour(experiment, leg, begin_s, things)      # from an instant ahead; every robot blends over to it
+    segment = replan(experiment, segment, begin_s, obstacles)   # from an instant ahead; every robot blends over to it
 
 Obstacles are discs (k, 3: x, y, radius) in m. groundstation/planning/route_planner.py finds the route around them; from rest,
 groundstation/planning/rest_to_rest.py plans.
@@ -29,7 +29,6 @@ SAME_M = 1e-3  # nearer than this to a place counts as there
 LONGEST = 3.0  # the new route may be longer than a straight one by this share of it
 BESIDE_M = 0.5  # a place nearer than this to an obstacle is left out: the path by it and around would bend sharply
 SMOOTH_M = 1.0  # length over which bends are spread at least
-ROUTE = Route(kind="route", via_m=((0.0, 0.0), (1.0, 0.0)), speed_mps=1.0)  # for its defaults
 TIGHTER = (1.0, 0.1)  # of mission.detour_clear_m: where there is less room, robots give way as well
 
 
@@ -159,8 +158,8 @@ def _route_spec(path: PathSpec) -> Route:
     if isinstance(path, Route):
         return path
     assert isinstance(path, Waypoints)
-    return ROUTE.model_copy(
-        update={"via_m": path.points_m[path.start_index :], "speed_mps": path.speed_mps, "stop": path.stop}
+    return Route.model_construct(
+        kind="route", via_m=path.points_m[path.start_index :], speed_mps=path.speed_mps, stop=path.stop
     )
 
 

@@ -8,7 +8,7 @@ a fleet of that name. A robot in it would hear no station, so it could not be ar
 import time
 from collections.abc import Callable, Iterable, Iterator
 
-from groundstation.logs.logfile import LogFile, LogMessage
+from groundstation.logs.reader import LogFile, LogMessage
 from wire.messages import topics
 from wire.process.runtime import SLICE_S, Stop
 from wire.transport.bus import Bus

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import IO
 
-from groundstation.logs.logfile import LogFile, LogMessage, open_log
+from groundstation.logs.reader import LogFile, LogMessage, open_log
 from groundstation.replay.step_replay import in_order_of_use, own_messages
 from wire.config.experiment import load_experiment
 from wire.messages import topics

@@ -13,7 +13,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import IO
 
-from groundstation.logs.logfile import LogFile, LogMessage, open_log
+from groundstation.logs.reader import LogFile, LogMessage, open_log
 from groundstation.replay.step_diff import StepComparison, StepOutputs, compare
 from wire.config.experiment import load_experiment
 from wire.messages import topics

@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from rich.console import Console
 from rich.table import Table
 
 from groundstation.report.controller_comparison import COLUMNS, cells, closest, course, demands, errors, failures, wanted
 from groundstation.report.plotting import to_svg
+from groundstation.report.report import environment
 from wire.config.controller_benchmark import Comparison
 from wire.process.output_files import replace_text
 from wire.toml_loader import ConfigError
@@ -68,15 +68,9 @@ def _title(comparison: Comparison) -> str:
 
 
 def _render(comparison: Comparison, failed: list[str]) -> str:
-    environment = Environment(
-        loader=PackageLoader("groundstation.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     drawn = [(name, title, caption, draw(comparison)) for name, title, caption, draw in FIGURES]
-    return environment.get_template("comparison.html").render(
+    page = environment().get_template("comparison.html")
+    return page.render(
         comparison=comparison,
         title=_title(comparison),
         headings=HEADINGS,

@@ -66,7 +66,7 @@ def evaluated(run_dir: Path, flight: int | None = None) -> tuple[Series, RunLog,
 def write_comparison(runs: Sequence[Run], path: Path) -> None:
     """One self-contained page with all runs side by side."""
     figures = [(title, caption, _svg(figure, f"compare-{title}")) for title, caption, figure in drawn(runs)]
-    page = _environment().get_template("side_by_side.html")
+    page = environment().get_template("side_by_side.html")
     replace_text(path, page.render(runs=runs, rows=metric_rows(runs), differences=differences(runs), drawn=figures))
 
 
@@ -93,7 +93,7 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
     """The report as HTML."""
     shown = _most_telling(series.timeline_events)
     return (
-        _environment()
+        environment()
         .get_template("report.html")
         .render(
             title=series.experiment.title or series.experiment.name,
@@ -111,17 +111,18 @@ def render(series: Series, recorded: RunLog, result: Result) -> str:
     )
 
 
-def _environment() -> Environment:
-    environment = Environment(
+def environment() -> Environment:
+    """Jinja for the pages of this folder."""
+    found = Environment(
         loader=PackageLoader("groundstation.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(fixed=_fixed, figure=_figure)
-    environment.globals.update(compared=_compared, article_cell=_article_cell, article_yaw=_article_yaw)
-    return environment
+    found.filters.update(fixed=_fixed, figure=_figure)
+    found.globals.update(compared=_compared, article_cell=_article_cell, article_yaw=_article_yaw)
+    return found
 
 
 def _read(path: Path, mend: bool) -> RunLog:

@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 
 from groundstation.export.foxglove_live import ViewerServer
-from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.recorder import Recorder, check_room, run_metadata
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
@@ -18,9 +17,10 @@ from groundstation.mission.state_machine import TERMINAL, MissionState
 from groundstation.planning import planner
 from groundstation.planning.segment import first_segment
 from groundstation.station.station import Station, workers
+from groundstation.telemetry import subscribe_fleet
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import LiveBackend, StationApi
-from groundstation.web.server import WebServer
+from groundstation.web.live_backend import LiveBackend
+from groundstation.web.server import WebServer, bind
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
@@ -67,47 +67,45 @@ def run(
     metadata = run_metadata(experiment, mode)
     stop_below = round(experiment.recording.stop_video_below_gb * 1e9)
     check_room(run_dir, experiment.recording.min_free_gb)
-    with os_errors_as_config_errors(run_dir):
-        run_dir.mkdir(parents=True, exist_ok=True)  # the router listens, the plan stands: a start that fails leaves no folder
-        _write_experiment(run_dir / "experiment.toml", experiment, experiment_toml)
-        recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
-    recorder.whole_until_ns = -1 if lockstep else None
-    try:
+    # The router listens, the plan stands, page and viewers have their ports: a start that fails leaves no folder.
+    with contextlib.ExitStack() as served:
+        page = served.enter_context(bind(web)) if web is not None else None
+        if viewer is not None:
+            served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
+        with os_errors_as_config_errors(run_dir):
+            run_dir.mkdir(parents=True, exist_ok=True)
+            _write_experiment(run_dir / "experiment.toml", experiment, experiment_toml)
+            recorder = Recorder(run_dir / "run.mcap", experiment_toml, metadata, stop_below)
+        recorder.whole_until_ns = -1 if lockstep else None
+        served.callback(recorder.close)
         record_everything(bus, recorder, clock)
-        with workers(len(trajectories)) as threads, contextlib.ExitStack() as served:
-            mission = Mission(experiment, segment, starts, automatic)
-            heard, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
-            laps = LapStatistics(tuner.lap_s)
-            station = Station(
-                experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure
-            )
-            station.seen = station.fleet()
-            bus.serve(WHOLE_FLEET, station.on_operator_command)
-            log_to_bus(bus, clock, "groundstation")
-            if insecure:
-                log.warning(INSECURE)  # once more: now the recorder has it
-            station.publish_paths(clock.now_ns())
-            bus.watch_presence()
-            if web is not None:
-                post = StationApi(
-                    station.status, station.request, station.request_gains, run_dir.resolve(), lambda: station.paths
-                )
-                served.enter_context(WebServer(LiveBackend(experiment, trajectories, bus, heard, clock, post, mode), web))
-                log.info("operator page: %s", web.url)
-            if viewer is not None:
-                served.enter_context(ViewerServer(experiment, bus, clock, *viewer))
-                log.info("viewers: ws://%s:%d", *viewer)
-            ticks = Lockstep(bus, stop, clock) if isinstance(clock, LockstepClock) else None
-            bus.announce("groundstation")
-            started_s = time.monotonic()
-            if ticks is not None:
-                _lockstep_loop(station, ticks)
-            else:
-                _wall_loop(station, stop)
-            log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
-            return mission.state is MissionState.DONE and not recorder.error
-    finally:
-        recorder.close()
+        threads = served.enter_context(workers(len(trajectories)))
+        mission = Mission(experiment, segment, starts, automatic)
+        heard, tuner = subscribe_fleet(bus, experiment.robot_ids), GainUpdater(experiment)
+        laps = LapStatistics(tuner.lap_s)
+        station = Station(experiment, bus, clock, recorder, mission, tuner, laps, heard, threads, starts, insecure=insecure)
+        station.seen = station.fleet()
+        bus.serve(WHOLE_FLEET, station.on_operator_command)
+        log_to_bus(bus, clock, "groundstation")
+        if insecure:
+            log.warning(INSECURE)  # once more: now the recorder has it
+        station.publish_paths(clock.now_ns())
+        bus.watch_presence()
+        if web is not None:
+            backend = LiveBackend(experiment, trajectories, bus, heard, clock, station, mode, run_dir.resolve())
+            served.enter_context(WebServer(backend, web, page))
+            log.info("operator page: %s", web.url)
+        if viewer is not None:
+            log.info("viewers: ws://%s:%d", *viewer)
+        ticks = Lockstep(bus, stop, clock) if isinstance(clock, LockstepClock) else None
+        bus.announce("groundstation")
+        started_s = time.monotonic()
+        if ticks is not None:
+            _lockstep_loop(station, ticks)
+        else:
+            _wall_loop(station, stop)
+        log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
+        return mission.state is MissionState.DONE and not recorder.error
 
 
 def _write_experiment(file: Path, loaded: Experiment, text: str) -> None:

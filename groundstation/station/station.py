@@ -12,7 +12,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
-from groundstation.inboxes import FleetInboxes
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import TUNING, GainUpdater
@@ -24,8 +23,8 @@ from groundstation.mission.request_progress import AT_REST, RequestTracker
 from groundstation.mission.state_machine import MissionState
 from groundstation.planning.feasibility import PlanError
 from groundstation.planning.segment import PlanSegment
-from groundstation.telemetry import Fleet, LinkMonitor, blocking_findings, robot_view
-from groundstation.web.live_backend import Status
+from groundstation.telemetry import Fleet, FleetInboxes, LinkMonitor, blocking_findings
+from groundstation.web.backend import Status
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -127,7 +126,7 @@ class Station:
         for command in commands:
             if self._unanswered(command) < MAX_UNANSWERED:
                 # Sent from here, in the mission's order; only the waiting is for other threads.
-                reply = self.bus.send_order(command, now_ns, timeout_s)
+                reply = self.bus.send_command(command, now_ns, timeout_s)
                 self.pending.append((command, self.workers.of(command.order).submit(reply)))
         if lockstep:
             for _, future in self.pending:
@@ -158,10 +157,7 @@ class Station:
         """View of every robot now."""
         found = {}
         for robot in self.experiment.robot_ids:
-            state, ear = self.heard.states[robot].newest(), self.links.setdefault(robot, LinkMonitor())
-            if state is not None:
-                ear.add(self.heard.states[robot].headers(), state.header, self.clock.instant_ns(state))
-            seen = robot_view(state, self.heard.poses[robot].newest(), self.clock, self.heard.plans[robot].newest(), ear)
+            seen = self.heard.view(robot, self.links.setdefault(robot, LinkMonitor()), self.clock)
             found[robot] = replace(seen, behind_s=self.mission.behind_s(seen, self.clock.now_ns()))
         return found
 

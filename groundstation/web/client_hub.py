@@ -20,8 +20,9 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from groundstation.mission.state_machine import order_named
 from groundstation.web import protocol
 from groundstation.web.auth import WebOptions, origin_allowed, token_allowed
+from groundstation.web.backend import Backend
 from groundstation.web.control_lease import ControlLease
-from groundstation.web.live_backend import Backend
+from groundstation.web.experiment_editor import attempt, save
 from groundstation.web.send_window import SendWindow
 from wire.messages.messages import Order
 from wire.process.runtime import log
@@ -219,9 +220,9 @@ class ClientHub:
             self._lease.leave(watcher.id)
             self._tell_now()
         elif isinstance(request, protocol.OrderRequest):
-            self._spawn(self._order(watcher, request))
+            self._spawn(self._request(watcher, request))
         elif isinstance(request, protocol.TuneRequest):
-            self._spawn(self._tune(watcher, request))
+            self._spawn(self._request_gains(watcher, request))
         elif isinstance(request, protocol.PreviewEdit):
             watcher.waiting = request
             if not watcher.busy:
@@ -249,21 +250,21 @@ class ClientHub:
         late_s = time.monotonic() - seen_ms * 1e-3
         return f"this came {late_s:.0f} s late, and was not done" if late_s > ORDER_VALID_S else ""
 
-    async def _order(self, watcher: Client, wish: protocol.OrderRequest) -> None:
-        order, number = order_named(wish.order), 0
+    async def _request(self, watcher: Client, request: protocol.OrderRequest) -> None:
+        order, number = order_named(request.order), 0
         if order is Order.STOP:
-            reason, number = await self._at(self._stops, self._source.order, order)
+            reason, number = await self._at(self._stops, self._source.station.request, order)
         else:
-            reason = self._may_command(watcher) or self._void(wish.seen_ms)
+            reason = self._may_command(watcher) or self._void(request.seen_ms)
             if not reason:
-                reason, number = await self._at(self._orders, self._source.order, order)
-        self._answer(watcher, wish.n, wish.order, reason, number)
+                reason, number = await self._at(self._orders, self._source.station.request, order)
+        self._answer(watcher, request.n, request.order, reason, number)
 
-    async def _tune(self, watcher: Client, wish: protocol.TuneRequest) -> None:
-        reason, number = self._may_command(watcher) or self._void(wish.seen_ms), 0
+    async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:
+        reason, number = self._may_command(watcher) or self._void(request.seen_ms), 0
         if not reason:
-            reason, number = await self._at(self._orders, self._source.tune, wish.values, wish.next_lap)
-        self._answer(watcher, wish.n, "tune", reason, number)
+            reason, number = await self._at(self._orders, self._source.station.request_gains, request.values, request.next_lap)
+        self._answer(watcher, request.n, "tune", reason, number)
 
     def _answer(self, watcher: Client, n: int, order: str, reason: str, number: int) -> None:
         watcher.note({"k": "reply", "n": n, "order": order, "ok": not reason, "reason": reason, "request": number})
@@ -282,7 +283,9 @@ class ClientHub:
         try:
             while (tried := watcher.waiting) is not None:
                 watcher.waiting = None
-                watcher.note({"k": "tried", "n": tried.n} | await self._at(self._plans, self._source.attempt, tried.edit))
+                watcher.note(
+                    {"k": "tried", "n": tried.n} | await self._at(self._plans, attempt, self._source.experiment, tried.edit)
+                )
         finally:
             watcher.busy = False
 
@@ -291,7 +294,7 @@ class ClientHub:
         done = (
             {"ok": False, "problems": [reason]}
             if reason
-            else await self._at(self._plans, self._source.save, request.edit, request.name)
+            else await self._at(self._plans, save, self._source.experiment, request.edit, request.name)
         )
         watcher.note({"k": "saved", "n": request.n} | done)
 

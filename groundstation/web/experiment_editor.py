@@ -46,35 +46,18 @@ def edited(experiment: Experiment, edit: Edit) -> Experiment:
 
 
 def attempt(experiment: Experiment, edit: Edit) -> dict[str, Any]:
-    """Plan an edit: the paths it would give with their clearances, or every reason against it."""
+    """Plan an edit: the paths that it would give with their clearances, as far as there are any, and every reason against
+    it."""
+    shown: dict[str, Any] = {}
     try:
         changed = edited(experiment, edit)
-        trajectories = planner.plan(changed)
-        planner.start_poses(changed, trajectories)
+        drafted, problems = planner.draft(changed)
+        shown = _shown(changed, drafted.trajectories)
+        if not problems:
+            planner.start_poses(changed, drafted.trajectories)
     except ConfigError as error:
-        return {"ok": False, "problems": str(error).splitlines(), **_without_rules(experiment, edit)}
-    return {"ok": True, "problems": [], **_shown(changed, trajectories)}
-
-
-def _without_rules(experiment: Experiment, edit: Edit) -> dict[str, Any]:
-    """The same paths with no limit and no neighbour in the way, so that one sees what is wrong; nothing if there are none."""
-    try:
-        changed = edited(experiment, edit)
-        free = {
-            "pool": changed.pool.model_copy(update={"walls": False}),
-            "localizer": changed.localizer.model_copy(update={"uses_camera": False}),
-            "safety": changed.safety.model_copy(update={"radius_m": 1e-6}),
-            "vehicle": changed.vehicle.model_copy(update={"limits": _boundless(changed)}),
-        }
-        return _shown(changed, planner.plan(changed.model_copy(update=free)))
-    except ConfigError:
-        return {}
-
-
-def _boundless(experiment: Experiment) -> Any:
-    return experiment.vehicle.limits.model_copy(
-        update={"speed_mps": 1e6, "heave_mps": 1e6, "yaw_rate_radps": 1e6, "wrench": (1e9, 1e9, 1e9)}
-    )
+        problems = str(error).splitlines()
+    return {"ok": not problems, "problems": problems, **shown}
 
 
 def _shown(experiment: Experiment, trajectories: Mapping[int, Trajectory]) -> dict[str, Any]:

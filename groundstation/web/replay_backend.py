@@ -13,14 +13,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from groundstation.logs.logfile import open_log
+from groundstation.logs.reader import open_log
 from groundstation.mission.state_machine import MissionState
 from groundstation.telemetry import LINK_WINDOW, LinkMonitor, RobotView
-from groundstation.web import experiment_editor
 from groundstation.web.alarms import alarms
-from groundstation.web.protocol import Edit
 from groundstation.web.scene import floats, flown_samples, paths, scene
-from groundstation.web.snapshot import AgedMessage, FleetSnapshot, RobotSnapshot, snapshot
+from groundstation.web.snapshot import AgedMessage, FleetSnapshot, RobotSnapshot, event_note, snapshot
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode
@@ -151,10 +149,21 @@ def _read(kind: type[M], payload: bytes) -> M | None:
         return None
 
 
+class _Recorded:
+    """Refuses all requests: a recorded run takes none."""
+
+    def request(self, order: Order) -> tuple[str, int]:
+        return "this is a recorded run", 0
+
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+        return "this is a recorded run", 0
+
+
 class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None) -> None:
+        self.station = _Recorded()
         self._log = LogPlayer(run)
         self._against = LogPlayer(against) if against is not None else None
         self._at_ns, self._rate, self._since_s = self._log.flown_ns, 0.0, time.monotonic()
@@ -272,26 +281,7 @@ class ReplayBackend:
         if now <= after:
             return []
         self._noted_ns = now
-        return [
-            {"k": "event", "time_s": at * 1e-9, "level": event.level, "source": event.source, "text": event.message}
-            for at, event in self._log.between(topics.EVENT, Event, after, now)
-        ]
-
-    def order(self, order: Order) -> tuple[str, int]:
-        """Refuse: a recorded run takes no requests."""
-        return "this is a recorded run", 0
-
-    def tune(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
-        """Refuse: a recorded run has its gains."""
-        return "this is a recorded run", 0
-
-    def attempt(self, edit: Edit) -> dict[str, Any]:
-        """Plan an edit of the recorded experiment."""
-        return experiment_editor.attempt(self.experiment, edit)
-
-    def save(self, edit: Edit, name: str) -> dict[str, Any]:
-        """Keep an edit for a later run."""
-        return experiment_editor.save(self.experiment, edit, name)
+        return [event_note(event, at) for at, event in self._log.between(topics.EVENT, Event, after, now)]
 
 
 def _differ(before: Trajectory, then: Trajectory) -> int:

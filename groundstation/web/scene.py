@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from groundstation.web.camera_underlay import mesh
+from wire.camera_coverage import project
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages import topics
@@ -14,6 +14,8 @@ from wire.messages.live_gains import tunable_parameters
 from wire.messages.messages import Trajectory
 
 MOST_POINTS = 1500  # of a path: 0.08 s apart for the pool scene, less than a pixel
+CELLS = 16  # of the picture's mesh, along the longer side: straight edges are then within 1 mm of the lens's curves
+MARGIN_M = 0.2  # of the mesh beyond the walls
 LOCKSTEP_STALE_S = 1.0  # there a slow machine is no fault; periods are the simulator's
 
 
@@ -93,3 +95,16 @@ def _underlay(experiment: Experiment) -> dict[str, Any] | None:
 
 def _finite(places: Array) -> Array:
     return np.where(np.isfinite(places), places, -1e3)
+
+
+def mesh(experiment: Experiment) -> tuple[Array, Array]:
+    """Mesh that lays the camera's picture under the map: points (rows + 1, columns + 1, 2) on the plane of the path's depth,
+    pool frame, and the places (same shape) in the picture that show them, from 0 to 1 across its width and height."""
+    length, width, _ = experiment.pool.size_m
+    cell_m = max(length, width) / CELLS
+    x = np.linspace(-length / 2 - MARGIN_M, length / 2 + MARGIN_M, max(2, round(length / cell_m)) + 1)
+    y = np.linspace(-width / 2 - MARGIN_M, width / 2 + MARGIN_M, max(2, round(width / cell_m)) + 1)
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    flat = points.reshape(-1, 2)
+    pixels = project(experiment.camera, np.column_stack([flat, np.full(len(flat), experiment.path.depth_m)]))
+    return points, ((pixels + 0.5) / np.array(experiment.camera.size_px)).reshape(points.shape)

@@ -1,11 +1,12 @@
 """SHELL: serves the operator's page from a thread of its own, with its own event loop.
 
-with WebServer(desk, options): ...                  # binds at once, or says why not
+with WebServer(backend, options): ...                  # binds when it is made, or says why not
 """
 
 import asyncio
 import contextlib
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -21,9 +22,9 @@ from starlette.staticfiles import StaticFiles
 
 from groundstation.web import protocol
 from groundstation.web.auth import HEADERS, WebOptions, host_allowed
+from groundstation.web.backend import Backend
 from groundstation.web.client_hub import ClientHub
 from groundstation.web.connection_limits import HANDSHAKE_WITHIN_S, ConnectionLimiter, http_class
-from groundstation.web.live_backend import Backend
 from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 
@@ -99,22 +100,31 @@ class _Loop(asyncio.SelectorEventLoop):
         return await super().create_server(*arguments, **options)
 
 
+def bind(options: WebOptions) -> socket.socket:
+    """The page's socket, bound. Raises ConfigError if the address cannot be had, or the certificate not be used."""
+    if options.certificate is not None:
+        try:
+            ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER).load_cert_chain(options.certificate, options.key)
+        except OSError as error:
+            files = f"--web-certificate {options.certificate}, --web-key {options.key}"
+            raise ConfigError(f"{files}: {error.strerror or error} (two files in PEM are needed)") from None
+    bound = socket.socket(socket.AF_INET6 if ":" in options.host else socket.AF_INET, socket.SOCK_STREAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind((options.host, options.port))
+    except OSError as error:
+        bound.close()
+        raise ConfigError(f"--web {options.host}:{options.port}: {error.strerror} (another address, or --no-web)") from None
+    return bound
+
+
 class WebServer:
     """The page's thread. A page that fails says so in the log and is gone; the station flies on."""
 
-    def __init__(self, source: Backend, options: WebOptions) -> None:
-        """Bind at once. Raises ConfigError if the address cannot be had, or the certificate not be used."""
+    def __init__(self, source: Backend, options: WebOptions, bound: socket.socket | None = None) -> None:
+        """Serve at `bound`; None: `bind` here."""
         self._failure, self._where = "", f"{options.host}:{options.port}"
-        family = socket.AF_INET6 if ":" in options.host else socket.AF_INET
-        self._socket = socket.socket(family, socket.SOCK_STREAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            self._socket.bind((options.host, options.port))
-        except OSError as error:
-            self._socket.close()
-            raise ConfigError(
-                f"--web {options.host}:{options.port}: {error.strerror} (another address, or --no-web)"
-            ) from None
+        self._socket = bound or bind(options)
         config = uvicorn.Config(
             make_app(source, options),
             loop="asyncio",
@@ -134,12 +144,6 @@ class WebServer:
             ssl_certfile=options.certificate,
             ssl_keyfile=options.key,
         )
-        try:
-            config.load()  # certificate and key
-        except OSError as error:
-            self._socket.close()
-            files = f"--web-certificate {options.certificate}, --web-key {options.key}"
-            raise ConfigError(f"{files}: {error.strerror or error} (two files in PEM are needed)") from None
         self._server = uvicorn.Server(config)
         self._thread = threading.Thread(target=self._run, name="page", daemon=True)
 

@@ -18,7 +18,7 @@ from groundstation.telemetry import Finding
 from groundstation.web.alarms import Alarm
 from groundstation.web.scene import floats
 from wire.frames import Array
-from wire.messages.messages import LocalizerStatus, Obstacles, Outcome, Plan, Pose, RobotState
+from wire.messages.messages import Event, LocalizerStatus, Obstacles, Outcome, Plan, Pose, RobotState
 
 NEVER_MS = 1e9  # finite stand-in for the age of what was never heard
 
@@ -81,6 +81,11 @@ def snapshot(news: FleetSnapshot) -> dict[str, Any]:
         "ended": news.ended,
         "robots": [_robot(robot, found) for robot, found in news.robots.items()],
     }
+
+
+def event_note(event: Event, at_ns: int) -> dict[str, Any]:
+    """A line of the log for the page."""
+    return {"k": "event", "time_s": at_ns * 1e-9, "level": event.level, "source": event.source, "text": event.message}
 
 
 def _request(outcome: Outcome) -> dict[str, Any]:

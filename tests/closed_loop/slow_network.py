@@ -31,7 +31,7 @@ from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Stop, log
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.transport import Answer, Deliver, Presence
+from wire.transport.transport import Answer, Deliver, Presence, Urgent
 
 SHORT_S, LONG_S = 0.002, 0.03  # how long something is held up: mostly, and where chance is against it
 LATEST_S = (0.0, 0.0, SHORT_S, LONG_S)  # how late a listener may hear: one of these, drawn for each
@@ -70,14 +70,14 @@ class Slow(MemoryTransport):
     def watch(self, key: str, presence: Presence) -> None:
         super().watch(key, self._queued(presence))
 
-    def serve(self, key: str, answer: Answer) -> None:
+    def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
         def late(payload: bytes, header: bytes) -> bytes:
             self._hold_up()
             said = answer(payload, header)
             self._hold_up()
             return said
 
-        super().serve(key, late)
+        super().serve(key, late, urgent)
 
     def _hold_up(self) -> None:
         if self._chance is not None:

@@ -147,7 +147,7 @@ class Rig(Onlooker):
 
     def order(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> Reply:
         """A person's order for the whole fleet; `via`: where GO leads it, x and y in m."""
-        return self.bus.order(Command(order, robot=0, via=np.array(via).reshape(-1, 2)), time.time_ns(), ANSWERED_S)
+        return self.bus.command(Command(order, robot=0, via=np.array(via).reshape(-1, 2)), time.time_ns(), ANSWERED_S)
 
     def fly(self) -> None:
         """From anywhere to all robots tracking, thrusters running."""

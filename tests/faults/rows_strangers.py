@@ -59,7 +59,7 @@ def _stop_s(where: Endpoint) -> float:
     """The time from an operator's start to the station's reply to a stop, s."""
     begin_s = time.monotonic()
     with Bus(_arrived(where)) as bus:
-        while not (reply := bus.order(Command(Order.STOP, 0), time.time_ns(), 2.0)).accepted:
+        while not (reply := bus.command(Command(Order.STOP, 0), time.time_ns(), 2.0)).accepted:
             if time.monotonic() - begin_s > PATIENCE_S:
                 raise Stuck(f"no stop: {reply.reason}")
     return time.monotonic() - begin_s

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from groundstation.logs.repair import valid_records
+from groundstation.logs.reader import valid_records
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.mission import Mission
 from groundstation.planning.feasibility import PlanError

@@ -17,7 +17,7 @@ MS = 1_000_000
 
 
 @pytest.mark.parametrize(("lost", "share"), [((), 0.0), ((3, 7), 0.2), ((2, 4, 6, 8), 0.4)])
-def test_only_what_did_not_come_is_lost_however_late_somebody_looks(lost: tuple[int, ...], share: float) -> None:
+def test_only_missing_sequence_numbers_count_as_lost(lost: tuple[int, ...], share: float) -> None:
     """Two messages between two looks, then none, again and again: a robot and a station that keep time alike."""
     inbox, ear = Bus(MemoryTransport(MemoryHub())).inbox(topics.PLAN, Plan, 1), LinkMonitor()
     for k in range(200):
@@ -31,7 +31,7 @@ def test_only_what_did_not_come_is_lost_however_late_somebody_looks(lost: tuple[
 
 
 @pytest.mark.parametrize(("limit", "key", "age_s"), [("pose_hold_s", "pose", 0.4), ("plan_max_age_s", "plan", 0.7)])
-def test_the_station_calls_old_what_the_experiment_calls_old(limit: str, key: str, age_s: float) -> None:
+def test_message_ages_are_judged_by_the_experiments_limits(limit: str, key: str, age_s: float) -> None:
     """At a lower rate an experiment allows more; the station must not bar what the robots would fly with."""
     seen = RobotView(
         RobotState(mode=Mode.HOLDING, battery_v=16.0), 0.02, Pose(0.0, 0.0, 0.0, np.eye(3), Track.MARKER, True, 1.0, 0.0),
@@ -42,7 +42,7 @@ def test_the_station_calls_old_what_the_experiment_calls_old(limit: str, key: st
         assert (key in [finding.key for finding in findings(experiment, 1, seen)]) is found
 
 
-def test_a_battery_of_which_nothing_was_heard_is_not_called_empty() -> None:
+def test_an_unheard_battery_is_not_reported_empty() -> None:
     experiment = load_experiment("pool")
     found = {f.key: f for f in findings(experiment, 1, RobotView(RobotState(board_age_ms=20.0), 0.02))}
     assert (found["battery"].text, found["battery"].blocks_arming) == ("battery not heard yet", True)
@@ -51,7 +51,7 @@ def test_a_battery_of_which_nothing_was_heard_is_not_called_empty() -> None:
 
 
 @pytest.mark.parametrize(("age_ms", "text"), [(2500.0, "thruster board silent for 2.5 s"), (1e6, "thruster board not heard")])
-def test_a_board_that_was_never_heard_has_not_been_silent_for_so_long(age_ms: float, text: str) -> None:
+def test_a_board_never_heard_is_reported_without_an_age(age_ms: float, text: str) -> None:
     seen = RobotView(RobotState(board_age_ms=age_ms), 0.02, None, 0.02)
     assert text in [finding.text for finding in findings(load_experiment("pool"), 1, seen)]
 
@@ -62,7 +62,7 @@ def test_a_robot_that_was_never_heard_has_no_mode() -> None:
 
 
 @pytest.mark.parametrize(("behind_s", "text"), [(0.8, "is 0.8 s behind the others"), (-0.6, "is 0.6 s ahead of the others")])
-def test_a_robot_out_of_step_is_an_alarm_but_does_not_keep_it_from_going_on(behind_s: float, text: str) -> None:
+def test_a_robot_out_of_step_raises_an_alarm_and_does_not_block_arming(behind_s: float, text: str) -> None:
     experiment = load_experiment("pool")
     seen = RobotView(RobotState(mode=Mode.TRACKING), 0.02, None, 0.02, behind_s=behind_s)
     (found,) = [f for f in findings(experiment, 1, seen) if f.key == "step"]

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from importlib import resources
 from itertools import groupby
 from pathlib import Path
@@ -18,23 +18,20 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
-from groundstation.inboxes import subscribe_fleet
-from groundstation.logs.logfile import open_log
-from groundstation.logs.reader import read_log
-from groundstation.mission.state_machine import MissionState
+from groundstation.logs.reader import open_log, read_log
 from groundstation.planning import planner
 from groundstation.replay.step_replay import rerun
 from groundstation.telemetry import Finding
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import LiveBackend, StationApi, Status
+from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
+from tests.groundstation.fake_station import FakeStation
 from tests.page.flights import Asked, Flight, open_page, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
 from wire.messages.messages import Event, Mode, Order, Outcome, Progress, RobotState, Trajectory, Tuning
-from wire.process.runtime import WallClock
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -227,20 +224,13 @@ def test_a_formation_is_dragged_and_judged(page: Page) -> None:
     expect(button(page, "Save")).to_be_disabled()
 
 
-@dataclass
-class Alone:
-    """A station's desk without robots, and a page on it."""
+@dataclass(kw_only=True)
+class Alone(FakeStation):
+    """A station without robots, and a page on it."""
 
     page: Page
     url: str
-    status: Status
     robots: Bus
-    orders: list[Order] = field(default_factory=list)
-    paths: tuple[dict[int, Trajectory], float] | None = None
-
-    def order(self, order: Order) -> tuple[str, int]:
-        self.orders.append(order)
-        return "", len(self.orders)
 
 
 @contextmanager
@@ -248,17 +238,8 @@ def alone(browser: Browser, experiment: Experiment) -> Iterator[Alone]:
     port, hub = free_port(), MemoryHub()
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
-        found = Alone(page, f"http://127.0.0.1:{port}/", Status(MissionState.WAITING, ""), robots)
-        post = StationApi(lambda: found.status, found.order, paths=lambda: found.paths)
-        desk = LiveBackend(
-            experiment,
-            planner.plan(experiment),
-            bus,
-            subscribe_fleet(bus, experiment.robot_ids),
-            WallClock(),
-            post,
-            "real-time",
-        )
+        found = Alone(experiment, bus, page=page, url=f"http://127.0.0.1:{port}/", robots=robots)
+        desk = LiveBackend(experiment, planner.plan(experiment), bus, found.heard, found.clock, found, "real-time")
         with WebServer(desk, WebOptions(port=port)):
             yield found
             page.context.close()
@@ -297,16 +278,16 @@ def test_a_route_is_edited_too_and_what_cannot_be_typed_is_answered(browser: Bro
 
 def test_an_alarm_that_comes_again_is_loud_again(browser: Browser) -> None:
     with alone(browser, load_experiment("pool")) as desk:
-        page, quiet = desk.page, desk.status
+        page, quiet = desk.page, desk.told
         loud = replace(quiet, recorder_error="no space left")
-        desk.status = loud
+        desk.told = loud
         page.goto(desk.url)
         button(page, "Silence").click()
         expect(button(page, "Silence")).to_have_count(0)
         expect(page.get_by_label("Alarms")).to_contain_text("no space left")
-        desk.status = quiet
+        desk.told = quiet
         expect(page.get_by_label("Alarms")).not_to_contain_text("no space left")
-        desk.status = loud
+        desk.told = loud
         expect(button(page, "Silence")).to_be_visible()
 
 
@@ -477,12 +458,12 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         button(page, "Return to start").click()
         expect(given).to_have_text("return sent")
         told = Outcome(1, Order.RETURN, Progress.UNDER_WAY, "", "HALTING", (1,), (2,), ("is holding",))
-        desk.status = replace(desk.status, requests=(told,))
+        desk.told = replace(desk.told, requests=(told,))
         expect(given).to_have_text("return under way ✓ 1 … 2 is holding")
         failed = replace(told, progress=Progress.FAILED, reason="holding: no way from here", why=("refuses",))
-        desk.status = replace(desk.status, requests=(failed,))
+        desk.told = replace(desk.told, requests=(failed,))
         expect(given).to_have_text("return failed: holding: no way from here ✓ 1 ✕ 2 refuses")
-        desk.status = replace(desk.status, requests=(replace(told, progress=Progress.DONE, confirmed=(1, 2), waiting=()),))
+        desk.told = replace(desk.told, requests=(replace(told, progress=Progress.DONE, confirmed=(1, 2), waiting=()),))
         expect(given).to_have_text("return done ✓ 1 ✓ 2")
 
 
@@ -512,7 +493,7 @@ def test_a_stop_of_an_earlier_station_can_be_cleared(browser: Browser) -> None:
 def test_thrusters_can_be_tested_where_preflight_waits_for_that(browser: Browser) -> None:
     with alone(browser, load_experiment("pool")) as desk:
         untested = Finding(1, "thrusters", "notice", True, "thruster test: not done", "groundstation mission test")
-        desk.status = replace(desk.status, preflight=(untested,))
+        desk.preflight = (untested,)
         desk.page.goto(desk.url)
         expect(desk.page.locator(".preflight")).to_contain_text("thruster test: not done")
         expect(button(desk.page, "Start")).to_be_disabled()

@@ -124,7 +124,7 @@ class Station:
         while bench.board.neutral or not bench.board.armed:
             assert time.monotonic() < deadline, f"it never pushed: {refused}"
             for order in (Order.ARM, Order.HOLD) if not bench.board.armed else ():
-                reply = self.bus.order(Command(order, 1, experiment_hash=POOL.hash), time.time_ns(), 1.0)
+                reply = self.bus.command(Command(order, 1, experiment_hash=POOL.hash), time.time_ns(), 1.0)
                 refused = refused if reply.accepted else f"{order.name}: {reply.reason}"
             time.sleep(0.05)
 

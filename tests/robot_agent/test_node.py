@@ -45,7 +45,7 @@ def test_an_order_that_takes_the_power_away_does_not_wait_for_the_next_step(
     thread = threading.Thread(target=robot.run)
     thread.start()
     try:
-        while not station.order(Command(order, robot=1), time.time_ns(), 1.0).accepted:  # until it serves, and hears us
+        while not station.command(Command(order, robot=1), time.time_ns(), 1.0).accepted:  # until it serves, and hears us
             station.publish(topics.HEARTBEAT, StationHeartbeat(), time.time_ns())
         assert wait(station, stop, lambda: heard.newest_header() is not None, PATIENCE_S)
     finally:
@@ -101,7 +101,7 @@ class Running:
 
     def order(self, order: Order, tuning: Tuning | None = None) -> Reply:
         self.station.publish(topics.HEARTBEAT, StationHeartbeat(POOL.hash), time.time_ns())
-        return self.station.order(Command(order, 1, experiment_hash=POOL.hash, tuning=tuning), time.time_ns(), 1.0)
+        return self.station.command(Command(order, 1, experiment_hash=POOL.hash, tuning=tuning), time.time_ns(), 1.0)
 
     @property
     def state(self) -> RobotState:

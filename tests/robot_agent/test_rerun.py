@@ -95,7 +95,7 @@ class Pond:
             order, ME, 1e6, self.experiment.hash, self.trajectory.id,
             trajectory=self.trajectory if order is Order.LOAD else None, start_ns=self.sent_ns + 100_000_000,
         )  # fmt: skip
-        return self.station.order(command, self.sent_ns, 1.0)
+        return self.station.command(command, self.sent_ns, 1.0)
 
     def step(self, count: int = 1) -> None:
         for _ in range(count):
@@ -250,4 +250,4 @@ def test_an_order_of_the_old_station_is_not_taken_after_the_new_beginning() -> N
     pond.station = Bus(MemoryTransport(pond.hub))
     pond.step(3)
     command = Command(Order.LOAD, ME, 1e6, pond.experiment.hash, trajectory=pond.trajectory)
-    assert not old.order(command, pond.sent_ns, 1.0).accepted
+    assert not old.command(command, pond.sent_ns, 1.0).accepted

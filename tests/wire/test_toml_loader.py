@@ -73,7 +73,7 @@ def test_a_good_table_becomes_a_frozen_section() -> None:
         ('hz=[1, "y"]', "a.toml: hz.1 = 'y': Input should be a valid number"),
     ],
 )
-def test_a_complaint_names_file_key_value_and_what_is_allowed(setting: str, complaint: str) -> None:
+def test_an_error_names_file_key_value_and_allowed_values(setting: str, complaint: str) -> None:
     table = copy.deepcopy(GOOD)
     apply_setting(table, setting)
     with pytest.raises(ConfigError) as caught:

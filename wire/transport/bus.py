@@ -8,6 +8,7 @@
 Network threads only store bytes and wake the loop; decoding happens in the loop that asks.
 """
 
+import contextlib
 import secrets
 import threading
 import time
@@ -17,8 +18,9 @@ from typing import Any, Generic, TypeVar
 
 from wire.messages import topics
 from wire.messages.codec import DecodeError, Header, decode, encode
-from wire.messages.messages import Command, Message, Reply
+from wire.messages.messages import Command, Message, Order, Reply
 from wire.messages.topics import Topic
+from wire.toml_loader import ConfigError
 from wire.transport.command_deduplication import CommandDeduplicator
 from wire.transport.delay_estimator import DelayEstimator
 from wire.transport.transport import Await, Transport
@@ -28,6 +30,9 @@ Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
 Collected = Callable[[], Iterator[tuple[Topic, str, Header, bytes]]]
 Handle = Callable[[Header, Command], Reply]
 
+STOP_BYTES = 256  # a STOP has fewer; what is longer is not looked at before its turn
+SAME_NAME_S = 12.0  # for the router to miss a process that was cut off: its lease is 1 s, on a busy machine it takes longer
+ASK_AGAIN_S = 0.2
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
 
 
@@ -209,9 +214,11 @@ class Bus:
             return None
 
     def serve(self, robot: int, handle: Handle) -> None:
-        """Answer the orders to a robot. `handle` runs in a network thread, and sees each order once
-        (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason."""
-        name, deduplicator, turn = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session), threading.Lock()
+        """Answer the commands to a robot. `handle` runs in a network thread, and sees each command once
+        (wire/transport/command_deduplication.py). What cannot be read is refused, with the reason. A STOP waits for no other
+        command: `handle` may be called with it while another call is under way."""
+        name, deduplicator = topics.COMMAND_KEY.format(robot=robot), CommandDeduplicator(self.session)
+        turn, known = threading.Lock(), threading.Lock()  # around a command; around the deduplicator
 
         def answer(payload: bytes, header: bytes) -> bytes:
             try:
@@ -220,22 +227,31 @@ class Bus:
             except DecodeError as error:
                 self.rejected += 1
                 return encode(Reply(robot, False, str(error)))
-            with turn:
-                reply = deduplicator.known_reply(decoded, command)
+            with contextlib.nullcontext() if command.order is Order.STOP else turn:
+                with known:
+                    reply = deduplicator.known_reply(decoded, command)
                 if reply is None:
-                    reply = deduplicator.record(decoded, handle(decoded, command))
+                    reply = handle(decoded, command)
+                    with known:
+                        reply = deduplicator.record(decoded, reply)
             with self.arrival:
                 self.arrival.notify_all()
             return encode(reply)
 
-        self._transport.serve(self._key(name), answer)
+        def urgent(payload: bytes) -> bool:
+            try:
+                return len(payload) <= STOP_BYTES and decode(Command, payload, "unknown peer", name).order is Order.STOP
+            except DecodeError:
+                return False
 
-    def order(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
+        self._transport.serve(self._key(name), answer, urgent)
+
+    def command(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
         """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
-        return self.send_order(command, stamp_ns, timeout_s)()
+        return self.send_command(command, stamp_ns, timeout_s)()
 
-    def send_order(self, command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
-        """Send an order, and return what waits for its answer (`order`). Orders to one recipient reach it in the order of
+    def send_command(self, command: Command, stamp_ns: int, timeout_s: float) -> Callable[[], Reply]:
+        """Send an order, and return what waits for its answer (`command`). Orders to one recipient reach it in the order of
         these calls: an order neither overtakes another nor waits until another is answered.
 
         The first order to a process asks, in effect, who it is; the second try names it. One to a process that has been
@@ -278,6 +294,18 @@ class Bus:
             return decode(Reply, answer, f"robot {command.robot}", key)
         except DecodeError as error:
             return Reply(command.robot, False, str(error))
+
+    def claim(self, process: str, stopped: Callable[[], bool], patience_s: float = SAME_NAME_S) -> None:
+        """Wait until no other process of this name is in the fleet: one that has crashed is missed after some seconds. Raises
+        ConfigError if one is there all the same. Do it first: two of one name would act by turns."""
+        deadline_s = time.monotonic() + patience_s
+        while self._transport.is_present(self._key(topics.PRESENCE_KEY.format(process=process))) and not stopped():
+            if time.monotonic() > deadline_s:
+                raise ConfigError(
+                    f"{process}: another process of this name is in fleet {self._fleet} (allowed: one): end it, or start this "
+                    "one for another robot (--robot) or fleet (--fleet)"
+                )
+            time.sleep(ASK_AGAIN_S)
 
     def announce(self, process: str) -> None:
         """Make this process visible to the others. Do it last, when every subscription stands."""

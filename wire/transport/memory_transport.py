@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 
 from wire.messages.topics import Qos
-from wire.transport.transport import Answer, Await, Collect, Deliver, Presence
+from wire.transport.transport import Answer, Await, Collect, Deliver, Presence, Urgent
 
 
 @dataclass
@@ -67,7 +67,7 @@ class MemoryTransport:
 
         return collected
 
-    def serve(self, key: str, answer: Answer) -> None:
+    def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
         with self._hub.lock:
             self._hub.queryables[key] = (answer, self)
 
@@ -82,6 +82,10 @@ class MemoryTransport:
         with self._hub.lock:
             self._hub.tokens[key] = self
         self._tell(key, True)
+
+    def is_present(self, key: str) -> bool:
+        with self._hub.lock:
+            return key in self._hub.tokens
 
     def watch(self, key: str, presence: Presence) -> None:
         with self._hub.lock:

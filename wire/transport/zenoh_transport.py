@@ -11,6 +11,7 @@ import os
 import threading
 import time
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import zenoh
@@ -22,12 +23,13 @@ from wire.toml_loader import ConfigError
 from wire.transport.connection_diagnostics import trouble_listening, trouble_reaching
 from wire.transport.endpoint import Endpoint, beside, settings
 from wire.transport.gate import Gate
-from wire.transport.transport import Answer, Await, Collect, Deliver, Presence, Unreached
+from wire.transport.transport import Answer, Await, Collect, Deliver, Presence, Unreached, Urgent
 
 log = logging.getLogger("shoal")
 
 UNCOLLECTED = 8192  # messages of a subscription that wait to be collected: 20 s of the busiest topic of 20 robots
 UNCOLLECTED_IMAGES = 256  # 12 s, in some 30 MB
+PRESENT_WITHIN_S = 2.0  # for the router to say who is there
 TRY_AGAIN_S = 0.2
 DRAWS = 3  # of free ports behind the gate
 SAY_AGAIN_S = 10.0  # how often a process says that it still waits
@@ -169,6 +171,7 @@ class ZenohTransport:
         self._images: zenoh.Session | None = None
         self._opening = threading.Lock()  # around the pictures' session: previews and film begin in threads of their own
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
+        self._workers: list[ThreadPoolExecutor] = []
 
     def _session(self, qos: Qos) -> zenoh.Session:
         if qos is not Qos.IMAGE:
@@ -234,12 +237,23 @@ class ZenohTransport:
         self._kept.append(subscriber)
         return subscriber
 
-    def serve(self, key: str, answer: Answer) -> None:
-        def on_query(query: zenoh.Query) -> None:
+    def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
+        """Queries are answered one after the other, in a thread of their own; an urgent one at once, in Zenoh's."""
+        worker = ThreadPoolExecutor(1, "serve")
+        self._workers.append(worker)
+
+        def reply(query: zenoh.Query, payload: bytes) -> None:
+            header = query.attachment.to_bytes() if query.attachment is not None else b""
             with query:
-                payload = query.payload.to_bytes() if query.payload is not None else b""
-                header = query.attachment.to_bytes() if query.attachment is not None else b""
                 query.reply(query.key_expr, answer(payload, header))
+
+        def on_query(query: zenoh.Query) -> None:
+            payload = query.payload.to_bytes() if query.payload is not None else b""
+            if urgent(payload):
+                reply(query, payload)
+            else:
+                with contextlib.suppress(RuntimeError):  # closed: nobody is served any more
+                    worker.submit(reply, query, payload)
 
         self._kept.append(self._control.declare_queryable(key, on_query))
 
@@ -265,6 +279,9 @@ class ZenohTransport:
     def announce(self, key: str) -> None:
         self._kept.append(self._control.liveliness().declare_token(key))
 
+    def is_present(self, key: str) -> bool:
+        return any(reply.ok is not None for reply in self._control.liveliness().get(key, timeout=PRESENT_WITHIN_S))
+
     def watch(self, key: str, presence: Presence) -> None:
         def on_sample(sample: zenoh.Sample) -> None:
             presence(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
@@ -274,6 +291,8 @@ class ZenohTransport:
     def close(self) -> None:
         """Undeclare and close. Without this a process that dies of an exception never exits."""
         self._kept.clear()
+        for worker in self._workers:
+            worker.shutdown(wait=False, cancel_futures=True)
         if self._images is not None:
             self._images.close()
         self._control.close()

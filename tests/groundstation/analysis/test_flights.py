@@ -195,7 +195,7 @@ def test_a_flight_that_ends_before_its_path_fails_and_says_why(flown: tuple[Expe
     assert "The first fault was at 4.0 s, robot 1: holding: pose late" in found.notes[1] or "4.1 s" in found.notes[1]
 
 
-def test_what_comes_after_20_s_is_asked_of_no_shorter_flight(flown: tuple[Experiment, RunLog, Path]) -> None:
+def test_a_flight_under_20_s_has_no_settled_figures(flown: tuple[Experiment, RunLog, Path]) -> None:
     """By a campaign as by a report, also where the path ends before 20 s."""
     experiment = flown[0]
     limits = experiment.limits.model_copy(update={"rms_after_20s_m": 0.01, "wrench_step_rms": 0.1, "rms_m": 0.5})
@@ -248,7 +248,7 @@ def test_any_clock_along_the_path_gives_a_result(flown: tuple[Experiment, RunLog
     json.loads(found.to_json())
 
 
-def test_a_trajectory_that_nobody_can_fly_is_left_out(flown: tuple[Experiment, RunLog, Path]) -> None:
+def test_a_trajectory_without_samples_is_left_out(flown: tuple[Experiment, RunLog, Path]) -> None:
     experiment, log, _ = flown
     for period_s, samples in ((5e-324, 10), (1e12, 10), (0.05, 0), (0.05, 1)):
         still = np.zeros((samples, 4))

@@ -284,7 +284,7 @@ def test_damaged_messages_are_counted_not_fatal(tmp_path: Path) -> None:
     assert log.entries == {}
 
 
-def test_a_run_planned_shorter_than_20_s_is_not_asked_for_what_comes_after(tmp_path: Path) -> None:
+def test_a_run_shorter_than_20_s_has_no_settled_checks(tmp_path: Path) -> None:
     settings = ("limits.rms_after_20s_m=0.001", "limits.max_after_20s_m=0.001", "limits.wrench_step_rms=0.01")
     result = result_of(tmp_path, Script(duration_s=10.0, settings=settings))
     assert result.robots["1"].rms_after_20s_m is None

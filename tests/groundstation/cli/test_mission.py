@@ -41,7 +41,7 @@ def asked(*replies: Reply, order: Order = Order.STOP, patience_s: float = 60.0) 
     return follow(ask, Command(order, 0), patience_s, told.append), commands, told
 
 
-def test_it_is_asked_what_became_of_it_until_it_is_over() -> None:
+def test_the_terminal_queries_the_outcome_until_it_is_over() -> None:
     done = outcome(Progress.DONE, confirmed=(1, 2))
     reply, commands, told = asked(outcome(), outcome(confirmed=(1,)), done)
     assert reply is done
@@ -55,14 +55,14 @@ def test_a_question_that_is_not_answered_is_asked_again_and_the_request_is_not()
     assert [c.order for c in commands].count(Order.GO) == 1
 
 
-def test_only_a_stop_that_nobody_answers_is_asked_for_again() -> None:
+def test_only_an_unanswered_stop_is_repeated() -> None:
     _, commands, _ = asked(SILENT, SILENT, outcome(Progress.DONE))
     assert [c.order for c in commands] == [Order.STOP] * 3
     reply, commands, _ = asked(SILENT, outcome(Progress.DONE), order=Order.START)
     assert (reply.silent, len(commands)) == (True, 1)
 
 
-def test_a_refusal_and_a_station_that_tells_nothing_are_waited_for_no_longer() -> None:
+def test_the_terminal_stops_waiting_after_a_refusal_or_a_reply_without_outcome() -> None:
     for reply in (Reply(0, False, "STOPPED"), Reply(0, True)):
         found, commands, told = asked(reply)
         assert (found, len(commands), told) == (reply, 1, [])

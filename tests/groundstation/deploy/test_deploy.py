@@ -40,7 +40,7 @@ def test_a_board_is_named_with_its_robot() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "pi@host", "=1", "host=0", "host=x", "-oProxyCommand=x=1", "a b=1", "host;rm=1"])
-def test_what_is_no_board_is_refused(text: str) -> None:
+def test_text_that_names_no_board_is_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="not a board"):
         manifest.parse_target(text)
 
@@ -80,7 +80,7 @@ def test_an_agent_that_is_not_surely_disarmed_is_not_restarted(does: str, says: 
     manifest.refuse_to_restart(Target("pi", 3), manifest.read_probe("pi", "aarch64\n3.11\n"))
 
 
-def test_only_what_differs_travels() -> None:
+def test_only_parts_that_differ_are_deployed() -> None:
     wanted = {"software": "a", "experiment": "b", "settings": "c"}
     assert manifest.changed(wanted, {}) == ("software", "experiment", "settings")
     assert manifest.changed(wanted, {**wanted, "experiment": "x"}) == ("experiment",)
@@ -112,7 +112,7 @@ def test_a_digest_is_of_names_and_contents_in_any_order() -> None:
         (["--experiment", "puddle"], "no such experiment"),
     ],
 )
-def test_what_is_wrong_here_is_told_before_a_board_is_asked(options: list[str], says: str, tmp_path: Path) -> None:
+def test_local_errors_are_reported_before_a_board_is_contacted(options: list[str], says: str, tmp_path: Path) -> None:
     key_ring.init(tmp_path / "keys", [], "shoal", datetime.now(UTC))
     key_ring.add(tmp_path / "keys", "robot", 1, datetime.now(UTC))
     sound = ["--station", "tls/127.0.0.1:7999", "--keys", str(tmp_path / "keys"), "--ssh", "false"]

@@ -86,7 +86,7 @@ def test_certificates_are_signed_by_the_authority_for_the_uses_they_have(ring: P
     assert "192.168.1.10" in map(str, names.get_values_for_type(x509.IPAddress))
 
 
-def test_nobody_else_can_read_what_is_secret(ring: Path) -> None:
+def test_private_keys_are_readable_by_the_owner_only(ring: Path) -> None:
     key_ring.add(ring, "robot", 1, NOW)
     secret = [path for path in ring.rglob("*") if path.suffix == ".key" or path.name in ("key.pem", "members.toml")]
     assert len(secret) == 8
@@ -115,7 +115,7 @@ def test_the_revoked_and_the_expired_are_not_admitted(ring: Path) -> None:
 
 
 @pytest.mark.parametrize("host", ["", "a b", "pöol.local", "tls/10.0.0.1", "10.0.0.1:7447", "[::1]", "-x", "x" * 255])
-def test_a_host_that_is_none_is_refused_before_anything_is_made(host: str, tmp_path: Path) -> None:
+def test_an_invalid_host_name_is_refused_before_keys_are_made(host: str, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no name or address of a host"):
         key_ring.init(tmp_path / "keys", ["pool.local", host], "shoal", NOW)
     assert list(tmp_path.iterdir()) == []
@@ -128,7 +128,7 @@ def test_the_station_has_the_hosts_that_were_named(tmp_path: Path) -> None:
     assert {*hosts} <= {*names.get_values_for_type(x509.DNSName), *map(str, names.get_values_for_type(x509.IPAddress))}
 
 
-def test_an_authority_that_is_none_or_another_fleets_makes_nothing(ring: Path, tmp_path: Path) -> None:
+def test_a_missing_or_foreign_authority_signs_nothing(ring: Path, tmp_path: Path) -> None:
     key_ring.init(tmp_path / "other", [], "other", NOW)
     others, own = (folder / "authority.key" for folder in (tmp_path / "other", ring))
     certificate_authority = own.read_bytes()
@@ -154,7 +154,7 @@ def test_a_ring_that_cannot_be_written_or_is_not_there_is_named(ring: Path, tmp_
         key_ring.revoke(tmp_path / "nowhere", "agent-1", NOW)
 
 
-def test_what_would_do_harm_is_refused(ring: Path) -> None:
+def test_harmful_key_ring_requests_are_refused(ring: Path) -> None:
     with pytest.raises(ConfigError, match="a new authority would lock every robot out"):
         key_ring.init(ring, [], "shoal", NOW)
     for role, robot in (("robot", 0), ("viewer", 3), ("robot", 1000), ("robot", -1)):

@@ -20,9 +20,9 @@ from typer.testing import CliRunner
 from websockets.sync.client import ClientConnection, connect
 
 from groundstation.__main__ import cli
-from groundstation.export.foxglove_layout import layout, used_topics, viewer_topics
+from groundstation.export.foxglove_layout import Layout, layout
 from groundstation.export.foxglove_live import ViewerServer
-from groundstation.export.foxglove_scene import GONE_NS, POOL_FRAME, SceneDrawer, upright
+from groundstation.export.foxglove_scene import FRAMES, GONE_NS, MOVING, POOL_FRAME, STANDING, SceneDrawer, upright
 from groundstation.logs.reader import key_topic
 from tests.groundstation.synthetic import Script, write_run
 from wire.config.experiment import load_experiment
@@ -48,6 +48,23 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return run, out
 
 
+def used_topics(made: Layout) -> set[str]:
+    """Every topic that a layout looks at."""
+    panels = made["configById"]
+    plotted = [path["value"].partition(".")[0] for panel in panels.values() for path in panel.get("paths", ())]
+    shown = [
+        *panels["3D!pool"]["topics"],
+        panels["Image!camera"]["imageMode"]["imageTopic"],
+        panels["RosOut!log"]["topicToRender"],
+    ]
+    return {*plotted, *shown}
+
+
+def viewer_topics(fleet: str) -> set[str]:
+    """Those that only an exported log and a live viewer have."""
+    return {f"{fleet}/{name}" for name in (MOVING, STANDING, FRAMES)}
+
+
 def messages(path: Path, decoded: bool = False) -> list[Any]:
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -61,7 +78,7 @@ def log_of(out: Path) -> Path:
     return path
 
 
-def test_nothing_of_the_log_is_changed(exported: tuple[Path, Path]) -> None:
+def test_export_leaves_all_recorded_messages_unchanged(exported: tuple[Path, Path]) -> None:
     run, out = exported
     before, after = messages(run / "run.mcap"), messages(log_of(out))
     added = [m for m in after if m[0] in viewer_topics("shoal")]
@@ -99,7 +116,7 @@ def test_hulls_are_drawn_where_robots_say_they_are(exported: tuple[Path, Path]) 
         assert min(np.abs(np.subtract(eta, one)).max() for one in near) < 1e-9
 
 
-def test_what_is_not_heard_of_any_more_is_not_drawn() -> None:
+def test_silent_robots_and_old_obstacles_are_not_drawn() -> None:
     picture = SceneDrawer(load_experiment("pool"))
     picture.take(topics.STATE, 1, RobotState(), SECOND)
     picture.take(topics.PLAN, 2, Plan(0.05, np.ones((5, 4)), np.ones((5, 4))), SECOND)
@@ -125,7 +142,7 @@ def test_down_in_the_pool_is_down_on_the_screen() -> None:
     assert np.linalg.det(turn) == pytest.approx(1.0)
 
 
-def test_all_that_the_layout_looks_at_is_there(exported: tuple[Path, Path]) -> None:
+def test_every_topic_of_the_layout_is_in_the_log(exported: tuple[Path, Path]) -> None:
     made = json.loads((exported[1] / "foxglove-layout.json").read_text())
     for topic in used_topics(made) - viewer_topics("shoal"):
         found = key_topic(topic)

@@ -168,7 +168,7 @@ def test_parquet_holds_the_same_as_csv(run: Path, tmp_path: Path) -> None:
         assert as_text == plain
 
 
-def test_what_cannot_be_decoded_is_told_and_ends_with_code_1(run: Path, tmp_path: Path) -> None:
+def test_undecodable_messages_are_reported_with_exit_code_1(run: Path, tmp_path: Path) -> None:
     (tmp_path / "run").mkdir()
     recorder = Recorder(tmp_path / "run" / "run.mcap", "", {})
     for k, payload in enumerate((encode(POSE), b"\xff\xff")):

@@ -16,10 +16,9 @@ from mcap.writer import MCAP0_MAGIC, Writer
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
-from groundstation.logs.logfile import open_log
-from groundstation.logs.reader import key_topic, read_log
+from groundstation.logs.reader import key_topic, open_log, read_log, valid_records
 from groundstation.logs.recorder import END_METADATA, Recorder
-from groundstation.logs.repair import recover, valid_records
+from groundstation.logs.repair import recover
 from groundstation.report.report import write_report
 from localizer.evaluation.runner import evaluate_log
 from tests.groundstation.small_log import pose, record_poses, sequences
@@ -98,7 +97,7 @@ def test_a_small_file_never_takes_much_memory(
         tracemalloc.stop()
 
 
-def test_what_lies_before_a_bomb_is_read(tmp_path: Path) -> None:
+def test_records_before_an_oversized_chunk_are_read(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     record_poses(path, 20)
     whole = path.read_bytes()

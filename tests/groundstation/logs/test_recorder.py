@@ -15,8 +15,9 @@ from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 
+from groundstation.logs.reader import is_complete
 from groundstation.logs.recorder import FLUSH_PERIOD_S, MAX_PENDING_BYTES, Recorder, check_room
-from groundstation.logs.repair import is_complete, recover
+from groundstation.logs.repair import recover
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.small_log import SECOND, pose, record_poses, sequences
 from wire.messages import topics
@@ -28,7 +29,7 @@ from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
-def test_what_went_in_comes_out_unchanged(tmp_path: Path) -> None:
+def test_recorded_messages_and_metadata_read_back_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     record_poses(path, 50)
     with path.open("rb") as file:
@@ -104,7 +105,7 @@ def test_put_from_many_threads_loses_nothing(tmp_path: Path) -> None:
     assert sorted(sequences(path)) == sorted([*range(1, 501)] * 4)
 
 
-def test_what_came_before_the_end_is_in_the_log(tmp_path: Path) -> None:
+def test_messages_before_the_end_are_recorded(tmp_path: Path) -> None:
     """Gathered from the bus: the last messages too, though nobody has looked for them yet. What comes later is not."""
     hub, path = MemoryHub(), tmp_path / "run.mcap"
     sender, recorder = Bus(MemoryTransport(hub)), Recorder(path, "", {})
@@ -133,7 +134,7 @@ def test_who_gathers_messages_and_fails_stops_the_log_and_says_so(tmp_path: Path
     assert recorder.error == "log stopped: MemoryError: no room for a message"
 
 
-def test_a_run_in_step_ends_with_a_whole_step(tmp_path: Path) -> None:
+def test_a_lockstep_log_ends_with_a_whole_step(tmp_path: Path) -> None:
     """Of the last step some robots have told and some have not: of that none is in the log, of all others everything."""
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     recorder.whole_until_ns = -1
@@ -156,7 +157,7 @@ def test_a_run_in_step_ends_with_a_whole_step(tmp_path: Path) -> None:
     assert recorder.dropped == 0
 
 
-def test_what_does_not_fit_in_memory_is_dropped_and_counted(tmp_path: Path) -> None:
+def test_messages_beyond_the_memory_limit_are_dropped_and_counted(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, "", {})
     half = bytes(MAX_PENDING_BYTES // 2 + 1)
@@ -169,7 +170,7 @@ def test_what_does_not_fit_in_memory_is_dropped_and_counted(tmp_path: Path) -> N
     recorder.close()
 
 
-def test_what_arrives_after_the_end_is_no_part_of_the_run(tmp_path: Path) -> None:
+def test_messages_after_the_end_are_not_recorded(tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     recorder.close()
     recorder.close()
@@ -178,7 +179,7 @@ def test_what_arrives_after_the_end_is_no_part_of_the_run(tmp_path: Path) -> Non
     assert sequences(tmp_path / "run.mcap") == []
 
 
-def test_a_place_that_cannot_be_written_is_told_at_once(tmp_path: Path) -> None:
+def test_a_missing_folder_is_refused_at_once(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file"):
         Recorder(tmp_path / "missing" / "run.mcap", "", {})
 
@@ -251,7 +252,7 @@ print(k, recorder.dropped - dropped, recorder.error)
 """
 
 
-def test_full_disk_stops_the_log_and_nothing_else(tmp_path: Path) -> None:
+def test_a_full_disk_stops_only_the_log(tmp_path: Path) -> None:
     """A file-size limit fails writes as a full disk does, half-way through a write."""
     path = tmp_path / "run.mcap"
     done = subprocess.run([sys.executable, "-c", FULL, str(path)], capture_output=True, text=True, timeout=60, check=True)
@@ -267,7 +268,7 @@ def test_full_disk_stops_the_log_and_nothing_else(tmp_path: Path) -> None:
     assert 2 <= len(found) < int(last)
 
 
-def test_put_costs_the_caller_nothing_while_the_disk_hangs(tmp_path: Path) -> None:
+def test_put_returns_at_once_while_the_disk_hangs(tmp_path: Path) -> None:
     """The writer waits for the disk without holding the lock that `put` takes."""
     recorder = Recorder(tmp_path / "run.mcap", "", {})
     hanging, release = threading.Event(), threading.Event()
@@ -285,7 +286,7 @@ def test_put_costs_the_caller_nothing_while_the_disk_hangs(tmp_path: Path) -> No
     assert recorder.dropped == 0
 
 
-def test_when_the_disk_fills_pictures_go_first_and_somebody_says_so(tmp_path: Path) -> None:
+def test_a_filling_disk_drops_pictures_first_with_a_warning(tmp_path: Path) -> None:
     """Messages go on into the log; room that comes back later changes nothing."""
     path, free = tmp_path / "run.mcap", [10_000]
     recorder = Recorder(path, "", {}, stop_pictures_below=1000, free_bytes=lambda folder: free[0])

@@ -11,8 +11,9 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.writer import MCAP0_MAGIC
 
+from groundstation.logs.reader import is_complete, open_log, valid_records
 from groundstation.logs.recorder import Recorder
-from groundstation.logs.repair import is_complete, recover, valid_records
+from groundstation.logs.repair import recover
 from groundstation.report.report import write_report
 from tests.groundstation.small_log import record_poses, sequences
 from wire.config.experiment import dump_experiment, load_experiment
@@ -63,7 +64,24 @@ def test_any_cut_leaves_a_readable_beginning(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_a_length_that_is_none_ends_what_can_be_read(tmp_path: Path) -> None:
+def test_an_open_cut_log_has_the_messages_that_mending_keeps(tmp_path: Path) -> None:
+    whole, path = tmp_path / "whole.mcap", tmp_path / "run.mcap"
+    several_flushes(whole)
+    data, rng = whole.read_bytes(), random.Random(7)
+    found: set[int] = set()
+    for cut in sorted(rng.randrange(len(data) // 4, len(data)) for _ in range(20)):
+        path.write_bytes(data[:cut])
+        before = path.read_bytes()
+        with open_log(tmp_path) as log:
+            opened = [line.header.sequence for line in log.messages(lambda topic, robot: topic is topics.PREVIEW)]
+        assert path.read_bytes() == before
+        recover(path)
+        assert opened == sequences(path)
+        found.add(len(opened))
+    assert len(found) > 2
+
+
+def test_an_impossible_length_ends_reading(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     lying = struct.pack("<QQII", 0, 0, 0, 0) + struct.pack("<Q", 1 << 53)  # an attachment: times, name, type, length of data
     path.write_bytes(MCAP0_MAGIC + b"\x09" + struct.pack("<Q", len(lying) + 4) + lying + bytes(4))
@@ -120,7 +138,7 @@ def test_recover_without_room_keeps_the_cut_file(tmp_path: Path) -> None:
     assert not list(tmp_path.glob(".*"))
 
 
-def test_what_was_mended_is_on_the_disk_before_it_takes_the_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_repaired_log_is_on_the_disk_before_it_replaces_the_cut_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A power cut between the two would else leave a file without its content."""
     path = tmp_path / "run.mcap"
     record_poses(path, 20)

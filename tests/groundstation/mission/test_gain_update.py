@@ -160,7 +160,7 @@ def test_the_change_back_that_is_not_followed_either_says_that_gains_may_differ(
     assert fleet.tuner.status().reason == "robot 1 does not answer; the fleet's gains may differ"
 
 
-def test_an_order_that_is_not_answered_is_asked_again_and_not_sooner_than_it_should() -> None:
+def test_an_unanswered_command_is_sent_again_after_its_period() -> None:
     fleet = Fleet()
     fleet.robots[2].mute = frozenset({Order.TUNE})
     fleet.request()
@@ -171,7 +171,7 @@ def test_an_order_that_is_not_answered_is_asked_again_and_not_sooner_than_it_sho
     assert len([c for _, c in fleet.robots[1].got if c.order is Order.TUNE]) == 1  # who has answered is left alone
 
 
-def test_on_the_next_lap_all_wait_for_it_and_it_can_be_called_off() -> None:
+def test_gains_for_the_next_lap_wait_for_it_and_can_be_cancelled() -> None:
     fleet = Fleet()
     assert fleet.request(next_lap=True) == ""
     fleet.step(1.0)
@@ -200,7 +200,7 @@ def test_a_robot_that_leaves_the_run_before_the_lap_begins_ends_the_change() -> 
         (10.0, Mode.HOLDING, "there is no next lap: not every robot is on its trajectory"),
     ],
 )
-def test_where_there_is_no_next_lap_nothing_waits_for_it(progress_s: float, mode: Mode, reason: str) -> None:
+def test_gains_for_a_next_lap_that_never_comes_are_refused(progress_s: float, mode: Mode, reason: str) -> None:
     fleet = Fleet()
     fleet.robots[2] = replace(fleet.robots[2], trajectory_s=progress_s, mode=mode)
     assert fleet.request(next_lap=True) == reason
@@ -238,7 +238,7 @@ def test_undo_goes_back_a_set_at_a_time() -> None:
 
 
 @pytest.mark.parametrize(("mode", "taken"), [(Mode.DISARMED, True), (Mode.HOLDING, False)])
-def test_a_robot_that_comes_back_with_other_gains_is_given_the_fleet_s_while_it_lies_disarmed(mode: Mode, taken: bool) -> None:
+def test_a_restarted_disarmed_robot_gets_the_gains_of_the_fleet(mode: Mode, taken: bool) -> None:
     fleet = Fleet()
     fleet.request()
     fleet.step(1.0)
@@ -247,7 +247,7 @@ def test_a_robot_that_comes_back_with_other_gains_is_given_the_fleet_s_while_it_
     assert (fleet.flown == {fleet.tuner.status().flown.id}) is taken
 
 
-def test_a_late_answer_about_another_set_counts_for_nothing() -> None:
+def test_a_late_reply_about_another_gain_set_is_ignored() -> None:
     fleet = Fleet()
     fleet.request()
     fleet.step(STEP_S)

@@ -21,7 +21,7 @@ def note(laps: LapStatistics, trajectory_s: dict[int, float], error_m: float = 0
     )
 
 
-def test_holding_and_going_on_from_where_the_slowest_was_keeps_what_was_flown() -> None:
+def test_a_hold_and_resume_from_the_slowest_keeps_the_laps() -> None:
     """One robot holds by itself; until the others do they come a little further, and go back by that when all resume."""
     laps = LapStatistics(LAP_S)
     for k in range(1, 301):

@@ -56,7 +56,7 @@ def test_robots_start_at_one_instant_though_one_needs_a_second_order() -> None:
         ({"mode": Mode.FAULT, "fault": "no pose"}, "is FAULT: no pose"),
     ],
 )
-def test_preflight_names_robot_and_reason_and_nothing_is_armed(change: dict[str, object], says: str) -> None:
+def test_a_failed_preflight_names_robot_and_reason_and_arms_no_robot(change: dict[str, object], says: str) -> None:
     run = Run()
     for name, value in change.items():
         setattr(run.robots[2], name, value)
@@ -112,7 +112,7 @@ def test_a_robot_that_holds_makes_all_hold_and_all_go_on_from_one_place() -> Non
     assert run.at(MissionState.DONE)
 
 
-def test_what_a_person_holds_stays_held_until_a_person_resumes() -> None:
+def test_a_hold_by_an_operator_lasts_until_an_operator_resumes() -> None:
     run = Run()
     while run.mission.state is not MissionState.RUNNING:
         run.step()
@@ -143,7 +143,7 @@ def test_stop_is_latched_on_every_robot_until_cleared() -> None:
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
 
-def test_after_a_cleared_stop_nobody_flies_again_unasked_in_an_automatic_mission_either() -> None:
+def test_an_automatic_mission_waits_for_a_request_after_a_cleared_stop() -> None:
     """All are still near their starts, fit and disarmed: just what an automatic mission waits for to begin."""
     run = Run()
     while run.mission.state is not MissionState.RUNNING:
@@ -212,7 +212,7 @@ def test_a_robot_that_was_silent_and_flies_on_is_held(policy: str) -> None:
     assert run.in_mode(2, Mode.HOLDING)
 
 
-def test_a_gap_closes_only_when_those_whom_a_person_holds_may_go_on() -> None:
+def test_a_gap_stays_open_until_an_operator_resumes_the_held_robots() -> None:
     run = three_running("close-up")
     run.mission.request(Order.HOLD, run.fleet(), run.now_ns)
     run.step(0.5)
@@ -226,7 +226,7 @@ def test_a_gap_closes_only_when_those_whom_a_person_holds_may_go_on() -> None:
     assert set(run.mission.roster.slots_in_use().values()) == {1, 2}
 
 
-def test_a_thruster_test_after_a_run_is_for_the_robot_that_fell_out_of_it_too() -> None:
+def test_a_thruster_test_after_a_run_includes_its_lost_robot() -> None:
     run = three_running("go-on")
     run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "thrusters do not do as told"
     run.step(0.5)
@@ -298,7 +298,7 @@ def test_without_being_asked_a_manual_mission_arms_nothing() -> None:
     assert run.in_mode(1, Mode.TRACKING)
 
 
-def test_a_robot_that_falls_out_before_the_start_ends_it_at_once_and_the_reason_is_its_own() -> None:
+def test_a_robot_lost_before_the_start_aborts_it_with_its_reason() -> None:
     """Not ten seconds of orders that it cannot follow, and then what it said to the last of them."""
     run = Run()
     run.robots[2].refuses = frozenset({Order.START})
@@ -421,7 +421,7 @@ def test_a_robot_that_is_out_of_step_for_a_moment_now_and_then_flies_on() -> Non
     assert run.at(MissionState.RUNNING)
 
 
-def test_nobody_goes_back_to_where_one_fell_far_behind() -> None:
+def test_a_resume_does_not_go_back_to_a_robot_far_behind() -> None:
     run = running(automatic=False)
     run.step(10.0)
     run.robots[2].trajectory_s = 0.0
@@ -433,7 +433,7 @@ def test_nobody_goes_back_to_where_one_fell_far_behind() -> None:
     assert {r.got[-1].trajectory_s > 10.0 for r in run.robots.values()} == {True}
 
 
-def test_a_robot_that_starts_at_another_instant_than_it_was_told_makes_all_hold() -> None:
+def test_a_robot_that_starts_out_of_step_makes_all_hold() -> None:
     run = Run(settings=["duration_s=60"])
     run.robots[1].refuses = frozenset({Order.START})
     while not run.in_mode(2, Mode.TRACKING):
@@ -462,7 +462,7 @@ def test_all_hold_before_anybody_goes_on() -> None:
     assert run.mission.request(Order.RESUME, run.fleet(), run.now_ns) == ""
 
 
-def test_a_stall_of_the_station_moves_nobodys_reference() -> None:
+def test_a_stalled_station_moves_no_reference() -> None:
     """The lag that robots extrapolate from the last heartbeat is the one that the next heartbeat tells."""
     run = running(["mission.wait_from_m=0.1", "mission.wait_at_m=0.2"])
     pace = run.mission.governor
@@ -505,7 +505,7 @@ def test_a_plan_that_does_not_come_in_time_makes_all_hold() -> None:
     assert run.at(MissionState.RUNNING)
 
 
-def test_when_a_robot_has_not_gone_over_in_time_all_hold_and_get_a_new_plan_from_rest() -> None:
+def test_a_late_switch_makes_all_hold_and_replan_from_rest() -> None:
     run = going_elsewhere()
     run.robots[2].refuses = frozenset({Order.SWITCH})
     run.mission.planned(next_leg(run, 3.0), run.fleet(), run.now_ns)
@@ -550,7 +550,7 @@ def test_a_thruster_test_that_does_not_end_is_given_up() -> None:
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
 
-def test_a_robot_is_waited_for_from_when_it_does_not_do_as_told() -> None:
+def test_patience_for_a_robot_begins_when_it_stops_confirming() -> None:
     """Trajectories lie loaded for a while; then an agent is restarted, and has none."""
     run = Run(automatic=False)
     assert run.mission.request(Order.LOAD, run.fleet(), run.now_ns) == ""
@@ -678,7 +678,7 @@ def test_robots_that_lie_disarmed_cannot_be_held() -> None:
     assert run.at(MissionState.HALTING)
 
 
-def test_a_plan_is_made_of_what_was_known_when_it_was_asked_for() -> None:
+def test_a_plan_uses_the_fleet_as_known_at_its_request() -> None:
     """It is computed in another thread: robots that are lost meanwhile would be missing from one half of it."""
     run = on_the_way_to_a_plan("go-on", MissionState.HALTING)
     wanted = run.mission.plan_request
@@ -689,7 +689,7 @@ def test_a_plan_is_made_of_what_was_known_when_it_was_asked_for() -> None:
     assert set(wanted.plan().trajectories) == {1, 2, 3}
 
 
-def test_what_comes_to_lie_on_an_own_way_has_robots_rest_for_another_one() -> None:
+def test_an_obstacle_on_a_transfer_makes_robots_rest_and_replan() -> None:
     """With policy go-on the one that is lost was to be gone when the other comes by."""
     run = running([THREE, 'mission.lost="go-on"'], automatic=False)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
@@ -715,7 +715,7 @@ def test_what_comes_to_lie_on_an_own_way_has_robots_rest_for_another_one() -> No
 # --- how a run ends
 
 
-def test_a_run_that_a_person_disarms_has_not_succeeded() -> None:
+def test_a_run_disarmed_by_an_operator_does_not_succeed() -> None:
     run = running()
     assert run.mission.request(Order.DISARM, run.fleet(), run.now_ns) == ""
     run.robots[2].refuses = frozenset({Order.DISARM})
@@ -750,7 +750,7 @@ def test_the_reason_why_a_run_failed_is_not_lost_for_a_refusal() -> None:
 @pytest.mark.parametrize(
     ("order", "ends_in"), [(Order.DISARM, MissionState.ENDING), (Order.CLEAR_STOP, MissionState.CLEARING)]
 )
-def test_a_robot_that_was_never_heard_has_not_done_as_told(order: Order, ends_in: MissionState) -> None:
+def test_a_robot_never_heard_confirms_nothing(order: Order, ends_in: MissionState) -> None:
     run = Run(automatic=False)
     run.robots[2].unknown = True
     run.step(0.2)
@@ -766,7 +766,7 @@ def test_a_robot_that_was_never_heard_has_not_done_as_told(order: Order, ends_in
     assert f"robot 2 does not follow {order.name}" in run.mission.reason
 
 
-def test_what_a_robot_told_before_it_was_asked_says_nothing() -> None:
+def test_a_state_from_before_the_command_confirms_nothing() -> None:
     """Its last word was that it is disarmed; then it was armed, and not heard any more."""
     run = Run(automatic=False)
     run.step(0.2)
@@ -779,7 +779,7 @@ def test_what_a_robot_told_before_it_was_asked_says_nothing() -> None:
     assert run.at(MissionState.CANCELLED)
 
 
-def test_a_robot_that_takes_an_arm_after_it_was_last_heard_is_disarmed_all_the_same() -> None:
+def test_a_robot_armed_after_its_last_state_is_still_disarmed() -> None:
     """Its last state is from before; whoever took that for done would leave an armed robot behind."""
     run = Run(automatic=False)
     assert run.mission.request(Order.ARM, run.fleet(), run.now_ns) == ""
@@ -793,7 +793,7 @@ def test_a_robot_that_takes_an_arm_after_it_was_last_heard_is_disarmed_all_the_s
     assert run.at(MissionState.ENDING)
 
 
-def test_what_a_robot_tells_of_an_earlier_thruster_test_is_not_the_result_of_this_one() -> None:
+def test_the_result_of_an_earlier_thruster_test_is_ignored() -> None:
     run = Run(automatic=False)
     for robot in run.robots.values():
         robot.test, robot.age_s = "passed", 0.2
@@ -810,7 +810,7 @@ def test_what_a_robot_tells_of_an_earlier_thruster_test_is_not_the_result_of_thi
 
 
 @pytest.mark.parametrize("order", [Order.START, Order.RESUME])
-def test_who_does_not_begin_to_fly_with_the_others_is_waited_for_only_briefly(order: Order) -> None:
+def test_a_robot_that_does_not_start_with_the_others_is_waited_for_briefly(order: Order) -> None:
     run = running(automatic=False) if order is Order.RESUME else Run(automatic=False, settings=["duration_s=60"])
     if order is Order.RESUME:
         assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
@@ -860,7 +860,7 @@ def test_who_held_on_a_way_of_their_own_that_is_blocked_now_get_another_one() ->
     assert run.at(MissionState.HALTING) and run.mission.plans.targets_return
 
 
-def test_a_robot_that_was_carried_off_while_it_held_is_led_back_before_all_go_on() -> None:
+def test_a_robot_carried_off_during_a_hold_is_led_back_before_resume() -> None:
     run = running(automatic=False)
     assert run.mission.request(Order.HOLD, run.fleet(), run.now_ns) == ""
     run.robots[2].eta = (0.0, 1.1, 0.0, 0.0)
@@ -873,7 +873,7 @@ def test_a_robot_that_was_carried_off_while_it_held_is_led_back_before_all_go_on
 # --- after an emergency stop
 
 
-def test_a_stop_is_not_cleared_while_a_robot_flies_that_it_has_not_reached() -> None:
+def test_clear_stop_waits_for_robots_that_the_stop_has_not_reached() -> None:
     run = running(automatic=False)
     run.robots[2].refuses = frozenset({Order.STOP})
     assert run.mission.request(Order.STOP, run.fleet(), run.now_ns) == ""
@@ -901,7 +901,7 @@ def test_a_robot_that_is_heard_again_and_flies_while_a_stop_is_cleared_is_disarm
     assert {r.mode for r in run.robots.values()} == {Mode.DISARMED}
 
 
-def test_a_stop_that_is_cleared_before_robots_have_told_of_it_is_cleared_on_each() -> None:
+def test_clear_stop_reaches_robots_that_have_not_reported_the_stop() -> None:
     """They say that they are disarmed, which was so before the STOP that is on its way."""
     run = Run(automatic=False)
     run.step(0.2)
@@ -931,7 +931,7 @@ def test_a_thruster_test_after_a_cleared_stop_does_not_begin_an_automatic_missio
 # --- home
 
 
-def test_nobody_is_armed_for_the_way_home_who_may_not_be_armed_at_all() -> None:
+def test_a_return_arms_no_robot_that_preflight_blocks() -> None:
     run = Run(automatic=False, settings=["mission.thruster_test=true"])
     run.step(0.2)
     untested = "thruster test: not done (groundstation mission test)"
@@ -952,7 +952,7 @@ def test_nobody_is_armed_for_the_way_home_who_may_not_be_armed_at_all() -> None:
 
 
 @pytest.mark.parametrize("policy", ["hold", "go-on", "close-up"])
-def test_a_lost_robot_that_still_hears_is_told_to_hold_though_nothing_that_it_says_arrives(policy: str) -> None:
+def test_a_lost_robot_is_sent_hold_though_its_states_do_not_arrive(policy: str) -> None:
     run = three_running(policy)
     told = run.robots[2].view()
     run.robots[2].silent = run.robots[2].hears = True
@@ -974,7 +974,7 @@ def test_a_lost_robot_that_still_hears_is_disarmed_with_the_others() -> None:
     assert run.in_mode(2, Mode.DISARMED)
 
 
-def test_a_robot_that_was_out_of_the_run_comes_home_after_it_though_the_others_cannot() -> None:
+def test_a_lost_robot_returns_after_the_run_when_the_others_cannot() -> None:
     run = three_running("go-on")
     run.robots[2].mode, run.robots[2].fault = Mode.FAULT, "no pose"
     run.step(0.5)

@@ -55,7 +55,7 @@ def test_a_start_is_on_time_again() -> None:
     assert pace.lag_s == 0.0
 
 
-def test_after_a_stall_the_lag_is_what_the_last_heartbeat_foretold_and_the_pace_does_not_leap() -> None:
+def test_after_a_stall_lag_and_rate_continue_without_a_leap() -> None:
     pace = ProgressGovernor(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
     driven(pace, np.full(200, 1.0))
     lag_s, rate = pace.lag_s, pace.rate
@@ -68,7 +68,7 @@ def test_after_a_stall_the_lag_is_what_the_last_heartbeat_foretold_and_the_pace_
     assert pace.rate - rate < 0.001
 
 
-def test_the_lag_grows_up_to_the_moment_from_which_nobody_is_waited_for() -> None:
+def test_lag_grows_until_waiting_for_robots_ends() -> None:
     pace = ProgressGovernor(MissionConfig(wait_from_m=0.1, wait_at_m=0.4, slowest=0.1))
     driven(pace, np.full(200, 1.0))
     lag_s, rate = pace.lag_s, pace.rate

@@ -89,7 +89,7 @@ def test_a_stop_is_confirmed_robot_by_robot() -> None:
     assert (asked.progress(number), asked.outcome(number).confirmed) == (Progress.DONE, (1, 2))
 
 
-def test_a_robot_that_refuses_says_why_and_no_longer_once_it_has_obeyed() -> None:
+def test_a_refusal_is_shown_until_the_robot_has_obeyed() -> None:
     asked = Asked()
     asked.fly()
     asked.run.robots[2].refuses = frozenset({Order.STOP})
@@ -146,7 +146,7 @@ def test_another_request_takes_the_place_of_one_under_way_and_the_same_is_one() 
     assert asked.ask(Order.STOP) == stop
 
 
-def test_a_disarmed_robot_that_nobody_hears_is_not_confirmed() -> None:
+def test_a_silent_robot_does_not_confirm_disarm() -> None:
     asked = Asked()
     asked.fly()
     asked.run.mission.roster.mark_lost(2, "silent")
@@ -173,7 +173,7 @@ def test_gains_are_told_apart_from_the_mission() -> None:
     assert asked.progress(again) is Progress.DONE
 
 
-def test_the_run_may_end_when_everybody_who_is_heard_is_at_rest() -> None:
+def test_a_run_ends_when_all_heard_robots_rest() -> None:
     asked = Asked()
     asked.fly()
     asked.run.robots[2].silent = True
@@ -190,7 +190,7 @@ def test_the_run_may_end_when_everybody_who_is_heard_is_at_rest() -> None:
     assert not asked.requests.ending
 
 
-def test_a_thruster_test_that_fails_is_told_with_the_thruster() -> None:
+def test_a_failed_thruster_test_names_the_thruster() -> None:
     asked = Asked()
     number = asked.ask(Order.TEST)
     asked.run.mission.state = MissionState.WAITING  # as if it were over
@@ -223,7 +223,7 @@ def test_an_answer_about_gains_is_no_refusal_of_the_mission() -> None:
 
 
 @pytest.mark.parametrize("fit", [True, False])
-def test_a_return_that_leaves_a_robot_out_has_failed_and_says_which(fit: bool) -> None:
+def test_a_return_without_one_robot_fails_and_names_it(fit: bool) -> None:
     asked = Asked()
     asked.run.step(0.2)
     asked.run.robots[2].verified = fit

@@ -81,7 +81,7 @@ def test_stop_counts_everywhere_and_only_a_person_clears_it() -> None:
     assert {next_state(MissionState.STOPPED, order) for order in Order} == {None, MissionState.STOPPED, MissionState.CLEARING}
 
 
-def test_what_is_over_starts_again_only_when_a_person_says_so() -> None:
+def test_no_event_restarts_a_finished_mission() -> None:
     for state in TERMINAL | {MissionState.CLEARING}:
         assert {next_state(state, event) for event in MissionEvent} <= {None, MissionState.WAITING, MissionState.ABORTING}
 

@@ -22,7 +22,7 @@ def test_the_timetable_stands_until_its_instant() -> None:
 
 
 @pytest.mark.parametrize("age_s", [0.0, 0.1, 0.2])
-def test_what_is_told_late_counts_with_its_age(age_s: float) -> None:
+def test_a_late_state_counts_with_its_age(age_s: float) -> None:
     pace = ProgressGovernor(MissionConfig())
     told_s = 5.0 - age_s
     assert TIMETABLE.behind_s(seen(told_s, age_s), pace, 12 * NS) == pytest.approx(0.0)
@@ -37,7 +37,7 @@ def test_a_formation_that_waits_is_not_behind_itself() -> None:
     assert TIMETABLE.behind_s(seen(5.0 - 0.2 - 1.84, 0.2), pace, 12 * NS) == pytest.approx(0.0)
 
 
-def test_only_who_is_heard_and_flies_has_a_place_on_the_timetable() -> None:
+def test_only_a_heard_flying_robot_has_a_lag() -> None:
     pace = ProgressGovernor(MissionConfig())
     for robot in (seen(0.0, mode=Mode.HOLDING), seen(0.0, age_s=9.0), RobotView()):
         assert TIMETABLE.behind_s(robot, pace, 12 * NS) == 0.0

@@ -128,7 +128,7 @@ def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, floa
         plan_transfers(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NO_OBSTACLES)
 
 
-def test_a_robot_whose_way_leads_past_one_that_waits_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_transfer_past_a_waiting_robot_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """No route leads around: each transfer is planned here as if no robot stood anywhere."""
 
     def as_if_alone(of: Experiment, around: FreeSpace, start: Array, goal: Array, parked: Sequence[Array]) -> Transfer:
@@ -160,7 +160,7 @@ def test_a_way_that_turns_on_the_spot_is_no_way_and_says_so() -> None:
         plan_regroup(experiment, first_segment(experiment), 14.6, 14.535478987424009, rests, {1: 1, 2: 2}, obstacles)
 
 
-def test_where_a_dense_fleet_finds_no_way_it_says_so_instead_of_searching_for_hours(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dense_fleet_without_transfers_is_refused_in_bounded_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Twenty robots of a grid, a third of a circle from where they began: each goal is beside somebody who waits."""
     made = []
 

@@ -53,7 +53,7 @@ def grid_length(discs: Array, half_m: float) -> float:
     return float(dijkstra(graph, directed=False, indices=np.array(ends[:1]))[0, ends[1]])
 
 
-def test_nothing_in_the_way_is_a_straight_line() -> None:
+def test_a_route_without_obstacles_is_a_straight_line() -> None:
     points = find_route([START, GOAL], np.zeros((0, 3)), WIDE)
     assert length(points) == pytest.approx(14.0 * math.sqrt(2.0))
     assert np.abs(points[:, 0] - points[:, 1]).max() < 1e-12
@@ -74,7 +74,7 @@ def test_around_one_island_it_is_two_tangents_and_an_arc(radius: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_in_random_worlds_it_is_clear_and_short(seed: int) -> None:
+def test_routes_in_random_worlds_are_clear_and_short(seed: int) -> None:
     discs = world(np.random.default_rng(seed))
     for end in (START, GOAL):
         if np.any(np.hypot(*(discs[:, :2] - end).T) < discs[:, 2]):

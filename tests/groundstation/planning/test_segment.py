@@ -57,7 +57,7 @@ def test_a_detour_keeps_clear_keeps_its_shape_and_arrives() -> None:
 
 
 @pytest.mark.parametrize("scene", ["blocked-path", "islands"])
-def test_going_over_moves_nobodys_reference(scene: str) -> None:
+def test_a_switch_of_segments_moves_no_reference(scene: str) -> None:
     """The reference at each step, through the robot's own splice and sampler, across the seam."""
     experiment = load_experiment(scene)
     segment = first_segment(experiment)
@@ -94,7 +94,7 @@ def test_a_seam_that_jumps_is_refused_by_the_robot() -> None:
     assert "outside" in splice_objection(old, late)
 
 
-def test_two_detours_one_after_the_other_and_a_place_that_a_person_asks_for() -> None:
+def test_two_replans_in_a_row_and_one_to_a_requested_place() -> None:
     segment = first_segment(BLOCKED)
     first = replan(BLOCKED, segment, 10.0, BALL)
     second = replan(BLOCKED, first, 16.0, np.vstack([BALL, [[2.5, 1.0, 0.2]]]))
@@ -117,7 +117,7 @@ def test_no_way_round_is_refused_with_the_reason() -> None:
         replan(BLOCKED, segment, segment.end_s - 2.0, np.array([[-2.0, 0.0, 0.2]]), [(-3.0, 0.0)])
 
 
-def test_what_lies_on_the_path_is_told_with_robot_place_and_time() -> None:
+def test_an_obstacle_on_the_path_is_reported_with_robot_place_and_time() -> None:
     segment = first_segment(BLOCKED)
     said = first_contact(BLOCKED, segment, 14.0, 60.0, BALL)
     assert said.startswith("at (1.00, 0.10) m, on the path of robot 3, in 2")
@@ -223,7 +223,7 @@ def test_a_gap_closes_without_anybody_crossing() -> None:
     assert way(2, slots[2]) + way(3, slots[3]) <= way(2, slots[3]) + way(3, slots[2])
 
 
-def test_what_was_flown_and_what_comes_are_one_path() -> None:
+def test_flown_and_planned_trajectories_join_into_one() -> None:
     segment = first_segment(BLOCKED)
     new = replan(BLOCKED, segment, 14.0, BALL).trajectories[1]
     whole = concatenate(segment.trajectories[1], new)

@@ -97,7 +97,7 @@ def test_each_limit_slows(settings: tuple[str, ...], limit: str) -> None:
     assert 0.97 < np.max(shares) <= 1.0 + 2e-3
 
 
-def test_what_is_slow_enough_stays_as_it_is() -> None:
+def test_a_feasible_path_is_not_slowed() -> None:
     for robot, trajectory in plan(scene("path.slow=true")).items():
         as_is = plan(scene())[robot]
         np.testing.assert_allclose(trajectory.eta, as_is.eta, atol=1e-12)

@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
-from groundstation.logs.logfile import LogFile, open_log
+from groundstation.logs.reader import LogFile, open_log
 from groundstation.logs.recorder import Recorder
 from groundstation.replay.bus_replay import SEEN_AND_SAID, chosen, send
 from robot_agent.agent import Agent
@@ -88,7 +88,7 @@ def test_a_part_of_it(log: LogFile) -> None:
     assert min(stamps) - log.start_ns > 7.9 * SECOND and max(stamps) - log.start_ns < 9.1 * SECOND
 
 
-def test_nothing_that_moves_a_robot_ever_leaves(tmp_path: Path) -> None:
+def test_replay_publishes_no_topic_that_moves_a_robot(tmp_path: Path) -> None:
     """Of a log with everything in it, also with what no recorder of ours would put there."""
     heartbeat, command = StationHeartbeat("hash"), Command(Order.START, 1)
     moving: dict[Topic, object] = {
@@ -129,7 +129,7 @@ def test_no_program_joins_a_replay() -> None:
         assert "recorded run" in done.output
 
 
-def test_it_ends_when_told(log: LogFile) -> None:
+def test_sending_ends_at_a_stop(log: LogFile) -> None:
     stop, fake = Stop(install=False), Fake()
     hub = MemoryHub()
 

@@ -95,7 +95,7 @@ def test_flights_that_failed_are_named_and_make_it_fail(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"variants": [{"name": "x"}]}', '{"variants": [], "other": 1}'])
-def test_what_is_no_comparison_is_refused_by_name(tmp_path: Path, text: str) -> None:
+def test_a_folder_without_a_comparison_is_refused_by_name(tmp_path: Path, text: str) -> None:
     (tmp_path / "comparison.json").write_text(text, encoding="utf-8")
     result = CliRunner().invoke(cli, ["benchmark", "report", str(tmp_path)])
     assert isinstance(result.exception, ConfigError) and str(tmp_path / "comparison.json") in str(result.exception)

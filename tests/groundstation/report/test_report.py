@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 
 from groundstation.analysis.alignment import align
 from groundstation.analysis.series import Series
-from groundstation.logs.reader import read_log
+from groundstation.logs.reader import is_complete, read_log
 from groundstation.logs.recorder import Recorder
-from groundstation.logs.repair import is_complete
 from groundstation.report import figures, figures_errors, figures_paths
 from groundstation.report.plotting import MOST_POINTS, Curve, Panel, stack, thin, to_svg
 from groundstation.report.report import write_report
@@ -188,7 +187,7 @@ def test_a_cut_log_is_mended_and_gives_back_the_experiment(tmp_path: Path) -> No
         (Script(until_s=3.0, truth=False), "errors against the localizer"),
     ],
 )
-def test_whatever_became_of_the_run_there_is_a_report(tmp_path: Path, script: Script, words: str) -> None:
+def test_every_outcome_of_a_run_gets_a_report(tmp_path: Path, script: Script, words: str) -> None:
     write_run(tmp_path, script)
     assert not write_report(tmp_path).passed
     text = (tmp_path / "report.html").read_text()

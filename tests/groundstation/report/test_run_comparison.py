@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from groundstation.__main__ import cli
-from groundstation.logs.repair import is_complete
+from groundstation.logs.reader import is_complete
 from groundstation.report.report import evaluated, write_figures
 from groundstation.report.run_comparison import Run, differences, drawn, metric_rows
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run

@@ -66,7 +66,7 @@ def test_a_station_that_was_killed_is_not_there_and_its_file_goes(place: Path) -
         child.communicate()
 
 
-def test_of_several_each_is_named_and_none_is_chosen() -> None:
+def test_several_running_stations_are_named_and_none_is_chosen() -> None:
     child = another("tcp/127.0.0.1:4")
     try:
         with (
@@ -82,7 +82,7 @@ def test_of_several_each_is_named_and_none_is_chosen() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "{}", '{"endpoint": 1}', "\x00" * 9000])
-def test_a_file_that_is_none_of_ours_is_no_station(place: Path, text: str) -> None:
+def test_discovery_ignores_foreign_files(place: Path, text: str) -> None:
     import fcntl
 
     with announced(HERE, "shoal", "pool"), (place / "1.json").open("w") as file:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from groundstation.inboxes import subscribe_fleet
 from groundstation.logs.recorder import Recorder
 from groundstation.mission.gain_update import GainUpdater
 from groundstation.mission.lap_statistics import LapStatistics
@@ -20,6 +19,7 @@ from groundstation.planning import planner
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
 from groundstation.station.station import MAX_UNANSWERED, Station, workers
+from groundstation.telemetry import subscribe_fleet
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import Header
@@ -61,7 +61,7 @@ def a_station(folder: Path, hub: MemoryHub | None = None) -> Iterator[Station]:
     recorder.close()
 
 
-def test_a_plan_that_comes_when_another_is_wanted_counts_for_nothing(tmp_path: Path) -> None:
+def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
     """A detour was being planned when a person sent everybody home."""
     late = threading.Event()
     with a_station(tmp_path) as station:
@@ -174,7 +174,7 @@ def test_an_order_that_is_not_answered_is_on_its_way_twice_at_most(tmp_path: Pat
         return reply
 
     with a_station(tmp_path) as station:
-        monkeypatch.setattr(station.bus, "send_order", silent)
+        monkeypatch.setattr(station.bus, "send_command", silent)
         try:
             asked(station, Order.STOP)
             for k in range(100):
@@ -219,7 +219,7 @@ def test_a_run_is_ended_once_everybody_is_at_rest(tmp_path: Path, mode: Mode) ->
         assert station.status().ended
 
 
-def test_an_end_that_a_start_takes_the_place_of_ends_nothing(tmp_path: Path) -> None:
+def test_an_end_replaced_by_a_start_ends_no_run(tmp_path: Path) -> None:
     hub = MemoryHub()
     with a_station(tmp_path, hub) as station:
         fleet = Fleet(hub, station.experiment)
@@ -233,7 +233,7 @@ def test_an_end_that_a_start_takes_the_place_of_ends_nothing(tmp_path: Path) -> 
         assert not station.ended
 
 
-def test_a_cycle_that_hangs_holds_up_nobody_who_asks_how_things_are(tmp_path: Path) -> None:
+def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         station.cycle(station.clock.now_ns(), lockstep=False)
         before = station.status()
@@ -270,7 +270,7 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
     try:
         for _ in range(TRIES):  # a busy machine may take longer than a period now and then, but not every time
             before_ns = next_beat_ns(person, stop, beats)
-            assert person.order(Command(Order.STOP, WHOLE_FLEET), time.time_ns(), PATIENCE_S).accepted
+            assert person.command(Command(Order.STOP, WHOLE_FLEET), time.time_ns(), PATIENCE_S).accepted
             gaps_s.append((next_beat_ns(person, stop, beats) - before_ns) * 1e-9)
             beat = beats.newest()
             assert beat is not None and beat.message.emergency_stop

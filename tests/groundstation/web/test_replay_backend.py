@@ -45,7 +45,7 @@ def error_m(robot: dict[str, Any]) -> Array:
     return np.asarray((eta - reference)[:2])
 
 
-def test_it_waits_where_the_robots_begin_to_fly(replay: ReplayBackend) -> None:
+def test_replay_begins_where_the_robots_start_to_fly(replay: ReplayBackend) -> None:
     first = replay.snapshot()
     assert first["replay"] == {"time_s": pytest.approx(START_S + 0.05, abs=0.01), "rate": 0.0}
     assert first["robots"][0]["state"]["t_s"] == pytest.approx(0.05, abs=0.01)
@@ -54,7 +54,7 @@ def test_it_waits_where_the_robots_begin_to_fly(replay: ReplayBackend) -> None:
 
 
 @pytest.mark.parametrize("order", [(3.0, 12.5, 25.0), (25.0, 3.0, 12.5)])
-def test_any_time_shows_what_was_logged_then(replay: ReplayBackend, order: tuple[float, ...]) -> None:
+def test_seeking_shows_the_states_of_that_time(replay: ReplayBackend, order: tuple[float, ...]) -> None:
     for flown_s in order:
         shown = at(replay, START_S + flown_s + 0.001)
         for robot in shown["robots"]:
@@ -64,7 +64,7 @@ def test_any_time_shows_what_was_logged_then(replay: ReplayBackend, order: tuple
             np.testing.assert_allclose(error_m(robot), expected, atol=1e-6)
 
 
-def test_what_was_never_said_or_long_ago_is_not_shown_as_now(run: Path, tmp_path: Path) -> None:
+def test_missing_and_old_messages_are_not_shown_as_present(run: Path, tmp_path: Path) -> None:
     write_run(tmp_path, Script(duration_s=30.0, until_s=10.0))
     with ReplayBackend(tmp_path) as cut:
         before = at(cut, 0.5)
@@ -93,10 +93,10 @@ def test_the_other_run_is_aligned_by_its_own_start(run: Path, tmp_path: Path) ->
 
 
 def test_a_recorded_run_takes_no_orders(replay: ReplayBackend) -> None:
-    assert replay.order(Order.STOP) == ("this is a recorded run", 0)
+    assert replay.station.request(Order.STOP) == ("this is a recorded run", 0)
 
 
-def test_what_is_no_run_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_folder_without_a_run_is_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"run\.mcap"):
         ReplayBackend(tmp_path)
 

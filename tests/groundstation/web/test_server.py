@@ -8,7 +8,7 @@ import struct
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +19,17 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from groundstation.inboxes import subscribe_fleet
-from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
-from groundstation.telemetry import Finding, RobotView
+from groundstation.telemetry import RobotView
 from groundstation.web import connection_limits, protocol
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import LiveBackend, StationApi, Status
+from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
+from tests.groundstation.fake_station import FakeStation
 from wire.config.experiment import load_experiment
 from wire.messages import codec, fleet_pb2, topics
 from wire.messages.messages import Event, Mode, Order, Outcome, Preview, Progress, RobotState, Trajectory
-from wire.process.runtime import WallClock, log
+from wire.process.runtime import log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
@@ -43,35 +42,28 @@ PATIENCE_S = 20.0
 TOKEN = "correct horse battery staple"
 
 
-@dataclass
-class Lab:
+@dataclass(kw_only=True)
+class Lab(FakeStation):
     """A station's bus, and the page's server on it."""
 
     port: int
-    bus: Bus
     robots: Bus
     opened: contextlib.ExitStack
-    phase: MissionState = MissionState.WAITING
-    orders: list[Order] = field(default_factory=list)
-    outcomes: list[Outcome] = field(default_factory=list)
-    seen: dict[int, RobotView] = field(default_factory=dict)
-    paths: tuple[dict[int, Trajectory], float] | None = None
-    preflight: tuple[Finding, ...] | None = None
     blocked: threading.Event | None = None  # whoever asks for anything but a stop waits for it
 
     def say(self, robot: int = 1) -> None:
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
-    def order(self, order: Order) -> tuple[str, int]:
+    def request(self, order: Order) -> tuple[str, int]:
         if self.blocked is not None and order is not Order.STOP:
             self.blocked.wait(PATIENCE_S)
-        self.orders.append(order)
-        return ("not now", 0) if order is Order.HOLD else ("", len(self.orders))
+        accepted = super().request(order)
+        return ("not now", 0) if order is Order.HOLD else accepted
 
-    def tune(self, values: Any, next_lap: bool) -> tuple[str, int]:
+    def request_gains(self, values: Any, next_lap: bool) -> tuple[str, int]:
         if self.blocked is not None:
             self.blocked.wait(PATIENCE_S)
-        return "", 1
+        return super().request_gains(values, next_lap)
 
     def open(self, **options: Any) -> "Page":
         options.setdefault("origin", f"http://127.0.0.1:{self.port}")
@@ -125,14 +117,7 @@ def free_port() -> int:
 
 
 def make_desk(lab: Lab) -> LiveBackend:
-    def status() -> Status:
-        told = tuple(lab.outcomes)
-        return Status(lab.phase, "", preflight=lab.preflight, seen=lab.seen, requests=told)
-
-    post = StationApi(status, lab.order, lab.tune, paths=lambda: lab.paths)
-    return LiveBackend(
-        POOL, planner.plan(POOL), lab.bus, subscribe_fleet(lab.bus, POOL.robot_ids), WallClock(), post, "real-time"
-    )
+    return LiveBackend(POOL, planner.plan(POOL), lab.bus, lab.heard, lab.clock, lab, "real-time")
 
 
 @pytest.fixture
@@ -146,7 +131,7 @@ def _served() -> Iterator[Lab]:
     hub, port = MemoryHub(), free_port()
     with Bus(MemoryTransport(hub)) as bus, Bus(MemoryTransport(hub)) as robots:
         opened = contextlib.ExitStack()
-        found = Lab(port, bus, robots, opened)
+        found = Lab(POOL, bus, port=port, robots=robots, opened=opened)
         with WebServer(make_desk(found), WebOptions(port=port, token=TOKEN)), opened:
             yield found
 
@@ -176,7 +161,7 @@ def test_a_stranger_s_page_is_not_let_in(lab: Lab, origin: str | None) -> None:
     assert refused.value.response.status_code == 403
 
 
-def test_a_wrong_token_sees_nothing(lab: Lab) -> None:
+def test_a_page_with_a_wrong_token_gets_no_state(lab: Lab) -> None:
     page = lab.open()
     page.say(kind="hello", token="guess")
     with pytest.raises(ConnectionClosed) as closed:
@@ -228,7 +213,7 @@ def test_who_has_control_commands_and_all_may_stop(lab: Lab) -> None:
     assert second.until(lambda f: state(f) and f["holder"] == yours)
 
 
-def test_a_stopped_page_holds_nobody_up(lab: Lab) -> None:
+def test_a_page_that_stops_reading_delays_no_other(lab: Lab) -> None:
     """It stays connected and takes nothing in; the other still gets every second state and more, and memory stays flat."""
     stopped, other = lab.open(), lab.open()
     stopped.say(kind="hello", token=TOKEN)  # and never a word again
@@ -255,10 +240,11 @@ def test_a_stopped_page_holds_nobody_up(lab: Lab) -> None:
         stopped.socket.recv(timeout=0.5)
 
 
-def test_what_became_of_a_request_and_lines_of_the_log_reach_the_page(lab: Lab) -> None:
+def test_request_outcomes_and_log_lines_reach_the_page(lab: Lab) -> None:
     page = lab.open()
     page.hello()
-    lab.outcomes.append(Outcome(7, Order.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",)))
+    outcome = Outcome(7, Order.CLEAR_STOP, Progress.FAILED, "aborting", "ABORTING", (1,), (2,), ("no pose",))
+    lab.told = replace(lab.told, requests=(outcome,))
     (told,) = page.until(lambda f: state(f) and f["requests"])["requests"]
     assert told == {
         "request": 7,
@@ -284,7 +270,7 @@ def test_while_dragging_the_newest_edit_is_answered(lab: Lab) -> None:
     assert last["ok"] and last["fastest_mps"] == pytest.approx(0.439 * 3.14159265 / 100, rel=1e-5)
 
 
-def test_a_certificate_that_cannot_be_used_is_told_before_anything_flies(lab: Lab, tmp_path: Path) -> None:
+def test_an_unusable_certificate_is_refused_at_start(lab: Lab, tmp_path: Path) -> None:
     """Not a line in the log, and then a station without a page that says where its page is."""
     (none := tmp_path / "none.pem").write_text("no certificate\n")
     for certificate in (tmp_path / "absent.pem", none):
@@ -292,7 +278,7 @@ def test_a_certificate_that_cannot_be_used_is_told_before_anything_flies(lab: La
             WebServer(make_desk(lab), WebOptions(port=free_port(), certificate=certificate, key=none))
 
 
-def test_assets_are_ours_alone_and_say_so(lab: Lab) -> None:
+def test_assets_are_served_with_security_headers(lab: Lab) -> None:
     from urllib.request import Request, urlopen
 
     with urlopen(f"http://127.0.0.1:{lab.port}/") as answer:
@@ -308,7 +294,7 @@ def test_assets_are_ours_alone_and_say_so(lab: Lab) -> None:
 # --- what must not be kept waiting, and by what
 
 
-def test_a_stop_is_heard_while_everything_else_is_at_work_on_something(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stop_is_taken_while_all_other_threads_are_busy(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     """Requests, changes of gains, edits and saves, more of each than there are threads for."""
     release = lab.blocked = threading.Event()
 
@@ -316,8 +302,8 @@ def test_a_stop_is_heard_while_everything_else_is_at_work_on_something(lab: Lab,
         release.wait(PATIENCE_S)
         return {"ok": False, "problems": []}
 
-    monkeypatch.setattr("groundstation.web.experiment_editor.attempt", slow)
-    monkeypatch.setattr("groundstation.web.experiment_editor.save", slow)
+    monkeypatch.setattr("groundstation.web.client_hub.attempt", slow)
+    monkeypatch.setattr("groundstation.web.client_hub.save", slow)
     pages = [lab.open() for _ in range(8)]
     for page in pages:
         page.hello()
@@ -373,7 +359,7 @@ def test_a_page_that_comes_back_keeps_its_control_and_its_dead_connection_is_end
     assert other.until(state)["holder"] == mine
 
 
-def test_a_look_that_fails_is_told_and_the_next_one_shows_the_fleet_again(
+def test_a_failed_snapshot_is_logged_and_the_next_one_is_shown(
     lab: Lab, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     page = lab.open()
@@ -395,7 +381,7 @@ def test_a_look_that_fails_is_told_and_the_next_one_shows_the_fleet_again(
     assert "nothing new is shown: KeyError" in caplog.text
 
 
-def test_connections_that_ask_for_nothing_keep_nobody_out(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_idle_connections_do_not_block_new_ones(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     from urllib.request import urlopen
 
     idle = [lab.opened.enter_context(socket.create_connection(("127.0.0.1", lab.port))) for _ in range(150)]
@@ -430,7 +416,7 @@ def test_a_page_that_is_watched_is_not_cut_off(monkeypatch: pytest.MonkeyPatch) 
             assert page.until(state)
 
 
-def test_a_server_that_does_not_come_up_is_told_and_nothing_flies(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_page_server_that_does_not_start_is_refused(lab: Lab, monkeypatch: pytest.MonkeyPatch) -> None:
     async def never(server: Any, sockets: Any = None) -> None:
         raise RuntimeError("no more file descriptors")
 
@@ -467,7 +453,8 @@ def test_a_fault_of_megabytes_is_no_state_of_a_robot(lab: Lab) -> None:
 
 
 def test_the_page_shows_what_the_station_knows_of_links_clocks_and_the_timetable(lab: Lab) -> None:
-    lab.seen = {1: RobotView(loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: RobotView()}
+    heard = RobotView(RobotState(mode=Mode.ARMED), 0.0)
+    lab.told = replace(lab.told, seen={1: replace(heard, loss=0.5, clock_offset_s=0.3, behind_s=0.8), 2: heard})
     page = lab.open()
     page.hello()
     for robot in (1, 2):

@@ -17,8 +17,8 @@ from groundstation.telemetry import RobotView
 from groundstation.web import experiment_editor, protocol
 from groundstation.web.alarms import alarms
 from groundstation.web.auth import host_allowed, origin_allowed, token_allowed, web_options
-from groundstation.web.camera_underlay import mesh
 from groundstation.web.control_lease import SILENT_S, ControlLease
+from groundstation.web.scene import mesh
 from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, SendWindow
 from groundstation.web.snapshot import ellipse
 from sim_bridge.camera import optics
@@ -91,7 +91,7 @@ def test_a_stopped_page_costs_a_bounded_memory() -> None:
     assert window.round_trip_s == 0.5
 
 
-def test_an_acknowledgement_of_what_was_never_sent_changes_nothing() -> None:
+def test_an_unknown_acknowledgement_is_ignored() -> None:
     window = SendWindow()
     window.offer("state", b"a")
     window.next(0.0)
@@ -106,7 +106,7 @@ def test_an_acknowledgement_of_what_was_never_sent_changes_nothing() -> None:
 # --- the lease
 
 
-def test_one_has_control_and_a_silent_one_loses_it() -> None:
+def test_one_page_has_control_and_a_silent_page_loses_it() -> None:
     lease = ControlLease()
     assert lease.ask(1, 0.0)
     assert not lease.ask(2, 1.0)
@@ -230,7 +230,7 @@ def test_an_edit_with_a_number_that_cannot_be_is_a_request_and_is_answered(key: 
         "[" * 60_000,
     ],
 )
-def test_what_is_no_request_is_refused(text: str) -> None:
+def test_text_that_is_no_request_is_refused(text: str) -> None:
     with pytest.raises(protocol.BadRequest):
         protocol.read_request(text)
 

@@ -187,7 +187,7 @@ def test_an_unknown_vehicle_is_refused_with_the_choice() -> None:
 
 
 @pytest.mark.parametrize("legs", [3, 5, 6])
-def test_a_vehicle_with_another_number_of_legs_is_refused_with_what_is_modelled(legs: int) -> None:
+def test_a_vehicle_with_another_number_of_legs_is_refused(legs: int) -> None:
     given = [[0.2, 0.1], [0.2, -0.1], [-0.2, 0.1], [-0.2, -0.1], [0.0, 0.1], [0.0, -0.1]][:legs]
     with pytest.raises(ConfigError, match=rf"has {legs} legs .*exactly 4; this version models four steerable legs"):
         load_experiment("pool", [f"vehicle.legs.position_m={given}"])

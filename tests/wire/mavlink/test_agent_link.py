@@ -285,7 +285,7 @@ def test_every_truncation_is_noticed_and_the_next_frame_is_not_lost() -> None:
         assert events == [Override(OTHER)], f"{length} bytes"
 
 
-def test_false_headers_hide_nothing_for_long() -> None:
+def test_false_headers_do_not_hide_frames_for_long() -> None:
     """The longest frame there is, announced and never sent: pymavlink's own parser would swallow nine overrides."""
     false = bytes([0xFD, 255, 0, 0, 0, 1, 191]) + (131).to_bytes(3, "little")  # ENCAPSULATED_DATA
     agent, board = AgentLink(1), BoardLink(1)

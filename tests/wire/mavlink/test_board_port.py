@@ -113,7 +113,7 @@ def test_serial_carries_bytes_both_ways_and_comes_back_after_an_unplug(tmp_path:
         link.close()
 
 
-def test_a_board_that_reads_nothing_does_not_block_the_sender() -> None:
+def test_sending_to_a_board_that_does_not_read_does_not_block() -> None:
     controller, device = pty.openpty()
     link = open_link(f"serial:{os.ttyname(device)}")
     signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits for the board"))

@@ -144,7 +144,7 @@ def test_a_computer_whose_clock_is_behind_catches_up_with_the_board() -> None:
     assert events(device, late.heartbeat()) == [Heartbeat()]
 
 
-def test_each_stream_has_its_own_time() -> None:
+def test_each_stream_keeps_its_own_timestamps() -> None:
     verifier = SignatureVerifier(KEY)
     ahead = Signer(Key(SECRET, 1), lambda: NOW + 1000)
     behind = Signer(Key(SECRET, 2), lambda: NOW)

@@ -253,30 +253,11 @@ def test_a_picture_is_what_any_protobuf_reader_expects(height: int, width: int, 
     assert codec.protobuf_class(Frame).FromString(encode(Frame(pixels), 5 * 10**9)) == image
 
 
-def _seen(data: bytes) -> list[list[int]] | str:
-    try:
-        pixels: list[list[int]] = _decode(Frame, data).pixels.tolist()
-    except DecodeError as error:
-        return error.field
-    return pixels
-
-
-@given(st.integers(0, 5), st.booleans(), st.integers(0, 2**32 - 1))
-def test_a_picture_is_read_as_protobuf_reads_it(which: int, whole: bool, seed: int) -> None:
-    """Whole, cut, damaged, its pixels in front, twice, or behind more fields than anybody looks through."""
+def test_protobuf_reads_the_pictures_that_we_write_and_we_read_its_own() -> None:
     ours = encode(Frame(np.arange(24, dtype=np.uint8).reshape(4, 6)))
     image = codec.protobuf_class(Frame).FromString(ours)
-    head = image.__class__()
-    head.CopyFrom(image)
-    head.ClearField("data")
-    pixels = ours.removeprefix(head.SerializeToString())
-    front, crowd = pixels + head.SerializeToString(), b"\x7d\0\0\0\0" * 40  # nobody's field 15, over and over
-    message = (ours, image.SerializeToString(), front, ours + ours, crowd + ours, b"\x80" * 90)[which]
-    message = message if whole else damaged(message, np.random.default_rng(seed))
-    fast = _seen(message)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(codec, "_split_last_field", lambda message, number: None)
-        assert fast == _seen(message)
+    assert (image.width, image.height, image.data) == (6, 4, bytes(range(24)))
+    assert _decode(Frame, image.SerializeToString()).pixels.tobytes() == bytes(range(24))
 
 
 def test_a_picture_is_not_copied_and_not_writable() -> None:

@@ -59,7 +59,7 @@ def test_a_package_within_somebody_elses_work_tree_does_not_take_its_commit(tree
     assert commit(installed) == "a" * 40
 
 
-def test_where_there_is_no_git_it_is_unknown(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_commit_is_unknown_without_git(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", "")
     assert commit(tree) == UNKNOWN
 

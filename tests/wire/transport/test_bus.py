@@ -1,5 +1,8 @@
 """The same contract for real Zenoh sessions through a real router, and for the in-memory twin."""
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,6 +16,7 @@ from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
 from wire.messages import messages, topics
 from wire.messages.codec import Header, encode
+from wire.toml_loader import ConfigError
 from wire.transport import zenoh_transport
 from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
@@ -115,13 +119,13 @@ def test_an_order_is_answered_refused_or_reported_unanswered(make_bus: MakeBus) 
     robot.serve(1, handle)
     order = messages.Order
     trajectory = messages.Trajectory("t", 0.05, np.ones((4000, 4)), np.ones((4000, 4)), np.ones((4000, 4)))
-    assert eventually(lambda: station.order(messages.Command(order.ARM, 1), 5, 1.0).accepted)
-    refused = station.order(messages.Command(order.LOAD, 1, trajectory=trajectory), 6, 1.0)
+    assert eventually(lambda: station.command(messages.Command(order.ARM, 1), 5, 1.0).accepted)
+    refused = station.command(messages.Command(order.LOAD, 1, trajectory=trajectory), 6, 1.0)
     assert (refused.accepted, refused.reason) == (False, "only arming")
     assert seen[-1][1].trajectory is not None
     assert seen[-1][1].trajectory.eta.shape == (4000, 4)
     assert seen[-1][0].sequence > seen[-2][0].sequence
-    assert "no answer" in station.order(messages.Command(order.ARM, 2), 7, 0.2).reason
+    assert "no answer" in station.command(messages.Command(order.ARM, 2), 7, 0.2).reason
 
 
 def test_presence_comes_and_goes(make_bus: MakeBus) -> None:
@@ -259,11 +263,11 @@ TUNE, HOLD = messages.Command(messages.Order.TUNE, 1), messages.Command(messages
 
 
 @pytest.mark.parametrize(("slow", "quick"), [(TUNE, HOLD), (HOLD, TUNE)], ids=["tune is slow", "hold is slow"])
-def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_waiting(
+def test_a_command_slow_to_encode_neither_outdates_nor_delays_another(
     make_bus: MakeBus, monkeypatch: pytest.MonkeyPatch, slow: messages.Command, quick: messages.Command
 ) -> None:
     station, robot = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     robot.told.clear()
     begun, go_on = threading.Event(), threading.Event()
 
@@ -275,10 +279,10 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
 
     monkeypatch.setattr("wire.transport.bus.encode", encode_slowly)
     with ThreadPoolExecutor(1) as pool:
-        late = pool.submit(station.order, slow, 1, 5.0)
+        late = pool.submit(station.command, slow, 1, 5.0)
         assert begun.wait(20.0)
         try:
-            answer = station.order(quick, 1, 5.0)
+            answer = station.command(quick, 1, 5.0)
         finally:
             go_on.set()
         assert (answer.accepted, late.result().accepted) == (True, True), (answer.reason, late.result().reason)
@@ -287,9 +291,9 @@ def test_an_order_that_takes_long_to_encode_makes_no_other_old_and_keeps_none_wa
 
 def test_orders_from_many_threads_are_all_taken(make_bus: MakeBus) -> None:
     station, _ = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     with ThreadPoolExecutor(8) as pool:
-        replies = list(pool.map(lambda k: station.order(HOLD if k % 2 else TUNE, k, 5.0), range(200)))
+        replies = list(pool.map(lambda k: station.command(HOLD if k % 2 else TUNE, k, 5.0), range(200)))
     assert [reply.reason for reply in replies if not reply.accepted] == []
 
 
@@ -309,9 +313,11 @@ def test_messages_of_one_topic_from_many_threads_all_arrive(make_bus: MakeBus) -
 
 def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any_thread(make_bus: MakeBus) -> None:
     station, robot = make_bus(), Obeying(make_bus())
-    assert eventually(lambda: station.order(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
     robot.told.clear()
-    waiting = [station.send_order(HOLD if k % 3 else TUNE, 1, 5.0) for k in range(8)]  # more than 16 at once a queue may drop
+    waiting = [
+        station.send_command(HOLD if k % 3 else TUNE, 1, 5.0) for k in range(8)
+    ]  # more than 16 at once a queue may drop
     assert [reply.reason for wait in reversed(waiting) if not (reply := wait()).accepted] == []
     assert robot.told == [(HOLD if k % 3 else TUNE).order for k in range(8)]
 
@@ -319,8 +325,84 @@ def test_commands_arrive_in_the_order_of_sending_when_replies_are_awaited_on_any
 def test_a_second_try_does_not_come_after_a_later_order(make_bus: MakeBus) -> None:
     """A robot that is met for the first time is asked who it is: by then another order may have been given."""
     station, robot = make_bus(), Obeying(make_bus())
-    resume, hold = station.send_order(messages.Command(messages.Order.RESUME, 1), 1, 2.0), station.send_order(HOLD, 1, 2.0)
+    resume, hold = station.send_command(messages.Command(messages.Order.RESUME, 1), 1, 2.0), station.send_command(HOLD, 1, 2.0)
     overtaken = resume()
     assert (overtaken.accepted, overtaken.reason) == (False, "RESUME was overtaken by a later order")
     assert hold().accepted
     assert robot.told == [messages.Order.HOLD]
+
+
+@pytest.mark.parametrize("make_bus", ["zenoh"], indirect=True)  # in memory the sender's thread does what is asked
+def test_a_stop_is_obeyed_while_another_command_is_under_way(make_bus: MakeBus) -> None:
+    station, robot = make_bus(), make_bus()
+    begun, go_on, obeyed = threading.Event(), threading.Event(), list[messages.Order]()
+
+    def handle(header: Header, command: messages.Command) -> messages.Reply:
+        if command.order is messages.Order.TUNE:
+            begun.set()
+            assert go_on.wait(20.0)
+        obeyed.append(command.order)
+        return messages.Reply(1, True)
+
+    robot.serve(1, handle)
+    assert eventually(lambda: station.command(messages.Command(messages.Order.ARM, 1), 1, 2.0).accepted)
+    obeyed.clear()
+    with ThreadPoolExecutor(2) as pool:
+        slow = pool.submit(station.command, TUNE, 1, 20.0)
+        assert begun.wait(20.0)
+        behind = pool.submit(station.command, HOLD, 1, 20.0)
+        try:
+            assert station.command(messages.Command(messages.Order.STOP, 1), 1, 5.0).accepted
+            assert obeyed == [messages.Order.STOP]
+        finally:
+            go_on.set()
+        assert slow.result().accepted
+        behind.result()  # obeyed, or refused as older than the STOP
+    assert obeyed[:2] == [messages.Order.STOP, messages.Order.TUNE]
+    assert station.command(HOLD, 1, 5.0).accepted
+
+
+# --- one process of a name
+
+THERE = """
+import sys, time
+from wire.transport.bus import Bus
+from wire.transport.endpoint import Endpoint
+from wire.transport.zenoh_transport import ZenohTransport
+bus = Bus(ZenohTransport(Endpoint(sys.argv[1]), patience_s=20.0))
+bus.claim("agent-1", bool)
+bus.announce("agent-1")
+print("there", flush=True)
+time.sleep(600)
+"""
+
+
+@pytest.fixture
+def fleet_with_agent() -> Iterator[tuple[Bus, "subprocess.Popen[bytes]"]]:
+    """A client of a router where another process is agent-1, and that process."""
+    address = f"tcp/127.0.0.1:{free_port()}"
+    with Bus(ZenohTransport(Endpoint(address, router=True))), Bus(ZenohTransport(Endpoint(address))) as bus:
+        other = subprocess.Popen([sys.executable, "-c", THERE, address], stdout=subprocess.PIPE)
+        try:
+            assert other.stdout is not None and other.stdout.readline() == b"there\n"
+            yield bus, other
+        finally:
+            other.kill()
+            other.communicate()
+
+
+def test_a_second_process_of_a_name_is_refused(fleet_with_agent: tuple[Bus, "subprocess.Popen[bytes]"]) -> None:
+    bus, _ = fleet_with_agent
+    with pytest.raises(ConfigError, match=r"agent-1: another process of this name is in fleet shoal .*end it"):
+        bus.claim("agent-1", bool, patience_s=0.5)
+    bus.claim("agent-2", bool)
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP], ids=["crashed", "cut off"])
+def test_a_name_is_free_when_its_process_is_gone(
+    fleet_with_agent: tuple[Bus, "subprocess.Popen[bytes]"], how: signal.Signals
+) -> None:
+    bus, other = fleet_with_agent
+    other.send_signal(how)
+    bus.claim("agent-1", bool)
+    bus.announce("agent-1")

@@ -74,7 +74,7 @@ def station(ring: Path, address: str, tmp_path_factory: pytest.TempPathFactory) 
 def stopped(ring: Path, address: str) -> bool:
     """True if a remote operator gets a stop through."""
     with Bus(ZenohTransport(endpoint(address, "operator", ring), patience_s=SOON_S)) as bus:
-        return bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
+        return bus.command(Command(Order.STOP, 0), 1, SOON_S).accepted
 
 
 @pytest.mark.parametrize("source", ["127.0.0.1", "127.0.0.2"])  # also from where the members are
@@ -91,7 +91,7 @@ def test_strangers_keep_no_member_out(
         ZenohTransport(endpoint(address, "agent-1", ring), patience_s=SOON_S).close()
 
 
-def test_a_stranger_is_told_of_in_one_line_and_a_member_is_not(
+def test_a_rejected_stranger_is_logged_in_one_line(
     station: Bus, ring: Path, address: str, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
 ) -> None:
     caplog.clear()
@@ -153,7 +153,7 @@ def test_a_guard_that_cannot_be_started_at_once_is_started_later(
 # --- the door
 
 
-def test_the_door_is_for_orders_to_the_station_and_for_nothing_else(station: Bus, ring: Path, address: str) -> None:
+def test_the_door_accepts_only_requests_to_the_station(station: Bus, ring: Path, address: str) -> None:
     where = nearest(endpoint(address, "operator", ring))
     assert where.address.startswith(f"{DOOR}/")
     obeyed: list[Order] = []
@@ -162,8 +162,8 @@ def test_the_door_is_for_orders_to_the_station_and_for_nothing_else(station: Bus
     station.subscribe(topics.HEARTBEAT, None, lambda topic, key, header, payload: heard.append(header.session))
     with Bus(ZenohTransport(where, patience_s=SOON_S)) as bus:
         bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(), 1)
-        assert bus.order(Command(Order.STOP, 0), 1, SOON_S).accepted
-        assert not bus.order(Command(Order.ARM, 1), 1, 0.2).accepted
+        assert bus.command(Command(Order.STOP, 0), 1, SOON_S).accepted
+        assert not bus.command(Command(Order.ARM, 1), 1, 0.2).accepted
     assert (obeyed, bus.session in heard) == ([], False)
 
 
@@ -360,7 +360,7 @@ def test_a_hello_in_too_many_pieces_is_no_hello(passage: Passage) -> None:
     assert eventually(lambda: len(passage.told) == 1, admission.HELLO_S / 2)
 
 
-def test_a_stranger_that_is_gone_before_its_turn_costs_nothing(passage: Passage) -> None:
+def test_a_stranger_gone_before_its_turn_is_skipped(passage: Passage) -> None:
     for _ in range(20):
         with socket.create_connection(("127.0.0.1", passage.port), timeout=SOON_S) as stranger:
             stranger.sendall(b"GET / HTTP/1.1\r\n\r\n")

@@ -118,7 +118,7 @@ def may_write(process: str, topic: Topic, robot: int | None) -> bool:
     return ROLES[process] in topic.writers and own
 
 
-def test_everybody_hears_what_the_table_says_and_nothing_else(guarded: Guarded) -> None:
+def test_each_role_receives_exactly_the_topics_of_the_table(guarded: Guarded) -> None:
     """Everybody but the router publishes everything, also for robots that are not theirs."""
     writers = {process: bus for process, bus in guarded.buses.items() if process != "groundstation"}
     wanted = {
@@ -149,7 +149,7 @@ def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_t
     allowed = {("groundstation", 0), ("groundstation", 1), ("groundstation", 2), ("operator", 0)}
     guarded.obeyed.clear()
     answers = {
-        (process, number): bus.order(Command(Order.ARM, number), 1, 2.0 if (process, number) in allowed else 0.2)
+        (process, number): bus.command(Command(Order.ARM, number), 1, 2.0 if (process, number) in allowed else 0.2)
         for process, bus in guarded.buses.items()
         for number, own in SERVED.items()
         if process != own or process == "groundstation"  # within one session nothing goes over the network
@@ -174,9 +174,9 @@ def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: Guarde
 def test_a_robot_cannot_answer_for_another(guarded: Guarded) -> None:
     guarded.obeyed.clear()
     usurped: list[bytes] = []
-    guarded.buses["agent-1"]._transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"")  # type: ignore[func-returns-value]
+    guarded.buses["agent-1"]._transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"", bool)  # type: ignore[func-returns-value]
     time.sleep(0.2)
-    assert guarded.buses["groundstation"].order(Command(Order.STOP, 2), 1, 2.0).accepted
+    assert guarded.buses["groundstation"].command(Command(Order.STOP, 2), 1, 2.0).accepted
     assert (usurped, guarded.obeyed) == ([], [(2, Order.STOP)])
 
 

@@ -87,7 +87,7 @@ class Beating:
     def order(self, order: Order) -> Reply:
         self.beat()
         time.sleep(0.05)
-        return self.bus.order(Command(order, 1, HOUR_S, POOL.hash), self._clock.now_ns(), 2.0)
+        return self.bus.command(Command(order, 1, HOUR_S, POOL.hash), self._clock.now_ns(), 2.0)
 
     def mode(self) -> Mode | None:
         time.sleep(0.2)
@@ -99,7 +99,7 @@ def robot(address: str, log: Path) -> Program:
     return Program(log, "robot_agent", "run", "pool", "--robot", "1", "--link", "udp:127.0.0.1:9", "--station", address)
 
 
-def test_a_robot_obeys_nothing_twice_not_live_and_not_after_a_restart_of_either_side(address: str, tmp_path: Path) -> None:
+def test_a_robot_ignores_replayed_commands_live_and_after_restarts(address: str, tmp_path: Path) -> None:
     tape, heartbeats = Tape(), []
     agent = robot(address, tmp_path / "agent.log")
     station = Beating(address)
@@ -136,7 +136,7 @@ def test_a_robot_obeys_nothing_twice_not_live_and_not_after_a_restart_of_either_
         agent.end()
 
 
-def test_a_station_obeys_nothing_twice_not_live_and_not_after_a_restart(tmp_path: Path) -> None:
+def test_a_station_ignores_replayed_requests_live_and_after_a_restart(tmp_path: Path) -> None:
     address = f"tcp/127.0.0.1:{free_port()}"
 
     def station(name: str) -> Program:
@@ -148,8 +148,8 @@ def test_a_station_obeys_nothing_twice_not_live_and_not_after_a_restart(tmp_path
         terminal = Bus(ZenohTransport(Endpoint(address), patience_s=30.0))
         tape.record(terminal)
         wishes = (Order.STOP, Order.CLEAR_STOP)
-        assert eventually(lambda: terminal.order(Command(Order.NONE, 0, HOUR_S), 0, 1.0).session != 0, 30.0)
-        assert [terminal.order(Command(order, 0, HOUR_S), 0, 2.0).accepted for order in wishes] == [True, True]
+        assert eventually(lambda: terminal.command(Command(Order.NONE, 0, HOUR_S), 0, 1.0).session != 0, 30.0)
+        assert [terminal.command(Command(order, 0, HOUR_S), 0, 2.0).accepted for order in wishes] == [True, True]
         terminal.close()
         tape.play(address)
         assert program.said("CLEAR_STOP asked for: under way") == 1

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from groundstation.logs.pipe_recorder import record
 from groundstation.logs.reader import read_log
+from groundstation.logs.recorder import record_pipe
 from wire.config.experiment import load_experiment
 from wire.messages import topics
 from wire.messages.messages import Pose, Track
@@ -23,9 +23,9 @@ def poses(count: int) -> bytes:
     return stream.getvalue()
 
 
-def test_what_came_through_the_pipe_is_in_the_log(tmp_path: Path) -> None:
+def test_messages_from_a_pipe_are_recorded(tmp_path: Path) -> None:
     experiment = load_experiment("pool")
-    assert record(experiment, tmp_path, "numeric", io.BytesIO(poses(40))) == ""
+    assert record_pipe(experiment, tmp_path, "numeric", io.BytesIO(poses(40))) == ""
     log = read_log(tmp_path / "run.mcap")
     found = log.of(topics.POSE, Pose, 2)
     assert [(e.stamp_ns, e.arrived_ns, e.sequence) for e in found] == [(50 * MS * k, 50 * MS * k, k + 1) for k in range(40)]
@@ -36,8 +36,8 @@ def test_what_came_through_the_pipe_is_in_the_log(tmp_path: Path) -> None:
     assert 'name = "pool"' in log.experiment_toml
 
 
-def test_a_pipe_that_breaks_off_leaves_a_whole_log_of_what_came(tmp_path: Path) -> None:
-    problem = record(load_experiment("pool"), tmp_path, "numeric", io.BytesIO(poses(40)[:-10]))
+def test_a_broken_pipe_leaves_a_readable_log(tmp_path: Path) -> None:
+    problem = record_pipe(load_experiment("pool"), tmp_path, "numeric", io.BytesIO(poses(40)[:-10]))
     assert "ends after" in problem
     log = read_log(tmp_path / "run.mcap")
     assert log.complete

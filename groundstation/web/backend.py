@@ -1,0 +1,64 @@
+"""Interfaces of the page's server: what it shows (Backend), and what it asks of the station (StationApi). Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from groundstation.mission.gain_update import GainStatus
+from groundstation.mission.lap_statistics import Lap
+from groundstation.mission.state_machine import MissionState
+from groundstation.telemetry import Finding, Fleet
+from wire.config.experiment import Experiment
+from wire.messages.messages import Order, Outcome, Trajectory
+
+
+@dataclass(frozen=True)
+class Status:
+    """Status of the station, as of its last cycle."""
+
+    state: MissionState
+    reason: str
+    recorder_error: str = ""
+    insecure: bool = False  # the network is open, as was asked for
+    tuning: GainStatus | None = None
+    laps: Sequence[Lap] = ()
+    preflight: tuple[Finding, ...] = ()  # why not to arm
+    seen: Fleet = field(default_factory=dict)  # the fleet as of the station's last cycle
+    requests: Sequence[Outcome] = ()  # what became of people's requests, oldest first
+    ended: bool = False  # a person has ended the run
+    beat_age_s: float = 0.0  # since the station's last cycle
+
+
+class OperatorRequests(Protocol):
+    """Requests for the whole fleet. Each returns the reason of a refusal, or nothing, and the request's number."""
+
+    def request(self, order: Order) -> tuple[str, int]: ...
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+        """Change gains; None: go back to those before."""
+
+
+class StationApi(OperatorRequests, Protocol):
+    """The station (groundstation/station/station.py) as the page needs it. All of it may be used from any thread."""
+
+    @property
+    def paths(self) -> tuple[Mapping[int, Trajectory], float] | None:
+        """Trajectories flown now and their end in s; None: as planned before the run."""
+
+    def status(self) -> Status: ...
+
+
+class Backend(Protocol):
+    """Data source of the page's server: the live fleet, or a recorded run. Used from one thread, but for `station`, whose
+    requests may take their time in others."""
+
+    @property
+    def experiment(self) -> Experiment: ...
+    @property
+    def station(self) -> OperatorRequests: ...
+    def scene(self) -> dict[str, Any]: ...
+    def changed(self) -> bool: ...
+    def snapshot(self) -> dict[str, Any]: ...
+    def picture(self) -> dict[str, Any] | None: ...
+    def paths(self) -> list[dict[str, Any]] | None: ...
+    def notes(self) -> list[dict[str, Any]]: ...
+    def seek(self, time_s: float | None, rate: float | None) -> None: ...

@@ -1,0 +1,42 @@
+"""A station's side of the page without a cycle: it views the fleet when asked, and notes what is requested."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+from groundstation.mission.state_machine import MissionState
+from groundstation.telemetry import Finding, Fleet, FleetInboxes, LinkMonitor, blocking_findings, subscribe_fleet
+from groundstation.web.backend import Status
+from wire.config.experiment import Experiment
+from wire.messages.messages import Order, Trajectory
+from wire.process.runtime import Clock, WallClock
+from wire.transport.bus import Bus
+
+
+@dataclass
+class FakeStation:
+    """Takes every request, and calls the fleet ready or not by what its robots say."""
+
+    experiment: Experiment
+    bus: Bus
+    told: Status = field(default_factory=lambda: Status(MissionState.WAITING, ""))
+    orders: list[Order] = field(default_factory=list)
+    preflight: tuple[Finding, ...] | None = None  # None: as the robots are
+    paths: tuple[Mapping[int, Trajectory], float] | None = None
+    clock: Clock = field(default_factory=WallClock)
+    heard: FleetInboxes = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.heard = subscribe_fleet(self.bus, self.experiment.robot_ids)
+
+    def status(self) -> Status:
+        fleet: Fleet = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
+        fleet = {**fleet, **self.told.seen}
+        preflight = blocking_findings(self.experiment, fleet) if self.preflight is None else self.preflight
+        return replace(self.told, seen=fleet, preflight=preflight)
+
+    def request(self, order: Order) -> tuple[str, int]:
+        self.orders.append(order)
+        return "", len(self.orders)
+
+    def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:
+        return "", 1
