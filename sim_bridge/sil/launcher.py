@@ -47,8 +47,7 @@ SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
 def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
     """Run an experiment with all its processes, after `commands.check`. Returns the exit code: 0 passed, 1 failed, 2
     refused by the station, 130 interrupted."""
-    run_dir.mkdir(parents=True, exist_ok=True)
-    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    write_experiment(experiment, run_dir)
     if not hasattr(resource, "prlimit"):
         fault_schedule.require_kinds(
             experiment, tuple(kind for kind in KINDS if kind != "disk"), "only Linux can feign a full disk"
@@ -77,26 +76,42 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
         refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
             problems.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
-            _print_error(console, problems[-1])
+            print_error(console, problems[-1])
     finally:
         children.stop()
         if secrets is not None:
             secrets.cleanup()
+    if refused and not stop.requested:
+        return nothing_flown(run_dir, console)
+    verdict = conclude(run_dir, came_up, not mission_failed and not problems, stop, console)
+    return 2 if verdict == 1 and station.exit_code == 2 else verdict
+
+
+def write_experiment(experiment: Experiment, run_dir: Path) -> None:
+    """Begin a run's folder with the experiment's file."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+
+
+def nothing_flown(run_dir: Path, console: Console) -> int:
+    """Remove the folder of a run that the station has refused. Returns the exit code."""
+    shutil.rmtree(run_dir)
+    console.print("[red]refused[/]: nothing was flown, and no folder is left")
+    return 2
+
+
+def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console: Console) -> int:
+    """Report, and print the verdict. `came_up`: the station made a log. Returns the exit code: 0 passed, 1 failed, 130
+    interrupted."""
     if stop.requested:
         console.print("interrupted: every process is stopped")
-        if came_up:
-            report(run_dir, console)
-            console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
-        return 130
-    if refused:
-        shutil.rmtree(run_dir)
-        console.print("[red]refused[/]: nothing was flown, and no folder is left")
-        return 2
-    passed = came_up and report(run_dir, console) and not mission_failed and not problems
+    passed = came_up and report(run_dir, console) and succeeded
     if came_up:
         console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
+    if stop.requested:
+        return 130
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
-    return 0 if passed else 2 if station.exit_code == 2 else 1
+    return 0 if passed else 1
 
 
 def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console: Console) -> int:
@@ -125,7 +140,7 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     return 0
 
 
-def _print_error(console: Console, text: str) -> None:
+def print_error(console: Console, text: str) -> None:
     """Print in red, without markup: messages of programs contain brackets too."""
     console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
 
@@ -169,14 +184,14 @@ def _watch(
             for child in children.ended():
                 if child.name not in problems and child is not station and child.name not in injector.killed:
                     problems[child.name] = child.explain()
-                    _print_error(console, problems[child.name])
+                    print_error(console, problems[child.name])
             if problems and lockstep:
                 break  # the others would wait for it for ever
             if monitor.heartbeats != heartbeats:
                 heartbeats, moved_s = monitor.heartbeats, time.monotonic()
             elif time.monotonic() - moved_s > STALLED_S:
                 problems["all"] = f"nothing has moved for {STALLED_S:.0f} s"
-                _print_error(console, problems["all"])
+                print_error(console, problems["all"])
                 break
             if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
                 said_s = time.monotonic()
@@ -196,17 +211,17 @@ def report(run_dir: Path, console: Console) -> bool:
     )
     # 1: there is one, of a run that did not pass; but so ends a program with an error of its own
     if writing.returncode not in (0, 1) or _written(file) == before:
-        _print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
+        print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
     result = json.loads(file.read_text(encoding="utf-8"))
     if result["log_trouble"]:
-        _print_error(console, result["log_trouble"])
+        print_error(console, result["log_trouble"])
     console.print(_table(result) if result["duration_s"] else "[red]nothing was flown[/]")
     for check in result["checks"]:
         if result["duration_s"] and not check["passed"]:
-            _print_error(console, f"not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}")
+            print_error(console, f"not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}")
     for fault in result["faults"]:
-        _print_error(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
+        print_error(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
     return bool(result["passed"])
 
 
