@@ -91,8 +91,8 @@ class LocalizerNode:
         run_steps(self.steps())
 
     def steps(self) -> Generator[None]:
-        """The loop: yields when the localizer is ready, and after each frame. In lockstep `next` waits for a frame unless it is
-        there already."""
+        """The loop: yields when the localizer is ready, and after each frame. In lockstep `next` waits for a frame unless it
+        is there already."""
         rate_hz = self._experiment.localizer.preview_rate_hz
         show = partial(draw, self._localizer)
         with ExitStack() as stack:

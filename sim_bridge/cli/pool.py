@@ -52,8 +52,8 @@ def pool(
     """
     import cv2
 
-    from sim_bridge.node.pool import PoolNode
     from sim_bridge.node.board_ports import UdpPorts
+    from sim_bridge.node.pool import PoolNode
     from sim_bridge.thruster_board.board import ThrusterBoard
     from sim_bridge.thruster_board.nonvolatile import boards_in
     from wire.messages.topics import Role, process_name

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+from rich.console import Console
 
 from groundstation.station import process as station_process
 from groundstation.web.auth import WebOptions, web_options
@@ -23,6 +24,9 @@ from localizer.node import LocalizerNode
 from robot_agent.node import AgentNode
 from sim_bridge.node.board_ports import Address, BoardPorts
 from sim_bridge.node.pool import PoolNode
+from sim_bridge.sil import launcher
+from sim_bridge.sil.commands import RunOptions
+from sim_bridge.sil.monitor import Monitor
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages import topics
 from wire.process.lockstep import LockstepClock
@@ -51,8 +55,7 @@ class Part:
 
     @contextmanager
     def acting(self) -> Iterator[None]:
-        """What is logged meanwhile is this part's. An exception other than ConfigError becomes Failed, with the part's
-        name."""
+        """Log as this part meanwhile. An exception other than ConfigError becomes Failed, with the part's name."""
         others, log.handlers[:] = log.handlers[:], self._handlers
         try:
             yield
@@ -181,9 +184,7 @@ class Executor:
         self._localizer: Part | None = None
         self._agents: list[Part] = []
 
-    def fly(
-        self, each_tick: Callable[[], None] = lambda: None, *, automatic: bool = True, page: str | None = None
-    ) -> bool:
+    def fly(self, each_tick: Callable[[], None] = lambda: None, *, automatic: bool = True, page: str | None = None) -> bool:
         """Fly to the end of the mission, or until `stop` is requested; `each_tick` is called after every control step, `page`
         is where the operator's page is served (HOST:PORT). Returns whether the mission succeeded.
 
@@ -244,3 +245,20 @@ class Executor:
         for agent in self._agents:
             agent.step()
         self._each_tick()
+
+
+def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
+    """Run an experiment in this process, after `commands.check`. Folder, verdict and exit code are those of `launcher.run`."""
+    launcher.write_experiment(experiment, run_dir)
+    hub = MemoryHub()
+    executor, monitor = Executor(experiment, run_dir, hub, poses=options.poses), Monitor(experiment, Bus(MemoryTransport(hub)))
+    stop.on_request(executor.stop.request)
+    log_file, succeeded = run_dir / "run.mcap", False
+    try:
+        with monitor.shown(console) as say:
+            succeeded = executor.fly(say, automatic=not options.manual, page=options.page)
+    except (ConfigError, Failed) as error:
+        launcher.print_error(console, str(error))
+        if isinstance(error, ConfigError) and not log_file.exists():
+            return launcher.nothing_flown(run_dir, console)
+    return launcher.conclude(run_dir, log_file.exists(), succeeded, stop, console)

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 
 from sim_bridge import fault_schedule
@@ -41,7 +40,6 @@ START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a pr
 LOOK_EVERY_S = 0.2
 STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
 SAFE_WITHIN_S = 1.0  # s in which robots bring themselves to rest when the station has gone
-SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
 
 
 def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
@@ -132,7 +130,7 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
         "lockstep, as fast as it goes" if options.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
     )
     console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
-    for program in started:
+    for program in started if not options.one_process else ():
         command = shlex.join(["python", "-m", program.module, *program.arguments])
         console.print(f"  {program.name:13} {command}", soft_wrap=True, highlight=False)
     for fault in experiment.sim.faults:
@@ -175,10 +173,9 @@ def _watch(
 ) -> list[str]:
     """Show the run until the station has ended it. Returns the problems of processes."""
     problems: dict[str, str] = {}
-    said_s = moved_s = time.monotonic()
+    moved_s = time.monotonic()
     heartbeats = 0
-    with Live(console=console, refresh_per_second=5, get_renderable=monitor.render, transient=True) as live:
-        live.auto_refresh = console.is_terminal
+    with monitor.shown(console) as say:
         while station.exit_code is None and not stop.requested:
             injector.act(monitor.flown_s)
             for child in children.ended():
@@ -193,9 +190,7 @@ def _watch(
                 problems["all"] = f"nothing has moved for {STALLED_S:.0f} s"
                 print_error(console, problems["all"])
                 break
-            if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
-                said_s = time.monotonic()
-                console.print(monitor.line(), soft_wrap=True)
+            say()
             time.sleep(LOOK_EVERY_S)
         if station.exit_code not in (None, 0, 1):
             time.sleep(SAFE_WITHIN_S)  # the others still fly: let them bring themselves to rest, and say so in their logs

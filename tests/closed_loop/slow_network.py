@@ -19,8 +19,8 @@ import numpy as np
 from groundstation.station import process as station_process
 from localizer import node as localizer_node
 from robot_agent import node as agent_node
-from sim_bridge.node.pool import PoolNode
 from sim_bridge.node.board_ports import UdpPorts
+from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
 from wire.config.experiment import Experiment, dump_experiment
 from wire.mavlink.board_port import UdpLink
@@ -164,9 +164,7 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
             for thread in threads:
                 thread.start()
             station_bus = bus("groundstation")
-            run_steps(
-                station_process.cycles(experiment, toml, station_bus, folder, automatic=True, lockstep=True, stop=stop)
-            )
+            run_steps(station_process.cycles(experiment, toml, station_bus, folder, automatic=True, lockstep=True, stop=stop))
         finally:
             stop.request()
             for thread in threads:

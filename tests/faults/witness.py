@@ -20,8 +20,8 @@ import numpy as np
 
 import sim_bridge.node.pool
 from sim_bridge.fault_schedule import FaultSchedule
-from sim_bridge.node.pool import PoolNode
 from sim_bridge.node.board_ports import UdpPorts
+from sim_bridge.node.pool import PoolNode
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import BoardFactory

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.node.pool import PoolNode
 from sim_bridge.node.board_ports import UdpPorts
+from sim_bridge.node.pool import PoolNode
 from sim_bridge.sil.ports import free_base_port
 from sim_bridge.world import World
 from wire.config.experiment import load_experiment
