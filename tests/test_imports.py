@@ -15,8 +15,8 @@ ROOT = Path(__file__).parents[1]
 PROCESSES = {"groundstation", "robot_agent", "localizer", "sim_bridge"}
 GENERATED = {"wire/messages/fleet_pb2.py"}
 
-# Numeric flights step agents and plant in one process, from the start or from a moment of a run; the executor steps all nodes of
-# a lockstep run. Nothing else may see another package. `groundstation log rerun` needs no exception: the robots' own program
+# Numeric flights step agents and plant in one process, from the start or from a moment of a run; the executor steps the nodes
+# of a lockstep run. Nothing else may see another package. `groundstation log rerun` needs no exception: the robots' program
 # does the steps.
 ALLOWED = {
     "sim_bridge/in_process/fleet.py": {"robot_agent"},
