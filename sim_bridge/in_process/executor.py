@@ -29,20 +29,41 @@ from sim_bridge.sil.commands import RunOptions
 from sim_bridge.sil.monitor import Monitor
 from wire.config.experiment import Experiment, dump_experiment
 from wire.messages import topics
+from wire.messages.codec import decode
 from wire.process.lockstep import LockstepClock
 from wire.process.runtime import Failed, Stop, log, start_log
 from wire.toml_loader import ConfigError
-from wire.transport.bus import Bus
+from wire.transport.bus import Bus, Decode
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 from wire.transport.transport import Answer
 
 PEER: Address = ("memory", 0)  # of every board: its robot's computer
 
 
+class SharedDecoder:
+    """The codec of all buses of a run: messages are frozen, so one that several nodes read is decoded once."""
+
+    def __init__(self) -> None:
+        self._read: dict[int, tuple[bytes, Any]] = {}  # in this tick: payload and message, by the payload's address
+        self._before: dict[int, tuple[bytes, Any]] = {}  # in the tick before
+
+    def decode(self, kind: type[Any], payload: bytes, peer: str, topic: str) -> Any:
+        """As codec.decode."""
+        known = self._read.get(id(payload)) or self._before.get(id(payload))
+        if known is None or known[0] is not payload:
+            known = payload, decode(kind, payload, peer, topic)
+        self._read[id(payload)] = known
+        return known[1]
+
+    def next_tick(self) -> None:
+        """Forget the messages that were not read in the last tick."""
+        self._before, self._read = self._read, {}
+
+
 class Part:
     """One node with its own bus and its own log file. `steps` is its loop, which yields after each step."""
 
-    def __init__(self, name: str, hub: MemoryHub, log_dir: Path, closing: ExitStack) -> None:
+    def __init__(self, name: str, hub: MemoryHub, log_dir: Path, closing: ExitStack, decode: Decode = decode) -> None:
         self.name = name
         self.result: Any = None  # of its loop
         self.ended = False
@@ -51,7 +72,7 @@ class Part:
         stream = closing.enter_context((log_dir / f"{name}.log").open("w", encoding="utf-8"))
         with self.acting():
             start_log(name, stream=stream)
-        self.bus = closing.enter_context(Bus(_PartTransport(hub, self)))
+        self.bus = closing.enter_context(Bus(_PartTransport(hub, self), decode=decode))
 
     @contextmanager
     def acting(self) -> Iterator[None]:
@@ -179,6 +200,7 @@ class Executor:
         self.stop = Stop(install=False)
         self._experiment, self._run_dir, self._hub, self._poses = experiment, run_dir, hub, poses
         self._each_tick: Callable[[], None] = lambda: None
+        self._decoder = SharedDecoder()
         self._ticked = self._exposed = False
         self._station: Part
         self._localizer: Part | None = None
@@ -197,7 +219,7 @@ class Executor:
         with ExitStack() as closing:
 
             def part(name: str) -> Part:
-                return Part(name, self._hub, log_dir, closing)
+                return Part(name, self._hub, log_dir, closing, self._decoder.decode)
 
             listener = closing.enter_context(Bus(MemoryTransport(self._hub)))
             listener.subscribe(topics.TICK, None, lambda *_: setattr(self, "_ticked", True))
@@ -238,6 +260,7 @@ class Executor:
         if self._exposed and self._localizer is not None:
             self._localizer.step()
         self._ticked = self._exposed = False
+        self._decoder.next_tick()
         self._station.step()
         if self._station.ended:
             self.stop.request()

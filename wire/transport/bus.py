@@ -27,6 +27,7 @@ M = TypeVar("M")
 Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
 Collected = Callable[[], Iterator[tuple[Topic, str, Header, bytes]]]
 Handle = Callable[[Header, Command], Reply]
+Decode = Callable[[type[Any], bytes, str, str], Any]  # type of the message, payload, peer, topic; as codec.decode
 
 KEPT = 3  # per inbox: in lockstep a fast neighbour may already be one step ahead
 
@@ -104,7 +105,7 @@ class Inbox(Generic[M]):
 
     def _decode(self, kept: "_Kept[M]") -> Received[M] | None:
         try:
-            message = decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
+            message = self._bus.decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
         except DecodeError as error:
             self.bad += 1
             self.last_error = str(error)
@@ -115,7 +116,8 @@ class Inbox(Generic[M]):
 class Bus:
     """One process's access to the fleet. Thread-safe. Close it in a `finally`."""
 
-    def __init__(self, transport: Transport, fleet: str = "shoal") -> None:
+    def __init__(self, transport: Transport, fleet: str = "shoal", decode: Decode = decode) -> None:
+        self.decode = decode
         self.session = secrets.randbits(63) | 1
         self.arrival = threading.Condition()  # notified whenever something arrives
         self.rejected = 0  # messages without a readable header
