@@ -134,6 +134,7 @@ def numeric(
 
 def campaign(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The campaign, a TOML file (docs/simulator.md).")],
+    camera: Annotated[bool, typer.Option("--camera", help="Fly with the camera in the loop, as camera = true.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of the campaign; default: runs/campaign-NAME.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
@@ -142,6 +143,8 @@ def campaign(
     ] = None,
 ) -> None:
     """Fly an experiment many times, keys swept or drawn, on all cores or on a cluster; write Parquet and a report.
+
+    Flights are numeric, or with --camera as `sil --lockstep --one-process` flies them.
 
     Exit code 0 if every flight was flown, well or badly; 1 if one was refused or failed.
 
@@ -153,7 +156,7 @@ def campaign(
     from sim_bridge.studies.campaign import Campaign
     from wire.toml_loader import check, read_toml
 
-    loaded = check(Campaign, read_toml(file), str(file))
+    loaded = check(Campaign, {**read_toml(file), **({"camera": True} if camera else {})}, str(file))
     folder = out or Path("runs") / f"campaign-{loaded.name}"
     raise typer.Exit(
         campaign_runner.run(
