@@ -5,6 +5,7 @@ camera is faster than 100 Hz.
 """
 
 import time
+from collections.abc import Generator
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -23,7 +24,7 @@ from wire.config.experiment import Experiment
 from wire.messages import topics
 from wire.messages.messages import CameraHealth, LocalizerStatus, Obstacles, RobotState, Track
 from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus
+from wire.process.runtime import Clock, Stop, WallClock, age_s, log, log_to_bus, run_steps
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
@@ -88,6 +89,11 @@ class LocalizerNode:
 
     def run(self) -> None:
         """Localize until told to stop, or until a recording is over."""
+        run_steps(self.steps())
+
+    def steps(self) -> Generator[None]:
+        """The loop: yields when the localizer is ready, and after each frame. In lockstep `next` waits for a frame unless it
+        is there already."""
         rate_hz = self._experiment.localizer.preview_rate_hz
         show = partial(draw, self._localizer)
         with ExitStack() as stack:
@@ -98,11 +104,13 @@ class LocalizerNode:
             log_to_bus(self._bus, self._clock, "localizer")
             self._bus.announce("localizer")
             log.info("ready, experiment %s", self._experiment.hash[:8])
+            yield
             for captured in self._source.frames(self._stop):
                 if captured is None:
                     self._report_absent(previews)
                 else:
                     self._handle(captured, previews)
+                yield
 
     def _handle(self, captured: CapturedFrame, previews: PreviewPublisher) -> None:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""

@@ -11,7 +11,7 @@ by itself, but only 0.25 s later.
 import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import replace
 
 from robot_agent.agent import Agent, Outputs
@@ -39,7 +39,7 @@ from wire.messages.messages import (
     Tick,
 )
 from wire.process.lockstep import Lockstep, LockstepClock, Reminder
-from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, log, log_to_bus, wait
+from wire.process.runtime import SLICE_S, Clock, Stop, WallClock, log, log_to_bus, run_steps, wait
 from wire.transport.bus import Bus, Received
 from wire.transport.command_deduplication import ALWAYS_TAKEN
 
@@ -96,22 +96,25 @@ class AgentNode:
     def run(self) -> None:
         """Run the control loop until told to stop. Raises the exception that ended it otherwise. Either way the board is
         disarmed first."""
-        log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
-        self._stop.on_request(self._awake)
         try:
-            self._bus.serve(self._robot, self._order)
-            self._greet()
-            self._bus.announce(f"agent-{self._robot}")
-            log.info("ready, experiment %s", self._experiment.hash[:8])
-            self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
-            self._watchdog.mode(self.agent.mode.name)
-            self._fly()
+            run_steps(self.steps())
         except BaseException as error:
             self._leave(f"the control loop has ended: {type(error).__name__}: {error}", logging.ERROR)
             raise
         self._leave("told to stop")
 
-    def _fly(self) -> None:
+    def steps(self) -> Generator[None]:
+        """The control loop: yields when the robot is ready, and after each step. In lockstep `next` waits for a tick unless it
+        is there already."""
+        log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
+        self._stop.on_request(self._awake)
+        self._bus.serve(self._robot, self._order)
+        self._greet()
+        self._bus.announce(f"agent-{self._robot}")
+        log.info("ready, experiment %s", self._experiment.hash[:8])
+        self._watchdog.ready(f"robot {self._robot}, experiment {self._experiment.name}")
+        self._watchdog.mode(self.agent.mode.name)
+        yield
         for due_ns, up_to_ns in self._lockstep_pace(self._lockstep) if self._lockstep else self._wall_pace():
             if self._failure is not None:
                 raise self._failure
@@ -123,6 +126,7 @@ class AgentNode:
             self._watchdog.alive(time.monotonic_ns())
             self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
             self._compare_clocks()
+            yield
 
     def _awake(self) -> None:
         """Wake the loop at once, wherever it sleeps."""

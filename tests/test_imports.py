@@ -15,9 +15,15 @@ ROOT = Path(__file__).parents[1]
 PROCESSES = {"groundstation", "robot_agent", "localizer", "sim_bridge"}
 GENERATED = {"wire/messages/fleet_pb2.py"}
 
-# Numeric flights step agents and plant in one process, from the start or from a moment of a run; nothing else may see another
-# package. `groundstation log rerun` needs no exception: the robots' own program does the steps.
-ALLOWED = {"sim_bridge/in_process/fleet.py": {"robot_agent"}, "sim_bridge/in_process/resume.py": {"robot_agent"}}
+# Numeric flights step agents and plant in one process, from the start or from a moment of a run; the executor steps the nodes
+# of a lockstep run. Nothing else may see another package. `groundstation log rerun` needs no exception: the robots' program
+# does the steps.
+ALLOWED = {
+    "sim_bridge/in_process/fleet.py": {"robot_agent"},
+    "sim_bridge/in_process/resume.py": {"robot_agent"},
+    "sim_bridge/in_process/executor.py": {"groundstation", "localizer", "robot_agent"},
+    "sim_bridge/studies/camera_flight.py": {"groundstation"},  # a row of a campaign is what the flight's report would say
+}
 
 # What each part of a package may import from the same package: a table that reads downwards, so that nothing goes round. Every
 # edge is used; a new one is a decision about the architecture (docs/architecture.md).
@@ -81,11 +87,11 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "camera": {"plant"},
         "fault_schedule": {"plant"},
         "sil": {"fault_schedule"},
-        "in_process": {"camera", "fault_schedule", "plant", "sil"},
-        "studies": {"fault_schedule", "in_process", "plant"},
         "thruster_board": {"plant"},
         "world": {"fault_schedule", "plant", "thruster_board"},
         "node": {"camera", "fault_schedule", "plant", "thruster_board", "world"},
+        "in_process": {"camera", "fault_schedule", "node", "plant", "sil"},
+        "studies": {"fault_schedule", "in_process", "plant", "sil"},
         "cli": {"fault_schedule", "in_process", "node", "sil", "studies", "thruster_board"},
     },
 }

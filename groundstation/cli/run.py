@@ -25,7 +25,7 @@ from wire.process.cli_options import (
     WebAddress,
     caution,
 )
-from wire.process.runtime import Stop, start_log
+from wire.process.runtime import Stop, run_steps, start_log
 from wire.toml_loader import ConfigError, os_errors_as_config_errors
 
 NoWeb = Annotated[bool, typer.Option("--no-web", help="Serve no page.")]
@@ -91,7 +91,7 @@ def run(
         raise ConfigError(f"{folder / 'run.mcap'}: is there already, and would be lost (allowed: a folder without a log)")
     with Bus(ZenohTransport(where, stop), fleet) as bus, announced(where, fleet, loaded.name):
         bus.claim(me, stop)
-        succeeded = process.run(
+        station = process.cycles(
             loaded,
             text,
             bus,
@@ -103,6 +103,7 @@ def run(
             insecure=where.insecure,
             viewer=viewer,
         )
+        succeeded = run_steps(station)
     if run_dir is None:  # a launcher that names the folder writes the report itself, when every process has stopped
         passed = write_report(folder).passed
         typer.echo(f"report: {folder / 'report.html'} ({'passed' if passed else 'failed'})")

@@ -6,6 +6,7 @@ when all messages of that tick have come.
 
 import contextlib
 import time
+from collections.abc import Generator
 from pathlib import Path
 
 from groundstation.export.foxglove_live import ViewerServer
@@ -44,7 +45,7 @@ def record_everything(bus: Bus, recorder: Recorder, clock: Clock) -> None:
     recorder.gather([bus.collect(topic) for topic in topics.TOPICS if topic.recorded], arrival_ns)
 
 
-def run(
+def cycles(
     experiment: Experiment,
     experiment_toml: str,
     bus: Bus,
@@ -56,9 +57,12 @@ def run(
     web: WebOptions | None = None,
     insecure: bool = False,
     viewer: tuple[str, int] | None = None,
-) -> bool:
-    """Run the station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers
-    are served. Makes `run_dir`. Returns whether the mission succeeded."""
+) -> Generator[None, None, bool]:
+    """The station until its mission is over (automatic) or it is told to stop; `viewer` is where Foxglove-family viewers are
+    served. Makes `run_dir`. Returns whether the mission succeeded.
+
+    In lockstep yields when the station is present, and after each cycle; `next` waits for a tick unless it is there already.
+    """
     clock: Clock = LockstepClock() if lockstep else WallClock()
     segment = first_segment(experiment)
     trajectories = dict(segment.trajectories)
@@ -101,7 +105,7 @@ def run(
         bus.announce("groundstation")
         started_s = time.monotonic()
         if ticks is not None:
-            _lockstep_loop(station, ticks)
+            yield from _lockstep_cycles(station, ticks)
         else:
             _wall_loop(station, stop)
         log.info("mission %s after %.1f s", mission.state.value, time.monotonic() - started_s)
@@ -149,8 +153,9 @@ def _wall_loop(station: Station, stop: Stop) -> None:
         station.wake.wait((due_ns - now_ns) * 1e-9)
 
 
-def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
+def _lockstep_cycles(station: Station, lockstep: Lockstep) -> Generator[None]:
     heard, end = station.heard, _End(station)
+    yield
     while (tick := lockstep.next()) is not None:
         # What the robots found in the step before, and where the picture shows them.
         up_to_ns = lockstep.await_sight(tick, heard.localizer, heard.poses, heard.obstacles)
@@ -161,3 +166,4 @@ def _lockstep_loop(station: Station, lockstep: Lockstep) -> None:
         station.cycle(tick.now_ns, lockstep=True)
         if end.reached():
             return
+        yield

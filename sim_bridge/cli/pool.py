@@ -52,8 +52,8 @@ def pool(
     """
     import cv2
 
+    from sim_bridge.node.board_ports import UdpPorts
     from sim_bridge.node.pool import PoolNode
-    from sim_bridge.node.udp_ports import BoardPorts
     from sim_bridge.thruster_board.board import ThrusterBoard
     from sim_bridge.thruster_board.nonvolatile import boards_in
     from wire.messages.topics import Role, process_name
@@ -67,7 +67,7 @@ def pool(
     loaded = load_experiment(experiment, settings or ())
     where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
     make = boards_in(boards) if boards is not None else ThrusterBoard
-    sockets = BoardPorts(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
+    sockets = UdpPorts(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
     with Bus(ZenohTransport(where, stop), fleet) as bus:
         PoolNode(loaded, bus, sockets, stop, lockstep, poses, make).run()
     stop.raise_failure()

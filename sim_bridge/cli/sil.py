@@ -1,5 +1,7 @@
 """SHELL: `sim-bridge sil`, `numeric` and `campaign`: whole experiments, flown on this machine."""
 
+import os
+import sys
 import time
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -28,6 +30,9 @@ def sil(
     ] = None,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="As fast as it goes, and the same bits for the same seed.")
+    ] = False,
+    one_process: Annotated[
+        bool, typer.Option("--one-process", help="With --lockstep: the same bits from one process, without a network.")
     ] = False,
     seed: Seed = None,
     duration: Duration = None,
@@ -59,7 +64,8 @@ def sil(
     With --from, agents and plant go on in this process, as in `numeric`: each agent is first led through what its robot had
     been through, so it remembers; the robots are put where they were, moving as they did.
 
-    Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
+    Examples:  sim-bridge sil pool          sim-bridge sil pool --lockstep --one-process
+               sim-bridge sil pool --lockstep --seed 3 --set sim.plant.current_mps=[0.014,0,0]
                sim-bridge sil pool --fault "t=20 thruster 2/3 dead" --fault "t=40 for=3 camera frozen"
                sim-bridge sil pool --set path.lap_s=30 --dry-run
                sim-bridge sil --from runs/pool-20260101-120000 --at 35 --set controller.mpc.horizon=60
@@ -79,17 +85,23 @@ def sil(
     loaded = _load(experiment, seed, duration, [*(settings or ()), *([NO_CAMERA] if poses else [])], faults)
     console = Console()
     page = None if no_web else page_address(web)
-    options = RunOptions(lockstep, page, manual, poses, keys, signed)
+    options = RunOptions(lockstep, page, manual, poses, keys, signed, one_process)
     check(loaded, options)
+    if one_process and not dry_run:
+        _with_one_thread()
     if dry_run:
         raise typer.Exit(software_in_the_loop.dry_run(loaded, out / f"{loaded.name}-TIME", options, console))
     folder = _new_folder(out, loaded.name)
-    mode = "lockstep" if lockstep else "real time"
+    mode = "lockstep, in one process" if one_process else "lockstep" if lockstep else "real time"
     console.print(
         f"{loaded.title or loaded.name}: {loaded.duration_s:g} s in {mode}, seed {loaded.seed}, into {folder}", soft_wrap=True
     )
     if page is not None:
         console.print(f"operator page: http://{page}/", soft_wrap=True)
+    if one_process:
+        from sim_bridge.in_process import executor
+
+        raise typer.Exit(executor.run(loaded, folder, options, Stop(), console))
     raise typer.Exit(software_in_the_loop.run(loaded, folder, options, Stop(), console))
 
 
@@ -122,6 +134,7 @@ def numeric(
 
 def campaign(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The campaign, a TOML file (docs/simulator.md).")],
+    camera: Annotated[bool, typer.Option("--camera", help="Fly with the camera in the loop, as camera = true.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder of the campaign; default: runs/campaign-NAME.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on with what an earlier run left.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one for each core.")] = None,
@@ -130,6 +143,8 @@ def campaign(
     ] = None,
 ) -> None:
     """Fly an experiment many times, keys swept or drawn, on all cores or on a cluster; write Parquet and a report.
+
+    Flights are numeric, or with --camera as `sil --lockstep --one-process` flies them.
 
     Exit code 0 if every flight was flown, well or badly; 1 if one was refused or failed.
 
@@ -141,13 +156,22 @@ def campaign(
     from sim_bridge.studies.campaign import Campaign
     from wire.toml_loader import check, read_toml
 
-    loaded = check(Campaign, read_toml(file), str(file))
+    loaded = check(Campaign, {**read_toml(file), **({"camera": True} if camera else {})}, str(file))
     folder = out or Path("runs") / f"campaign-{loaded.name}"
     raise typer.Exit(
         campaign_runner.run(
             loaded, folder, workers=workers, scheduler=scheduler, resume=resume, stop=Stop(), console=Console()
         )
     )
+
+
+def _with_one_thread() -> None:
+    """Begin this program again where its numerical libraries have more threads than those of `sil`'s processes: they read
+    their number when they are loaded, and the last bit of a result may depend on it."""
+    from sim_bridge.sil.processes import ONE_THREAD
+
+    if not ONE_THREAD.items() <= os.environ.items():
+        os.execve(sys.executable, [sys.executable, "-m", "sim_bridge", *sys.argv[1:]], {**os.environ, **ONE_THREAD})
 
 
 def _load(

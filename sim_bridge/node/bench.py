@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from sim_bridge.node.udp_ports import BoardPort
+from sim_bridge.node.board_ports import UdpPort
 from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.mavlink.board_port import is_local
 from wire.process.runtime import Stop, log
@@ -78,7 +78,7 @@ def open_socket(address: str, signed: bool) -> BoardSocket:
         if kind == "udp" and host and port.isdigit() and int(port) < 65536:
             if not (signed or is_local(host)):
                 raise ConfigError(f"--port {address!r}: off this machine the board needs a key (--boards, robot-N.key in it)")
-            return BoardPort(host, int(port))
+            return UdpPort(host, int(port))
     except OSError as error:
         raise ConfigError(f"--port {address!r}: {error.strerror}") from None
     raise ConfigError(f"--port {address!r}: nowhere to be plugged in (allowed: {FORMS})")

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.ideal_localizer import IdealLocalizer
 from sim_bridge.camera.renderer import Renderer
-from sim_bridge.node.udp_ports import BoardPorts
+from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import BoardFactory
 from sim_bridge.world import World

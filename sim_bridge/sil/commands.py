@@ -25,7 +25,7 @@ class Program:
 class RunOptions:
     """Options of a run: `page` is the address of the operator's page (host:port), `manual` leaves the mission to the
     operator, `poses` replaces camera and localizer by the simulator, `keys` is a ring with which all speak TLS,
-    `signed` signs the boards' links."""
+    `signed` signs the boards' links, `one_process` runs all nodes in the launcher's process."""
 
     lockstep: bool = False
     page: str | None = None
@@ -33,6 +33,7 @@ class RunOptions:
     poses: bool = False
     keys: Path | None = None
     signed: bool = False
+    one_process: bool = False
 
 
 def check(experiment: Experiment, options: RunOptions) -> None:
@@ -41,14 +42,29 @@ def check(experiment: Experiment, options: RunOptions) -> None:
         if not experiment.localizer.uses_camera:
             raise ConfigError(f"localizer.uses_camera = false: no camera locates these robots. {BLIND}")
         check_sight(experiment)
+    if options.one_process:
+        _check_one_process(options)
     if options.lockstep:
         fault_schedule.require_kinds(
-            experiment, tuple(kind for kind in KINDS if kind not in OF_PROCESSES), "processes break by the wall clock"
+            experiment,
+            tuple(kind for kind in KINDS if kind not in OF_PROCESSES),
+            "--one-process has no processes to break" if options.one_process else "processes break by the wall clock",
         )
     if options.poses:
         fault_schedule.require_kinds(
             experiment, tuple(kind for kind in KINDS if kind not in ("camera", "marker")), "--poses needs no camera"
         )
+
+
+def _check_one_process(options: RunOptions) -> None:
+    """Raise ConfigError for options that mean nothing without processes, or without a network between them."""
+    if not options.lockstep:
+        raise ConfigError("--one-process: keeps no real time (allowed: with --lockstep)")
+    if options.keys is not None or options.signed:
+        option = "--keys" if options.keys is not None else "--signed"
+        raise ConfigError(f"{option}: with --one-process there is no link that could be listened to (allowed: one of them)")
+    if options.manual and options.page is None:
+        raise ConfigError("--manual: with --one-process only the page reaches the station (allowed: without --no-web)")
 
 
 def check_sight(experiment: Experiment) -> None:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.live import Live
 from rich.table import Table
 
 from sim_bridge import fault_schedule
@@ -41,14 +40,12 @@ START_WITHIN_S = 180.0  # s for the station to listen; on a starved machine a pr
 LOOK_EVERY_S = 0.2
 STALLED_S = 180.0  # s without a new heartbeat of the station after which the run is ended as stuck
 SAFE_WITHIN_S = 1.0  # s in which robots bring themselves to rest when the station has gone
-SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
 
 
 def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
     """Run an experiment with all its processes, after `commands.check`. Returns the exit code: 0 passed, 1 failed, 2
     refused by the station, 130 interrupted."""
-    run_dir.mkdir(parents=True, exist_ok=True)
-    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+    write_experiment(experiment, run_dir)
     if not hasattr(resource, "prlimit"):
         fault_schedule.require_kinds(
             experiment, tuple(kind for kind in KINDS if kind != "disk"), "only Linux can feign a full disk"
@@ -77,26 +74,42 @@ def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, 
         refused = station.exit_code == 2 and not (run_dir / "run.mcap").exists()
         if not stop.requested and (not came_up or station.exit_code not in (None, 0, 1)):
             problems.append(station.log.read_text(encoding="utf-8").strip() if refused else station.explain())
-            _print_error(console, problems[-1])
+            print_error(console, problems[-1])
     finally:
         children.stop()
         if secrets is not None:
             secrets.cleanup()
+    if refused and not stop.requested:
+        return nothing_flown(run_dir, console)
+    verdict = conclude(run_dir, came_up, not mission_failed and not problems, stop, console)
+    return 2 if verdict == 1 and station.exit_code == 2 else verdict
+
+
+def write_experiment(experiment: Experiment, run_dir: Path) -> None:
+    """Begin a run's folder with the experiment's file."""
+    run_dir.mkdir(parents=True, exist_ok=True)
+    (run_dir / "experiment.toml").write_text(dump_experiment(experiment), encoding="utf-8")
+
+
+def nothing_flown(run_dir: Path, console: Console) -> int:
+    """Remove the folder of a run that the station has refused. Returns the exit code."""
+    shutil.rmtree(run_dir)
+    console.print("[red]refused[/]: nothing was flown, and no folder is left")
+    return 2
+
+
+def conclude(run_dir: Path, came_up: bool, succeeded: bool, stop: Stop, console: Console) -> int:
+    """Report, and print the verdict. `came_up`: the station made a log. Returns the exit code: 0 passed, 1 failed, 130
+    interrupted."""
     if stop.requested:
         console.print("interrupted: every process is stopped")
-        if came_up:
-            report(run_dir, console)
-            console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
-        return 130
-    if refused:
-        shutil.rmtree(run_dir)
-        console.print("[red]refused[/]: nothing was flown, and no folder is left")
-        return 2
-    passed = came_up and report(run_dir, console) and not mission_failed and not problems
+    passed = came_up and report(run_dir, console) and succeeded
     if came_up:
         console.print(f"report: {run_dir / 'report.html'}", soft_wrap=True)
+    if stop.requested:
+        return 130
     console.print("[green]passed[/]" if passed else f"[red]failed[/] (what each process said: {run_dir / 'logs'})")
-    return 0 if passed else 2 if station.exit_code == 2 else 1
+    return 0 if passed else 1
 
 
 def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console: Console) -> int:
@@ -117,7 +130,7 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
         "lockstep, as fast as it goes" if options.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
     )
     console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
-    for program in started:
+    for program in started if not options.one_process else ():
         command = shlex.join(["python", "-m", program.module, *program.arguments])
         console.print(f"  {program.name:13} {command}", soft_wrap=True, highlight=False)
     for fault in experiment.sim.faults:
@@ -125,7 +138,7 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
     return 0
 
 
-def _print_error(console: Console, text: str) -> None:
+def print_error(console: Console, text: str) -> None:
     """Print in red, without markup: messages of programs contain brackets too."""
     console.print(text, style="red", markup=False, highlight=False, soft_wrap=True)
 
@@ -160,27 +173,24 @@ def _watch(
 ) -> list[str]:
     """Show the run until the station has ended it. Returns the problems of processes."""
     problems: dict[str, str] = {}
-    said_s = moved_s = time.monotonic()
+    moved_s = time.monotonic()
     heartbeats = 0
-    with Live(console=console, refresh_per_second=5, get_renderable=monitor.render, transient=True) as live:
-        live.auto_refresh = console.is_terminal
+    with monitor.shown(console) as say:
         while station.exit_code is None and not stop.requested:
             injector.act(monitor.flown_s)
             for child in children.ended():
                 if child.name not in problems and child is not station and child.name not in injector.killed:
                     problems[child.name] = child.explain()
-                    _print_error(console, problems[child.name])
+                    print_error(console, problems[child.name])
             if problems and lockstep:
                 break  # the others would wait for it for ever
             if monitor.heartbeats != heartbeats:
                 heartbeats, moved_s = monitor.heartbeats, time.monotonic()
             elif time.monotonic() - moved_s > STALLED_S:
                 problems["all"] = f"nothing has moved for {STALLED_S:.0f} s"
-                _print_error(console, problems["all"])
+                print_error(console, problems["all"])
                 break
-            if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
-                said_s = time.monotonic()
-                console.print(monitor.line(), soft_wrap=True)
+            say()
             time.sleep(LOOK_EVERY_S)
         if station.exit_code not in (None, 0, 1):
             time.sleep(SAFE_WITHIN_S)  # the others still fly: let them bring themselves to rest, and say so in their logs
@@ -196,17 +206,17 @@ def report(run_dir: Path, console: Console) -> bool:
     )
     # 1: there is one, of a run that did not pass; but so ends a program with an error of its own
     if writing.returncode not in (0, 1) or _written(file) == before:
-        _print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
+        print_error(console, f"no report: {writing.stderr.strip() or writing.stdout.strip()}")
         return False
     result = json.loads(file.read_text(encoding="utf-8"))
     if result["log_trouble"]:
-        _print_error(console, result["log_trouble"])
+        print_error(console, result["log_trouble"])
     console.print(_table(result) if result["duration_s"] else "[red]nothing was flown[/]")
     for check in result["checks"]:
         if result["duration_s"] and not check["passed"]:
-            _print_error(console, f"not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}")
+            print_error(console, f"not met: {check['name']} {check['where']}: {check['value']}, limit {check['limit']:g}")
     for fault in result["faults"]:
-        _print_error(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
+        print_error(console, f"fault at {fault['time_s']:.1f} s, {fault['source']}: {fault['text']}")
     return bool(result["passed"])
 
 

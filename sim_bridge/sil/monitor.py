@@ -3,8 +3,11 @@
 import math
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
-from rich.console import Group, RenderableType
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -13,6 +16,7 @@ from wire.messages import topics
 from wire.messages.messages import LocalizerStatus, Mode, RobotState, StationHeartbeat
 from wire.transport.bus import Bus, Received
 
+SAY_EVERY_S = 5.0  # s between lines of text, without a terminal to draw in
 FEW = 6  # robots that one line can name
 SILENT_S = 3.0  # s of the wall clock without a state after which a robot is silent; a step in lockstep may take a while
 
@@ -67,6 +71,22 @@ class Monitor:
         if self._started_s is None:
             self._started_s = time.monotonic() - 1e-3
         return flown_s / max(time.monotonic() - self._started_s, 1e-3)
+
+    @contextmanager
+    def shown(self, console: Console) -> Iterator[Callable[[], None]]:
+        """Draw the view in a terminal meanwhile; elsewhere the function that this gives prints a line now and then, if it is
+        called often."""
+        said_s = time.monotonic()
+
+        def say() -> None:
+            nonlocal said_s
+            if not console.is_terminal and time.monotonic() - said_s >= SAY_EVERY_S:
+                said_s = time.monotonic()
+                console.print(self.line(), soft_wrap=True)
+
+        with Live(console=console, refresh_per_second=5, get_renderable=self.render, transient=True) as live:
+            live.auto_refresh = console.is_terminal
+            yield say
 
     def render(self) -> RenderableType:
         """The table and the progress bar, now."""

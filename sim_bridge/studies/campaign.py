@@ -1,9 +1,10 @@
-"""A campaign: many numeric flights of one experiment, its keys swept or drawn, its seeds counted up. Pure.
+"""A campaign: many flights of one experiment, its keys swept or drawn, its seeds counted up. Pure.
 
 name = "model-errors"
 experiment = "pool"
 settings = ["duration_s=60"]                    # for every flight
 seeds = 20                                      # flights of each combination: seeds 1 to 20
+camera = true                                   # all of the system, in lockstep; default: numeric flights
 
 [sweep]                                         # every combination of these
 "sim.plant.mass_error" = [-0.2, 0.0, 0.2]
@@ -71,6 +72,7 @@ class Campaign(Section):
     title: str = ""
     experiment: str
     settings: tuple[str, ...] = ()
+    camera: bool = False
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] = 1
     first_seed: Annotated[int, Field(ge=0)] = 1
     sweep: dict[str, Annotated[tuple[Any, ...], Field(min_length=1)]] = Field(default_factory=dict)
@@ -109,7 +111,9 @@ class CampaignFlight:
     def command(self, campaign: Campaign) -> str:
         """The command that flies this flight again, with log and report."""
         sets = "".join(f" --set {shlex.quote(setting)}" for setting in self.settings(campaign))
-        return f"sim-bridge numeric {shlex.quote(campaign.experiment)} --seed {self.seed}{sets}"
+        command = "sil" if campaign.camera else "numeric"
+        options = " --lockstep --one-process --no-web" if campaign.camera else ""
+        return f"sim-bridge {command} {shlex.quote(campaign.experiment)}{options} --seed {self.seed}{sets}"
 
 
 def command_of(campaign: Campaign, row: Mapping[str, Any]) -> str:

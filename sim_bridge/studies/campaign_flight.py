@@ -34,12 +34,18 @@ def fly_one(experiment_json: str) -> dict[str, Any]:
     experiment = check(Experiment, json.loads(experiment_json), "campaign")
     row: dict[str, Any] = {"status": "flown", "reason": ""}
     try:
-        row |= _flown(experiment)
+        row |= _flown_with_camera(experiment) if experiment.localizer.uses_camera else _flown(experiment)
     except ConfigError as error:
         row |= {"status": "refused", "reason": str(error)}
     except Exception as error:  # one flight's bug must not end the campaign; the row says what it was
         row |= {"status": "failed", "reason": f"{type(error).__name__}: {error}"}
     return {**row, "wall_s": time.perf_counter() - begin_s}
+
+
+def _flown_with_camera(experiment: Experiment) -> dict[str, Any]:
+    from sim_bridge.studies.camera_flight import fly_with_camera  # loads every program: not for numeric flights
+
+    return fly_with_camera(experiment)
 
 
 def _flown(experiment: Experiment) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from sim_bridge import fault_schedule
+from sim_bridge.sil.commands import RunOptions, check
 from sim_bridge.studies.campaign import Campaign, CampaignFlight, command_of, flights
 from sim_bridge.studies.campaign_flight import fly_one, one_thread
 from sim_bridge.studies.report import write_report
@@ -96,7 +97,12 @@ def _check_all(campaign: Campaign, stop: Stop) -> None:
 
 
 def _experiment(campaign: Campaign, flight: CampaignFlight) -> Experiment:
-    experiment = load_experiment(campaign.experiment, [*flight.settings(campaign), f"seed={flight.seed}", NO_CAMERA])
+    settings = [*flight.settings(campaign), f"seed={flight.seed}"]
+    if campaign.camera:
+        experiment = load_experiment(campaign.experiment, settings)
+        check(experiment, RunOptions(lockstep=True, one_process=True))
+        return experiment
+    experiment = load_experiment(campaign.experiment, [*settings, NO_CAMERA])
     fault_schedule.require_kinds(experiment, fault_schedule.NUMERIC, "in a numeric flight there is none")
     return experiment
 

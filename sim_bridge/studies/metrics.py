@@ -1,5 +1,6 @@
-"""Metrics of a numeric flight: those that a campaign keeps, with the limits, and those of a comparison. Pure."""
+"""Metrics of a flight: those that a campaign keeps, with the limits, and those of a comparison. Pure."""
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -30,20 +31,28 @@ MEASURES = {
 
 
 def measures(fleet: AgentFleet) -> dict[str, float | None]:
-    """Metrics of a fleet that has flown, against the plant's truth; None for those that a short or single-robot flight
-    cannot give."""
+    """Metrics of a fleet that has flown numerically."""
     error = fleet.errors()
-    states = [robot.states[-len(error) :] for robot in fleet.robots]
+    place = np.array(fleet.truth[-len(error) :])[..., :3]
+    return figures(fleet.experiment, error, place, [robot.states[-len(error) :] for robot in fleet.robots])
+
+
+def figures(
+    experiment: Experiment, error: Array, place: Array, states: Sequence[Sequence[RobotState]]
+) -> dict[str, float | None]:
+    """Metrics of a flight against the plant's truth; None for those that a short or single-robot flight cannot give.
+
+    One row per control step: `error` (steps, n, 4), `place` (steps, n, 3); `states` per robot and step.
+    """
     n = len(states)
     subjects = [error[:, i] for i in range(n)] + [pose_error(error[:, i], error[:, j]) for i, j in combinations(range(n), 2)]
-    late = [e[round(SETTLED_S / fleet.experiment.controller.period_s) :] for e in subjects]
+    late = [e[round(SETTLED_S / experiment.controller.period_s) :] for e in subjects]
     has_late = len(late[0]) > 1
-    place = np.array(fleet.truth[-len(error) :])[..., :3]
     apart = [np.linalg.norm(place[:, i] - place[:, j], axis=1).min() for i, j in combinations(range(n), 2)]
     change = (
         np.array([[s.wrench_step for s in robot[-len(late[0]) :]] for robot in states]) if has_late else np.zeros((n, 1, 3))
     )
-    smooth = np.sqrt(np.mean(change**2, axis=1)) / fleet.experiment.wrench_step
+    smooth = np.sqrt(np.mean(change**2, axis=1)) / experiment.wrench_step
     flat = [s for robot in states for s in robot]
     found = {
         "rms_m": _rms(subjects)[:, :3].max(),

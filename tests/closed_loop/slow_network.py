@@ -19,8 +19,8 @@ import numpy as np
 from groundstation.station import process as station_process
 from localizer import node as localizer_node
 from robot_agent import node as agent_node
+from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
-from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.sil.ports import free_base_port
 from wire.config.experiment import Experiment, dump_experiment
 from wire.mavlink.board_port import UdpLink
@@ -28,7 +28,7 @@ from wire.messages import topics
 from wire.messages.codec import Header, decode
 from wire.messages.topics import Qos, Topic
 from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Stop, log
+from wire.process.runtime import Stop, log, run_steps
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 from wire.transport.transport import Answer, Deliver, Presence, Urgent
@@ -150,7 +150,7 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         for topic in COMPARED:
             witness.subscribe(topic, None, told.note)
         ports = free_base_port(experiment.robot_ids)
-        sockets = BoardPorts(ports, experiment.robot_ids, experiment.seed)
+        sockets = UdpPorts(ports, experiment.robot_ids, experiment.seed)
         shells = [PoolNode(experiment, bus("sim-bridge"), sockets, stop, True, poses).run]
         for robot in experiment.robot_ids:
             link = UdpLink("127.0.0.1", ports + robot)
@@ -163,7 +163,8 @@ def fly(experiment: Experiment, folder: Path, seed: int | None, poses: bool = Tr
         try:
             for thread in threads:
                 thread.start()
-            station_process.run(experiment, toml, bus("groundstation"), folder, automatic=True, lockstep=True, stop=stop)
+            station_bus = bus("groundstation")
+            run_steps(station_process.cycles(experiment, toml, station_bus, folder, automatic=True, lockstep=True, stop=stop))
         finally:
             stop.request()
             for thread in threads:

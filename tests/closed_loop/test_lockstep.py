@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_bridge.node.udp_ports import BoardPorts
+from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.sil.ports import free_base_port
 from sim_bridge.thruster_board.board import SENT_BETWEEN, ThrusterBoard
 from sim_bridge.world import World
@@ -69,7 +69,7 @@ def test_a_robot_without_a_pose_publishes_no_plan_and_others_do_not_wait_for_one
 def test_a_board_that_was_greeted_for_a_minute_takes_the_first_pulses(greetings: int, key: Key | None) -> None:
     """While the others start, a robot greets its board ten times a second; of what nobody reads a port drops the last."""
     ports = free_base_port(POOL.robot_ids)
-    sockets = BoardPorts(ports, POOL.robot_ids, POOL.seed)
+    sockets = UdpPorts(ports, POOL.robot_ids, POOL.seed)
     link, computer = UdpLink("127.0.0.1", ports + 1), AgentLink(1, key, lambda: LATER)
     starts = np.array([[0.4, 0.0, 0.3, 0.0], [-0.4, 0.0, 0.3, 0.0]])
     world = World(POOL, POOL.seed, starts, lambda experiment, robot, seed: ThrusterBoard(experiment, robot, seed, key))

@@ -20,8 +20,8 @@ import numpy as np
 
 import sim_bridge.node.pool
 from sim_bridge.fault_schedule import FaultSchedule
+from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
-from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import ThrusterBoard
 from sim_bridge.thruster_board.nonvolatile import BoardFactory
@@ -148,7 +148,7 @@ def main() -> None:
     name, station, ports, harness, *options = sys.argv[1:]
     start_log("sim-bridge")
     line, stop, experiment = Line(int(harness)), Stop(), load_experiment(name)
-    sockets = BoardPorts(int(ports), experiment.robot_ids, experiment.seed)
+    sockets = UdpPorts(int(ports), experiment.robot_ids, experiment.seed)
     vars(sim_bridge.node.pool)["World"] = watched_world(line)
     with Bus(ZenohTransport(Endpoint(station))) as bus:
         poses, make = "--poses" in options, watched_board(line)

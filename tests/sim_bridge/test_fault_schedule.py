@@ -10,7 +10,7 @@ from sim_bridge.camera import faults as camera_faults
 from sim_bridge.camera.faults import CameraFaults
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.fault_schedule import FaultSchedule, LinkFaults, faults_after_the_end, require_kinds
-from sim_bridge.node.udp_ports import LossyLink
+from sim_bridge.node.board_ports import LossyLink
 from sim_bridge.plant.fleet import Plant
 from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.world import World

@@ -12,9 +12,9 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from types import FrameType
-from typing import Any, Protocol
+from typing import Any, Protocol, TextIO, TypeVar
 
 from wire.messages import topics
 from wire.messages.messages import Event
@@ -23,6 +23,7 @@ from wire.transport.bus import Bus, Received
 from wire.transport.transport import Unreached
 
 log = logging.getLogger("shoal")
+T = TypeVar("T")
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
 
@@ -121,6 +122,15 @@ def guarded_thread(stop: Stop, name: str, work: Callable[[], object], daemon: bo
     return threading.Thread(target=run, name=name, daemon=daemon)
 
 
+def run_steps(steps: Generator[None, None, T]) -> T:
+    """Run a process that yields between its steps to its end. Returns its result."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
+
+
 def wait(bus: Bus, stop: Stop, ready: Callable[[], bool], timeout_s: float) -> bool:
     """Sleep until `ready()`, the time is over or a stop is asked for. Returns whether `ready()`."""
     deadline = time.monotonic() + timeout_s
@@ -149,9 +159,9 @@ class _BusHandler(logging.Handler):
             self.handleError(record)
 
 
-def start_log(process: str, verbose: bool = False) -> None:
-    """Log to stderr, one line an event, with the process's name."""
-    handler = logging.StreamHandler()
+def start_log(process: str, verbose: bool = False, stream: TextIO | None = None) -> None:
+    """Log to stderr, or to `stream`, one line an event, with the process's name."""
+    handler = logging.StreamHandler(stream)
     handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d {process} %(levelname)s %(message)s", "%H:%M:%S"))
     log.handlers[:] = [handler]
     log.setLevel(logging.DEBUG if verbose else logging.INFO)

@@ -29,6 +29,7 @@ M = TypeVar("M")
 Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
 Collected = Callable[[], Iterator[tuple[Topic, str, Header, bytes]]]
 Handle = Callable[[Header, Command], Reply]
+Decode = Callable[[type[Any], bytes, str, str], Any]  # type of the message, payload, peer, topic; as codec.decode
 
 STOP_BYTES = 256  # a STOP has fewer; what is longer is not looked at before its turn
 SAME_NAME_S = 12.0  # for the router to miss a process that was cut off: its lease is 1 s, on a busy machine it takes longer
@@ -109,7 +110,7 @@ class Inbox(Generic[M]):
 
     def _decode(self, kept: "_Kept[M]") -> Received[M] | None:
         try:
-            message = decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
+            message = self._bus.decode(self._kind, kept.payload, f"session {kept.header.session:x}", self._topic.name)
         except DecodeError as error:
             self.bad += 1
             self.last_error = str(error)
@@ -120,7 +121,8 @@ class Inbox(Generic[M]):
 class Bus:
     """One process's access to the fleet. Thread-safe. Close it in a `finally`."""
 
-    def __init__(self, transport: Transport, fleet: str = "shoal") -> None:
+    def __init__(self, transport: Transport, fleet: str = "shoal", decode: Decode = decode) -> None:
+        self.decode = decode
         self.session = secrets.randbits(63) | 1
         self.arrival = threading.Condition()  # notified whenever something arrives
         self.rejected = 0  # messages without a readable header

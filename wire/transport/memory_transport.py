@@ -1,4 +1,4 @@
-"""SHELL: the in-memory double of the transport: several buses in one process, for tests and measurements."""
+"""SHELL: the in-memory double of the transport: several buses in one process (sim_bridge/in_process/executor.py, tests)."""
 
 import threading
 from collections import deque
@@ -12,14 +12,21 @@ from wire.transport.transport import Answer, Await, Collect, Deliver, Presence, 
 
 @dataclass
 class MemoryHub:
-    """The network of one test: everyone on it hears everyone, at once and in order."""
+    """A network within one process: everyone on it hears everyone, at once and in order."""
 
     subscribers: list[tuple[str, Deliver, "MemoryTransport"]] = field(default_factory=list)
     queryables: dict[str, tuple[Answer, "MemoryTransport"]] = field(default_factory=dict)
     tokens: dict[str, "MemoryTransport"] = field(default_factory=dict)
     watchers: list[tuple[str, Presence, "MemoryTransport"]] = field(default_factory=list)
     cache: dict[str, deque[tuple[str, bytes, bytes]]] = field(default_factory=dict)  # by key
+    routes: dict[str, list[Deliver]] = field(default_factory=dict)  # by key: its subscribers, until these change
     lock: threading.RLock = field(default_factory=threading.RLock)
+
+    def listeners(self, key: str) -> list[Deliver]:
+        """Subscribers of a key. Call it with the lock held."""
+        if key not in self.routes:
+            self.routes[key] = [deliver for pattern, deliver, _ in self.subscribers if _matches(pattern, key)]
+        return self.routes[key]
 
 
 def _matches(pattern: str, key: str) -> bool:
@@ -43,7 +50,7 @@ class MemoryTransport:
         def put(payload: bytes, header: bytes) -> None:
             with self._hub.lock:
                 cached.append((key, payload, header))
-                listeners = [deliver for pattern, deliver, _ in self._hub.subscribers if _matches(pattern, key)]
+                listeners = self._hub.listeners(key)
             for deliver in listeners:
                 deliver(key, payload, header)
 
@@ -52,6 +59,7 @@ class MemoryTransport:
     def subscribe(self, key: str, qos: Qos, deliver: Deliver) -> None:
         with self._hub.lock:
             self._hub.subscribers.append((key, deliver, self))
+            self._hub.routes.clear()
             kept = [entries for cached, entries in self._hub.cache.items() if _matches(key, cached)]
             missed = list(chain.from_iterable(kept)) if qos is Qos.EVENT else []
         for entry in missed:
@@ -104,6 +112,7 @@ class MemoryTransport:
         """Leave the hub: nothing of this process is delivered, answered or present any more."""
         with self._hub.lock:
             self._hub.subscribers = [s for s in self._hub.subscribers if s[2] is not self]
+            self._hub.routes.clear()
             self._hub.watchers = [w for w in self._hub.watchers if w[2] is not self]
             self._hub.queryables = {k: q for k, q in self._hub.queryables.items() if q[1] is not self}
             gone = [key for key, owner in self._hub.tokens.items() if owner is self]

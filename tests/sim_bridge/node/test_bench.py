@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from robot_agent.host.params import cli as params
 from sim_bridge.__main__ import cli as sim_bridge
 from sim_bridge.node.bench import PseudoTerminal, open_socket
-from sim_bridge.node.udp_ports import BoardPort
+from sim_bridge.node.board_ports import UdpPort
 from sim_bridge.sil.ports import free_port
 from sim_bridge.thruster_board.board import ThrusterBoard
 from tests.sim_bridge.boards import board
@@ -38,8 +38,8 @@ def say(*arguments: str) -> tuple[int, str]:
 
 
 @pytest.fixture
-def port() -> Iterator[BoardPort]:
-    found = BoardPort("127.0.0.1", 0)
+def port() -> Iterator[UdpPort]:
+    found = UdpPort("127.0.0.1", 0)
     yield found
     found.close()
 
@@ -186,7 +186,7 @@ def test_an_unsigned_board_stays_on_this_machine() -> None:
 # --- whom a board answers over UDP
 
 
-def spoken(port: BoardPort, board: ThrusterBoard, link: UdpLink, data: bytes, now_ns: int) -> None:
+def spoken(port: UdpPort, board: ThrusterBoard, link: UdpLink, data: bytes, now_ns: int) -> None:
     """A datagram on its way to the board, as the bench has it."""
     link.send(data)
     select([port.socket], [], [], 5.0)
@@ -195,7 +195,7 @@ def spoken(port: BoardPort, board: ThrusterBoard, link: UdpLink, data: bytes, no
             port.hear(peer, now_ns)
 
 
-def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(port: BoardPort) -> None:
+def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(port: UdpPort) -> None:
     """Nine of them, with a byte, an unsigned frame and one of another key, before the robot's computer comes."""
     key, wrong = Key(bytes(range(32))), Key(bytes(32))
     board = ThrusterBoard(load_experiment("pool"), 1, 1, key)
@@ -215,7 +215,7 @@ def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(po
             link.close()
 
 
-def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port: BoardPort) -> None:
+def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port: UdpPort) -> None:
     board = ThrusterBoard(load_experiment("pool"), 1, 1)
     links = [UdpLink("127.0.0.1", port.socket.getsockname()[1]) for _ in range(9)]
     try:
@@ -229,7 +229,7 @@ def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port
             link.close()
 
 
-def test_a_flooded_port_is_read_a_little_at_a_time(port: BoardPort) -> None:
+def test_a_flooded_port_is_read_a_little_at_a_time(port: UdpPort) -> None:
     link = UdpLink("127.0.0.1", port.socket.getsockname()[1])
     try:
         for k in range(25):

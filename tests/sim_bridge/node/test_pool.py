@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sim_bridge.camera.renderer import Renderer
+from sim_bridge.node.board_ports import UdpPorts
 from sim_bridge.node.pool import PoolNode
-from sim_bridge.node.udp_ports import BoardPorts
 from sim_bridge.sil.ports import free_base_port
 from sim_bridge.world import World
 from wire.config.experiment import load_experiment
@@ -37,7 +37,7 @@ def test_of_every_exposure_there_is_a_pose_however_old_poses_are() -> None:
     witness = Bus(MemoryTransport(hub))
     witness.subscribe(topics.TRUTH, None, count)
     witness.subscribe(topics.POSE, 1, lambda topic, key, header, payload: told.append(header))
-    sockets = BoardPorts(free_base_port((1,)), (1,), experiment.seed)
+    sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
     PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True).run()
     assert [header.stamp_ns for header in told] == exposed
     assert min(header.age_ns for header in told) >= 200_000_000
@@ -54,7 +54,7 @@ def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: py
         return np.zeros((960, 1280), np.uint8)
 
     monkeypatch.setattr(Renderer, "render", render)
-    sockets, stop = BoardPorts(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
+    sockets, stop = UdpPorts(free_base_port((1,)), (1,), experiment.seed), Stop(install=False)
     PoolNode(experiment, Bus(MemoryTransport(MemoryHub())), sockets, stop, lockstep=False).run()
     assert seen[0] == 3
     with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
@@ -101,7 +101,7 @@ class HandClock:
         return received.header.stamp_ns
 
 
-class Flooded(BoardPorts):
+class Flooded(UdpPorts):
     """There is always something to be read."""
 
     woken = 0

@@ -28,6 +28,27 @@ def test_who_cannot_be_seen_flies_without_the_camera_or_not_at_all(
         check(experiment, RunOptions())
 
 
+@pytest.mark.parametrize(
+    ("options", "faults", "complaint"),
+    [
+        (RunOptions(one_process=True), (), "--one-process: keeps no real time"),
+        (RunOptions(lockstep=True, one_process=True, keys=Path("keys")), (), "--keys: with --one-process there is no link"),
+        (RunOptions(lockstep=True, one_process=True, signed=True), (), "--signed: with --one-process there is no link"),
+        (RunOptions(lockstep=True, one_process=True, manual=True), (), "--manual: with --one-process only the page"),
+        (
+            RunOptions(lockstep=True, one_process=True),
+            ("t=1 process agent-1 killed",),
+            "sim.faults.0.what = 'process agent-1 killed': --one-process has no processes to break",
+        ),
+    ],
+)
+def test_options_that_need_processes_are_refused_without_them(
+    options: RunOptions, faults: tuple[str, ...], complaint: str
+) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        check(load_experiment("pool", (), faults), options)
+
+
 @pytest.mark.parametrize("earlier", [None, '{"passed": true}'])
 def test_a_report_that_ends_with_an_error_is_none(
     earlier: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -146,6 +146,33 @@ def test_the_command_flies_it_again(flown: Path, tmp_path: Path) -> None:
     assert result["min_separation_m"] == pytest.approx(row["min_separation_m"], rel=1e-6)
 
 
+def test_a_campaign_with_the_camera_says_what_the_reports_of_its_flights_say(tmp_path: Path) -> None:
+    """The command of the row flies it again, in one process, and its report has the row's figures."""
+    loaded = campaign(camera=True, settings=["duration_s=1.5"], seeds=1, sweep={"sim.plant.mass_error": [0.2]}, draw={})
+    assert fly(loaded, tmp_path / "c") == 0
+    (row,) = rows(tmp_path / "c")
+    assert row["status"] == "flown" and row["off_track"] == row["at_fault"] == 0.0 and row["reason"] == ""
+    words = [sys.executable, "-m", "sim_bridge", *shlex.split(row["command"])[1:], "--out", str(tmp_path / "runs")]
+    assert subprocess.run(words, capture_output=True, check=False).returncode == (0 if row["passed"] else 1)
+    (folder,) = (tmp_path / "runs").iterdir()
+    result = json.loads((folder / "result.json").read_text())
+    per_axis = [value for part in ("robots", "pairs") for subject in result[part].values() for value in subject["rms_m"]]
+    assert max(per_axis) == pytest.approx(row["rms_m"], rel=1e-9)
+    assert result["min_separation_m"] == pytest.approx(row["min_separation_m"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"settings": ["localizer.uses_camera=false"]}, "localizer.uses_camera = false: no camera locates these robots"),
+        ({"sweep": {"sim.faults": [[{"at_s": 1.0, "what": "disk full"}]]}}, "--one-process has no processes to break"),
+    ],
+)
+def test_a_campaign_with_the_camera_refuses_what_has_none(changes: dict[str, Any], complaint: str, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        fly(campaign(camera=True, **changes), tmp_path / "c")
+
+
 def test_it_goes_on_where_it_was(flown: Path, tmp_path: Path) -> None:
     """Half a journal, its last line torn, and one flight that is now wanted otherwise."""
     lines = (flown / "journal.jsonl").read_text().splitlines()

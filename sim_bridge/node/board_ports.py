@@ -1,4 +1,6 @@
-"""SHELL: the thruster boards' UDP ports, and the links behind them that faults disturb.
+"""SHELL: the thruster boards' ports, and the links behind them that faults disturb.
+
+BoardPorts is their common part, UdpPorts has a UDP port for each board (sim_bridge/in_process/executor.py: ports in memory).
 
 A LossyLink loses, delays, duplicates and reorders datagrams in one direction. It is pure and seeded and runs in the
 plant's time, so that a lockstep run repeats to the bit.
@@ -7,7 +9,9 @@ plant's time, so that a lockstep run repeats to the bit.
 import heapq
 import select
 import socket
-from typing import Generic, TypeVar
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Generic, Protocol, TypeVar
 
 from sim_bridge.fault_schedule import LinkFaults
 from sim_bridge.plant.random_streams import Stream, generator
@@ -68,7 +72,15 @@ PEER_GONE_NS = 10_000_000_000  # ns of silence after which a peer is dropped; MA
 Address = tuple[str, int]
 
 
-class BoardPort:
+class Port(Protocol):
+    """A board's port, as BoardPorts reads and answers it."""
+
+    def read(self) -> list[tuple[bytes, Address]]: ...
+    def hear(self, peer: Address, now_ns: int) -> None: ...
+    def send(self, data: bytes, now_ns: int) -> None: ...
+
+
+class UdpPort:
     """A board's UDP port. It answers to the peers whose frames the board has taken lately."""
 
     def __init__(self, host: str, port: int) -> None:
@@ -135,34 +147,16 @@ class BoardPort:
         self.socket.close()
 
 
-class BoardPorts:
-    """One UDP port per thruster board. Between a port and its board lies the link that faults can cut, delay or make
-    noisy."""
+class BoardPorts(ABC):
+    """One port per thruster board. Between a port and its board lies the link that faults can cut, delay or make noisy."""
 
-    def __init__(self, base_port: int, robots: tuple[int, ...], seed: int) -> None:
-        """Bind the ports: the board of robot N is at `base_port` + N. Raises ConfigError naming a port that cannot be
-        bound."""
+    def __init__(self, ports: Sequence[Port], robots: tuple[int, ...], seed: int) -> None:
         self.commands = [0] * len(robots)  # sets of pulses that reached each port, whatever the link made of them
         self.burst_ms = [0] * len(robots)  # board time of the last burst that went out of each port
         self._measured_ms = [0] * len(robots)
         self._to_board: list[LossyLink[Address | None]] = [LossyLink(seed, robot, 0, None) for robot in robots]
         self._from_board = [LossyLink(seed, robot, 1, 0) for robot in robots]
-        self._ports: list[BoardPort] = []
-        for robot in robots:
-            try:
-                self._ports.append(BoardPort("127.0.0.1", base_port + robot))
-            except (OSError, OverflowError) as error:
-                self.close()
-                why = error.strerror if isinstance(error, OSError) else "allowed: up to 65535"
-                raise ConfigError(
-                    f"--ports {base_port}: UDP port {base_port + robot}, of robot {robot}'s board: {why}"
-                ) from None
-
-    def forget(self) -> None:
-        """Discard waiting datagrams and all peers. The last of a queue may have been dropped, and frames after such a gap
-        in the sequence numbers look stale to a board."""
-        for port in self._ports:
-            port.forget()
+        self._ports = ports
 
     def exchange(self, world: World) -> None:
         """Read what has arrived, and give the boards the datagrams that their links let through by now."""
@@ -182,11 +176,6 @@ class BoardPorts:
                 self._ports[i].send(data, world.now_ns)
                 self.burst_ms[i] = max(self.burst_ms[i], burst_ms)
 
-    @property
-    def all_heard(self) -> bool:
-        """True if every board has a peer to answer to."""
-        return all(port.heard for port in self._ports)
-
     def send(self, i: int, data: bytes, world: World) -> None:
         """Hand a board's bytes to its link."""
         if data:
@@ -195,13 +184,57 @@ class BoardPorts:
             self._measured_ms[i] = burst_ms
             self._from_board[i].push(data, world.now_ns, world.faults.links[i], tag)
 
+    @property
+    @abstractmethod
+    def all_heard(self) -> bool:
+        """True if every board has a peer to answer to."""
+
+    @abstractmethod
+    def forget(self) -> None:
+        """Discard waiting datagrams and all peers. The last of a queue may have been dropped, and frames after such a gap
+        in the sequence numbers look stale to a board."""
+
+    @abstractmethod
+    def wait(self, timeout_s: float) -> None:
+        """Wait until something arrives."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Free the ports."""
+
+
+class UdpPorts(BoardPorts):
+    """A UDP port per thruster board."""
+
+    def __init__(self, base_port: int, robots: tuple[int, ...], seed: int) -> None:
+        """Bind the ports: the board of robot N is at `base_port` + N. Raises ConfigError naming a port that cannot be
+        bound."""
+        self._bound: list[UdpPort] = []
+        for robot in robots:
+            try:
+                self._bound.append(UdpPort("127.0.0.1", base_port + robot))
+            except (OSError, OverflowError) as error:
+                self.close()
+                why = error.strerror if isinstance(error, OSError) else "allowed: up to 65535"
+                raise ConfigError(
+                    f"--ports {base_port}: UDP port {base_port + robot}, of robot {robot}'s board: {why}"
+                ) from None
+        super().__init__(self._bound, robots, seed)
+
+    @property
+    def all_heard(self) -> bool:
+        return all(port.heard for port in self._bound)
+
+    def forget(self) -> None:
+        for port in self._bound:
+            port.forget()
+
     def wait(self, timeout_s: float) -> None:
         """Sleep until something arrives, or a short time while a port is flooded."""
-        quiet = [port for port in self._ports if not port.is_flooded]
-        at_most_s = timeout_s if len(quiet) == len(self._ports) else min(timeout_s, FLOODED_WAIT_S)
+        quiet = [port for port in self._bound if not port.is_flooded]
+        at_most_s = timeout_s if len(quiet) == len(self._bound) else min(timeout_s, FLOODED_WAIT_S)
         select.select(quiet, [], [], max(at_most_s, 0.0))
 
     def close(self) -> None:
-        """Free the ports."""
-        for port in self._ports:
+        for port in self._bound:
             port.close()

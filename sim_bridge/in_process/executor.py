@@ -1,0 +1,287 @@
+"""SHELL: all processes of a lockstep run in this one: `sim-bridge sil NAME --lockstep --one-process`.
+
+The nodes are those of the processes, on a transport in memory; boards and agents pass MAVLink's bytes in lists. No node waits
+for another. Where the simulator would wait for the robots' pulses, each of the others makes the step that the tick calls for:
+
+    exposed k ─▶ localizer: poses k     tick k ─▶ station: orders, heartbeat k ─▶ agent 1 ... agent n: pulses k ─▶ plant
+
+So all inputs of a step are there when it begins, and the pulses are bit by bit those of processes. This module is the only one
+that may import all other packages.
+"""
+
+import logging
+from collections.abc import Callable, Generator, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+from rich.console import Console
+
+from groundstation.station import process as station_process
+from groundstation.web.auth import WebOptions, web_options
+from localizer.node import LocalizerNode
+from robot_agent.node import AgentNode
+from sim_bridge.node.board_ports import Address, BoardPorts
+from sim_bridge.node.pool import PoolNode
+from sim_bridge.sil import launcher
+from sim_bridge.sil.commands import RunOptions
+from sim_bridge.sil.monitor import Monitor
+from wire.config.experiment import Experiment, dump_experiment
+from wire.messages import topics
+from wire.messages.codec import decode
+from wire.process.lockstep import LockstepClock
+from wire.process.runtime import Failed, Stop, log, start_log
+from wire.toml_loader import ConfigError
+from wire.transport.bus import Bus, Decode
+from wire.transport.memory_transport import MemoryHub, MemoryTransport
+from wire.transport.transport import Answer
+
+PEER: Address = ("memory", 0)  # of every board: its robot's computer
+
+
+class SharedDecoder:
+    """The codec of all buses of a run: messages are frozen, so one that several nodes read is decoded once."""
+
+    def __init__(self) -> None:
+        self._read: dict[int, tuple[bytes, Any]] = {}  # in this tick: payload and message, by the payload's address
+        self._before: dict[int, tuple[bytes, Any]] = {}  # in the tick before
+
+    def decode(self, kind: type[Any], payload: bytes, peer: str, topic: str) -> Any:
+        """As codec.decode."""
+        known = self._read.get(id(payload)) or self._before.get(id(payload))
+        if known is None or known[0] is not payload:
+            known = payload, decode(kind, payload, peer, topic)
+        self._read[id(payload)] = known
+        return known[1]
+
+    def next_tick(self) -> None:
+        """Forget the messages that were not read in the last tick."""
+        self._before, self._read = self._read, {}
+
+
+class Part:
+    """One node with its own bus and its own log file. `steps` is its loop, which yields after each step."""
+
+    def __init__(self, name: str, hub: MemoryHub, log_dir: Path, closing: ExitStack, decode: Decode = decode) -> None:
+        self.name = name
+        self.result: Any = None  # of its loop
+        self.ended = False
+        self._steps: Generator[None, None, Any] | None = None
+        self._handlers: list[logging.Handler] = []
+        stream = closing.enter_context((log_dir / f"{name}.log").open("w", encoding="utf-8"))
+        with self.acting():
+            start_log(name, stream=stream)
+        self.bus = closing.enter_context(Bus(_PartTransport(hub, self), decode=decode))
+
+    @contextmanager
+    def acting(self) -> Iterator[None]:
+        """Log as this part meanwhile. An exception other than ConfigError becomes Failed, with the part's name."""
+        others, log.handlers[:] = log.handlers[:], self._handlers
+        try:
+            yield
+        except (ConfigError, Failed, StopIteration):
+            raise
+        except Exception as error:
+            log.exception("ended by an exception")
+            raise Failed(f"{self.name} has ended: {type(error).__name__}: {error}") from error
+        finally:
+            self._handlers, log.handlers[:] = log.handlers[:], others
+
+    def begin(self, make: Callable[[Bus], Generator[None, None, Any]]) -> None:
+        """Make the node and let it come as far as its first step."""
+        with self.acting():
+            self._steps = make(self.bus)
+        self.step()
+
+    def step(self) -> None:
+        """One step. Its inputs have to be there: nothing arrives meanwhile."""
+        assert self._steps is not None, f"{self.name} has not begun"
+        with self.acting():
+            self.ended, self.result = _next(self._steps)
+
+    def finish(self) -> None:
+        """Let the loop come to its end, after a stop was asked for."""
+        while self._steps is not None and not self.ended:
+            self.step()
+
+
+def _next(steps: Generator[None, None, Any]) -> tuple[bool, Any]:
+    """Resume a generator. Returns whether it has ended, and its result."""
+    try:
+        next(steps)
+    except StopIteration as end:
+        return True, end.value
+    return False, None
+
+
+class _PartTransport(MemoryTransport):
+    """A part's place on the hub. What it does for an order is its own, in whose step the order may come."""
+
+    def __init__(self, hub: MemoryHub, part: Part) -> None:
+        super().__init__(hub)
+        self._part = part
+
+    def serve(self, key: str, answer: Answer) -> None:
+        def acting(payload: bytes, header: bytes) -> bytes:
+            with self._part.acting():
+                return answer(payload, header)
+
+        super().serve(key, acting)
+
+
+class MemoryWire:
+    """The wire between a board's port and its robot's computer; this is the computer's end (wire/mavlink/board_port.py)."""
+
+    trouble = ""
+
+    def __init__(self) -> None:
+        self.to_board: list[bytes] = []
+        self.to_computer: list[bytes] = []
+
+    def send(self, data: bytes) -> None:
+        self.to_board.append(data)
+
+    def read(self) -> bytes:
+        data = b"".join(self.to_computer)
+        self.to_computer.clear()
+        return data
+
+    def wait(self, timeout_s: float) -> None:
+        raise RuntimeError("waits for its board, which says nothing until the step is over")
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class MemoryPort:
+    """The board's end of a wire."""
+
+    def __init__(self, wire: MemoryWire) -> None:
+        self._wire = wire
+
+    def read(self) -> list[tuple[bytes, Address]]:
+        datagrams = [(data, PEER) for data in self._wire.to_board]
+        self._wire.to_board.clear()
+        return datagrams
+
+    def hear(self, peer: Address, now_ns: int) -> None:
+        """There is one peer, and it stays."""
+
+    def send(self, data: bytes, now_ns: int) -> None:
+        self._wire.to_computer.append(data)
+
+
+class MemoryPorts(BoardPorts):
+    """The boards' ports. Instead of waiting for what the others send they have them send it."""
+
+    all_heard = True
+
+    def __init__(self, wires: list[MemoryWire], robots: tuple[int, ...], seed: int, others: Callable[[], None]) -> None:
+        super().__init__([MemoryPort(wire) for wire in wires], robots, seed)
+        self._others = others
+
+    def forget(self) -> None:
+        """Nothing is ever left waiting."""
+
+    def wait(self, timeout_s: float) -> None:
+        self._others()
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class Executor:
+    """A lockstep run of all nodes of an experiment in this process."""
+
+    def __init__(self, experiment: Experiment, run_dir: Path, hub: MemoryHub, *, poses: bool = False) -> None:
+        """`run_dir` is there, and may hold the experiment's file. Anybody may listen at the `hub`. With `poses` there is no
+        localizer: the simulator publishes poses in its place."""
+        self.stop = Stop(install=False)
+        self._experiment, self._run_dir, self._hub, self._poses = experiment, run_dir, hub, poses
+        self._each_tick: Callable[[], None] = lambda: None
+        self._decoder = SharedDecoder()
+        self._ticked = self._exposed = False
+        self._station: Part
+        self._localizer: Part | None = None
+        self._agents: list[Part] = []
+
+    def fly(self, each_tick: Callable[[], None] = lambda: None, *, automatic: bool = True, page: str | None = None) -> bool:
+        """Fly to the end of the mission, or until `stop` is requested; `each_tick` is called after every control step, `page`
+        is where the operator's page is served (HOST:PORT). Returns whether the mission succeeded.
+
+        Raises ConfigError if the station refuses the experiment, Failed with its name if a part of the run has ended.
+        """
+        experiment, self._each_tick = self._experiment, each_tick
+        cv2.setNumThreads(1)
+        log_dir = self._run_dir / "logs"
+        log_dir.mkdir(exist_ok=True)
+        with ExitStack() as closing:
+
+            def part(name: str) -> Part:
+                return Part(name, self._hub, log_dir, closing, self._decoder.decode)
+
+            listener = closing.enter_context(Bus(MemoryTransport(self._hub)))
+            listener.subscribe(topics.TICK, None, lambda *_: setattr(self, "_ticked", True))
+            listener.subscribe(topics.EXPOSED, None, lambda *_: setattr(self, "_exposed", True))
+            self._station = part("groundstation")
+            self._station.begin(lambda bus: self._cycles(bus, automatic, web_options(page) if page is not None else None))
+            if not self._poses:
+                self._localizer = part("localizer")
+                self._localizer.begin(lambda bus: LocalizerNode(experiment, bus, self.stop, LockstepClock()).steps())
+            wires = [MemoryWire() for _ in experiment.robot_ids]
+            for robot, wire in zip(experiment.robot_ids, wires, strict=True):
+                agent = part(f"agent-{robot}")
+                self._agents.append(agent)
+                agent.begin(lambda bus, r=robot, w=wire: AgentNode(experiment, r, bus, w, True, self.stop).steps())  # type: ignore[misc]
+            ports = MemoryPorts(wires, experiment.robot_ids, experiment.seed, self._others)
+            pool = part("sim-bridge")
+            try:
+                with pool.acting():
+                    PoolNode(experiment, pool.bus, ports, self.stop, lockstep=True, poses=self._poses).run()
+            finally:
+                self.stop.request()
+                self._station.finish()  # it closes the log
+            for other in (*self._agents, *([self._localizer] if self._localizer is not None else [])):
+                other.finish()
+            self.stop.raise_failure()
+        return bool(self._station.result)
+
+    def _cycles(self, bus: Bus, automatic: bool, web: WebOptions | None) -> Generator[None, None, bool]:
+        text = dump_experiment(self._experiment)
+        return station_process.cycles(
+            self._experiment, text, bus, self._run_dir, automatic=automatic, lockstep=True, stop=self.stop, web=web
+        )
+
+    def _others(self) -> None:
+        """The step of everyone but the simulator, for the tick that it has published."""
+        if not self._ticked:
+            raise RuntimeError("the simulator waits, but not for a step")
+        if self._exposed and self._localizer is not None:
+            self._localizer.step()
+        self._ticked = self._exposed = False
+        self._decoder.next_tick()
+        self._station.step()
+        if self._station.ended:
+            self.stop.request()
+            return
+        for agent in self._agents:
+            agent.step()
+        self._each_tick()
+
+
+def run(experiment: Experiment, run_dir: Path, options: RunOptions, stop: Stop, console: Console) -> int:
+    """Run an experiment in this process, after `commands.check`. Folder, verdict and exit code are those of `launcher.run`."""
+    launcher.write_experiment(experiment, run_dir)
+    hub = MemoryHub()
+    executor, monitor = Executor(experiment, run_dir, hub, poses=options.poses), Monitor(experiment, Bus(MemoryTransport(hub)))
+    stop.on_request(executor.stop.request)
+    log_file, succeeded = run_dir / "run.mcap", False
+    try:
+        with monitor.shown(console) as say:
+            succeeded = executor.fly(say, automatic=not options.manual, page=options.page)
+    except (ConfigError, Failed) as error:
+        launcher.print_error(console, str(error))
+        if isinstance(error, ConfigError) and not log_file.exists():
+            return launcher.nothing_flown(run_dir, console)
+    return launcher.conclude(run_dir, log_file.exists(), succeeded, stop, console)

@@ -1,0 +1,119 @@
+"""A lockstep run in one process: the same folder, the same messages and the same pulses as from a process for each node."""
+
+import json
+import logging
+import re
+import subprocess
+import sys
+from collections.abc import Generator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mcap.reader import make_reader
+
+from sim_bridge.in_process.executor import Part
+from tests import compare_pulses
+from tests.closed_loop.slow_network import COMPARED, OnLocalized
+from wire.messages import topics
+from wire.messages.codec import Header, decode
+from wire.messages.messages import Event
+from wire.process.runtime import Failed, log
+from wire.toml_loader import ConfigError
+from wire.transport.memory_transport import MemoryHub
+
+pytestmark = pytest.mark.timeout(600)
+
+BROKEN = ("link 1 noisy 0.3", "thruster 2/3 dead", "camera occluded 0.1", "battery 1 sag 0.2", "marker 2 lost")
+FAULTS = [part for i, what in enumerate(BROKEN) for part in ("--fault", f"t={0.3 + 0.2 * i:g} for=0.9 {what}")]
+
+
+def sil(out: Path, *arguments: str) -> tuple[int, str, Path]:
+    """Exit code, output and folder of a lockstep run."""
+    command = [sys.executable, "-m", "sim_bridge", "sil", *arguments, "--lockstep", "--no-web", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    folders = list(out.iterdir()) if out.exists() else []
+    return done.returncode, done.stdout + done.stderr, folders[0] if folders else out
+
+
+def told(folder: Path) -> OnLocalized:
+    """All messages of a run but pictures, lines for people, and what must differ."""
+    found, by_key = OnLocalized(), {f"shoal/{topic.name}": topic for topic in COMPARED}
+    with (folder / "run.mcap").open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages():
+            parts = channel.topic.split("/")
+            name = "/".join(["shoal", *parts[3:]]) if parts[1] == "robot" else channel.topic
+            if name in by_key:
+                header = Header(0, message.sequence, message.publish_time)
+                found.note(by_key[name], channel.topic, header, message.data)
+    return found
+
+
+def lines(folder: Path) -> set[tuple[str, str]]:
+    """Source and text of the events of a run, but for what they tell of the machine's time."""
+    with (folder / "run.mcap").open("rb") as file:
+        messages = make_reader(file).iter_messages(topics=[f"shoal/{topics.EVENT.key()}"])
+        events = [decode(Event, message.data, "log", "event") for _, _, message in messages]
+    return {(event.source, re.sub(r"(^mission \w+ after ).* s$", r"\1", event.message)) for event in events}
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        pytest.param(("pool", "--duration", "1.5", "--seed", "3", *FAULTS), id="faults"),
+        pytest.param(("islands", "--duration", "2", "--poses"), id="poses"),
+        pytest.param(("pool", "--duration", "20"), id="pool", marks=pytest.mark.slow),
+        pytest.param(("figure-eight", "--duration", "15"), id="figure-eight", marks=pytest.mark.slow),
+        pytest.param(("pool", "--duration", "10", "--set", "sim.latency_s=0.12", *FAULTS), id="late", marks=pytest.mark.slow),
+    ],
+)
+def test_one_process_flies_to_the_bit_what_processes_fly(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    code, output, many = sil(tmp_path / "many", *arguments)
+    code_of_one, output_of_one, one = sil(tmp_path / "one", *arguments, "--one-process")
+    assert code_of_one == code, output_of_one
+    assert compare_pulses.main(str(many), str(one)) == 0
+    assert told(one).messages.keys() == told(many).messages.keys()
+    assert not told(one).differs(told(many))
+    assert lines(one) == lines(many)
+    assert {p.name for p in one.rglob("*")} == {p.name for p in many.rglob("*")}
+    results: list[dict[str, Any]] = [json.loads((folder / "result.json").read_text()) for folder in (many, one)]
+    assert results[0]["robots"].keys() == results[1]["robots"].keys()
+    for robot in results[0]["robots"]:
+        assert results[0]["robots"][robot]["rms_m"] == results[1]["robots"][robot]["rms_m"]
+    verdict = "passed" if code == 0 else "failed"
+    assert all(re.search(rf"^{verdict}\b", said, re.MULTILINE) for said in (output, output_of_one))
+
+
+def test_what_the_station_refuses_leaves_no_folder(tmp_path: Path) -> None:
+    code, output, _ = sil(tmp_path, "pool", "--one-process", "--set", "recording.min_free_gb=1e9")
+    assert code == 2
+    assert "a run needs" in output.replace("\n", " ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_part_that_fails_is_named_and_its_log_says_why(tmp_path: Path) -> None:
+    before = log.handlers[:]
+    with ExitStack() as closing:
+        part = Part("agent-1", MemoryHub(), tmp_path, closing)
+
+        def steps() -> Generator[None]:
+            logging.getLogger("shoal").info("ready")
+            yield
+            raise ValueError("robot 1: no such thing")
+
+        part.begin(lambda bus: steps())
+        with pytest.raises(Failed, match="agent-1 has ended: ValueError: robot 1: no such thing"):
+            part.step()
+        assert log.handlers == before, "its log is its own"
+    said = (tmp_path / "agent-1.log").read_text()
+    assert "agent-1 INFO ready" in said and "ValueError: robot 1: no such thing" in said
+
+
+def test_a_refusal_of_a_part_stays_one(tmp_path: Path) -> None:
+    def refused() -> Generator[None]:
+        raise ConfigError("duration_s = 0")
+        yield
+
+    with ExitStack() as closing, pytest.raises(ConfigError, match="duration_s = 0"):
+        Part("groundstation", MemoryHub(), tmp_path, closing).begin(lambda bus: refused())
