@@ -116,9 +116,11 @@ class DirectPlant:
 
     def advance(self, to_ns: int) -> None:
         """Move on to the first plant step at or after `to_ns`."""
-        while self.now_ns < to_ns:
+        while (left := -((self.now_ns - to_ns) // self._step_ns)) > 0:
             self.happened += self._apply_faults()
-            self._state = self._plant.step(self._state, self._faults.pulses(self._pulses_us), self._faults.actuators)
+            steps = 1 if self._faults.any else left  # a fault may begin at any step
+            pulses_us = self._faults.pulses(self._pulses_us)
+            self._state = self._plant.step(self._state, pulses_us, self._faults.actuators, steps)
 
     def _apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""

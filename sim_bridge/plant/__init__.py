@@ -1,5 +1,6 @@
 """The simulated robots and the water around them. Pure.
 
-Pulses -> forces (actuators.py, battery.py) -> motion (rigid_body.py, hydrodynamics.py, currents_waves.py, contact.py) ->
-readings (sensors.py). fleet.py steps all robots at once; random_streams.py seeds every random part by itself.
+Pulses -> forces -> motion (kernels.py: all equations, compiled) -> readings (sensors.py). The constants of the equations come
+from actuators.py, battery.py, rigid_body.py, currents_waves.py and contact.py. fleet.py holds a fleet's state and steps all
+robots at once; random_streams.py seeds every random part by itself.
 """

@@ -1,27 +1,26 @@
-"""The plant: a fleet of robots in water, one step at a time.
+"""The plant: a fleet of robots in water, one or more steps at a time.
 
-Deliberately richer than the controller's model, and written without it: the controller is judged by it.
-
-    pulses -> actuators.py, battery.py -> forces -> rigid_body.py (bodies) + hydrodynamics.py, currents_waves.py, contact.py
-    (forces of the surroundings)
+Deliberately richer than the controller's model, and written without it: the controller is judged by it. kernels.advance moves
+the fleet; the classes of this package hold its constants.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sim_bridge.plant.actuators import THRUSTERS, ActuatorModel, ActuatorState
+from sim_bridge.plant import kernels
+from sim_bridge.plant.actuators import ActuatorModel, ActuatorState
 from sim_bridge.plant.battery import BatteryModel
 from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.currents_waves import WaterFlow
-from sim_bridge.plant.rigid_body import FourDofBody, SixDofBody
+from sim_bridge.plant.kernels import STATE, THRUSTERS
+from sim_bridge.plant.rigid_body import RigidBody
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Truth
 from wire.toml_loader import ConfigError
 
 WRENCH_AXES = [0, 2, 3]  # axes of nu on which the legs' [surge, heave, yaw] act
-AT_ONCE_S = 1e-9  # s after its start at which a step is first evaluated: without lag the force jumps at the start itself
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,22 +45,31 @@ class ActuatorFaults:
 
 
 class Plant:
-    """All robots of an experiment. Pure: a state goes in, the next one comes out."""
+    """All robots of an experiment: a state goes in, the next one comes out. One thread at a time may use it."""
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
-        plant, vehicle = experiment.sim.plant, experiment.vehicle
+        plant = experiment.sim.plant
         self._robots = experiment.robot_ids
         self._step_s = plant.step_s
-        self._instants_s = np.array([AT_ONCE_S, plant.step_s / 2, plant.step_s])
         self._sway = plant.sway
-        self._nominal = vehicle
+        self._nominal = experiment.vehicle
         self._thrusters = ActuatorModel(experiment, seed)
         self._supply = BatteryModel(experiment)
         self._basin = ContactModel(experiment)
-        tilts = plant.sway and plant.tilt.enabled
-        self._hull = (SixDofBody if tilts else FourDofBody)(experiment, WaterFlow(experiment, seed), self._basin)
+        self._flow = WaterFlow(experiment, seed).constants
+        self._body = RigidBody(experiment).constants
         n = len(self._robots)
         self.no_faults = ActuatorFaults(np.ones((n, THRUSTERS)), np.zeros(n))
+        self._work = (
+            np.arange(n),
+            *(np.empty((n, STATE)) for _ in range(6)),  # of the step's start and of a stage, and four rates of change
+            np.empty((n, 3, 3)),  # attitudes
+            np.empty((3, n, 6)),  # legs' wrenches at a step's start, middle and end
+            np.zeros((n, 6)),  # the water's motion
+            np.empty((n, 3)),  # contact forces
+            *(np.empty((n, THRUSTERS)) for _ in range(4)),  # targets of force and angle, and both within a step
+            np.empty(n),  # thrust factors
+        )
 
     def start(self, eta: Array) -> PlantState:
         """Robots at rest at poses (n, 4). Raises ConfigError if one of them starts in a wall, an island or another robot."""
@@ -73,7 +81,7 @@ class Plant:
             where = "in a wall, an island or another robot"
             raise ConfigError(f"robot {self._robots[i]}: starts at ({x:g}, {y:g}, {z:g}), {where}")
         still = np.zeros((n, 4))
-        return PlantState(0, eta.copy(), still, self._thrusters.start(), still, self._supply.start(n))
+        return PlantState(0, np.array(eta, dtype=np.float64), still, self._thrusters.start(), still, self._supply.start(n))
 
     @property
     def dead_steps(self) -> int:
@@ -84,38 +92,37 @@ class Plant:
         """Simulated time since the start."""
         return state.steps * self._step_s
 
-    def step(self, state: PlantState, pulses_us: Array, faults: ActuatorFaults | None = None) -> PlantState:
-        """The fleet plant.step_s later, with pulses (n, 8) on the boards' outputs meanwhile. Classical Runge-Kutta (RK4)."""
-        h, t = self._step_s, self.time_s(state)
+    def step(self, state: PlantState, pulses_us: Array, faults: ActuatorFaults | None = None, steps: int = 1) -> PlantState:
+        """The fleet `steps` steps of plant.step_s later, with pulses (n, 8) on the boards' outputs meanwhile."""
         faults = faults or self.no_faults
-        power = self._supply.thrust_factor(state.charge, state.motors.force_n, faults.sag_v)
-        move = self._thrusters.command(state.motors, pulses_us, faults.thrust * power[:, None])
-        motors = self._thrusters.at(move, self._instants_s)
-        start, middle, last = self._thrusters.legs(motors)
-        end = ActuatorState(motors.force_n[2], motors.ankle_rad[2], motors.pulses_us)
-        contact = self._basin.is_near(state.eta[:, :3])
-        x, rate = self._hull.pack(state.eta, state.nu, state.tilt), self._hull.rate
-        k1 = rate(x, start, t, contact)
-        k2 = rate(x + h / 2 * k1, middle, t + h / 2, contact)
-        k3 = rate(x + h / 2 * k2, middle, t + h / 2, contact)
-        k4 = rate(x + h * k3, last, t + h, contact)
-        eta, nu, tilt = self._hull.unpack(x + h / 6 * (k1 + 2 * (k2 + k3) + k4))
-        charge = self._supply.drained(state.charge, end.force_n, h)
-        return PlantState(state.steps + 1, eta, nu, end, tilt, charge)
+        pulses_us = np.ascontiguousarray(pulses_us, dtype=np.float64)
+        history = self._thrusters.command_history(state.motors, pulses_us, steps)
+        eta, nu, tilt, charge = state.eta.copy(), state.nu.copy(), state.tilt.copy(), state.charge.copy()
+        motors = ActuatorState(state.motors.force_n.copy(), state.motors.ankle_rad.copy(), history)
+        kernels.advance(
+            eta, nu, tilt, motors.force_n, motors.ankle_rad, charge,
+            state.motors.pulses_us, pulses_us, faults.thrust * self._thrusters.gain, faults.sag_v,
+            state.steps, steps, self._step_s,
+            self._thrusters.constants, self._supply.constants, self._flow, self._basin.constants, self._body, self._work,
+        )  # fmt: skip
+        return PlantState(state.steps + steps, eta, nu, motors, tilt, charge)
 
     def with_command_history(self, ahead: PlantState, before: PlantState, pulses_us: Array) -> PlantState:
         """The state `ahead`, one step after `before`, with other pulses (n, 8) on the outputs in that step.
 
         Within `dead_steps` pulses change only the command history: forces and motion of `ahead` remain.
         """
-        return replace(ahead, motors=self._thrusters.with_command_history(ahead.motors, before.motors, pulses_us))
+        history = self._thrusters.command_history(before.motors, pulses_us)
+        return replace(ahead, motors=replace(ahead.motors, pulses_us=history))
 
     def acceleration(self, state: PlantState) -> Array:
         """d nu / dt now, (n, 4)."""
-        x = self._hull.pack(state.eta, state.nu, state.tilt)
-        contact = self._basin.is_near(state.eta[:, :3])
-        rate = self._hull.rate(x, self._thrusters.legs(state.motors), self.time_s(state), contact)
-        return self._hull.acceleration(x, rate)
+        acceleration = np.empty_like(state.nu)
+        kernels.fleet_acceleration(
+            state.eta, state.nu, state.tilt, self.time_s(state), self._thrusters.wrench(state.motors),
+            self._flow, self._basin.constants, self._body, self._work, acceleration,
+        )  # fmt: skip
+        return acceleration
 
     def rest_v(self, state: PlantState, faults: ActuatorFaults | None = None) -> Array:
         """Voltage (n,) of the batteries without load."""
@@ -123,7 +130,7 @@ class Plant:
 
     def truth(self, state: PlantState) -> Truth:
         """The true state, wrench and lumped disturbance, for the log; no controller may read it."""
-        wrench = self._thrusters.wrench(state.motors)
+        wrench = self._thrusters.wrench(state.motors)[:, [0, 2, 5]]
         disturbance = self.acceleration(state) - self._expected(state.nu, wrench)
         return Truth(self._robots, state.eta.copy(), state.nu.copy(), wrench, disturbance)
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from sim_bridge.plant.currents_waves import GRAVITY_MPS2
+from sim_bridge.plant.kernels import GRAVITY_MPS2
 from sim_bridge.plant.random_streams import Stream, generator
 from wire.config.simulation import Sensors
 from wire.frames import Array, wrap

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from sim_bridge.plant.contact import MANY, ContactModel
+from sim_bridge.plant import kernels
+from sim_bridge.plant.contact import ContactModel
 from sim_bridge.plant.fleet import Plant
 from wire.config.experiment import load_experiment
+from wire.frames import Array
 from wire.toml_loader import ConfigError
 
 ISLAND = ("pool.size_m=[10,10,2]", "islands=[{position_m=[1.0,0.5],radius_m=0.4}]", "sim.plant.buoyancy_n=0")
@@ -28,17 +30,40 @@ def test_nobody_starts_in_an_island() -> None:
         fleet.start(np.array([[-0.5, 0.5, 0.5, 0.0], [1.3, 0.5, 0.5, 0.0]]))
 
 
+def contact_force(basin: ContactModel, place_m: Array, velocity_mps: Array) -> Array:
+    order, force = np.arange(len(place_m)), np.empty(place_m.shape)
+    kernels.sort_by_x(place_m, order)
+    kernels.contact_force(place_m, place_m, velocity_mps, order, basin.constants, force)
+    return force
+
+
 def test_a_crowd_pushes_like_any_pair() -> None:
-    """Forces of many, found by a tree, are the sums of the forces of their pairs; and they cancel."""
+    """Forces of many, found by a sweep along x, are the sums of the forces of their pairs; and they cancel."""
     random = np.random.default_rng(3)
     basin = ContactModel(load_experiment("pool", ["pool.walls=false"]))
-    place, speed = random.uniform(-0.8, 0.8, (MANY + 20, 3)), random.uniform(-0.5, 0.5, (MANY + 20, 3))
-    found = basin.contact_force(place, speed)
+    place, speed = random.uniform(-0.8, 0.8, (60, 3)), random.uniform(-0.5, 0.5, (60, 3))
+    found = contact_force(basin, place, speed)
     expected, touching = np.zeros_like(place), set[int]()
     for i in range(len(place)):
         for j in range(i):
-            expected[[i, j]] += basin.contact_force(place[[i, j]], speed[[i, j]])
+            expected[[i, j]] += contact_force(basin, place[[i, j]], speed[[i, j]])
             touching |= {i, j} if np.linalg.norm(place[i] - place[j]) < 0.3 else set()
     assert found == pytest.approx(expected, abs=1e-9)
     assert found.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-8)
     assert basin.touching(place) == sorted(touching)
+
+
+def test_nearness_is_that_of_the_nearest_pair() -> None:
+    """From 2 r + 0.1 m on hulls are near, however they lie; the sweep along x finds them as a table of all pairs does."""
+    random = np.random.default_rng(5)
+    basin = ContactModel(load_experiment("pool", ["pool.walls=false"]))
+    answers = set()
+    for _ in range(300):
+        place, order = random.uniform(-1.5, 1.5, (12, 3)), random.permutation(12)
+        kernels.sort_by_x(place, order)
+        assert (np.diff(place[order, 0]) >= 0).all()
+        apart = np.linalg.norm(place[:, None] - place, axis=2)[np.triu_indices(12, 1)]
+        near = bool(apart.min() < 2 * 0.15 + 0.1)
+        assert kernels.is_near(place, order, basin.constants) is near
+        answers.add(near)
+    assert answers == {True, False}

@@ -21,7 +21,7 @@ def flow(*settings: str, seed: int = 1) -> WaterFlow:
 
 
 def at(water: WaterFlow, place: tuple[float, float, float], time_s: float) -> Array:
-    return water.velocity(np.array(place)[:, None], time_s)[:, 0]
+    return water.motion(np.array([place], dtype=np.float64), time_s)[0, :3]
 
 
 def test_waves_flow_as_a_potential() -> None:
@@ -66,7 +66,7 @@ def test_in_deep_water_motion_falls_by_e_in_a_wave_number_s_depth() -> None:
 def test_acceleration_is_the_rate_of_change_at_a_place(settings: tuple[str, ...]) -> None:
     water, place = flow(*settings), (0.4, 0.1, 0.2)
     difference = (at(water, place, 3.0 + 1e-5) - at(water, place, 3.0 - 1e-5)) / 2e-5
-    assert water.acceleration(np.array(place)[:, None], 3.0)[:, 0] == pytest.approx(difference, abs=1e-7)
+    assert water.motion(np.array([place]), 3.0)[0, 3:] == pytest.approx(difference, abs=1e-7)
 
 
 def test_gusts_have_their_strength_and_correlation() -> None:

@@ -139,7 +139,7 @@ def test_against_a_second_integrator(extra: tuple[str, ...]) -> None:
     for robot in range(2):
 
         def water(t: float) -> Array:
-            return flow.velocity(np.zeros((3, 1)), t)[:, 0]
+            return flow.motion(np.zeros((1, 3)), t)[0, :3]
 
         turn = attitude(tilt[robot, 0], tilt[robot, 1], 0.7)
         impulse = np.kron(np.eye(2), turn) @ inertia_of(experiment) @ np.concatenate([-turn.T @ water(0.0), np.zeros(3)])
