@@ -18,6 +18,8 @@ exact for linear drag, stable for any step); poses advance by the trapezoidal ru
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from wire.config.vehicle import Vehicle
 
 Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
@@ -34,6 +36,7 @@ class Model:
         self.sway = sway
         self.lag_s = vehicle.thruster.lag_s if lag else 0.0
         self.coriolis = self.mass[1] / self.mass[0]  # m_v / m_u
+        self.coefficients = np.array((self.mass, self.linear, self.quadratic))  # (3, 4) for kernels
 
     def lag(self, dt_s: float) -> tuple[float, float]:
         """Return the share of (thrust - command) that is left after `dt_s`, and its mean over `dt_s`."""
