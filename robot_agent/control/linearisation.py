@@ -204,7 +204,7 @@ class Prediction:
 
     def __init__(self, model: Model, period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
         n, nodes = len(blocks), horizon + 1
-        self._dt, self._sway, self._model = period_s, 1.0 if model.sway else 0.0, model.coefficients
+        self._dt, self._sway, self._model = period_s, model.sway, model.coefficients
         self.eta, self.nu = np.zeros((nodes, 4)), np.zeros((nodes, 4))  # the nominal trajectory
         self.x, self.y, u, v = np.zeros((4, nodes, 2 * n + 1))
         self.z, self.yaw, w, r = np.zeros((4, nodes, n + 1))

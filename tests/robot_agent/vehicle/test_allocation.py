@@ -17,11 +17,10 @@ POSITION = np.array(VEHICLE.legs.position_m)
 AHEAD, ASTERN = 3.0, 2.801  # ends of the vehicle's curve
 
 
-def delivered(force: list[float], ankle: list[float]) -> Array:
+def delivered(force: Array, ankle: Array) -> Array:
     """X = sum F cos a, Z = sum F sin a, N = sum of moments about z: -y X_i."""
-    f, a = np.array(force), np.array(ankle)
-    ahead = f * np.cos(a)
-    return np.array([ahead.sum(), (f * np.sin(a)).sum(), -(POSITION[:, 1] * ahead).sum()])
+    ahead = force * np.cos(ankle)
+    return np.array([ahead.sum(), (force * np.sin(ankle)).sum(), -(POSITION[:, 1] * ahead).sum()])
 
 
 wrenches = st.tuples(st.floats(-6, 6), st.floats(-3, 3), st.floats(-0.5, 0.5))
