@@ -131,7 +131,7 @@ def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) ->
     pulses = ALLOCATOR.pulses(np.array(wrench))
     force = VEHICLE.thruster.force_n(np.array(pulses[:4], dtype=float))
     ankle = (np.array(pulses[4:]) - 1500) / 500 * VEHICLE.legs.ankle_range_rad
-    assert np.array(ALLOCATOR.delivered(pulses)) == pytest.approx(delivered(list(force), list(ankle)), abs=1e-12)
+    assert np.array(ALLOCATOR.delivered(pulses)) == pytest.approx(delivered(force, ankle), abs=1e-12)
     assert ALLOCATOR.delivered(pulses)[0] == pytest.approx(wrench[0], abs=0.04)
 
 
