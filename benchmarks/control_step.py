@@ -55,9 +55,9 @@ class Witness:
             self.apart.append(100.0 * float((np.abs(ours.x - exact.x)[self._first] / self._limit).max()))
         return ours
 
-    def warm_start(self, x: Array) -> None:
+    def warm_start(self, x: Array, multipliers: Array) -> None:
         """Passed on."""
-        self._solver.warm_start(x)
+        self._solver.warm_start(x, multipliers)
 
 
 def first_moves(case: Case) -> list[float]:
@@ -69,9 +69,9 @@ def first_moves(case: Case) -> list[float]:
         blocks, size = len(experiment.controller.mpc.blocks), 3 * len(experiment.controller.mpc.blocks)
         p_mask, a_mask = np.ones((size, size), dtype=bool), mpc._a != 0.0
         exact = make_solver("daqp", p_mask, a_mask, np.ones(size), np.ones(2 * size), bounds=size)
-        mpc._alone = Witness(mpc._alone, exact, blocks, np.array(experiment.vehicle.limits.wrench))
+        mpc._plain_solver = Witness(mpc._plain_solver, exact, blocks, np.array(experiment.vehicle.limits.wrench))
         exact.solve(mpc._p + np.eye(size), mpc._q[:size], mpc._a, mpc._lower[: 2 * size], mpc._upper[: 2 * size])
-        found.append(mpc._alone)
+        found.append(mpc._plain_solver)
 
     fly(case, STEPS // 3, watch)
     return found[0].apart

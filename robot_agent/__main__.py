@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from robot_agent.commands import check, init, unit
+from robot_agent.commands import check, compile_kernels, init, unit
 from robot_agent.host.config import DEFAULT_LINK, merge_config, open_board_link
 from robot_agent.host.params import cli as params
 from wire.config.experiment import load_experiment
@@ -40,6 +40,7 @@ def main(version: Version = False) -> None:
 
 cli.command()(init)
 cli.command()(unit)
+cli.command("compile")(compile_kernels)
 cli.command()(check)
 
 

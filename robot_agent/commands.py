@@ -1,6 +1,8 @@
-"""SHELL: `robot-agent init`, `unit` and `check`: configuration, service and preflight of a robot's computer."""
+"""SHELL: `robot-agent init`, `unit`, `compile` and `check`: configuration, service and preflight of a robot's computer."""
 
+import importlib
 import re
+import time
 from collections.abc import Iterator
 from importlib import resources
 from pathlib import Path
@@ -81,6 +83,28 @@ def unit_text(home: str, user: str) -> str:
         raise ConfigError(f"{user!r}: not a user's name")
     template = resources.files("robot_agent.host") / "templates" / UNIT_NAME
     return template.read_text(encoding="utf-8").replace("@HOME@", home.rstrip("/")).replace("@USER@", user)
+
+
+def compile_kernels() -> None:
+    """Compile the numeric kernels into the cache, so that no start of the agent has to. Seconds; nothing if all are there.
+
+    The cache is the folder that NUMBA_CACHE_DIR names, else the installation itself, else the user's cache. The service has
+    its own: `groundstation deploy` fills it; by hand, as the service's user, after each installation:
+
+    Example:  NUMBA_CACHE_DIR=/var/lib/shoal-agent/kernels robot-agent compile
+    """
+    from numba.core.event import install_recorder
+
+    from wire.kernels import CACHE
+
+    start_log("compile")
+    began_s = time.monotonic()
+    with install_recorder("numba:compile") as compilations:
+        importlib.import_module("robot_agent.agent")
+    if not CACHE.writable:
+        raise typer.Exit(1)
+    count = sum(event.is_start for _, event in compilations.buffer)
+    typer.echo(f"{count} kernels compiled in {time.monotonic() - began_s:.1f} s")
 
 
 def check(

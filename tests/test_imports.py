@@ -62,7 +62,7 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "safety": {"control", "inputs", "vehicle"},
         "agent": {"control", "guidance", "inputs", "safety", "vehicle"},
         "preflight": {"agent", "host", "inputs", "safety", "vehicle"},
-        "commands": {"host", "preflight"},
+        "commands": {"agent", "host", "preflight"},
         "node": {"agent", "control", "host", "safety", "step_record"},
         "rerun": {"agent", "step_record"},
     },

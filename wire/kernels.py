@@ -6,6 +6,7 @@ Rules: it calls only kernels of its own module (Numba's cache notices a change o
 and it writes its results into arrays that the caller passes. `NUMBA_DISABLE_JIT=1` runs all of them as Python.
 """
 
+import logging
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -13,12 +14,41 @@ import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
 
+_log = logging.getLogger("shoal")
+
+
+class KernelCache:
+    """Machine code on disk. `writable` is False once there was no folder to keep it in."""
+
+    writable = True
+
+
+CACHE = KernelCache()
+
 
 def kernel(signature: str) -> Callable[[F], F]:
     """Compile a function for the argument types of `signature`, for example ``"void(f8[:,::1], f8)"``.
 
     Compilation happens when the module is imported for the first time, never at a call; the machine code is kept on disk
-    (in `NUMBA_CACHE_DIR`, else beside the module). Without the interpreter's lock; IEEE arithmetic: division by zero gives
+    (in `NUMBA_CACHE_DIR`, else beside the module, else in the user's cache). Where none of these can be written, kernels are
+    compiled at every start, and the log says so once. Without the interpreter's lock; IEEE arithmetic: division by zero gives
     infinity, as in NumPy, and sums are never reordered.
     """
-    return cast(Callable[[F], F], numba.njit(signature, cache=True, nogil=True, error_model="numpy", fastmath=False))
+
+    def compiled(function: F) -> F:
+        if CACHE.writable:
+            try:
+                return _compile(signature, function, cache=True)
+            except RuntimeError as error:
+                if "no locator available" not in str(error):
+                    raise
+                CACHE.writable = False
+                _log.warning("no folder to keep compiled kernels in: every start compiles them (set NUMBA_CACHE_DIR)")
+        return _compile(signature, function, cache=False)
+
+    return compiled
+
+
+def _compile(signature: str, function: F, cache: bool) -> F:
+    jit = numba.njit(signature, cache=cache, nogil=True, error_model="numpy", fastmath=False)
+    return cast(F, jit(function))

@@ -32,7 +32,7 @@ class Cvxpy:
         solved = self._problem.status in ("optimal", "optimal_inaccurate")
         return Solution(np.array(self._x.value) if solved else np.zeros(len(q)), solved, 0)
 
-    def warm_start(self, x: Array) -> None:
+    def warm_start(self, x: Array, multipliers: Array) -> None:
         """It starts from its last solution."""
 
 

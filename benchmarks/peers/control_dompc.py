@@ -87,7 +87,7 @@ class DoMpc:
 
     def predicted_path(self, state: State) -> Array:
         """Nobody is near."""
-        return np.tile(np.array(state[:4]).reshape(2, 1, 2), (1, self._horizon + 1, 1))
+        return np.tile(state[:4], (self._horizon + 1, 1))
 
     def plan(
         self,

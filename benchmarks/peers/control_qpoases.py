@@ -30,7 +30,7 @@ class QpOases:
         self._last = np.array(out["x"]).ravel() if solved else np.zeros(n)
         return Solution(self._last.copy(), solved, 0)
 
-    def warm_start(self, x: Array) -> None:
+    def warm_start(self, x: Array, multipliers: Array) -> None:
         """See robot_agent.control.qp.Solver."""
         self._last = x
 

@@ -34,7 +34,7 @@ class QpSolvers:
         self._last = x
         return Solution(x, True, 0)
 
-    def warm_start(self, x: Array) -> None:
+    def warm_start(self, x: Array, multipliers: Array) -> None:
         """See robot_agent.control.qp.Solver."""
         self._last = x
 

@@ -25,7 +25,7 @@ class Law(Protocol):
         """Forget the last plan."""
 
     def predicted_path(self, state: State) -> Array:
-        """Return the poses expected of the coming plan: (x, y) and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
+        """Return the poses (horizon + 1, 4) expected of the coming plan."""
 
     def plan(
         self,

@@ -1,201 +1,261 @@
 """Linearised model over the horizon: poses at all nodes as an affine function of the wrenches to come (17-25, 33, condensed).
 
-Linearised along a nominal trajectory, each node around its own point, the horizon is a chain of recursions that is triangular
-and banded: heave and yaw rate first, then surge with sway, then poses as running sums. LAPACK's banded solve runs a chain for
-the free response and all input blocks at once (5 us; a Python loop over 50 nodes takes 100).
+The model of dynamics.py, linearised along a nominal trajectory (eta0, nu0), each node around its own point. Every quantity is
 
-The time of a step is the number of NumPy calls, so their inner loops must be long. Quantities with equations of the same form
-are stored in pairs side by side: (u, v) and (w, r), (x, y) and (z, yaw). An array of pairs is one array to NumPy, a sequence
-of unknowns to LAPACK, and an array of complex numbers for rotations: u + iv turned into the pool frame is one product.
+    free response + sum over blocks j of (response to a unit of block j) x (wrench of block j)
 
-Accelerations are counted as change of velocity per step: with s = -dt slope / m, the exponential Euler step of dynamics.py is
-v+ = exp(s) v + (exp(s) - 1) / s a.
+so it is an array (nodes, columns) with a column per block, and the free response last. Planar quantities x, y, u, v have
+2 blocks + 1 columns: surge blocks, yaw blocks, free. Those of one axis, z and w, yaw and r, have blocks + 1: the blocks of
+heave or of yaw, free. Units are SI, velocities in the body frame and through the water.
 """
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtbtrs
 
+from robot_agent.guidance.formation import HalfSpaces
 from robot_agent.vehicle.dynamics import Model, State
 from wire.frames import Array
+from wire.kernels import kernel
 
-TINY = 1e-12  # m/s: keeps 0/0 out
+TINY_MPS = 1e-12  # keeps 0/0 out
+HEAVE, YAW = 2, 3  # axes in eta and nu
+
+
+@kernel("void(f8[:,::1], i8, f8, f8, f8, f8, f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1])")
+def single_axis(
+    model: Array,
+    axis: int,
+    dt: float,
+    gamma: float,
+    commanded: float,
+    acting: float,
+    nu0: Array,
+    response: Array,
+    fading: Array,
+    rate: Array,
+    place: Array,
+) -> None:
+    """Heave or yaw: w' = (Z - d(w) w) / m + Gamma, place' = w, from rows 0 of `rate` and `place` on (nodes, blocks + 1).
+
+    `model` (3, 4): m, linear and quadratic drag of the four axes; `nu0` (nodes, 4). `response` (horizon, blocks) is the thrust
+    in a step for a unit of each block; the free response's is `commanded`, which `acting` approaches: `fading` (horizon,) of
+    the difference is left.
+    """
+    m, linear, quadratic = model[0, axis], model[1, axis], model[2, axis]
+    horizon, free = response.shape
+    for k in range(horizon):
+        w0 = nu0[k, axis]
+        slope = (linear + 2.0 * quadratic * abs(w0)) / m
+        keep = math.exp(-slope * dt)
+        phi_dt = (1.0 - keep) / slope
+        thrust = commanded + fading[k] * (acting - commanded)
+        for j in range(free):
+            rate[k + 1, j] = keep * rate[k, j] + phi_dt * response[k, j] / m
+        # where quadratic drag's tangent meets zero speed, it pushes
+        rate[k + 1, free] = keep * rate[k, free] + phi_dt * (gamma + (thrust + quadratic * abs(w0) * w0) / m)
+        for j in range(free + 1):
+            place[k + 1, j] = place[k, j] + 0.5 * dt * (rate[k, j] + rate[k + 1, j])
+
+
+@kernel("void(f8[:,::1], f8, f8, f8[::1], f8, f8, f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+def surge_and_sway(
+    model: Array,
+    sway: float,
+    dt: float,
+    gamma: Array,
+    commanded: float,
+    acting: float,
+    nu0: Array,
+    response: Array,
+    fading: Array,
+    r: Array,
+    u: Array,
+    v: Array,
+) -> None:
+    """Surge and sway, coupled by the speed that both drags share and by the turn:
+
+        u' = (X - d(u) u) / m_u + c v r + Gamma_u        v' = -d(v) v / m_v - u r / c + Gamma_v        c = m_v / m_u
+
+    with products linearised: v r = v0 r + r0 v - v0 r0. `sway` 0 leaves the whole second equation out, 1 has it. `r`
+    (nodes, blocks + 1) is known; `u` and `v` (nodes, 2 blocks + 1) are solved from their rows 0 on.
+    """
+    m_u, m_v = model[0, 0], model[0, 1]
+    c = m_v / m_u
+    horizon, n = response.shape
+    free = 2 * n
+    for k in range(horizon):
+        u0, v0, r0 = nu0[k, 0], nu0[k, 1], nu0[k, 3]
+        speed = max(math.sqrt(u0 * u0 + v0 * v0), TINY_MPS)
+        slope_u = (model[1, 0] + model[2, 0] * (speed + u0 * u0 / speed)) / m_u
+        slope_v = (model[1, 1] + model[2, 1] * (speed + v0 * v0 / speed)) / m_v
+        keep_u, keep_v = math.exp(-slope_u * dt), math.exp(-slope_v * dt)
+        phi_dt_u, phi_dt_v = (1.0 - keep_u) / slope_u, (1.0 - keep_v) / slope_v
+        # entries of A: how u' depends on v and r, v' on u and r
+        u_v, u_r = c * r0 - model[2, 0] * u0 * v0 / speed / m_u, c * v0
+        v_u, v_r = -sway * r0 / c - model[2, 1] * u0 * v0 / speed / m_v, -sway * u0 / c
+        for j in range(free + 1):
+            u[k + 1, j] = keep_u * u[k, j] + phi_dt_u * u_v * v[k, j]
+            v[k + 1, j] = keep_v * v[k, j] + phi_dt_v * v_u * u[k, j]
+        for j in range(n):
+            u[k + 1, j] += phi_dt_u * response[k, j] / m_u
+        for j in range(n + 1):
+            u[k + 1, n + j] += phi_dt_u * u_r * r[k, j]
+            v[k + 1, n + j] += phi_dt_v * v_r * r[k, j]
+        thrust = commanded + fading[k] * (acting - commanded)
+        u[k + 1, free] += phi_dt_u * (gamma[0] + (thrust + model[2, 0] * speed * u0) / m_u - u_r * r0)
+        v[k + 1, free] += phi_dt_v * (sway * gamma[1] + model[2, 1] * speed * v0 / m_v - v_r * r0)
+
+
+@kernel("void(f8, f8, f8, f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+def move(
+    dt: float, current_x: float, current_y: float, eta0: Array, nu0: Array, u: Array, v: Array, yaw: Array, x: Array, y: Array
+) -> None:
+    """(x, y)' = R(yaw) (u, v) + current, from rows 0 of `x` and `y` on, by the trapezoidal rule. Linearised in yaw:
+
+    R(yaw) (u, v) = R(yaw0) (u, v) + R'(yaw0) (u0, v0) (yaw - yaw0); -yaw0 belongs to the free response alone.
+    """
+    nodes, columns = x.shape
+    n, free = yaw.shape[1] - 1, columns - 1
+    half = 0.5 * dt
+    for k in range(nodes):
+        cos, sin = math.cos(eta0[k, 3]), math.sin(eta0[k, 3])
+        turn_x, turn_y = -sin * nu0[k, 0] - cos * nu0[k, 1], cos * nu0[k, 0] - sin * nu0[k, 1]
+        for j in range(columns):
+            # half of this node's velocity belongs to the interval before it, half to the one after
+            step_x, step_y = half * (cos * u[k, j] - sin * v[k, j]), half * (sin * u[k, j] + cos * v[k, j])
+            if j >= n:
+                step_x += half * turn_x * yaw[k, j - n]
+                step_y += half * turn_y * yaw[k, j - n]
+            if j == free:
+                step_x += half * (current_x - turn_x * eta0[k, 3])
+                step_y += half * (current_y - turn_y * eta0[k, 3])
+            if k > 0:
+                x[k, j] += step_x
+                y[k, j] += step_y
+            if k < nodes - 1:
+                x[k + 1, j] = x[k, j] + step_x
+                y[k + 1, j] = y[k, j] + step_y
+
+
+@kernel("void(f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])")
+def condense(x: Array, y: Array, z: Array, yaw: Array, reference: Array, weight: Array, p: Array, q: Array) -> None:
+    """Add the cost of the errors (35), 1/2 b'Pb + q'b over all blocks b: P += S'WS, q += S'W (free - reference), nodes 1 on.
+
+    `reference` (nodes, 4) and `weight` W (4,) as eta; `p` (3 blocks, 3 blocks), `q` (3 blocks,): surge, yaw, heave. Only the
+    lower triangle of `p` is added to; then it is copied to the upper one.
+    """
+    nodes, free = x.shape[0], x.shape[1] - 1
+    n = free // 2
+    for k in range(1, nodes):
+        error_x, error_y = x[k, free] - reference[k, 0], y[k, free] - reference[k, 1]
+        error_z, error_yaw = z[k, n] - reference[k, 2], yaw[k, n] - reference[k, 3]
+        for i in range(free):
+            w_x, w_y = weight[0] * x[k, i], weight[1] * y[k, i]
+            q[i] += w_x * error_x + w_y * error_y
+            for j in range(i + 1):
+                p[i, j] += w_x * x[k, j] + w_y * y[k, j]
+        for i in range(n):
+            w_z, w_yaw = weight[2] * z[k, i], weight[3] * yaw[k, i]
+            q[n + i] += w_yaw * error_yaw
+            q[free + i] += w_z * error_z
+            for j in range(i + 1):
+                p[n + i, n + j] += w_yaw * yaw[k, j]
+                p[free + i, free + j] += w_z * z[k, j]
+    for i in range(3 * n):
+        for j in range(i):
+            p[j, i] = p[i, j]
+
+
+@kernel("void(f8[:,::1], f8[:,::1], i8[::1], f8[:,::1], f8[::1], f8[:,::1], f8[::1])")
+def half_space_rows(x: Array, y: Array, node: NDArray[np.intp], normal: Array, offset: Array, a: Array, lower: Array) -> None:
+    """Rows of the constraints normal . (x, y) >= offset (36) at `node` (rows,): a b >= lower over surge and yaw blocks b.
+
+    `normal` (rows, 2), `offset` (rows,) m; results `a` (rows, 2 blocks) and `lower` (rows,).
+    """
+    free = x.shape[1] - 1
+    for i in range(len(node)):
+        k, n_x, n_y = node[i], normal[i, 0], normal[i, 1]
+        for j in range(free):
+            a[i, j] = n_x * x[k, j] + n_y * y[k, j]
+        lower[i] = offset[i] - n_x * x[k, free] - n_y * y[k, free]
+
+
+@kernel("void(f8[::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1], f8[:,::1])")
+def superpose(b: Array, x: Array, y: Array, z: Array, yaw: Array, out: Array) -> None:
+    """Response to all blocks `b` (3 blocks,), surge, yaw, heave: free + sum of columns x blocks, into `out` (nodes, 4). Poses,
+    or velocities in their place."""
+    nodes, free = x.shape[0], x.shape[1] - 1
+    n = free // 2
+    for k in range(nodes):
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = x[k, free], y[k, free], z[k, n], yaw[k, n]
+        for j in range(free):
+            out[k, 0] += x[k, j] * b[j]
+            out[k, 1] += y[k, j] * b[j]
+        for j in range(n):
+            out[k, 2] += z[k, j] * b[free + j]
+            out[k, 3] += yaw[k, j] * b[n + j]
 
 
 class Prediction:
-    """Affine prediction of poses for `horizon` nodes `period_s` apart, with the inputs held over `blocks` (the last to the
-    end).
-
-    After `linearise` the rows hold, per input block and last the free response, at nodes 0..horizon: `position` (2 blocks + 1,
-    nodes) complex: x + iy by surge blocks, yaw blocks, free; `heave` and `yaw` (blocks + 1, nodes) by heave or yaw blocks,
-    free. `eta` and `nu` (2, nodes, 2) are the nominal trajectory: (x, y), (z, yaw); (u, v), (w, r).
-    """
+    """Memory of the linearised model, for `horizon` nodes `period_s` apart, with inputs held over `blocks` (the last to the
+    end). After `linearise`: x, y, z, yaw (nodes, columns) as the module says, nodes 0..horizon."""
 
     def __init__(self, model: Model, period_s: float, horizon: int, blocks: tuple[int, ...]) -> None:
-        self._n, self._dt, self._mass = len(blocks), period_s, model.mass
-        rows, planar, nodes = len(blocks) + 1, 2 * len(blocks) + 1, horizon + 1
-        self.eta, self.nu = np.zeros((2, nodes, 2)), np.zeros((2, nodes, 2))
-        self.position = np.zeros((planar, nodes), dtype=np.complex128)
-        self._sunk_turned = np.zeros((rows, nodes), dtype=np.complex128)
-        self.heave, self.yaw = self._sunk_turned.real, self._sunk_turned.imag
-        self._turning = np.zeros((rows, nodes, 2))  # (w, r), rows as `yaw`
-        self._speed = np.zeros((planar, nodes, 2))  # (u, v), rows as `position`
-        self._flow = np.zeros((2, horizon, 2))  # the speeds that press on u and v, w, r: |u + iv| twice, |w|, |r|
-        self._levels = np.zeros((2, 2, 2))
-        self._planar, self._changes = np.ones(planar), np.ones((2, rows))  # block changes, and one for the free response
-        self._drag_and_coriolis(model, horizon)
-        self._thrust(model, horizon, blocks)
-        # LAPACK's lower bands, transposed: a row per unknown, entry d lies d places below the diagonal. Unknowns are w0 r0 w1
-        # r1 ... and u0 v0 u1 v1 ...: each depends on its value at the node before, u and v on one another's too.
-        turning, speed = np.zeros((2 * nodes, 3)), np.zeros((2 * nodes, 4))
-        self._turning_band, self._speed_band = turning.T, speed.T
-        self._turning_keep = turning[:-2, 2]
-        self._speed_keep, self._u_from_v, self._v_from_u = speed[:-2, 2], speed[1:-2:2, 1], speed[:-2:2, 3]
-
-    def _drag_and_coriolis(self, model: Model, horizon: int) -> None:
-        """Repeat the coefficients for every node: with rows of four NumPy's inner loops would be of length four."""
-        dt, sway = self._dt, 1.0 if model.sway else 0.0
-
-        def at_nodes(u: float, v: float, w: float, r: float) -> Array:
-            return np.repeat(np.array(((u, v), (w, r)))[:, None], horizon, axis=1)
-
-        per_mass = -dt / np.array(model.mass)
-        self._linear, self._quadratic = at_nodes(*per_mass * model.linear), at_nodes(*per_mass * model.quadratic)
-        self._coriolis_u, self._coriolis_v = dt * model.coriolis, -sway * dt / model.coriolis
-        self._quadratic_u, self._quadratic_v = (float(q) for q in self._quadratic[0, 0])
-        self._sway_step = sway * dt
-
-    def _thrust(self, model: Model, horizon: int, blocks: tuple[int, ...]) -> None:
-        """Compute the inputs of the chains: per step, for a unit of each block, and for the decaying thrust that acts now
-        (thrusters lag)."""
-        n, dt, mass = self._n, self._dt, model.mass
-        left, mean = model.lag(dt)
-        starts = np.concatenate([[0], np.cumsum(blocks)])
-        active = np.zeros((n, horizon))
-        for b in range(n):
-            active[b, starts[b] : starts[b + 1] if b + 1 < n else None] = 1.0
-        response, thrust = np.zeros_like(active), np.zeros(n)
+        n, nodes = len(blocks), horizon + 1
+        self._dt, self._sway, self._model = period_s, model.sway, model.coefficients
+        self.eta, self.nu = np.zeros((nodes, 4)), np.zeros((nodes, 4))  # the nominal trajectory
+        self.x, self.y, u, v = np.zeros((4, nodes, 2 * n + 1))
+        self.z, self.yaw, w, r = np.zeros((4, nodes, n + 1))
+        self._poses, self._velocities = (self.x, self.y, self.z, self.yaw), (u, v, w, r)
+        left, mean = model.lag(period_s)
+        self._fading: Array = mean * np.power(
+            left, np.arange(horizon), dtype=np.float64
+        )  # of a thrust that is to end, the mean in each step
+        self._response = np.zeros((horizon, n))
+        thrust, block_of = np.zeros(n), np.minimum(np.searchsorted(np.cumsum(blocks), np.arange(horizon), "right"), n - 1)
         for k in range(horizon):
-            response[:, k] = active[:, k] + (thrust - active[:, k]) * mean
-            thrust = active[:, k] + (thrust - active[:, k]) * left
-        self._fading = np.stack([np.ones(horizon), mean * left ** np.arange(horizon)], axis=1)
-        self._turning_drive, self._speed_drive = np.zeros((n + 1, horizon, 2)), np.zeros((2 * n + 1, horizon, 2))
-        self._turning_drive[:-1] = response[:, :, None] * (dt / mass[2], dt / mass[3])
-        self._speed_drive[:n, :, 0] = response * (dt / mass[0])
+            commanded = np.eye(n)[block_of[k]]
+            self._response[k] = commanded + (thrust - commanded) * mean
+            thrust = commanded + (thrust - commanded) * left
 
     def restart(self, state: State) -> None:
         """Forget the nominal trajectory: linearise around this state at every node."""
-        self.eta[0], self.eta[1], self.nu[0], self.nu[1] = state[:2], state[2:4], state[4:6], state[6:8]
+        self.eta[:], self.nu[:] = state[:4], state[4:8]
 
     def shift(self) -> None:
         """Move the nominal trajectory on by one step; its last node stands twice."""
-        self.eta[:, :-1] = self.eta[:, 1:]
-        self.nu[:, :-1] = self.nu[:, 1:]
+        self.eta[:-1] = self.eta[1:]
+        self.nu[:-1] = self.nu[1:]
 
-    def poses(self) -> Array:
-        """Copy of the nominal trajectory's poses (nodes, 4)."""
-        return np.concatenate((self.eta[0], self.eta[1]), axis=1)
+    def linearise(self, state: State, lacking: Array, disturbance: Array, current: complex = 0j) -> None:
+        """Compute the responses for a start `state`, Gamma (4,), and water that streams at `current` (x + iy, m/s).
+        `lacking` (3,) is what thrusters give beyond the wrench of the blocks. Velocities are through the water."""
+        model, dt, eta, nu, response, fading = self._model, self._dt, self.eta, self.nu, self._response, self._fading
+        surge_n, heave_n, yaw_nm = lacking.tolist()
+        gamma_w, gamma_r = disturbance[2:].tolist()
+        eta[:, 3] += state[3] - eta[0, 3]  # the plan's turn, from the heading there is
+        eta[0], nu[0] = state[:4], state[4:8]
+        for columns, value in zip((*self._poses, *self._velocities), state[:8], strict=True):
+            columns[0, -1] = value
+        x, y, z, yaw = self._poses
+        u, v, w, r = self._velocities
+        single_axis(model, HEAVE, dt, gamma_w, heave_n, state[9], nu, response, fading, w, z)
+        single_axis(model, YAW, dt, gamma_r, yaw_nm, state[10], nu, response, fading, r, yaw)
+        surge_and_sway(model, self._sway, dt, disturbance, surge_n, state[8], nu, response, fading, r, u, v)
+        move(dt, current.real, current.imag, eta, nu, u, v, yaw, x, y)
 
-    def linearise(self, state: State, wrench: Array, disturbance: Array, current: complex = 0j) -> None:
-        """Compute the responses for a start `state`, the wrench (3,) that the blocks are changes to, Gamma (4,), and water
-        that streams at `current` (x + iy, m/s). Velocities are through the water."""
-        eta, nu, flow = self.eta, self.nu, self._flow
-        turned = eta[1, :, 1]
-        turned += state[3] - turned[0]  # the plan's turn, from the heading there is
-        eta[0, 0], eta[1, 0], nu[0, 0], nu[1, 0] = state[:2], state[2:4], state[4:6], state[6:8]
-        before = nu[:, :-1]
-        speed = np.abs(before[0].view(np.complex128))
-        np.maximum(speed, TINY, out=flow[0])
-        np.abs(before[1], out=flow[1])
-        slope = before * before
-        slope[0] /= flow[0]
-        slope[1] = flow[1]
-        slope += flow
-        slope *= self._quadratic
-        slope += self._linear
-        keep = np.exp(slope)
-        held = keep - 1.0
-        held /= slope
-        push = flow * before  # where quadratic drag's tangent meets zero speed
-        push *= self._quadratic
-        np.subtract(self._applied(state, wrench, disturbance), push, out=push)
-        self._turn_and_dive(state, keep[1], held[1], push[1])
-        self._surge_and_sway(state, keep[0], held[0], push[0])
-        self._move(state, current)
+    def add_cost(self, reference: Array, weight: Array, p: Array, q: Array) -> None:
+        """Add the cost of the errors against a reference (nodes, 4) to P (3 blocks, 3 blocks) and q (3 blocks,)."""
+        condense(*self._poses, reference, weight, p, q)
 
-    def _applied(self, state: State, wrench: Array, disturbance: Array) -> Array:
-        """Velocity per step (2, horizon, 2) of the disturbance and of the wrench that thrusters approach."""
-        dt, (mass_u, _, mass_w, mass_r) = self._dt, self._mass
-        x, z, n = wrench.tolist()
-        u, v, w, r = disturbance.tolist()
-        per_u, per_w, per_r = dt / mass_u, dt / mass_w, dt / mass_r
-        lasts_uv, fades_uv = (dt * u + per_u * x, self._sway_step * v), (per_u * (state[8] - x), 0.0)
-        lasts_wr, fades_wr = (dt * w + per_w * z, dt * r + per_r * n), (per_w * (state[9] - z), per_r * (state[10] - n))
-        self._levels.reshape(-1)[:] = (*lasts_uv, *fades_uv, *lasts_wr, *fades_wr)
-        return np.asarray(np.matmul(self._fading, self._levels))
+    def half_space_rows(self, keep_clear: HalfSpaces, a: Array, lower: Array) -> None:
+        """Write the rows (36) over surge and yaw blocks into `a` (rows, 2 blocks) and their bounds into `lower` (rows,)."""
+        normal = keep_clear.normal.view(np.float64).reshape(-1, 2)
+        half_space_rows(self.x, self.y, keep_clear.node, normal, keep_clear.offset, a, lower)
 
-    def _turn_and_dive(self, state: State, keep: Array, held: Array, push: Array) -> None:
-        """Solve heave and yaw rate, each by itself, and their integrals z and yaw."""
-        rates, drive = self._turning, self._turning_drive
-        drive[-1] = push
-        np.multiply(drive, held, out=rates[:, 1:])
-        rates[-1, 0] = state[6:8]
-        np.negative(keep.ravel(), out=self._turning_keep)
-        dtbtrs(self._turning_band, rates.reshape(self._n + 1, -1).T, uplo="L", diag="U", overwrite_b=1)
-        _integrate(rates.view(np.complex128)[:, :, 0], 0.5 * self._dt, complex(state[2], state[3]), self._sunk_turned)
-
-    def _surge_and_sway(self, state: State, keep: Array, held: Array, push: Array) -> None:
-        """Solve surge and sway, coupled by the common drag speed and by the turn; v r is linearised as v0 r + r0 v - v0 r0."""
-        n, speed, drive = self._n, self._speed, self._speed_drive
-        u, v, r = self.nu[0, :-1, 0], self.nu[0, :-1, 1], self.nu[1, :-1, 1]
-        u_from_r, v_from_r = self._coriolis_u * v, self._coriolis_v * u
-        rate = self._turning[:, :-1, 1]
-        np.multiply(rate, u_from_r, out=drive[n:, :, 0])
-        np.multiply(rate, v_from_r, out=drive[n:, :, 1])
-        u_from_r *= r
-        v_from_r *= r
-        push[:, 0] -= u_from_r
-        push[:, 1] -= v_from_r
-        drive[-1] += push
-        np.multiply(drive, held, out=speed[:, 1:])
-        speed[-1, 0] = state[4:6]
-        mixed = u * v
-        mixed /= self._flow[0, :, 0]
-        np.negative(keep.ravel(), out=self._speed_keep)
-        np.multiply(-self._coriolis_u * r - self._quadratic_u * mixed, held[:, 0], out=self._u_from_v)
-        np.multiply(-self._coriolis_v * r - self._quadratic_v * mixed, held[:, 1], out=self._v_from_u)
-        dtbtrs(self._speed_band, speed.reshape(2 * n + 1, -1).T, uplo="L", diag="U", overwrite_b=1)
-
-    def _move(self, state: State, current: complex) -> None:
-        """Integrate (x + iy)' = (u + iv) exp(i yaw) + current, linearised in yaw."""
-        yaw = self.eta[1, :, 1]
-        rotation = np.exp(1j * yaw)
-        turn = self.nu[0].view(np.complex128)[:, 0] * rotation
-        turn *= 1j
-        velocity = self._speed.view(np.complex128)[:, :, 0] * rotation
-        velocity[self._n :] += turn * self.yaw
-        turn *= yaw
-        turn -= current
-        velocity[-1] -= turn
-        _integrate(velocity, 0.5 * self._dt, complex(state[0], state[1]), self.position)
-
-    def set_nominal(self, surge_yaw: Array, heave: Array) -> None:
-        """Make the response to block changes `surge_yaw` (2 blocks) and `heave` (blocks) the nominal trajectory."""
-        n, planar, turning = self._n, self._planar, self._changes
-        planar[:-1] = surge_yaw
-        turning[0, :-1], turning[1, :-1] = heave, surge_yaw[n:]
-        np.dot(planar, self.position.view(np.float64), out=self.eta[0].reshape(-1))
-        np.dot(planar, self._speed.reshape(2 * n + 1, -1), out=self.nu[0].reshape(-1))
-        sunk_turned = np.dot(turning, self._sunk_turned.view(np.float64))
-        rates = np.dot(turning, self._turning.reshape(n + 1, -1))
-        self.eta[1, :, 0], self.eta[1, :, 1] = sunk_turned[0, ::2], sunk_turned[1, 1::2]
-        self.nu[1, :, 0], self.nu[1, :, 1] = rates[0, ::2], rates[1, 1::2]
-
-
-def _integrate(rate: NDArray[np.complex128], half_step_s: float, start: complex, out: NDArray[np.complex128]) -> None:
-    """Trapezoidal running integral of every row (rows, nodes); `start` belongs to the last row, the free response."""
-    steps = rate[:, 1:] + rate[:, :-1]
-    steps *= half_step_s
-    steps[-1, 0] += start
-    np.add.accumulate(steps, axis=1, out=out[:, 1:])
-    out[-1, 0] = start
+    def set_nominal(self, blocks: Array) -> None:
+        """Make the response to the blocks (3 blocks,), surge, yaw, heave, the nominal trajectory."""
+        superpose(blocks, *self._poses, self.eta)
+        superpose(blocks, *self._velocities, self.nu)

@@ -1,8 +1,8 @@
-"""Model predictive control (33-40), condensed: a quadratic program over move-blocked changes of the wrench.
+"""Model predictive control (33-40), condensed: a quadratic program over a move-blocked wrench.
 
-Unknowns, channel by channel, planar ones first: surge blocks, yaw blocks, heave blocks as differences to the wrench that acts
-now, and one slack in metres. Cost (35) halved: ||eta - reference||^2_W over the nodes, ||change between blocks||^2_R, slack.
-Rows: bounds (39) on every block, bounds (40) on every change, half-spaces that keep other robots away (36).
+Unknowns, channel by channel, planar ones first: surge blocks, yaw blocks, heave blocks, and one slack in metres. Cost (35)
+halved: ||eta - reference||^2_W over the nodes, ||change between blocks||^2_R, slack. Rows: bounds (39) on every block, bounds
+(40) on every change, half-spaces that keep other robots away (36).
 
 Each plan is the trajectory the next step linearises along (`linearise = "trajectory"`), so that one solve per control step
 suffices; `"point"` is the article's single working point.
@@ -53,33 +53,33 @@ class Mpc:
     """
 
     def __init__(self, vehicle: Vehicle, model: Model, config: MpcConfig, period_s: float, rows: int) -> None:
-        self._config, self._n, self._h = config, len(config.blocks), config.horizon
+        self._config, self._n = config, len(config.blocks)
         self._limit, self._step_limit = np.array(vehicle.limits.wrench), np.array(vehicle.limits.wrench_step(period_s))
         self._prediction = Prediction(model, period_s, config.horizon, config.blocks)
-        self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)  # the last good plan, and what it changes
+        n, size = self._n, 3 * self._n
+        self._blocks = np.zeros(size)  # of the last good plan
         self._shifted, self._most_shifted = 0, bridged_steps(period_s)
         self._fresh = True
-        n, size = self._n, 3 * self._n
         ends = np.cumsum(config.blocks)
-        first = np.minimum(np.searchsorted(ends, np.arange(self._most_shifted + 1), side="right"), n - 1)
-        self._unknowns = first[:, None] + n * np.array([0, 2, 1])  # (steps, 3) where each step's wrench is among the unknowns
-        # What the errors at nodes 1..horizon depend on, weighted: x and y node by node, then yaw; z by itself
-        self._planar, self._depth = np.zeros((2 * n + 1, 3 * self._h)), np.zeros((n + 1, self._h))
-        self._root = np.zeros((self._h, 2))
+        block = np.minimum(np.searchsorted(ends, np.arange(self._most_shifted + 1), side="right"), n - 1)
+        self._unknowns = block[:, None] + n * np.array([0, 2, 1])  # (steps, 3) where each step's wrench is among the unknowns
         difference = np.eye(n) - np.eye(n, k=-1)
         per_node = WEIGHED_S / period_s  # twice as many nodes a second count twice: so must a change between two blocks
-        smooth = [per_node * config.r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
-        self._planar_cost, self._depth_cost = block_diag(*smooth[:2]), smooth[2]
+        self._r = per_node * np.array(config.r)
+        smooth = [self._r[channel] * difference.T @ difference + RIDGE * np.eye(n) for channel in CHANNELS]
+        self._smooth = block_diag(*smooth)
         self._p, self._q = np.zeros((size, size)), np.zeros(size + 1)
         self._slack = config.slack * max(1.0, *config.q[:2], *config.q_formation[:2])
         self._p_with_slack = block_diag(self._p, np.array([[self._slack]]))
         self._a = np.vstack([np.eye(size), block_diag(difference, difference, difference)])
         self._a_with_slack = block_diag(self._a, np.ones((rows, 1)))
-        channel_limits, channel_steps = self._limit.take(CHANNELS).repeat(n), self._step_limit.take(CHANNELS).repeat(n)
-        self._channel_limits, self._channel_of = channel_limits, np.array(CHANNELS).repeat(n)
-        self._upper = np.concatenate([channel_limits, channel_steps, np.full(rows, NO_BOUND)])
+        limits, steps = self._limit.take(CHANNELS).repeat(n), self._step_limit.take(CHANNELS).repeat(n)
+        self._upper = np.concatenate([limits, steps, np.full(rows, NO_BOUND)])
         self._lower = -self._upper
+        self._first_changes = size + n * np.array([0, 2, 1])  # rows of the changes from the wrench asked for last
+        self._half_spaces, self._half_space_bounds = np.zeros((rows, 2 * n)), self._lower[2 * size :]
         self._plain_solver, self._half_space_solver = self._make_solvers(rows)
+        self._multipliers = np.zeros(2 * size)  # of the limits, in the last solution
         self._had_half_spaces = False
 
     def _make_solvers(self, rows: int) -> tuple[Solver, Solver]:
@@ -92,7 +92,7 @@ class Mpc:
         rest = (0.0,) * 11
         self._prediction.restart(rest)
         self._prediction.linearise(rest, np.zeros(3), np.zeros(4))
-        self._objective(np.zeros((self._h + 1, 4)), np.array(self._config.q) + self._config.q_formation)
+        self._objective(np.zeros(self._prediction.eta.shape), np.array(self._config.q) + self._config.q_formation, np.zeros(3))
         scale = 1.0 / np.sqrt(np.diagonal(self._p))
         slack = 1.0 / np.sqrt(self._slack)
         row_scale, scale_beside = np.tile(1.0 / scale, 2), np.append(scale, slack)
@@ -104,17 +104,17 @@ class Mpc:
     def reset(self) -> None:
         """Forget the last plan: until the next solution, for a few steps at most, the thrusters stay off."""
         self._fresh, self._shifted = True, 0
-        self._solution, self._base = np.zeros(3 * self._n), np.zeros(3)
+        self._blocks = np.zeros(3 * self._n)
 
     def take_over_plan(self, other: "Mpc") -> None:
         """Take over the plan of an MPC with other weights, and nothing else of it."""
         self._prediction, self._fresh, self._shifted = other._prediction, other._fresh, other._shifted
-        self._solution, self._base = other._solution, other._base
-        self._plain_solver.warm_start(self._solution[: 3 * self._n])  # without the slack of a plan beside others
+        self._blocks, self._multipliers = other._blocks, other._multipliers
+        self._plain_solver.warm_start(self._blocks, self._multipliers)
 
     def predicted_path(self, state: State) -> Array:
-        """Return the poses around which the coming plan is linearised: the last plan moved on by one step, or `state`; (x, y)
-        and (z, yaw) at all nodes, shape (2, horizon + 1, 2)."""
+        """Return the poses (horizon + 1, 4) around which the coming plan is linearised: the last plan moved on by one step, or
+        `state`."""
         if self._fresh or self._config.linearise == "point":
             self._prediction.restart(state)
             self._fresh = False
@@ -131,56 +131,43 @@ class Mpc:
         current: complex = 0j,
         delivered: Array | None = None,
     ) -> MpcPlan:
-        """Solve once, see `Law.plan`. Bounds (39, 40) count from `wrench` (3,), asked for last. The model starts from
-        `delivered` (3,), and assumes that the difference persists."""
-        n, prediction = self._n, self._prediction
-        if self._fresh or self._config.linearise == "point":
-            prediction.restart(state)
-            self._fresh = False
-        prediction.linearise(state, wrench if delivered is None else delivered, disturbance, current)
-        self._objective(reference, weight)
+        """Solve once, see `Law.plan`. Limits (40) count from `wrench` (3,), asked for last. The model assumes that what
+        `delivered` (3,) lacks of it goes on to lack."""
+        prediction = self._prediction
+        self.predicted_path(state)
+        prediction.linearise(state, np.zeros(3) if delivered is None else delivered - wrench, disturbance, current)
+        self._objective(reference, weight, wrench)
         self._limits(wrench)
         solution = self._qp_plain() if len(keep_clear.node) == 0 else self._qp_with_half_spaces(keep_clear)
         if not solution.solved:
             return self._fall_back(wrench, solution.iterations)
-        x = solution.x
-        prediction.set_nominal(x[: 2 * n], x[2 * n : 3 * n])
-        self._solution, self._base, self._shifted = x, wrench, 0
-        eta = prediction.poses()
+        self._blocks, self._shifted = solution.x[: 3 * self._n], 0
+        if solution.multipliers is not None:
+            self._multipliers = solution.multipliers[: 6 * self._n]
+        prediction.set_nominal(self._blocks)
+        eta = prediction.eta.copy()
         prediction.shift()
-        slack_m = max(0.0, float(x[-1])) if self._had_half_spaces else 0.0
+        slack_m = max(0.0, float(solution.x[-1])) if self._had_half_spaces else 0.0
         return MpcPlan(self._step_of_plan(0, wrench), eta, Solve.SOLVED, solution.iterations, slack_m)
 
-    def _objective(self, reference: Array, weight: Array) -> None:
-        """Write P and q of (35) as Gram matrices of unit responses, with the free response's error as one more row."""
-        n, h, prediction = self._n, self._h, self._prediction
-        root = np.sqrt(weight)
-        goal = reference[1:] * root
-        planar, depth = self._planar, self._depth
-        self._root[:] = root[:2]
-        np.multiply(prediction.position.view(np.float64)[:, 2:], self._root.reshape(-1), out=planar[:, : 2 * h])
-        np.multiply(prediction.yaw[:, 1:], root[3], out=planar[n:, 2 * h :])
-        np.multiply(prediction.heave[:, 1:], root[2], out=depth)
-        planar[-1, : 2 * h] -= goal[:, :2].reshape(-1)
-        planar[-1, 2 * h :] -= goal[:, 3]
-        depth[-1] -= goal[:, 2]
-        moving, sinking = planar @ planar.T, depth @ depth.T
-        np.add(moving[:-1, :-1], self._planar_cost, out=self._p[: 2 * n, : 2 * n])
-        np.add(sinking[:-1, :-1], self._depth_cost, out=self._p[2 * n :, 2 * n :])
-        self._q[: 2 * n], self._q[2 * n : 3 * n] = moving[-1, :-1], sinking[-1, :-1]
+    def _objective(self, reference: Array, weight: Array, wrench: Array) -> None:
+        """Write P and q of (35): changes between blocks, the first from `wrench`, and errors."""
+        size = 3 * self._n
+        self._p[:] = self._smooth
+        self._q[:] = 0.0
+        self._q[self._unknowns[0]] = -self._r * wrench
+        self._prediction.add_cost(reference, weight, self._p, self._q[:size])
 
     def _limits(self, wrench: Array) -> None:
-        """Write the bounds (39) on blocks that are changes to `wrench`."""
-        size, now = 3 * self._n, wrench.take(self._channel_of)
-        np.subtract(self._channel_limits, now, out=self._upper[:size])
-        np.negative(self._channel_limits, out=self._lower[:size])
-        self._lower[:size] -= now
+        """Write the bounds (40) on the first changes; all others are constant."""
+        self._upper[self._first_changes] = wrench + self._step_limit
+        self._lower[self._first_changes] = wrench - self._step_limit
 
     def _qp_plain(self) -> Solution:
         """Solve without half-spaces."""
         size = 3 * self._n
         if self._had_half_spaces:
-            self._plain_solver.warm_start(self._solution[:size])
+            self._plain_solver.warm_start(self._blocks, self._multipliers)
             self._had_half_spaces = False
         return self._plain_solver.solve(self._p, self._q[:size], None, self._lower[: 2 * size], self._upper[: 2 * size])
 
@@ -188,22 +175,19 @@ class Mpc:
         """Solve with half-spaces (36) in the first of the rows reserved for them."""
         n, size, count = self._n, 3 * self._n, len(keep_clear.node)
         if not self._had_half_spaces:
-            self._half_space_solver.warm_start(np.append(self._solution[:size], 0.0))
+            self._half_space_solver.warm_start(np.append(self._blocks, 0.0), self._multipliers)
             self._had_half_spaces = True
-        responses = self._prediction.position[:, keep_clear.node]
-        along = responses.real * keep_clear.normal.real + responses.imag * keep_clear.normal.imag
-        rows, lower = self._a_with_slack[2 * size :], self._lower[2 * size :]
-        rows[:count, : 2 * n], rows[count:, : 2 * n] = along[:-1].T, 0.0
-        rows[:count, -1] = 1.0 if keep_clear.give is None else keep_clear.give
-        lower[:count], lower[count:] = keep_clear.offset - along[-1], -NO_BOUND
+        self._half_spaces[count:], self._half_space_bounds[count:] = 0.0, -NO_BOUND
+        self._prediction.half_space_rows(keep_clear, self._half_spaces, self._half_space_bounds)
+        self._a_with_slack[2 * size :, : 2 * n] = self._half_spaces
+        self._a_with_slack[2 * size : 2 * size + count, -1] = 1.0 if keep_clear.give is None else keep_clear.give
         self._p_with_slack[:-1, :-1] = self._p
         return self._half_space_solver.solve(self._p_with_slack, self._q, self._a_with_slack, self._lower, self._upper)
 
     def _step_of_plan(self, step: int, before: Array) -> Array:
         """Return the last good plan's wrench (3,) at a step, clipped exactly to the limits (the solver's tolerance is
         1e-4)."""
-        asked = self._solution[self._unknowns[step]]
-        asked += self._base
+        asked = self._blocks[self._unknowns[step]]
         np.maximum(asked, before - self._step_limit, out=asked)
         np.minimum(asked, before + self._step_limit, out=asked)
         np.maximum(asked, -self._limit, out=asked)
@@ -212,7 +196,7 @@ class Mpc:
 
     def _fall_back(self, wrench: Array, iterations: int) -> MpcPlan:
         """Return the last good plan moved on by a step; FAILED and no thrust once BRIDGED_S are used up."""
-        eta = self._prediction.poses()
+        eta = self._prediction.eta.copy()
         if self._shifted >= self._most_shifted:
             self.reset()
             self._shifted = self._most_shifted

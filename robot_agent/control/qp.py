@@ -49,6 +49,7 @@ class Solution:
     x: Array
     solved: bool
     iterations: int
+    multipliers: Array | None = None  # (m,) of the rows; None from a solver that has no use for them
 
 
 class Solver(Protocol):
@@ -57,8 +58,9 @@ class Solver(Protocol):
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         """Solve for p (n, n) symmetric, q (n,), a (m, n), bounds (m,); 1e30 and beyond is no bound. `a` None: as it was."""
 
-    def warm_start(self, x: Array) -> None:
-        """Start the next solve at x (n,) instead of at the last solution."""
+    def warm_start(self, x: Array, multipliers: Array) -> None:
+        """Start the next solve at x (n,) instead of at the last solution, and at multipliers of the first rows; the others
+        are zero."""
 
 
 class OsqpSolver:
@@ -102,11 +104,13 @@ class OsqpSolver:
             if info.status_val != OUT_OF_ITERATIONS or not _finite(x):  # else the next solve goes on from here
                 solver.warm_start(np.zeros(len(q)), np.zeros(len(lower)))
             return Solution(np.zeros(len(q)), False, info.iter)
-        return Solution(x * self._scale, True, info.iter)
+        return Solution(x * self._scale, True, info.iter, solver.solution.y * self._row_scale)
 
-    def warm_start(self, x: Array) -> None:
-        """See `Solver`. The multipliers start at zero."""
-        self._solver.warm_start(x / self._scale, np.zeros(len(self._low)))
+    def warm_start(self, x: Array, multipliers: Array) -> None:
+        """See `Solver`."""
+        y, known = np.zeros(len(self._low)), len(multipliers)
+        y[:known] = multipliers / self._row_scale[:known]
+        self._solver.warm_start(x / self._scale, y)
 
     def _close(self, info: Any, x: Array) -> bool:
         """True if solved, or out of iterations so near the solution that the plan is better than the last one. Residuals are
@@ -154,7 +158,7 @@ class DaqpSolver:
             return Solution(np.zeros(len(q)), False, info["iterations"])
         return Solution(x * self._scale, True, info["iterations"])
 
-    def warm_start(self, x: Array) -> None:
+    def warm_start(self, x: Array, multipliers: Array) -> None:
         """See `Solver`."""
 
 

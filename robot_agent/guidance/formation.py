@@ -220,11 +220,11 @@ class Formation:
     def half_spaces(
         self, predictions: NeighbourPredictions, own: Array, rank: Priority, now_ns: int, obstacles: Sequence[Obstacle] = ()
     ) -> HalfSpaces:
-        """Half-spaces across the lines between predicted positions (A6), to robots and obstacles that come close. `own` (2,
-        horizon + 1, 2) is our predicted path: (x, y) and (z, yaw)."""
+        """Half-spaces across the lines between predicted positions (A6), to robots and obstacles that come close. `own`
+        (horizon + 1, 4) is our predicted path."""
         if not predictions.neighbours and not obstacles:
             return NOWHERE
-        here = own[0].view(np.complex128)[self._nodes, 0]
+        here = own.view(np.complex128)[self._nodes, 0]
         bodies = self._robots_near(predictions, own, here, rank, now_ns) if predictions.neighbours else []
         for obstacle in obstacles:
             there, away, apart_m = nearest_border(obstacle, here, [now_ns + ns for ns in self._nodes_ns])
@@ -261,7 +261,7 @@ class Formation:
             if there_m < near_m:
                 keep_m = self.required_clearance_m(predictions.neighbours[i], rank, now_ns)
                 if keep_m is not None:
-                    level = np.abs(own[1, self._nodes, 0] - predictions.depth[i]) < keep_m
+                    level = np.abs(own[self._nodes, 2] - predictions.depth[i]) < keep_m
                     if (level & (distance[i] < keep_m + self._safety.margin_m)).any():
                         away = apart[i] / np.maximum(distance[i], TOUCHING_M)
                         away[distance[i] < TOUCHING_M] = 1.0  # on top of one another: any direction leads out

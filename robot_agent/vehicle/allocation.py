@@ -11,24 +11,82 @@ sign, so an ankle never turns over when surge reverses. What does not fit gives 
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from robot_agent.vehicle.dynamics import Wrench
 from wire.config.vehicle import Vehicle
 from wire.frames import Array
+from wire.kernels import kernel
 
 STEEPEST_RAD = math.radians(60.0)  # beyond, most of a thruster's force is spent on cancelling its neighbour
 CROSSING_N = 0.03  # g goes from -1 to 1 over +- this horizontal force: an ankle passes level while its thruster reverses
 
 
-class Leg(NamedTuple):
-    """Position of a leg: 1 fore, -1 aft; port or starboard; distance to starboard."""
+@kernel("f8(f8, f8, f8, f8, f8)")
+def side_bias(idle_n: float, lift_n: float, side_n: float, ahead_n: float, astern_n: float) -> float:
+    """Bias of a side: what heave needs, or idle thrust if that is more; within what is left of the thrust there is.
 
-    fore: float
-    port: bool
-    y_m: float
+    Idle thrust is whole when the side is quiet, and none once it pushes three times as hard.
+    """
+    faded = idle_n * min(1.0, max(0.0, 1.5 - 0.5 * abs(side_n) / idle_n)) if idle_n > 0.0 else 0.0
+    room = min(ahead_n - abs(side_n), astern_n - abs(side_n))
+    return max(0.0, min(max(lift_n, faded), room))
+
+
+@kernel("f8(f8, f8, f8, f8)")
+def lifting_bias(port: float, starboard: float, heave_n: float, steepest_tan: float) -> float:
+    """Bias that both sides need for a heave force at the steepest ankle angle; 0 where surge and yaw are enough.
+
+    A side with force h and bias b gives 2 max(|h|, b) of lever in all, less CROSSING_N / 2 at most for passing level.
+    """
+    low, high = min(abs(port), abs(starboard)), max(abs(port), abs(starboard))
+    need = 0.5 * (heave_n / steepest_tan + CROSSING_N) if heave_n > 0.0 else 0.0
+    if need <= low + high:
+        return 0.0
+    return max(0.0, need - high) if need < 2.0 * high else 0.5 * need
+
+
+@kernel("void(f8[::1], f8[:,::1], f8, f8, f8, f8, f8[::1], f8[::1])")
+def allocate(
+    wrench: Array, legs: Array, idle_n: float, ahead_n: float, astern_n: float, steepest_tan: float, force: Array, angle: Array
+) -> None:
+    """Thruster forces (4,) in N and ankle angles (4,) in rad for a wrench (3,): surge first, then yaw, then heave.
+
+    `legs` (4, 2): 1 fore or -1 aft, distance to starboard in m; `ahead_n`, `astern_n`: the most a thruster gives.
+    """
+    surge, heave, yaw = wrench[0], wrench[1], wrench[2]
+    mean = min(max(0.25 * surge, -astern_n), ahead_n)
+    room = min(ahead_n - mean, astern_n + mean)
+    turn = min(max(0.25 * yaw / abs(legs[0, 1]), -room), room)
+    port, starboard = mean + turn, mean - turn
+    lift = lifting_bias(port, starboard, abs(heave), steepest_tan)
+    bias_port = side_bias(idle_n, lift, port, ahead_n, astern_n)
+    bias_starboard = side_bias(idle_n, lift, starboard, ahead_n, astern_n)
+    lever, spare = 0.0, math.inf
+    for i in range(4):
+        h = port + bias_port * legs[i, 0] if legs[i, 1] < 0.0 else starboard + bias_starboard * legs[i, 0]
+        g = min(max(h / CROSSING_N, -1.0), 1.0)
+        force[i], angle[i] = h, g
+        lever += h * g
+        spare = min(spare, (ahead_n if h >= 0.0 else astern_n) / max(abs(h), 1e-9))
+    # Heave gives way: the steepest common tangent at which no thruster is asked for more than it has.
+    steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), steepest_tan)
+    t = min(max(heave / lever, -steepest), steepest) if lever > 0.0 else 0.0
+    for i in range(4):
+        force[i] *= math.sqrt(1.0 + (t * angle[i]) ** 2)
+        angle[i] = math.atan(t * angle[i])
+
+
+@kernel("void(f8[::1], f8[::1], f8[:,::1], f8[::1])")
+def total_wrench(force: Array, angle: Array, legs: Array, wrench: Array) -> None:
+    """Forward equations of the module: thruster forces (4,) and ankle angles (4,) -> wrench (3,)."""
+    wrench[:] = 0.0
+    for i in range(4):
+        level = force[i] * math.cos(angle[i])
+        wrench[0] += level
+        wrench[1] += force[i] * math.sin(angle[i])
+        wrench[2] -= legs[i, 1] * level
 
 
 class Allocator:
@@ -36,15 +94,14 @@ class Allocator:
 
     def __init__(self, vehicle: Vehicle) -> None:
         legs, curve = vehicle.legs, vehicle.thruster.curve
-        self._legs = tuple(Leg(1.0 if along > 0.0 else -1.0, across < 0.0, across) for along, across in legs.position_m)
-        self._arm_m, self._idle_n = abs(legs.position_m[0][1]), legs.idle_thrust_n
+        self._legs = np.array([(1.0 if along > 0.0 else -1.0, across) for along, across in legs.position_m])
+        self._idle_n = legs.idle_thrust_n
         self._ahead_n = min(vehicle.thruster.max_thrust_n, curve[-1][1])
         self._astern_n = min(vehicle.thruster.max_thrust_n, -curve[0][1])
         low, high = legs.ankle_us
         self._ankle_level_us, self._ankle_us_per_rad = 0.5 * (low + high), 0.5 * (high - low) / legs.ankle_range_rad
-        level = round(self._ankle_level_us)
         self._steepest_tan = math.tan(min(STEEPEST_RAD, legs.ankle_range_rad))
-        self.neutral_us = (vehicle.thruster.neutral_us,) * 4 + (level,) * 4
+        self.neutral_us = (vehicle.thruster.neutral_us,) * 4 + (round(self._ankle_level_us),) * 4
         # Pulses are whole microseconds: the thrust of each there is, and between them where one is nearer than the other.
         self._slowest_us = int(curve[0][0])
         pulses_us = np.arange(self._slowest_us, int(curve[-1][0]) + 1, dtype=np.float64)
@@ -57,7 +114,7 @@ class Allocator:
             return self.neutral_us
         force, ankle = self.forces(wrench)
         level_us, per_rad = self._ankle_level_us, self._ankle_us_per_rad
-        return (*[self._pulse(f) for f in force], *[round(level_us + per_rad * angle) for angle in ankle])
+        return (*[self._pulse(f) for f in force.tolist()], *[round(level_us + per_rad * a) for a in ankle.tolist()])
 
     def _pulse(self, force_n: float) -> int:
         """Pulse with the nearest thrust of the curve. The smallest lies just outside the dead zone; zero force is neutral."""
@@ -70,64 +127,23 @@ class Allocator:
     def leg_moments(self, pulse_us: tuple[int, ...]) -> Array:
         """Yaw moment of each leg (4,) for eight pulse widths, N m."""
         force, angle = self._put_out(pulse_us)
-        return np.array([-leg.y_m * f * math.cos(a) for leg, f, a in zip(self._legs, force, angle, strict=True)])
+        return np.asarray(-self._legs[:, 1] * force * np.cos(angle))
 
-    def _put_out(self, pulse_us: tuple[int, ...]) -> tuple[list[float], list[float]]:
+    def _put_out(self, pulse_us: tuple[int, ...]) -> tuple[Array, Array]:
         """Thrusts (N) and ankle angles (rad) of eight pulse widths."""
         force = [self._thrust_n[pulse - self._slowest_us] for pulse in pulse_us[:4]]
-        return force, [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]]
+        angle = [(pulse - self._ankle_level_us) / self._ankle_us_per_rad for pulse in pulse_us[4:]]
+        return np.array(force), np.array(angle)
 
-    def wrench(self, force_n: Sequence[float], ankle_rad: Sequence[float]) -> Wrench:
+    def wrench(self, force_n: Array, ankle_rad: Array) -> Wrench:
         """Forward equations: four thruster forces and ankle angles -> wrench."""
-        surge = heave = yaw = 0.0
-        for leg, force, angle in zip(self._legs, force_n, ankle_rad, strict=True):
-            level = force * math.cos(angle)
-            surge, heave, yaw = surge + level, heave + force * math.sin(angle), yaw - leg.y_m * level
+        wrench = np.empty(3)
+        total_wrench(force_n, ankle_rad, self._legs, wrench)
+        surge, heave, yaw = wrench.tolist()
         return surge, heave, yaw
 
-    def forces(self, wrench: Sequence[float] | Array) -> tuple[list[float], list[float]]:
+    def forces(self, wrench: Sequence[float] | Array) -> tuple[Array, Array]:
         """Four thruster forces in N and ankle angles in rad for a wrench."""
-        surge, heave, yaw = map(float, wrench)
-        port, starboard = self._sides(surge, yaw)
-        bias_port, bias_starboard = self._biases(port, starboard, abs(heave))
-        level = [
-            (port if leg.port else starboard) + (bias_port if leg.port else bias_starboard) * leg.fore for leg in self._legs
-        ]
-        side = [min(max(force / CROSSING_N, -1.0), 1.0) for force in level]
-        lever = sum(force * share for force, share in zip(level, side, strict=True))
-        tangent = self._within_thrust(level, heave / lever) if lever > 0.0 else 0.0
-        force = [h * math.sqrt(1.0 + (tangent * share) ** 2) for h, share in zip(level, side, strict=True)]
-        return force, [math.atan(tangent * share) for share in side]
-
-    def _sides(self, surge: float, yaw: float) -> tuple[float, float]:
-        """Horizontal force per leg, port and starboard: surge first, yaw as far as it fits."""
-        mean = min(max(0.25 * surge, -self._astern_n), self._ahead_n)
-        room = min(self._ahead_n - mean, self._astern_n + mean)
-        turn = min(max(0.25 * yaw / self._arm_m, -room), room)
-        return mean + turn, mean - turn
-
-    def _biases(self, port: float, starboard: float, heave: float) -> tuple[float, float]:
-        """The bias per side: idle thrust, faded out where the side pushes anyway, or what heave needs at the steepest.
-
-        A side with force h and bias b gives 2 max(|h|, b) of lever in all, less CROSSING_N / 2 at most for passing level.
-        """
-        idle = self._idle_n
-        need = 0.5 * (heave / self._steepest_tan + CROSSING_N) if heave > 0.0 else 0.0
-        low, high = sorted((abs(port), abs(starboard)))
-        lift = max(0.0, need - high) if need < 2.0 * high else 0.5 * need
-        lift = lift if need > low + high else 0.0
-        return self._bias(port, max(lift, _faded(idle, port))), self._bias(starboard, max(lift, _faded(idle, starboard)))
-
-    def _bias(self, side: float, bias: float) -> float:
-        return max(0.0, min(bias, self._ahead_n - side, self._astern_n + side, self._ahead_n + side, self._astern_n - side))
-
-    def _within_thrust(self, level: list[float], tangent: float) -> float:
-        """Heave gives way: the steepest common tangent at which no thruster is asked for more than it has."""
-        spare = min((self._ahead_n if h >= 0.0 else self._astern_n) / max(abs(h), 1e-9) for h in level)
-        steepest = min(math.sqrt(max(spare * spare - 1.0, 0.0)), self._steepest_tan)
-        return min(max(tangent, -steepest), steepest)
-
-
-def _faded(idle_n: float, side_n: float) -> float:
-    """Idle bias beside a side force: whole when the side is quiet, none once it pushes three times as hard."""
-    return idle_n * min(1.0, max(0.0, 1.5 - 0.5 * abs(side_n) / idle_n)) if idle_n > 0.0 else 0.0
+        force, angle, asked = np.empty(4), np.empty(4), np.asarray(wrench, dtype=np.float64)
+        allocate(asked, self._legs, self._idle_n, self._ahead_n, self._astern_n, self._steepest_tan, force, angle)
+        return force, angle

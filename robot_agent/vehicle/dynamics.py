@@ -18,10 +18,110 @@ exact for linear drag, stable for any step); poses advance by the trapezoidal ru
 import math
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from wire.config.vehicle import Vehicle
+from wire.frames import Array
+from wire.kernels import kernel
 
 Wrench = tuple[float, float, float]  # surge N, heave N, yaw N m
 State = tuple[float, ...]  # 11 numbers: eta (4), nu (4), thrust that acts now [X N, Z N, N N m]
+
+LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
+
+
+@kernel("UniTuple(f8,2)(f8, f8)")
+def lag(lag_s: float, dt: float) -> tuple[float, float]:
+    """Share of (thrust - command) that is left after `dt`, and its mean over `dt` (s)."""
+    if dt <= 0.0:
+        return 1.0, 1.0
+    if lag_s <= 0.0:
+        return 0.0, 0.0
+    left = math.exp(-dt / lag_s)
+    return left, lag_s / dt * (1.0 - left)
+
+
+@kernel("f8(f8, f8)")
+def phi_dt(slope: float, dt: float) -> float:
+    """dt phi(a dt), s: effective time of a constant acceleration against drag of slope a (1/s, per mass)."""
+    return -math.expm1(-slope * dt) / slope
+
+
+@kernel("UniTuple(f8,11)(f8[:,::1], f8, f8, UniTuple(f8,11), UniTuple(f8,4), UniTuple(f8,3), f8)")
+def advance(
+    model: Array, sway: float, lag_s: float, state: State, gamma: tuple[float, ...], wrench: tuple[float, ...], dt: float
+) -> State:
+    """State after `dt` (one control step or less) of a constant commanded wrench and Gamma: the module's equations.
+
+    `model` (3, 4): m, linear and quadratic drag of the four axes. `sway` 0: v stays zero.
+    """
+    x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n = state
+    m_u, m_v, m_w, m_r = model[0]
+    linear_u, linear_v, linear_w, linear_r = model[1]
+    quadratic_u, quadratic_v, quadratic_w, quadratic_r = model[2]
+    c = m_v / m_u
+    left, mean = lag(lag_s, dt)
+    surge_n = wrench[0] + (acting_x - wrench[0]) * mean
+    heave_n = wrench[1] + (acting_z - wrench[1]) * mean
+    yaw_nm = wrench[2] + (acting_n - wrench[2]) * mean
+    speed = math.sqrt(u * u + v * v)
+    bend = 1.0 / speed if speed > 0.0 else 0.0
+    slope_u = (linear_u + quadratic_u * (speed + u * u * bend)) / m_u
+    slope_v = (linear_v + quadratic_v * (speed + v * v * bend)) / m_v
+    slope_w = (linear_w + 2.0 * quadratic_w * abs(w)) / m_w
+    slope_r = (linear_r + 2.0 * quadratic_r * abs(r)) / m_r
+    u_dot = (surge_n - (linear_u + quadratic_u * speed) * u) / m_u + c * v * r + gamma[0]
+    v_dot = -(linear_v + quadratic_v * speed) * v / m_v - u * r / c + gamma[1]
+    w_dot = (heave_n - (linear_w + quadratic_w * abs(w)) * w) / m_w + gamma[2]
+    r_dot = (yaw_nm - (linear_r + quadratic_r * abs(r)) * r) / m_r + gamma[3]
+    u1 = u + phi_dt(slope_u, dt) * u_dot
+    v1 = sway * (v + phi_dt(slope_v, dt) * v_dot)
+    w1 = w + phi_dt(slope_w, dt) * w_dot
+    r1 = r + phi_dt(slope_r, dt) * r_dot
+    yaw1 = yaw + 0.5 * dt * (r + r1)
+    cos, sin, cos1, sin1 = math.cos(yaw), math.sin(yaw), math.cos(yaw1), math.sin(yaw1)
+    x1 = x + 0.5 * dt * (cos * u - sin * v + cos1 * u1 - sin1 * v1)
+    y1 = y + 0.5 * dt * (sin * u + cos * v + sin1 * u1 + cos1 * v1)
+    z1 = z + 0.5 * dt * (w + w1)
+    acting_x = wrench[0] + (acting_x - wrench[0]) * left
+    acting_z = wrench[1] + (acting_z - wrench[1]) * left
+    acting_n = wrench[2] + (acting_n - wrench[2]) * left
+    return x1, y1, z1, yaw1, u1, v1, w1, r1, acting_x, acting_z, acting_n
+
+
+@kernel("UniTuple(f8,11)(f8[:,::1], f8, f8, UniTuple(f8,11), UniTuple(f8,4), UniTuple(f8,2), i8[::1], f8[:,::1], i8, i8, i8)")
+def propagate(
+    model: Array,
+    sway: float,
+    lag_s: float,
+    state: State,
+    gamma: tuple[float, ...],
+    current: tuple[float, float],
+    acts_ns: NDArray[np.int64],
+    wrenches: Array,
+    count: int,
+    from_ns: int,
+    to_ns: int,
+) -> State:
+    """State at `to_ns`, from that at `from_ns`, under the first `count` of `wrenches` (inputs, 3), each from its instant
+    `acts_ns` on and none before, in water that streams at `current` (x, y, m/s), in steps of at most LONGEST_STEP_NS."""
+    wrench = (0.0, 0.0, 0.0)
+    for i in range(count + 1):
+        until_ns = min(acts_ns[i], to_ns) if i < count else to_ns
+        if until_ns > from_ns:
+            steps = (until_ns - from_ns + LONGEST_STEP_NS - 1) // LONGEST_STEP_NS
+            dt = (until_ns - from_ns) * 1e-9 / steps
+            for _ in range(steps):
+                state = advance(model, sway, lag_s, state, gamma, wrench, dt)
+            from_ns = until_ns
+            x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n = state
+            x += current[0] * dt * steps
+            y += current[1] * dt * steps
+            state = (x, y, z, yaw, u, v, w, r, acting_x, acting_z, acting_n)
+        if i < count:
+            wrench = (wrenches[i, 0], wrenches[i, 1], wrenches[i, 2])
+    return state
 
 
 class Model:
@@ -31,16 +131,14 @@ class Model:
         self.mass = tuple(float(m) for m in vehicle.inertia)
         self.linear = vehicle.drag.linear
         self.quadratic = vehicle.drag.quadratic
-        self.sway = sway
+        self.coefficients = np.array((self.mass, self.linear, self.quadratic), dtype=np.float64)  # (3, 4) for kernels
+        self.sway = 1.0 if sway else 0.0
         self.lag_s = vehicle.thruster.lag_s if lag else 0.0
         self.coriolis = self.mass[1] / self.mass[0]  # m_v / m_u
 
     def lag(self, dt_s: float) -> tuple[float, float]:
         """Return the share of (thrust - command) that is left after `dt_s`, and its mean over `dt_s`."""
-        if self.lag_s <= 0.0 or dt_s <= 0.0:
-            return (0.0, 0.0) if dt_s > 0.0 else (1.0, 1.0)
-        left = math.exp(-dt_s / self.lag_s)
-        return left, self.lag_s / dt_s * (1.0 - left)
+        return lag(self.lag_s, dt_s)
 
     def drag(self, u: float, v: float) -> tuple[float, float]:
         """Deceleration (2,) in m/s^2 by drag at horizontal velocities u, v through the water."""
@@ -56,33 +154,4 @@ class Model:
 
     def advance(self, state: State, disturbance: Sequence[float], wrench: Sequence[float], dt_s: float) -> State:
         """Return the state after `dt_s` (one control step or less) of a constant commanded wrench and disturbance (4,)."""
-        x, y, z, yaw, u, v, w, r, fx, fz, fn = state
-        left, mean = self.lag(dt_s)
-        cx, cz, cn = wrench
-        mass_u, mass_v, mass_w, mass_r = self.mass
-        linear_u, linear_v, linear_w, linear_r = self.linear
-        quadratic_u, quadratic_v, quadratic_w, quadratic_r = self.quadratic
-        speed, speed_w, speed_r = math.sqrt(u * u + v * v), abs(w), abs(r)
-        bend = 1.0 / speed if speed > 0.0 else 0.0
-        force = cx + (fx - cx) * mean - (linear_u + quadratic_u * speed) * u
-        phi_dt = _phi_dt((linear_u + quadratic_u * (speed + u * u * bend)) / mass_u, dt_s)
-        u1 = u + phi_dt * (force / mass_u + self.coriolis * v * r + disturbance[0])
-        v1 = 0.0
-        if self.sway:
-            phi_dt = _phi_dt((linear_v + quadratic_v * (speed + v * v * bend)) / mass_v, dt_s)
-            v1 = v + phi_dt * (disturbance[1] - (linear_v + quadratic_v * speed) * v / mass_v - u * r / self.coriolis)
-        force = cz + (fz - cz) * mean - (linear_w + quadratic_w * speed_w) * w
-        w1 = w + _phi_dt((linear_w + 2.0 * quadratic_w * speed_w) / mass_w, dt_s) * (force / mass_w + disturbance[2])
-        force = cn + (fn - cn) * mean - (linear_r + quadratic_r * speed_r) * r
-        r1 = r + _phi_dt((linear_r + 2.0 * quadratic_r * speed_r) / mass_r, dt_s) * (force / mass_r + disturbance[3])
-        half = 0.5 * dt_s
-        yaw1 = yaw + half * (r + r1)
-        c, s, c1, s1 = math.cos(yaw), math.sin(yaw), math.cos(yaw1), math.sin(yaw1)
-        x1, y1 = x + half * (c * u - s * v + c1 * u1 - s1 * v1), y + half * (s * u + c * v + s1 * u1 + c1 * v1)
-        rest = (cx + (fx - cx) * left, cz + (fz - cz) * left, cn + (fn - cn) * left)
-        return (x1, y1, z + half * (w + w1), yaw1, u1, v1, w1, r1, *rest)
-
-
-def _phi_dt(slope: float, dt_s: float) -> float:
-    """dt phi(a dt), s: effective time of a constant acceleration against drag of slope a (1/s, per mass)."""
-    return -math.expm1(-slope * dt_s) / slope
+        return advance(self.coefficients, self.sway, self.lag_s, state, tuple(disturbance), tuple(wrench), dt_s)

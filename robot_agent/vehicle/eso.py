@@ -21,7 +21,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from robot_agent.vehicle.dynamics import Model, State, Wrench
+from robot_agent.vehicle.dynamics import Model, State, Wrench, propagate
 from wire.config.controller import COAST_S, EstimatorConfig
 from wire.frames import Array, wrap
 
@@ -29,7 +29,6 @@ S = TypeVar("S")
 
 NS = 1_000_000_000
 COAST_NS = round(COAST_S * 1e9)  # prediction alone is no estimate any more: the agent has been neutral for half of it
-LONGEST_STEP_NS = 50_000_000  # the model's step is first order in the Coriolis terms
 GATE_M, GATE_RAD = 0.3, 1.0  # between two poses nothing moves this far: 0.5 m/s x 0.2 s, 1.9 rad/s x 0.2 s, and doubled
 GATE_DEPTH_M = 0.15  # the same for depth: 0.26 m/s x 0.2 s, doubled, and 5 cm of pressure under waves
 GATE_RADPS = 1.0  # the same for the gyroscope: 0.5 N m turn 0.12 kg m^2 by 0.8 rad/s faster in 0.2 s
@@ -106,7 +105,8 @@ class Estimator:
         """`fastest_mps` limits the estimated current: a robot cannot hold its place in a stronger one."""
         self._model, self._config, self._fastest_mps = model, config, fastest_mps
         self._dead_ns = round(dead_time_s * NS)
-        self._inputs: deque[tuple[int, Wrench]] = deque(maxlen=INPUTS_KEPT)  # (instant from which it acts, wrench)
+        self._acts_ns, self._wrenches = np.zeros(INPUTS_KEPT, dtype=np.int64), np.zeros((INPUTS_KEPT, 3))
+        self._inputs = 0  # wrenches, each with the instant from which it acts, in order
         self._sensed: deque[tuple[int, float | None, float | None]] = deque(maxlen=SENSED_KEPT)
         self._state: State | None = None  # at the exposure _at_ns
         self._disturbance = [0.0, 0.0, 0.0, 0.0]
@@ -127,9 +127,11 @@ class Estimator:
         """Take note of the wrench sent out now. It acts after the thrusters' dead time. Of two at one instant the last
         counts."""
         acts_ns = now_ns + self._dead_ns
-        if self._inputs and self._inputs[-1][0] == acts_ns:
-            self._inputs.pop()
-        self._inputs.append((acts_ns, wrench))
+        if not self._inputs or self._acts_ns[self._inputs - 1] != acts_ns:
+            if self._inputs == INPUTS_KEPT:
+                self._drop_inputs(1)
+            self._inputs += 1
+        self._acts_ns[self._inputs - 1], self._wrenches[self._inputs - 1] = acts_ns, wrench
 
     def update(self, measurement: StateMeasurement, now_ns: int) -> Estimate | None:
         """Take in new measurements and return the estimate; None before the first pose and after coasting longer than
@@ -142,7 +144,9 @@ class Estimator:
         if self._state is None or now_ns - self._at_ns > COAST_NS:
             self._state, self._disturbance = None, [0.0, 0.0, 0.0, 0.0]
             return None
-        self._forget_inputs()
+        over = int(np.searchsorted(self._acts_ns[: self._inputs], self._at_ns, side="right")) - 1
+        if over > 0:
+            self._drop_inputs(over)
         now = self._propagate(self._state, self._at_ns, now_ns)
         action = self._propagate(now, now_ns, now_ns + self._dead_ns)
         nu, gamma_still_water = self._over_ground(now)
@@ -319,31 +323,19 @@ class Estimator:
             later = (sample[0], value)
         return later[1] if later is not None else None
 
-    def _forget_inputs(self) -> None:
-        while len(self._inputs) > 1 and self._inputs[1][0] <= self._at_ns:
-            self._inputs.popleft()
+    def _drop_inputs(self, count: int) -> None:
+        """Forget the oldest wrenches."""
+        self._inputs -= count
+        for column in (self._acts_ns, self._wrenches):
+            column[: self._inputs] = column[count : count + self._inputs]
 
     def _propagate(self, state: State, from_ns: int, to_ns: int) -> State:
         """Predict the state with the wrenches that act in between, without correction."""
-        wrench: Wrench = (0.0, 0.0, 0.0)
-        for acts_ns, following in self._inputs:
-            if acts_ns >= to_ns:
-                break
-            if acts_ns > from_ns:
-                state = self._advance(state, wrench, acts_ns - from_ns)
-                from_ns = acts_ns
-            wrench = following
-        return self._advance(state, wrench, to_ns - from_ns)
-
-    def _advance(self, state: State, wrench: Wrench, duration_ns: int) -> State:
-        """Predict under a constant wrench, in steps of at most LONGEST_STEP_NS."""
-        count = -(-duration_ns // LONGEST_STEP_NS)
-        for _ in range(count):
-            state = self._model.advance(state, self._disturbance, wrench, duration_ns / count / NS)
-        if not self._current:
-            return state
-        x, y, *rest = state
-        return (x + self._current.real * duration_ns / NS, y + self._current.imag * duration_ns / NS, *rest)
+        model, current = self._model, (self._current.real, self._current.imag)
+        return propagate(
+            model.coefficients, model.sway, model.lag_s, state, tuple(self._disturbance), current,
+            self._acts_ns, self._wrenches, self._inputs, from_ns, to_ns,
+        )  # fmt: skip
 
 
 def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:

@@ -65,6 +65,9 @@ if [ -d /run/systemd/system ]; then
         $sudo systemctl enable --quiet shoal-agent.service
     fi
     rm -f unit.next
+    kernels=/var/lib/shoal-agent/kernels # as in the unit: compiled now, so that the agent starts at once
+    $sudo install -d -m 700 -o "$(id -un)" /var/lib/shoal-agent "$kernels"
+    NUMBA_CACHE_DIR=$kernels venv/bin/robot-agent compile >/dev/null
     refuse_if_armed
     [ "$restart" = no ] || $sudo systemctl restart --no-block shoal-agent.service
     service=$(systemctl is-active shoal-agent.service || true)

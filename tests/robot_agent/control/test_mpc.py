@@ -128,8 +128,8 @@ class Refusing:
         self._real, self.refuse = controller._plain_solver, False
         controller._plain_solver = self
 
-    def warm_start(self, x: Array) -> None:
-        self._real.warm_start(x)
+    def warm_start(self, x: Array, multipliers: Array) -> None:
+        self._real.warm_start(x, multipliers)
 
     def solve(self, p: Array, q: Array, a: Array | None, lower: Array, upper: Array) -> Solution:
         return Solution(np.zeros(len(q)), False, 100) if self.refuse else self._real.solve(p, q, a, lower, upper)
@@ -192,9 +192,7 @@ def test_after_a_reset_it_expects_to_stay_where_it_is_now() -> None:
     controller.reset()
     elsewhere: State = (1.0, 2.0, 0.3, 0.5, *([0.0] * 7))
     expected = controller.predicted_path(elsewhere)
-    assert np.array_equal(expected[0], np.tile([1.0, 2.0], (51, 1))) and np.array_equal(
-        expected[1], np.tile([0.3, 0.5], (51, 1))
-    )
+    assert np.array_equal(expected, np.tile([1.0, 2.0, 0.3, 0.5], (51, 1)))
 
 
 @pytest.mark.parametrize("period_s", [0.025, 0.05, 0.1])

@@ -12,4 +12,4 @@ STEPS = CONFIG.horizon + 1
 
 def expecting(x: float, y: float = 0.0, z: float = 0.0) -> Array:
     """Predicted path of a robot that stays in place."""
-    return np.repeat(np.array(((x, y), (z, 0.0)))[:, None], STEPS, axis=1)
+    return np.tile([x, y, z, 0.0], (STEPS, 1))

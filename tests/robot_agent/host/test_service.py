@@ -49,6 +49,7 @@ def test_the_unit_says_what_was_decided() -> None:
         "User=pi",
         "StateDirectory=shoal-agent",
         "RuntimeDirectory=shoal-agent",
+        "Environment=NUMBA_CACHE_DIR=/var/lib/shoal-agent/kernels",
         "ExecStart=/opt/shoal/venv/bin/robot-agent run --config /opt/shoal/agent.toml",
     ):
         assert line in lines

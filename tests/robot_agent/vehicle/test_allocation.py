@@ -17,11 +17,10 @@ POSITION = np.array(VEHICLE.legs.position_m)
 AHEAD, ASTERN = 3.0, 2.801  # ends of the vehicle's curve
 
 
-def delivered(force: list[float], ankle: list[float]) -> Array:
+def delivered(force: Array, ankle: Array) -> Array:
     """X = sum F cos a, Z = sum F sin a, N = sum of moments about z: -y X_i."""
-    f, a = np.array(force), np.array(ankle)
-    ahead = f * np.cos(a)
-    return np.array([ahead.sum(), (f * np.sin(a)).sum(), -(POSITION[:, 1] * ahead).sum()])
+    ahead = force * np.cos(ankle)
+    return np.array([ahead.sum(), (force * np.sin(ankle)).sum(), -(POSITION[:, 1] * ahead).sum()])
 
 
 wrenches = st.tuples(st.floats(-6, 6), st.floats(-3, 3), st.floats(-0.5, 0.5))
@@ -132,7 +131,7 @@ def test_delivered_is_what_the_pulses_say(wrench: tuple[float, float, float]) ->
     pulses = ALLOCATOR.pulses(np.array(wrench))
     force = VEHICLE.thruster.force_n(np.array(pulses[:4], dtype=float))
     ankle = (np.array(pulses[4:]) - 1500) / 500 * VEHICLE.legs.ankle_range_rad
-    assert np.array(ALLOCATOR.delivered(pulses)) == pytest.approx(delivered(list(force), list(ankle)), abs=1e-12)
+    assert np.array(ALLOCATOR.delivered(pulses)) == pytest.approx(delivered(force, ankle), abs=1e-12)
     assert ALLOCATOR.delivered(pulses)[0] == pytest.approx(wrench[0], abs=0.04)
 
 

@@ -104,11 +104,11 @@ def predicted(prediction: Prediction, channel: int, block: int) -> Array:
     out = np.zeros((HORIZON, 4))
     row = {0: block, 1: block, 2: len(BLOCKS) + block}[channel]
     if channel == 1:
-        out[:, 2] = prediction.heave[block, 1:]
+        out[:, 2] = prediction.z[1:, block]
         return out
-    out[:, 0], out[:, 1] = prediction.position[row, 1:].real, prediction.position[row, 1:].imag
+    out[:, 0], out[:, 1] = prediction.x[1:, row], prediction.y[1:, row]
     if channel == 2:
-        out[:, 3] = prediction.yaw[block, 1:]
+        out[:, 3] = prediction.yaw[1:, block]
     return out
 
 
@@ -118,7 +118,7 @@ def settled(vehicle: Vehicle, start: Array, before: Array, gamma: Array, lag: bo
     prediction.restart(tuple(start))
     for _ in range(8):
         prediction.linearise(tuple(start), before, gamma)
-        prediction.set_nominal(np.zeros(2 * len(BLOCKS)), np.zeros(len(BLOCKS)))
+        prediction.set_nominal(np.zeros(3 * len(BLOCKS)))
     return prediction
 
 
@@ -129,9 +129,7 @@ def test_free_response_converges_to_the_nonlinear_motion(seed: int, lag: bool) -
     gamma = random.normal(size=4) * [0.02, 0.02, 0.02, 0.1]
     prediction = settled(vehicle, start, before, gamma, lag)
     true = fly(vehicle, start, before, np.zeros((3, len(BLOCKS))), gamma, lag)
-    free = np.stack(
-        [prediction.position[-1].real, prediction.position[-1].imag, prediction.heave[-1], prediction.yaw[-1]], axis=1
-    )[1:]
+    free = np.stack([columns[1:, -1] for columns in (prediction.x, prediction.y, prediction.z, prediction.yaw)], axis=1)
     assert np.abs(free - true)[:, :3].max() < 0.01
     assert np.abs(free - true)[:, 3].max() < 0.03
 
@@ -144,9 +142,10 @@ def test_water_that_streams_carries_the_prediction_along() -> None:
     for prediction, current in ((still, 0j), (carried, 0.05 - 0.02j)):
         prediction.restart(start)
         prediction.linearise(start, np.zeros(3), np.zeros(4), current)
-    assert np.array_equal(carried.position[:-1], still.position[:-1])
-    drift = (0.05 - 0.02j) * PERIOD_S * np.arange(HORIZON + 1)
-    assert carried.position[-1] - still.position[-1] == pytest.approx(drift, abs=1e-12)
+    seconds = PERIOD_S * np.arange(HORIZON + 1)
+    for moved, there, speed in ((carried.x, still.x, 0.05), (carried.y, still.y, -0.02)):
+        assert np.array_equal(moved[:, :-1], there[:, :-1])
+        assert moved[:, -1] - there[:, -1] == pytest.approx(speed * seconds, abs=1e-12)
 
 
 @pytest.mark.parametrize("channel", [0, 1, 2])
@@ -174,8 +173,7 @@ def test_the_turn_of_the_plan_starts_from_the_heading_there_is() -> None:
     turned = start.copy()
     turned[3] = 2.5
     prediction.linearise(tuple(turned), np.zeros(3), np.zeros(4))
-    direction = prediction.position[-1][-1]
-    assert np.angle(direction) == pytest.approx(2.5, abs=1e-6)
+    assert np.arctan2(prediction.y[-1, -1], prediction.x[-1, -1]) == pytest.approx(2.5, abs=1e-6)
 
 
 def test_no_lag_means_thrust_at_once() -> None:

@@ -1,0 +1,94 @@
+"""Rules of compiled kernels, read from the source, and the decorator without a folder to write to."""
+
+import ast
+import builtins
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("groundstation", "localizer", "robot_agent", "sim_bridge", "wire")
+LIBRARIES = {"math", "cmath", "np"}
+
+WITHOUT_A_FOLDER = """
+source = '@kernel("f8(f8)")\\ndef twice(x):\\n    return 2.0 * x\\n'
+import logging
+from wire.kernels import CACHE, kernel
+logging.basicConfig()
+for _ in range(2):
+    space = {"kernel": kernel}
+    exec(compile(source, "/proc/nowhere.py", "exec"), space)
+    assert space["twice"](3.0) == 6.0
+assert not CACHE.writable
+"""
+
+
+def _kernels(tree: ast.Module) -> list[tuple[ast.FunctionDef, ast.expr]]:
+    """Functions under the decorator, with the decorator."""
+    return [
+        (node, mark)
+        for node in tree.body
+        if isinstance(node, ast.FunctionDef)
+        for mark in node.decorator_list
+        if ast.unparse(mark).partition("(")[0].rpartition(".")[2] == "kernel"
+    ]
+
+
+def _offences(tree: ast.Module) -> Iterator[str]:
+    """What breaks the rules of wire/kernels.py."""
+    kernels = _kernels(tree)
+    own = {function.name for function, _ in kernels}
+    for function, mark in kernels:
+        arguments = mark.args if isinstance(mark, ast.Call) else []
+        signature = arguments[0].value if arguments and isinstance(arguments[0], ast.Constant) else None
+        if not (isinstance(signature, str) and signature.endswith(")") and "(" in signature):
+            yield f"{function.name}: no explicit signature"
+        if ast.get_docstring(function) is None:
+            yield f"{function.name}: no docstring"
+        for node in ast.walk(function):
+            if isinstance(node, ast.Raise | ast.Try | ast.Assert):
+                yield f"{function.name}, line {node.lineno}: raises"
+            if isinstance(node, ast.Call) and node not in function.decorator_list:
+                called = ast.unparse(node.func)
+                module, _, name = called.rpartition(".")
+                if module.partition(".")[0] not in LIBRARIES and not (not module and (name in own or hasattr(builtins, name))):
+                    yield f"{function.name}, line {node.lineno}: calls {called}"
+
+
+def _sources() -> list[str]:
+    found = (path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py")))
+    return [str(path.relative_to(ROOT)) for path in found if "@kernel" in path.read_text(encoding="utf-8")]
+
+
+def test_the_rules_notice_offenders() -> None:
+    offender = """
+@kernel
+def a(x):
+    "Doc."
+    return other(x)
+
+@kernel("f8(f8)")
+def b(x):
+    raise ValueError
+"""
+    assert len(list(_offences(ast.parse(offender)))) == 4  # no signature, other(); no docstring, raise
+    fine = '@kernel("f8(f8)")\ndef c(x):\n    "Doc."\n    return c(math.exp(abs(x)))\n'
+    assert not list(_offences(ast.parse(fine)))
+
+
+@pytest.mark.parametrize("source", _sources())
+def test_kernels_have_signatures_and_call_only_kernels_of_their_module(source: str) -> None:
+    assert not list(_offences(ast.parse((ROOT / source).read_text(encoding="utf-8"))))
+
+
+def test_without_a_folder_to_write_to_kernels_are_compiled_each_time_and_the_log_says_so_once() -> None:
+    environment = {**os.environ, "HOME": "/proc/none", "XDG_CACHE_HOME": "/proc/none", "PYTHONPATH": str(ROOT)}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    command = [sys.executable, "-c", WITHOUT_A_FOLDER]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.count("no folder to keep compiled kernels in") == 1
