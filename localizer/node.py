@@ -1,7 +1,7 @@
 """SHELL: the localizer's process: the newest frame in, a pose per robot and the obstacles out.
 
-Obstacles are detected after the poses are published: 2 ms on every other frame, during which no pose waits unless the
-camera is faster than 100 Hz.
+In each frame: poses, status, obstacles, then the rest of the tracking (`FleetLocalizer.finish`). No pose waits for what
+follows it, unless the next frame comes before that is done.
 """
 
 import time
@@ -116,14 +116,13 @@ class LocalizerNode:
         """Localize one frame. An exception costs this frame; FAILURES_IN_A_ROW of them end the process."""
         started_ns = time.perf_counter_ns()
         try:
-            result = self._localizer.step(captured.pixels, captured.instant_ns, self._depths(captured.inputs_up_to_ns))
+            result = self._localizer.locate(captured.pixels, captured.instant_ns, self._depths(captured.inputs_up_to_ns))
             age_ns = max(self._clock.now_ns() - captured.instant_ns, 0)
             for robot, pose in result.poses:
                 self._bus.publish(topics.POSE, pose, captured.stamp_ns, robot, age_ns=age_ns)
         except Exception as error:
             self._report_failure(captured, error, previews)
             return
-        self._failed_in_a_row = 0
         frame_ms = (time.perf_counter_ns() - started_ns) * 1e-6
         found = result.status
         told = tuple(robot for robot, _ in result.poses)
@@ -140,19 +139,32 @@ class LocalizerNode:
         )
         self._publish_status(status, captured.stamp_ns)
         self._detect_obstacles(captured, result)
+        self._finish()
         previews.offer(captured, result, self._obstacles)
         if self._video is not None:
             self._video.offer(captured)
 
+    def _finish(self) -> None:
+        """Do the tracking that no pose waits for. An exception counts like one before the poses; the next status tells it."""
+        try:
+            self._localizer.finish()
+        except Exception as error:
+            self._count_failure(f"appearances not updated: {type(error).__name__}: {error}", error)
+        else:
+            self._failed_in_a_row = 0
+
     def _report_failure(self, captured: CapturedFrame, error: Exception, previews: PreviewPublisher) -> None:
         """Publish the reason for a frame without poses, so that in lockstep no process waits for them."""
-        self._failed, self._failed_in_a_row = self._failed + 1, self._failed_in_a_row + 1
         why = f"picture skipped: {type(error).__name__}: {error}"
-        if self._failed_in_a_row == 1:
-            log.error("%s", why, exc_info=error)
+        self._count_failure(why, error)
         status = replace(self._status, message=why, robots=(), obstacles_ns=self._obstacles_ns, failed=self._failed)
         self._publish_status(status, captured.stamp_ns)
         previews.offer_nothing(why, captured.stamp_ns)
+
+    def _count_failure(self, why: str, error: Exception) -> None:
+        self._failed, self._failed_in_a_row = self._failed + 1, self._failed_in_a_row + 1
+        if self._failed_in_a_row == 1:
+            log.error("%s", why, exc_info=error)
         if self._failed_in_a_row >= FAILURES_IN_A_ROW:
             self._stop.fail(f"{self._failed_in_a_row} pictures in a row could not be localized in: {error}")
 

@@ -63,18 +63,25 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        verified_now = np.where(turn_peaks > _LEAST_TURN_PEAK, np.clip(peaks, 0.0, 1.0), 0.0)
-        return [Match(np.array([x, y, wrap(yaw)]), float(peak)) for (x, y, yaw), peak in zip(found, verified_now, strict=True)]
+        clipped = _verified(peaks, turn_peaks)
+        return [Match(np.array([x, y, wrap(yaw)]), float(peak)) for (x, y, yaw), peak in zip(found, clipped, strict=True)]
 
-    def update(self, views: Sequence[PredictedView], poses: Sequence[Array], rate: float) -> None:
-        """Blend in the robots' appearance at these poses. A robot that is not initialised is learnt from this view alone."""
+    def update(self, views: Sequence[PredictedView], poses: Sequence[Array], rates: Array) -> list[float]:
+        """Peaks of the robots' appearances at known poses, as in `Match`; then blend in what is seen there at `rates` (n,).
+
+        Rate 0 learns nothing. A robot that is not initialised has peak 0, and is learnt from this view alone.
+        """
         if not views:
-            return
+            return []
         robots, colours, at = _robot_indices(views), self._colours(views), np.array(poses)
-        rates = np.where(self._learnt[robots], rate, 1.0).astype(np.float32)
-        self._place.learn(robots, self._patches(views, colours, at), rates)
-        self._turn.learn(robots, self._rings(views, colours, at), rates)
-        self._learnt[robots] = True
+        patches, rings = self._patches(views, colours, at), self._rings(views, colours, at)
+        _, peaks = self._place.detect(robots, patches)
+        _, turn_peaks = self._turn.detect(robots, rings)
+        blend = np.where(self._learnt[robots], rates, np.sign(rates)).astype(np.float32)
+        self._place.learn(robots, patches, blend)
+        self._turn.learn(robots, rings, blend)
+        self._learnt[robots] |= rates > 0.0
+        return [float(peak) for peak in _verified(peaks, turn_peaks)]
 
     def _colours(self, views: Sequence[PredictedView]) -> list[DemosaicedRegion]:
         """Demosaiced regions, at half scale where samples lie farther apart than pixels."""
@@ -86,6 +93,11 @@ class AppearanceModel:
 
     def _rings(self, views: Sequence[PredictedView], colours: Sequence[DemosaicedRegion], poses: Array) -> Real:
         return np.stack([self._sampler.rings(c, s.body(p)) for c, s, p in zip(colours, views, poses, strict=True)])
+
+
+def _verified(peaks: Array, turn_peaks: Array) -> Array:
+    """Peaks of the position filter (n,), clipped to 0..1; 0 where the heading filter did not recognise the robot."""
+    return np.where(turn_peaks > _LEAST_TURN_PEAK, np.clip(peaks, 0.0, 1.0), 0.0)
 
 
 def _robot_indices(views: Sequence[PredictedView]) -> NDArray[np.intp]:

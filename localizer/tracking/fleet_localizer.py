@@ -1,8 +1,12 @@
 """READ FIRST: the localizer's core: one camera frame in, the pose of every robot out.
 
-    frame -> camera health -> camera pose (landmarks, if it moves) -> predict each robot -> cut a region around it -> read its
-    marker there (all markers of the whole picture while one is lost) -> match its appearance (KCF) -> gates -> Kalman
-    filter -> update its appearance -> tilt -> poses
+    locate: frame -> camera health -> camera pose (landmarks, if it moves) -> predict each robot -> cut a region around it ->
+            read its marker there -> match its appearance (KCF) if that failed -> gates -> Kalman filter -> tilt -> poses
+    finish: look for lost robots (one strip of the picture for markers; appearances where they were lost) -> correlation peak
+            and update of the appearances whose turn it is
+
+The poses of a frame need `locate` alone. What `finish` finds shows in the next frame's poses: the peak of a robot whose marker
+was read, a lost robot whose appearance was matched, the claim of a marker that was found elsewhere.
 
 A marker gives identity, position and heading. The correlation filters follow a robot whose marker is washed out by glare or
 covered. Pixels become metres at the depth that the robot itself reports: an error of 1 cm there moves a robot 1 m off the
@@ -31,14 +35,15 @@ from wire.config.scene import Circle, PathSpec, Route
 from wire.frames import Array
 from wire.messages.messages import CameraHealth, LocalizerStatus, Pose, Track
 
-_SCAN_EVERY = 5  # frames between scans of the whole picture while a robot is lost: a scan costs as much as many regions
+_STRIPS = 5  # frames in which the whole picture is scanned while a robot is lost, a strip in each (3 ms); more find it later
 _STRANGE_SCANS = 2  # scans in a row that must show a foreign marker before it is told; a misreading does not repeat
-_LEARN_EVERY = 4  # frames between updates of an appearance, robots taking turns: light changes slowly
+_LEARN_EVERY = 4  # frames between updates (and peaks) of an appearance, robots taking turns: light changes slowly
 _LEARNING_RATE = 0.03  # per update: follows the light in 7 s, and is slow enough for an arm over the robot
 _SURE_PEAK = 0.6  # correlation peak; without markers, only better matches update the appearance
 _REGION_SIGMAS = 3.0
 _WIDEST_SIGMA_M = 0.1  # m, standard deviation at which a region stops growing: beyond it a scan is cheaper and surer
 _TOUCHING = 2.5  # robot radii between centres; closer than this a correlation may have changed robots
+_OVERLAP_SIDES = 2.0  # of a marker, between strips: its diagonal and its white cell, at any heading
 _QUIET = 4.0 / 3.0  # side of the plate over the marker's: a white cell around its six
 _LONGEST_STEP_S = 1.0  # s; a longer gap between stamps counts as this long
 
@@ -53,8 +58,18 @@ class LocalizationResult:
     view: RefractiveCamera  # this frame's mapping between pixels and pool
 
 
+@dataclass(frozen=True)
+class _Located:
+    """A frame that was located and not finished: what `finish` needs of it. `views` is empty if nothing could be seen."""
+
+    frame: Pixels
+    depths: tuple[Depth, ...]
+    views: Mapping[int, PredictedView]
+
+
 class FleetLocalizer:
-    """The tracker of all robots: call `step` once per frame, in order. Robots go by index, in the experiment's order."""
+    """The tracker of all robots: call `locate` and then `finish` once per frame, in order; `step` is both. Robots go by
+    index, in the experiment's order."""
 
     def __init__(self, experiment: Experiment) -> None:
         vehicle, settings = experiment.vehicle, experiment.localizer
@@ -68,36 +83,47 @@ class FleetLocalizer:
         self._watch = FrameHealthMonitor(experiment.camera.size_px, settings.frozen_frames)
         markers = {robot.marker: index for index, robot in enumerate(experiment.robots)}
         self._reader = MarkerReader(vehicle.marker.side_m, markers)
+        self._overlap_px = round(
+            _OVERLAP_SIDES * vehicle.marker.side_m * max(camera.focal_px) / abs(camera.position_m[2])
+        )  # between strips; deeper markers look smaller
         plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
         hull = RobotShape(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
         self._appearance = AppearanceModel(len(self._ids), hull, settings.template_px)
         self._landmark_ids = {landmark.id for landmark in landmarks}
         self._foreign_scans: dict[int, int] = {}  # id of a foreign marker -> scans in a row
+        self._foreign_ids: set[int] = set()  # in the strips of the present scan
         self._tracks = [RobotTrack() if settings.markers else RobotTrack.at_start(s[[0, 1, 3]]) for s in self._start]
         self._motions: list[MotionEstimate | None] = [None] * len(self._ids)  # of the tracks, as far as they were measured
         self._tilt = TiltModel.of(vehicle, settings.tilt_sigma_rad, settings.tilt_rad_per_n)
         self._stamp_ns: int | None = None
         self._frames = 0
+        self._located: _Located | None = None
 
     def step(self, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> LocalizationResult:
+        """`locate` and `finish`, for callers to whom the time to the poses does not matter."""
+        result = self.locate(frame, stamp_ns, depths_m)
+        self.finish()
+        return result
+
+    def locate(self, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> LocalizationResult:
         """Localize every robot in `frame` (height, width) Bayer RGGB, exposed at `stamp_ns` (middle of the exposure).
 
         `depths_m` holds the depths of robots' centres by id, as far as they reported one.
         """
         self._frames += 1
+        self._located = None
         camera = self._watch.assess(frame)
         depths = depths_of(self._experiment, self._start[:, 2].tolist(), depths_m)
         self._predict(stamp_ns)
         views: dict[int, PredictedView] = {}
         if camera is CameraHealth.OK and not self._watch.repeated:
             self._camera_pose.update(frame)
-        if camera is CameraHealth.OK and not self._watch.repeated and self._camera_pose.usable:
-            views = self._predict_views(frame, depths)
-            self._read_markers(frame, depths, views)
-            self._match_appearance(views)
-            self._doubt_close_pairs()
-            if self._camera_pose.fresh:
-                self._update_appearance(views)
+            if self._camera_pose.usable:
+                views = self._predict_views(frame, depths)
+                self._read_markers(frame, depths, views)
+                self._match_appearance([v for i, v in views.items() if self._needs_match(i)])
+                self._doubt_close_pairs()
+                self._located = _Located(frame, depths, views)
         self._tracks = [track.end_of_frame(self._settings.lost_after_s) for track in self._tracks]
         self._estimate_motion()
         poses = self._poses(depths, views) if camera is CameraHealth.OK else ()
@@ -105,7 +131,17 @@ class FleetLocalizer:
             poses, LocalizerStatus(camera=camera, frames=self._frames, message=self._status_message(camera)), self.view
         )
 
-    # --- in the order of `step`
+    def finish(self) -> None:
+        """Do what the poses of the frame last located need not wait for. A second call does nothing."""
+        located, self._located = self._located, None
+        if located is None:
+            return
+        self._match_appearance([v for i, v in located.views.items() if self._tracks[i].state is Track.LOST])
+        self._scan(located)
+        if self._camera_pose.fresh:
+            self._update_appearance(located.views)
+
+    # --- in the order of `locate` and `finish`
 
     def _predict(self, stamp_ns: int) -> None:
         elapsed_s = 0.0 if self._stamp_ns is None else (stamp_ns - self._stamp_ns) / 1e9
@@ -139,14 +175,8 @@ class FleetLocalizer:
         """Give each track its marker. Adds the views of robots that were found elsewhere than expected."""
         if not self._settings.markers:
             return
-        scan = self._frames % _SCAN_EVERY == 1 and any(track.state is Track.LOST for track in self._tracks)
-        regions = (
-            [whole(frame)] if scan else [view.region for view in views.values()] + self._claim_regions(frame, depths, views)
-        )
+        regions = [view.region for view in views.values()] + self._claim_regions(frame, depths, views)
         readings = self._reader.read(self.view, regions, np.array([depth.plate_m for depth in depths]))
-        if scan:
-            foreign_ids = sorted(self._reader.foreign_ids - self._landmark_ids)
-            self._foreign_scans = {i: self._foreign_scans.get(i, 0) + 1 for i in foreign_ids}
         strays = [i for i, r in readings.items() if i not in views or views[i].distance_m(r.pose) > self.radius_m]
         elsewhere = {i: readings[i].pose[:2] for i in strays}
         views.update(self._views_at(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
@@ -167,10 +197,13 @@ class FleetLocalizer:
         others = (reading.pose[:2] for i, reading in readings.items() if i != robot)
         return any(float(np.linalg.norm(other - position_m)) < self.radius_m for other in others)
 
-    def _match_appearance(self, views: Mapping[int, PredictedView]) -> None:
-        """Match every robot with a known appearance. Without a marker the match is a measurement; with one only its peak
-        is reported, so that its fall is visible before the match is needed."""
-        known = [view for view in views.values() if self._appearance.is_initialised(view.robot)]
+    def _needs_match(self, robot: int) -> bool:
+        """True for a followed robot whose marker was not read."""
+        return self._tracks[robot].measured is None and self._tracks[robot].state is not Track.LOST
+
+    def _match_appearance(self, views: Sequence[PredictedView]) -> None:
+        """Give each view's track the match of its appearance, if that is known."""
+        known = [view for view in views if self._appearance.is_initialised(view.robot)]
         matches = self._appearance.match(known, [self._best_pose(view.robot) for view in known])
         for view, match in zip(known, matches, strict=True):
             track = self._tracks[view.robot]
@@ -182,15 +215,6 @@ class FleetLocalizer:
         for pair in close_pairs(self._tracks, _TOUCHING * self.radius_m):
             for i in pair:
                 self._tracks[i] = self._tracks[i].identity_doubted()
-
-    def _update_appearance(self, views: Mapping[int, PredictedView]) -> None:
-        """Update appearances from views whose pose is certain, with no other robot in the patch."""
-        due = [s for i, s in views.items() if (self._frames + i) % _LEARN_EVERY == 0 or not self._appearance.is_initialised(i)]
-        apart_m = self._appearance.reach_m + self.radius_m
-        certain = [
-            s for s in due if self._is_certain(s.robot) and self._clearance_m(s.robot, self._best_pose(s.robot)) > apart_m
-        ]
-        self._appearance.update(certain, [self._best_pose(view.robot) for view in certain], _LEARNING_RATE)
 
     def _estimate_motion(self) -> None:
         """Update the motion estimates, from which tilt is derived."""
@@ -227,6 +251,53 @@ class FleetLocalizer:
         )
         said = [f"{what} {', '.join(ids)}" for what, ids in parts if ids]
         return "; ".join([self._camera_pose.trouble, *said] if self._camera_pose.trouble else said)
+
+    def _scan(self, located: _Located) -> None:
+        """While a robot is lost, read the markers of the picture's next strip; of all of it at once in every fifth frame as
+        long as no robot is followed. What is found is a claim, which the next frame's regions confirm."""
+        lost = [track.state is Track.LOST for track in self._tracks]
+        if not self._settings.markers or not any(lost):
+            return
+        strip = self._frames % _STRIPS
+        if not all(lost):
+            regions = [self._strip(located.frame, strip)]
+        elif strip == 1:
+            regions = [whole(located.frame)]
+        else:
+            return
+        plates_m = np.array([depth.plate_m for depth in located.depths])
+        for i, reading in self._reader.read(self.view, regions, plates_m).items():
+            self._tracks[i] = self._tracks[i].with_scan(reading.pose, self.radius_m)
+        self._foreign_ids |= self._reader.foreign_ids - self._landmark_ids
+        if all(lost) or strip == 0:
+            self._foreign_scans = {i: self._foreign_scans.get(i, 0) + 1 for i in sorted(self._foreign_ids)}
+            self._foreign_ids = set()
+
+    def _strip(self, frame: Pixels, strip: int) -> ImageRegion:
+        """A horizontal strip of the picture, the first from the top being number 1 and the last 0, with part of the next."""
+        height = frame.shape[0]
+        number = (strip - 1) % _STRIPS
+        top = number * height // _STRIPS // 2 * 2
+        bottom = (number + 1) * height // _STRIPS + self._overlap_px
+        return ImageRegion(frame[top : min(bottom, height) // 2 * 2], 0, top)
+
+    def _update_appearance(self, views: Mapping[int, PredictedView]) -> None:
+        """Of the robots whose turn it is, report the correlation peak, so that its fall is visible before a match is needed;
+        update the appearance where the pose is certain, with no other robot in the patch."""
+        turn = [
+            s for i, s in views.items() if (self._frames + i) % _LEARN_EVERY == 0 or not self._appearance.is_initialised(i)
+        ]
+        apart_m = self._appearance.reach_m + self.radius_m
+        poses = [self._best_pose(view.robot) for view in turn]
+        certain = [
+            self._is_certain(v.robot) and self._clearance_m(v.robot, p) > apart_m for v, p in zip(turn, poses, strict=True)
+        ]
+        due = [k for k, view in enumerate(turn) if certain[k] or self._tracks[view.robot].state is Track.MARKER]
+        rates = _LEARNING_RATE * np.array([certain[k] for k in due], dtype=np.float64)
+        peaks = self._appearance.update([turn[k] for k in due], [poses[k] for k in due], rates)
+        for robot, peak in zip((turn[k].robot for k in due), peaks, strict=True):
+            if self._tracks[robot].state is Track.MARKER:
+                self._tracks[robot] = self._tracks[robot].with_peak(peak)
 
     # --- small questions
 

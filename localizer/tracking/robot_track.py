@@ -25,12 +25,18 @@ it.
                                                                   verified, claim; or as
                                                                   contradicted, with a claim
     contradicted       another robot's marker was read here       refuted; verified = False       -
-    with_match         its appearance was matched                 peak; measured, state KCF       for all but peak: measured or
-                                                                                                  refuted in this frame, or
+    with_match         no marker was read, it is followed,        peak; measured, state KCF       for all but peak: measured or
+                       its appearance was matched                                                 refuted in this frame, or
                                                                                                   outside the gate
     identity_doubted   another robot is believed close            verified = False                state is MARKER
     end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
                                                                   verified = False
+    message            always: the pose of this frame is published; what follows shows in the next frame's
+    with_match         it is lost, its appearance was matched     peak; measured, state KCF       for all but peak: refuted in
+                                                                                                  this frame, or a low peak
+    with_scan          a scan found its marker                    claim; as contradicted          its marker was read, or where
+                                                                                                  the robot can be
+    with_peak          its marker was read, it is its turn        peak                            the peak is not finite
 
 `identity_doubted` spares the state MARKER, also one of an earlier frame: until `end_of_frame` turns it into COAST a missed
 reading is no doubt.
@@ -148,6 +154,17 @@ class RobotTrack:
         ):
             return matched
         return replace(matched._updated(measurement, restart=lost), state=Track.KCF)
+
+    def with_scan(self, pose: Array, jump_m: float) -> "RobotTrack":
+        """The track after a scan found its marker at [x, y, yaw]: a claim, unless the robot's own region covers the place."""
+        seen_here = self.state is Track.MARKER or self._is_reachable(pose, jump_m)
+        if seen_here or not np.isfinite(pose).all():
+            return self
+        return replace(self.contradicted(), claim=Claim(pose))
+
+    def with_peak(self, peak: float) -> "RobotTrack":
+        """The track with the correlation peak of its appearance where the marker was read."""
+        return replace(self, peak=peak) if np.isfinite(peak) else self
 
     def identity_doubted(self) -> "RobotTrack":
         """The track when another robot nearly touches it: not verified, unless its state is MARKER."""

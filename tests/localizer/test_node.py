@@ -339,14 +339,14 @@ def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
     bus, localize = hub
     statuses, scene, wrong = bus.inbox(topics.LOCALIZER, LocalizerStatus), Scene(EXPERIMENT), [False]
     shell = localize(LockstepClock())
-    step = FleetLocalizer.step
+    locate = FleetLocalizer.locate
 
     def sometimes(*args: Any) -> LocalizationResult:
         if wrong[0]:
             raise np.linalg.LinAlgError("Singular matrix")
-        return step(*args)
+        return locate(*args)
 
-    monkeypatch.setattr(FleetLocalizer, "step", sometimes)
+    monkeypatch.setattr(FleetLocalizer, "locate", sometimes)
     assert eventually(lambda: "localizer" in bus.present)
     failed = 0
     for k in range(22):

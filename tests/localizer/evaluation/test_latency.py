@@ -134,15 +134,15 @@ def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch
 
 def test_pictures_that_no_pose_comes_of_are_no_good_measurement(monkeypatch: pytest.MonkeyPatch) -> None:
     """A covered lens is quickly looked at, and so is a picture that an error costs: their times are not those of poses."""
-    random, clock, step = np.random.default_rng(1), WallClock(), FleetLocalizer.step
+    random, clock, locate = np.random.default_rng(1), WallClock(), FleetLocalizer.locate
     begin_ns = clock.now_ns()
 
     def fail_once(locator: FleetLocalizer, frame: Pixels, stamp_ns: int, depths_m: Mapping[int, float]) -> LocalizationResult:
         if frame[0, 0] == 99:
             raise ValueError("no solution")
-        return step(locator, frame, stamp_ns, depths_m)
+        return locate(locator, frame, stamp_ns, depths_m)
 
-    monkeypatch.setattr(FleetLocalizer, "step", fail_once)
+    monkeypatch.setattr(FleetLocalizer, "locate", fail_once)
 
     class Camera:
         trouble, silent_after_s = "", 0.25

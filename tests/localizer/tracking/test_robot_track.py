@@ -103,6 +103,21 @@ def test_a_contradicting_marker_first_doubts_then_wins() -> None:
     assert pose is not None and pose.identity_verified and pose.x_m == pytest.approx(0.8)
 
 
+def test_a_scan_claims_what_only_a_region_confirms() -> None:
+    """What comes after the poses moves no track; a marker read where the robot is, or can be, says nothing new."""
+    seen = _followed().predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
+    assert seen.with_scan(np.array([0.8, 0.0, 0.0]), JUMP_M) is seen
+    coasting = _followed().predicted(STEP_S).end_of_frame(LOST_AFTER_S)
+    assert coasting.with_scan(np.array([0.05, 0.0, 0.0]), JUMP_M) is coasting
+    assert coasting.with_scan(np.array([np.nan, 0.0, 0.0]), JUMP_M) is coasting
+    elsewhere = coasting.with_scan(np.array([0.8, 0.0, 0.0]), JUMP_M)
+    assert elsewhere.state is Track.COAST and not elsewhere.verified and elsewhere.motion is coasting.motion
+    again = elsewhere.predicted(STEP_S).end_of_frame(LOST_AFTER_S).with_scan(np.array([0.8, 0.0, 0.0]), JUMP_M)
+    assert again.state is Track.COAST, "two scans are not believed either"
+    found = elsewhere.predicted(STEP_S).with_marker(_seen(0.8), JUMP_M)
+    assert found.state is Track.MARKER and found.verified
+
+
 def test_a_push_is_no_contradiction() -> None:
     """Or a stamp that is a frame off: the marker counts at once, the speed is learnt anew."""
     track = _followed().predicted(STEP_S).with_marker(_seen(0.06), JUMP_M).end_of_frame(LOST_AFTER_S)
