@@ -35,7 +35,7 @@ from wire.process.runtime import Failed, Stop, log, start_log
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Decode
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
-from wire.transport.transport import Answer
+from wire.transport.transport import Answer, Urgent
 
 PEER: Address = ("memory", 0)  # of every board: its robot's computer
 
@@ -122,12 +122,12 @@ class _PartTransport(MemoryTransport):
         super().__init__(hub)
         self._part = part
 
-    def serve(self, key: str, answer: Answer) -> None:
+    def serve(self, key: str, answer: Answer, urgent: Urgent) -> None:
         def acting(payload: bytes, header: bytes) -> bytes:
             with self._part.acting():
                 return answer(payload, header)
 
-        super().serve(key, acting)
+        super().serve(key, acting, urgent)
 
 
 class MemoryWire:

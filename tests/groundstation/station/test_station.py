@@ -25,7 +25,7 @@ from wire.messages import topics
 from wire.messages.codec import Header
 from wire.messages.messages import Command, Mode, Order, Outcome, Progress, Reply, RobotState, StationHeartbeat
 from wire.messages.topics import WHOLE_FLEET
-from wire.process.runtime import Stop, WallClock, wait
+from wire.process.runtime import Stop, WallClock, run_steps, wait
 from wire.transport.bus import Bus, Inbox
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
@@ -262,9 +262,8 @@ def test_a_stop_does_not_wait_for_the_next_cycle(tmp_path: Path) -> None:
     bus, person = Bus(MemoryTransport(hub)), Bus(MemoryTransport(hub))
     beats = person.inbox(topics.HEARTBEAT, StationHeartbeat)
     options = {"automatic": False, "lockstep": False, "stop": stop}
-    thread = threading.Thread(
-        target=process.run, args=(experiment, dump_experiment(experiment), bus, tmp_path), kwargs=options
-    )
+    station = process.cycles(experiment, dump_experiment(experiment), bus, tmp_path, **options)  # type: ignore[arg-type]
+    thread = threading.Thread(target=run_steps, args=(station,))
     thread.start()
     gaps_s = []
     try:
