@@ -2,7 +2,7 @@
 
     bus = Bus(ZenohTransport(Endpoint("tcp/127.0.0.1:7447")))
     poses = bus.inbox(topics.POSE, robot=1)
-    bus.announce("agent-1")               # last: who sees us present may rely on our subscriptions
+    bus.announce("agent-1")               # last: to others a process that is present has its subscriptions
     received = poses.newest()
 
 Network threads only store bytes and wake the loop; decoding happens in the loop that asks.
@@ -128,7 +128,7 @@ class Bus:
         self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
         self._sequences: dict[str, int] = {}
         self._present: set[str] = set()
-        self._recipients: dict[str, int] = {}  # session of whoever answers orders under a key
+        self._recipients: dict[str, int] = {}  # by key: session of the process that answers its commands
         self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
 
     def _key(self, name: str) -> str:
