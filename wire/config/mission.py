@@ -15,8 +15,8 @@ class MissionConfig(Section):
     # robots, so that the gap closes
     lost: Literal["abort", "hold", "go-on", "close-up"] = "abort"
     detours: bool = True  # lead the formation round what the localizer sees lying on its path (paths of waypoints and routes)
-    # while nobody can tell what lies in the pool (a lamp was switched, the camera was moved, no word of the localizer): with
-    # "hold" nobody starts, and robots that fly hold until it can be told again; "warn" raises an alarm and flies on
+    # while obstacles cannot be detected (a lamp was switched, the camera was moved, the localizer is silent): with "hold" no
+    # robot starts, and robots that fly hold until they can be detected again; "warn" raises an alarm and flies on
     blind: Literal["warn", "hold"] = "hold"
     detour_clear_m: NotNegative = 0.25  # beyond safety.radius_m: robots begin to give way by themselves at 0.15
     wait_from_m: Positive | None = None  # worst tracking error from which the formation slows down; None: never
@@ -25,7 +25,7 @@ class MissionConfig(Section):
     return_mps: Positive = 0.15  # on the way back to the start, and into place
     start_within_m: Positive = 0.5  # of where it should start, for a robot to be armed
     clock_offset_ms: Positive = 20.0  # the most that a robot's clock may be off the station's: else logs do not line up
-    thruster_test: bool = False  # nobody arms who has not passed one
+    thruster_test: bool = False  # a robot arms only after it has passed one
 
     @model_validator(mode="after")
     def _slows_before_it_stands(self) -> Self:

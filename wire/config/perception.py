@@ -58,7 +58,7 @@ class Localizer(Section):
     """The tracking of the robots in the camera's pictures."""
 
     # poses come from [camera]'s pictures. False: from elsewhere, as a simulation's truth; then no path has to stay in the
-    # picture, and nobody watches for obstacles
+    # picture, and obstacles are not watched for
     uses_camera: bool = True
     markers: bool = True
     template_px: Annotated[int, Field(ge=16, le=128)] = 48

@@ -235,7 +235,7 @@ class AgentLink:
     def _read_answer(self, kind: str, message: Any, changes: dict[str, Any], now_ns: int) -> dict[str, Any]:
         if kind == "COMMAND_ACK":
             if message.target_system and (message.target_system, message.target_component) != self._me:
-                return {}  # the answer to somebody else's
+                return {}  # the answer to another sender's request
             count = changes.get("acknowledgements", self.telemetry.acknowledgements)
             return {"acknowledged": (message.command, message.result), "acknowledgements": count + 1}
         if kind == "STATUSTEXT":

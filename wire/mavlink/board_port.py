@@ -16,7 +16,7 @@ from wire.loopback import is_loopback
 from wire.toml_loader import ConfigError
 
 READ_BYTES = 65536
-READ_DATAGRAMS = 256  # at one read: more than two seconds of a board's; who sends more does not hold up a control step
+READ_DATAGRAMS = 256  # at one read: more than a board sends in 2 s; a flood of them does not delay a control step
 FORMS = "udp:HOST:PORT or serial:DEVICE[:BAUD], for example udp:127.0.0.1:14551 or serial:/dev/ttyACM0:115200"
 BAUDS = range(300, 12_000_001)
 IN_USE = "in use by another program (a robot's agent that runs has it: systemctl stop shoal-agent)"
@@ -72,7 +72,7 @@ class UdpLink:
     def send(self, data: bytes) -> None:
         try:
             self._socket.send(data)
-        except OSError as error:  # refused: nobody is at the other end now
+        except OSError as error:  # refused: the other end does not listen now
             self.trouble = error.strerror or str(error)
 
     def read(self) -> bytes:

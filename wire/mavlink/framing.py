@@ -22,7 +22,7 @@ LOSS_WINDOW_NS = 5_000_000_000
 # After this any sequence number counts as new: the peer was restarted. Longer than a board stays armed on its last override
 # (0.3 s at most), or one frame repeated for ever could keep thrusters running.
 SILENCE_NS = 500_000_000
-PEERS = 16  # whose sequence numbers are followed at a time; who adds more within SILENCE_NS floods the link
+PEERS = 16  # senders whose sequence numbers are followed at a time; more within SILENCE_NS are a flood
 
 Peer = tuple[int, int]  # MAVLink system and component
 

@@ -15,7 +15,7 @@ KEY_BYTES, SIGNATURE_BYTES, HASH_BYTES = 32, 13, 6
 TICK_NS = 10_000  # a timestamp counts in 10 us ...
 EPOCH_NS = 1_420_070_400_000_000_000  # ... since the first of January 2015, UTC
 LATEST = 2**48 - 1
-STREAMS = 16  # one for each sender and link; who has the key and opens more is out of order
+STREAMS = 16  # one for each sender and link; a key holder that opens more is faulty
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from wire.messages.messages import Command, Event, Frame, Message, OrderTaken, P
 
 MAX_FRAME_BYTES = 64 * 1024 * 1024
 MAX_MESSAGE_BYTES = 4 * 1024 * 1024  # half an hour of trajectory at 20 Hz; anything larger is no message of ours
-MAX_SMALL_BYTES = 64 * 1024  # what holds neither a path nor a picture: 200 nodes of a plan take 13 kB, 290 obstacles the whole
+MAX_SMALL_BYTES = 64 * 1024  # without path or picture: a plan of 200 nodes has 13 kB, 290 obstacles fill it
 MAX_EVENT_BYTES = 16 * 1024  # of a line of the log: logs of earlier versions hold lines of 5 kB
 LONGEST_LINE = 1000  # characters of a line of the log; the rest is cut off
 LONGEST_TEXT = 8000  # characters of any other text, for example every reason that keeps fifty robots from arming

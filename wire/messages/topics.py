@@ -29,7 +29,7 @@ class Role(Enum):
     """The role of a process, as its certificate states it."""
 
     STATION = "groundstation"
-    OPERATOR = "operator"  # a terminal: gives the station orders, and nobody else
+    OPERATOR = "operator"  # a terminal: makes requests of the station alone
     ROBOT = "robot_agent"
     LOCALIZER = "localizer"
     SIMULATOR = "sim_bridge"
@@ -38,8 +38,13 @@ class Role(Enum):
 
 EVERYONE = tuple(Role)
 POSE_SOURCES = (Role.SIMULATOR, Role.LOCALIZER)  # the simulator stands for a camera, and with --poses for the localizer
-LOG_SOURCES = (Role.STATION, Role.ROBOT, Role.LOCALIZER, Role.SIMULATOR)  # whose log lines become events
-OBSERVERS = (Role.STATION, Role.SIMULATOR, Role.OPERATOR, Role.VIEWER)  # of the truth and of the journals: nobody who controls
+LOG_SOURCES = (Role.STATION, Role.ROBOT, Role.LOCALIZER, Role.SIMULATOR)  # roles whose log lines become events
+OBSERVERS = (
+    Role.STATION,
+    Role.SIMULATOR,
+    Role.OPERATOR,
+    Role.VIEWER,
+)  # roles that read the truth and the step records: none that controls
 
 
 @dataclass(frozen=True)
@@ -117,8 +122,8 @@ TOPICS = (
 
 COMMAND_KEY = "robot/{robot}/command"  # a queryable, not a topic: every order is answered
 WHOLE_FLEET = 0  # orders to "robot 0" are for the station: what a person wishes for the whole fleet
-COMMANDERS = (Role.STATION,)  # who gives orders to robots
-OPERATORS = (Role.STATION, Role.OPERATOR)  # who gives orders to the station
+COMMANDERS = (Role.STATION,)  # roles that send commands to robots
+OPERATORS = (Role.STATION, Role.OPERATOR)  # roles that make requests of the station
 
 PRESENCE_KEY = "presence/{process}"  # a liveliness token: there, not necessarily well
 PROCESSES = {

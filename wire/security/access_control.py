@@ -127,7 +127,7 @@ def _rules(fleet: str, member: Member) -> list[dict[str, Any]]:
         ("is-there", "ingress", ["liveliness_token"], keys([may.announce]) + cache + follows),
         ("watches", "ingress", listens, presence + caches + followers),
         ("sees", "egress", ["liveliness_token"], presence + caches + followers),
-        # That somebody subscribes, serves or watches is no secret; what is said is.
+        # Subscriptions, queryables and watches are no secret; messages are.
         ("is-told", "egress", ["declare_subscriber", "declare_queryable", *listens], anything),
     ]
     return [

@@ -177,7 +177,7 @@ class Guard:
             self._selector.unregister(one)
         one.close()
 
-    # --- who waits
+    # --- connections that wait
 
     def _accept(self, listener: socket.socket) -> None:
         for _ in range(ACCEPTS):
@@ -242,7 +242,7 @@ class Guard:
         self._hellos.pop(number, None)
         self._shut(peer)
 
-    # --- who is at the router
+    # --- connections to the router
 
     def _pass_on(self, number: int, lane: int) -> None:
         peer, _ = self._peers[number]

@@ -95,7 +95,7 @@ def open_keys(ring: Path, process: str) -> Keys:
     except ssl.SSLError:
         raise ConfigError(f"{keys.ca}: not a certificate (made by `groundstation keys`, copied by `deploy`)") from None
     try:
-        context.load_cert_chain(keys.certificate, keys.private_key, password="")  # nobody is asked for one
+        context.load_cert_chain(keys.certificate, keys.private_key, password="")  # no prompt for one
     except ssl.SSLError as error:
         why = (error.reason or "not PEM").lower().replace("_", " ")
         raise ConfigError(f"{keys.certificate} and {keys.private_key}: not a certificate and its key: {why}") from None

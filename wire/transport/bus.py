@@ -2,13 +2,14 @@
 
     bus = Bus(ZenohTransport(Endpoint("tcp/127.0.0.1:7447")))
     poses = bus.inbox(topics.POSE, robot=1)
-    bus.announce("agent-1")               # last: who sees us present may rely on our subscriptions
+    bus.announce("agent-1")               # last: to others a process that is present has its subscriptions
     received = poses.newest()
 
 Network threads only store bytes and wake the loop; decoding happens in the loop that asks.
 """
 
 import contextlib
+import logging
 import secrets
 import threading
 import time
@@ -24,6 +25,8 @@ from wire.toml_loader import ConfigError
 from wire.transport.command_deduplication import CommandDeduplicator
 from wire.transport.delay_estimator import DelayEstimator
 from wire.transport.transport import Await, Transport
+
+log = logging.getLogger("shoal")
 
 M = TypeVar("M")
 Raw = Callable[[Topic, str, Header, bytes], None]  # topic, key, header, payload
@@ -130,7 +133,7 @@ class Bus:
         self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
         self._sequences: dict[str, int] = {}
         self._present: set[str] = set()
-        self._recipients: dict[str, int] = {}  # session of whoever answers orders under a key
+        self._recipients: dict[str, int] = {}  # by key: session of the process that answers its commands
         self._turns: dict[str, threading.Lock] = {}  # by key: around a message's number and its sending
 
     def _key(self, name: str) -> str:
@@ -300,13 +303,16 @@ class Bus:
     def claim(self, process: str, stopped: Callable[[], bool], patience_s: float = SAME_NAME_S) -> None:
         """Wait until no other process of this name is in the fleet: one that has crashed is missed after some seconds. Raises
         ConfigError if one is there all the same. Do it first: two of one name would act by turns."""
-        deadline_s = time.monotonic() + patience_s
-        while self._transport.is_present(self._key(topics.PRESENCE_KEY.format(process=process))) and not stopped():
+        key, deadline_s, told = self._key(topics.PRESENCE_KEY.format(process=process)), time.monotonic() + patience_s, False
+        while self._transport.is_present(key) and not stopped():
             if time.monotonic() > deadline_s:
                 raise ConfigError(
                     f"{process}: another process of this name is in fleet {self._fleet} (allowed: one): end it, or start this "
                     "one for another robot (--robot) or fleet (--fleet)"
                 )
+            if not told:
+                log.info("%s: another process of this name is in the fleet; waiting for it to be gone", process)
+            told = True
             time.sleep(ASK_AGAIN_S)
 
     def announce(self, process: str) -> None:

@@ -5,8 +5,8 @@ between the sender's clock and ours there is, up to drift, one constant and the 
 than the fastest of the last while is late by the difference. What all messages take alike cannot be seen so.
 """
 
-WINDOW_NS = 10_000_000_000  # the fastest is looked for in one to two of these: clocks drift by 1 ms meanwhile, at the worst
-ANOTHER_CLOCK_NS = 5_000_000_000  # nothing is held up that long (a link that is cut for 1 s is given up): a clock was set
+WINDOW_NS = 10_000_000_000  # the fastest of the last one to two windows counts: clocks drift by at most 1 ms meanwhile
+ANOTHER_CLOCK_NS = 5_000_000_000  # a jump beyond this is a clock that was set: links are given up after 1 s
 
 
 class DelayEstimator:

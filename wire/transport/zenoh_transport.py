@@ -41,7 +41,7 @@ DETAILS = "warn,zenoh_link_tls::unicast=debug,zenoh::net::routing::interceptor::
 
 # Zenoh hands every message on from thread to thread, of which it has six. What is received, and links, can do with one: an
 # agent that hears 19 plans then takes 8 to 15 % less of the processor. Sending keeps its own, so that a full queue empties
-# while who receives waits for it.
+# while a receiver waits for it.
 ONE_RECEIVER = "(rx: (handover: app), net: (handover: app), acc: (handover: app))"
 
 
@@ -170,7 +170,7 @@ class ZenohTransport:
             self._control = _open(endpoint, stopped, patience_s)
         self._images: zenoh.Session | None = None
         self._opening = threading.Lock()  # around the pictures' session: previews and film begin in threads of their own
-        self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
+        self._kept: list[Any] = []  # Zenoh undeclares an object that is not referenced
         self._workers: list[ThreadPoolExecutor] = []
 
     def _session(self, qos: Qos) -> zenoh.Session:
@@ -252,7 +252,7 @@ class ZenohTransport:
             if urgent(payload):
                 reply(query, payload)
             else:
-                with contextlib.suppress(RuntimeError):  # closed: nobody is served any more
+                with contextlib.suppress(RuntimeError):  # closed
                     worker.submit(reply, query, payload)
 
         self._kept.append(self._control.declare_queryable(key, on_query))
