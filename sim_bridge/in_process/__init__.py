@@ -1,5 +1,5 @@
-"""Flights with agents and plant in one process, without network, camera and boards.
+"""Flights in one process.
 
-fleet.py steps them together as fast as possible; run.py plans, records and reports; resume.py continues from a moment of a
-recorded run.
+fleet.py steps agents and plant, without network, camera and boards; run.py plans, records and reports; resume.py continues
+from a moment of a recorded run. executor.py steps the nodes of all programs, as they run in lockstep.
 """

@@ -31,7 +31,7 @@ from wire.config.experiment import Experiment, dump_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
 from wire.process.lockstep import LockstepClock
-from wire.process.runtime import Failed, Stop, log, start_log
+from wire.process.runtime import Failed, Stop, log, log_handler, speaking
 from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus, Decode
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
@@ -68,25 +68,23 @@ class Part:
         self.result: Any = None  # of its loop
         self.ended = False
         self._steps: Generator[None, None, Any] | None = None
-        self._handlers: list[logging.Handler] = []
         stream = closing.enter_context((log_dir / f"{name}.log").open("w", encoding="utf-8"))
-        with self.acting():
-            start_log(name, stream=stream)
+        log.addHandler(log_handler(name, stream))
         self.bus = closing.enter_context(Bus(_PartTransport(hub, self), decode=decode))
 
     @contextmanager
     def acting(self) -> Iterator[None]:
         """Log as this part meanwhile. An exception other than ConfigError becomes Failed, with the part's name."""
-        others, log.handlers[:] = log.handlers[:], self._handlers
+        before = speaking.set(self.name)
         try:
             yield
-        except (ConfigError, Failed, StopIteration):
+        except (ConfigError, Failed):
             raise
         except Exception as error:
             log.exception("ended by an exception")
             raise Failed(f"{self.name} has ended: {type(error).__name__}: {error}") from error
         finally:
-            self._handlers, log.handlers[:] = log.handlers[:], others
+            speaking.reset(before)
 
     def begin(self, make: Callable[[Bus], Generator[None, None, Any]]) -> None:
         """Make the node and let it come as far as its first step."""
@@ -113,6 +111,19 @@ def _next(steps: Generator[None, None, Any]) -> tuple[bool, Any]:
     except StopIteration as end:
         return True, end.value
     return False, None
+
+
+@contextmanager
+def _own_log() -> Iterator[None]:
+    """Log nowhere but where the parts do."""
+    before, log.handlers[:] = (log.handlers[:], log.level, log.propagate), []
+    log.setLevel(logging.INFO)
+    log.propagate = False
+    try:
+        yield
+    finally:
+        log.handlers[:], level, log.propagate = before
+        log.setLevel(level)
 
 
 class _PartTransport(MemoryTransport):
@@ -217,6 +228,7 @@ class Executor:
         log_dir = self._run_dir / "logs"
         log_dir.mkdir(exist_ok=True)
         with ExitStack() as closing:
+            closing.enter_context(_own_log())
 
             def part(name: str) -> Part:
                 return Part(name, self._hub, log_dir, closing, self._decoder.decode)

@@ -1,4 +1,4 @@
-"""The simulated pool as a process: boards on UDP, camera and truth on the bus.
+"""The simulated pool as a process: boards at their ports, camera and truth on the bus.
 
 pool.py steps the world by the clock or in lockstep. board_ports.py holds the boards' ports and the links that faults
 disturb. bench.py is a single board by itself.

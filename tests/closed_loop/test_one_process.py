@@ -1,11 +1,10 @@
 """A lockstep run in one process: the same folder, the same messages and the same pulses as from a process for each node."""
 
 import json
-import logging
 import re
 import subprocess
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -92,28 +91,39 @@ def test_what_the_station_refuses_leaves_no_folder(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_part_that_fails_is_named_and_its_log_says_why(tmp_path: Path) -> None:
-    before = log.handlers[:]
-    with ExitStack() as closing:
-        part = Part("agent-1", MemoryHub(), tmp_path, closing)
-
-        def steps() -> Generator[None]:
-            logging.getLogger("shoal").info("ready")
-            yield
-            raise ValueError("robot 1: no such thing")
-
-        part.begin(lambda bus: steps())
-        with pytest.raises(Failed, match="agent-1 has ended: ValueError: robot 1: no such thing"):
-            part.step()
-        assert log.handlers == before, "its log is its own"
-    said = (tmp_path / "agent-1.log").read_text()
-    assert "agent-1 INFO ready" in said and "ValueError: robot 1: no such thing" in said
+@pytest.fixture
+def closing() -> Iterator[ExitStack]:
+    """Closes what a test opens, and gives the log its handlers back."""
+    with ExitStack() as stack:
+        stack.callback(log.handlers.__setitem__, slice(None), log.handlers[:])
+        stack.callback(log.setLevel, log.level)
+        log.setLevel("INFO")
+        yield stack
 
 
-def test_a_refusal_of_a_part_stays_one(tmp_path: Path) -> None:
+def test_a_part_that_fails_is_named_and_its_log_says_why(tmp_path: Path, closing: ExitStack) -> None:
+    hub = MemoryHub()
+    part, other = (Part(name, hub, tmp_path, closing) for name in ("agent-1", "agent-2"))
+
+    def steps() -> Generator[None]:
+        log.info("ready")
+        yield
+        with other.acting():
+            log.info("spoken meanwhile")
+        raise ValueError("robot 1: no such thing")
+
+    part.begin(lambda bus: steps())
+    with pytest.raises(Failed, match="agent-1 has ended: ValueError: robot 1: no such thing"):
+        part.step()
+    said, others = ((tmp_path / f"agent-{robot}.log").read_text() for robot in (1, 2))
+    assert "agent-1 INFO ready" in said and "ValueError: robot 1: no such thing" in said and "meanwhile" not in said
+    assert others.endswith("agent-2 INFO spoken meanwhile\n") and others.count("\n") == 1
+
+
+def test_a_refusal_of_a_part_stays_one(tmp_path: Path, closing: ExitStack) -> None:
     def refused() -> Generator[None]:
         raise ConfigError("duration_s = 0")
         yield
 
-    with ExitStack() as closing, pytest.raises(ConfigError, match="duration_s = 0"):
+    with pytest.raises(ConfigError, match="duration_s = 0"):
         Part("groundstation", MemoryHub(), tmp_path, closing).begin(lambda bus: refused())

@@ -13,6 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
+from contextvars import ContextVar
 from types import FrameType
 from typing import Any, Protocol, TextIO, TypeVar
 
@@ -24,6 +25,7 @@ from wire.transport.transport import Unreached
 
 log = logging.getLogger("shoal")
 T = TypeVar("T")
+speaking: ContextVar[str | None] = ContextVar("speaking", default=None)  # whose step this is, where one process runs several
 
 SLICE_S = 0.1  # how long a wait may keep a process from noticing that it was told to stop
 
@@ -159,18 +161,26 @@ class _BusHandler(logging.Handler):
             self.handleError(record)
 
 
-def start_log(process: str, verbose: bool = False, stream: TextIO | None = None) -> None:
-    """Log to stderr, or to `stream`, one line an event, with the process's name."""
+def log_handler(process: str, stream: TextIO | None = None) -> logging.Handler:
+    """A handler that writes one line an event, with the process's name, to stderr or `stream`."""
     handler = logging.StreamHandler(stream)
     handler.setFormatter(logging.Formatter(f"%(asctime)s.%(msecs)03d {process} %(levelname)s %(message)s", "%H:%M:%S"))
-    log.handlers[:] = [handler]
+    handler.addFilter(lambda _: speaking.get() in (None, process))
+    return handler
+
+
+def start_log(process: str, verbose: bool = False) -> None:
+    """Log to stderr."""
+    log.handlers[:] = [log_handler(process)]
     log.setLevel(logging.DEBUG if verbose else logging.INFO)
     log.propagate = False
 
 
 def log_to_bus(bus: Bus, clock: Clock, process: str) -> None:
     """From here on the log's lines also go out as events."""
-    log.addHandler(_BusHandler(bus, clock, process))
+    handler = _BusHandler(bus, clock, process)
+    handler.addFilter(lambda _: speaking.get() in (None, process))
+    log.addHandler(handler)
 
 
 def run_app(app: Callable[[], None]) -> None:
