@@ -4,16 +4,17 @@ Once per experiment: optics.py gives exact projection and lines of sight; rays.p
 planes (height, width), and of BLOCK x BLOCK pixels as planes (block rows, block columns). textures.py draws tiles, hulls and
 marker plates as BGR pictures. scene.py follows each line to floor, wall or deck and colours it (height, width, 3).
 
-Then for each picture, in the order of renderer.py:
+Then for each picture, in the order of renderer.py (kernels: kernels.py, compiled loops over pixels):
 
     1. background        static_background.py blends two of 48 cached raw mosaics (height, width) uint8.
                          moving_background.py remaps a plan of the basin, for a camera that moves.
                          Both bend lines by ripples, multiply caustic light and add glare (water_optics.py, on blocks).
-    2. landmarks         marker plates (robot_sprite.py), each in its rectangle (ImageRect) of the mosaic
-    3. shadows           darken the floor's rectangle under each robot (robot_sprite.py)
-    4. robots and balls  the farthest first: sphere and plate as colour and coverage planes of the rectangle,
-                         averaged over the exposure, laid over the mosaic (robot_sprite.py)
-    5. noise             a copy of the mosaic with shot and read noise (sensor_noise.py)
+    2. landmarks         marker plates, each in its rectangle (ImageRect) of the mosaic (robot_sprite.py, as 4.)
+    3. shadows           darken the floor's rectangle under each robot (kernels.shadow, on blocks, and kernels.darken)
+    4. robots and balls  the farthest first, each in its rectangle (robot_sprite.py, kernels.draw_body). For each pixel and
+                         each part of the exposure: bent line of sight -> plate, sphere -> texture -> light, gloss -> water;
+                         then the mean of the parts over the background by its coverage, vignette and glare
+    5. noise             a copy of the mosaic with shot and read noise (sensor_noise.py, kernels.add_noise)
     6. faults            frozen, dark, occluded, glare, bumped (faults.py), applied by the process
 
 A mosaic is Bayer RGGB, (height, width) uint8, its first pixel red. Light is relative to its mean, colours are 0 to 255.

@@ -8,8 +8,9 @@ at the blocks and to 0.1 px between them; only edges between floor, walls and de
 import cv2
 import numpy as np
 
+from sim_bridge.camera.kernels import BLOCK
 from sim_bridge.camera.optics import Bytes, Float
-from sim_bridge.camera.rays import BLOCK, CameraRays
+from sim_bridge.camera.rays import CameraRays
 from sim_bridge.camera.scene import SurfacePoints, WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
 from sim_bridge.camera.water_optics import WaterLight

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from sim_bridge.camera.kernels import BLOCK
 from sim_bridge.camera.optics import GRAZING, Bytes, Float, camera_slopes, project
 from wire.config.perception import Camera
 from wire.frames import Array
-
-BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
 
 
 @dataclass(frozen=True)
@@ -55,8 +54,12 @@ class RayBundle:
 
     def __getitem__(self, where: tuple[slice, slice]) -> "RayBundle":
         """The lines of a rectangle."""
-        planes = (self.surface_x, self.surface_y, self.air_x, self.air_y, self.water_x, self.water_y)
-        return RayBundle(*(plane[where] for plane in planes))
+        return RayBundle(*(plane[where] for plane in self.planes))
+
+    @property
+    def planes(self) -> tuple[Float, ...]:
+        """All planes, in the order of the fields."""
+        return self.surface_x, self.surface_y, self.air_x, self.air_y, self.water_x, self.water_y
 
     def deflected(self, slope_x: Float, slope_y: Float) -> "RayBundle":
         """The lines with these slopes added in water."""
@@ -126,8 +129,8 @@ class CameraRays:
         )  # fmt: skip
 
     def spread(self, blocks: Float, window: ImageRect) -> Float:
-        """Interpolate values at the middles of `window.blocks` to the pixels of the rectangle."""
-        rows, columns = blocks.shape
+        """Interpolate values at the middles of `window.blocks`, or several of each, to the pixels of the rectangle."""
+        rows, columns = blocks.shape[:2]
         fine = cv2.resize(blocks, (columns * BLOCK, rows * BLOCK), interpolation=cv2.INTER_LINEAR)
         top, left = window.top - window.block_top * BLOCK, window.left - window.block_left * BLOCK
         height, width = window.bottom - window.top, window.right - window.left

@@ -10,18 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim_bridge.camera.moving_background import CameraSway, MovingBackground
-from sim_bridge.camera.optics import Bytes, Float, optical_path_m, project
-from sim_bridge.camera.rays import ImageRect
-from sim_bridge.camera.robot_sprite import (
-    BodyPose,
-    BodySprite,
-    MarkerPlate,
-    PixelRays,
-    attitude,
-    draw_shadow,
-    exposure_poses,
-    shadow_box,
-)
+from sim_bridge.camera.optics import Bytes, optical_path_m, project
+from sim_bridge.camera.robot_sprite import BodySprite, exposure_poses, shadow_box
 from sim_bridge.camera.scene import WaterView
 from sim_bridge.camera.sensor_noise import SensorNoise
 from sim_bridge.camera.static_background import StaticBackground
@@ -41,7 +31,7 @@ class Renderer:
 
     def __init__(self, experiment: Experiment, seed: int) -> None:
         self._camera, self._picture = experiment.camera, experiment.sim.picture
-        self._robots, self._landmarks = experiment.robot_ids, experiment.landmarks
+        self._robots = experiment.robot_ids
         random = generator(seed, Stream.CAMERA, 0)
         motion = experiment.sim.camera_motion
         swings = CameraSway(experiment.camera, motion, generator(seed, Stream.CAMERA, 3))
@@ -53,7 +43,10 @@ class Renderer:
         ]
         self._balls = [(drifter, BodySprite.ball(drifter.radius_m)) for drifter in experiment.sim.drifters]
         self._whole = self._sprites
-        self._plates = [MarkerPlate(landmark.id, landmark.side_m, experiment.camera.px_per_m) for landmark in self._landmarks]
+        self._landmarks = [
+            (BodySprite.landmark(landmark, experiment.camera.px_per_m), np.array([[*landmark.position_m, landmark.yaw_rad]]))
+            for landmark in experiment.landmarks
+        ]
         random = generator(seed, Stream.CAMERA, 2)
         self._noise = SensorNoise(experiment.camera.size_px, self._picture.noise, random)
 
@@ -90,23 +83,16 @@ class Renderer:
         ]
 
     def _draw_landmarks(self, raw: Bytes, scene: WaterView, time_s: float) -> None:
-        places = [np.array(landmark.position_m) for landmark in self._landmarks]
-        corners = [plate.corners(place) for plate, place in zip(self._plates, places, strict=True)]
-        windows = scene.view.windows(corners, MARGIN_PX)
-        for plate, landmark, place, window in zip(self._plates, self._landmarks, places, windows, strict=True):
-            if window is None:
-                continue
-            slopes = scene.slopes(window, time_s)
-            colour, cover = plate.layer(
-                _pixel_rays(scene, window, slopes, place[2], time_s), place, attitude(landmark.yaw_rad)
-            )
-            _composite(raw, scene, window, slopes, colour, cover)
+        windows = scene.view.windows([sprite.box(poses[0]) for sprite, poses in self._landmarks], MARGIN_PX)
+        for (sprite, poses), window in zip(self._landmarks, windows, strict=True):
+            if window is not None:
+                sprite.draw(raw, scene, window, poses, np.zeros(2), self._camera.px_per_m, time_s)
 
     def _draw_shadows(self, raw: Bytes, scene: WaterView, bodies: Sequence[Body]) -> None:
         boxes = [shadow_box(eta, scene.depth_m, sprite.radius_m) for sprite, eta, _, _ in bodies]
         for (sprite, eta, _, _), window in zip(bodies, scene.view.windows(boxes, MARGIN_PX), strict=True):
             if window is not None:
-                draw_shadow(raw, scene.block_z, scene.view, window, eta, sprite.radius_m)
+                sprite.draw_shadow(raw, scene, window, eta)
 
     def _draw_bodies(self, raw: Bytes, scene: WaterView, bodies: Sequence[Body], time_s: float) -> None:
         """Draw the bodies, the farthest first; none that is above the lens."""
@@ -116,16 +102,17 @@ class Renderer:
         seen = [i for i in np.argsort(-far_m, kind="stable").tolist() if np.isfinite(scales[i])]
         exposures = [self._exposure(bodies[i], scales[i]) for i in seen]
         windows = scene.view.windows([box for _, box in exposures], MARGIN_PX)
-        for i, (instants, _), window in zip(seen, exposures, windows, strict=True):
+        for i, (poses, _), window in zip(seen, exposures, windows, strict=True):
             if window is not None:
-                _draw_body(raw, scene, window, bodies[i], [_pose(at, bodies[i][3], scales[i]) for at in instants], time_s)
+                sprite, _, _, roll_pitch = bodies[i]
+                sprite.draw(raw, scene, window, poses, roll_pitch, scales[i], time_s)
 
-    def _exposure(self, body: Body, px_per_m: float) -> tuple[list[Array], Array]:
-        """Poses (4,) of a body during the exposure, and corners (16, 3) of a box around them."""
+    def _exposure(self, body: Body, px_per_m: float) -> tuple[Array, Array]:
+        """Poses (k, 4) of a body during the exposure, and corners (16, 3) of a box around them."""
         sprite, eta, nu, roll_pitch = body
-        instants = exposure_poses(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
+        poses = exposure_poses(eta, nu, self._camera.exposure_s, sprite.radius_m, px_per_m)
         lean = float(np.hypot(*roll_pitch))
-        return instants, np.concatenate([sprite.box(instant, lean) for instant in (instants[0], instants[-1])])
+        return poses, np.concatenate([sprite.box(pose, lean) for pose in (poses[0], poses[-1])])
 
 
 def _scales(camera: Camera, places_m: Array) -> list[float]:
@@ -134,36 +121,3 @@ def _scales(camera: Camera, places_m: Array) -> list[float]:
     seen = project(camera, probes.reshape(-1, 3)).reshape(-1, 3, 2)
     scales: list[float] = (np.linalg.norm(seen[:, 1:] - seen[:, :1], axis=2).mean(axis=1) / PROBE_M).tolist()
     return scales
-
-
-def _draw_body(raw: Bytes, scene: WaterView, window: ImageRect, body: Body, poses: Sequence[BodyPose], time_s: float) -> None:
-    """Draw the mean of a body's layers in `poses`."""
-    sprite, eta, _, _ = body
-    slopes = scene.slopes(window, time_s)
-    rays = _pixel_rays(scene, window, slopes, eta[2], time_s)
-    layers = [sprite.layer(rays, pose) for pose in poses]
-    colour, cover = layers[0]
-    if len(layers) > 1:
-        colour, cover = (np.asarray(sum(planes) / np.float32(len(planes))) for planes in zip(*layers, strict=True))
-    _composite(raw, scene, window, slopes, colour, cover)
-
-
-def _composite(raw: Bytes, scene: WaterView, window: ImageRect, slopes: Float, colour: Float, cover: Float) -> None:
-    """Lay a layer, its colour weighted with its coverage, over the picture in place, and the water's glare over that."""
-    bright = colour * scene.vignette[window.pixels] + cover * scene.view.spread(scene.glare(window, slopes), window)
-    spot = raw[window.pixels]
-    spot[:] = np.clip(np.rint(spot * (1.0 - cover) + bright), 0, 255).astype(np.uint8)
-
-
-def _pixel_rays(scene: WaterView, window: ImageRect, slopes: Float, depth_m: float, time_s: float) -> PixelRays:
-    view, bending = scene.view, scene.bending
-    light = view.spread(scene.light(window, depth_m, time_s), window)
-    deflected = view.lines(window).deflected(
-        bending * view.spread(slopes[0], window), bending * view.spread(slopes[1], window)
-    )
-    return PixelRays(deflected, light)
-
-
-def _pose(eta: Array, roll_pitch: Array, px_per_m: float) -> BodyPose:
-    x_m, y_m, z_m, yaw_rad = (float(value) for value in eta)
-    return BodyPose(x_m, y_m, z_m, attitude(yaw_rad, *roll_pitch.tolist()), px_per_m)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sim_bridge.camera.optics import Bytes, Float
 from sim_bridge.camera.rays import CameraRays, ImageRect, RayBundle
@@ -24,24 +24,13 @@ BAND_M = 0.125  # one row of dark tiles at the waterline
 COPING_M = 0.12  # pale stone around the basin
 MARK_RADIUS_M = 0.09
 MARK = np.array([26.0, 22.0, 226.0], np.float32)
-MOSAIC = np.array([[2, 1], [1, 0]])  # which of blue, green, red a pixel of a raw picture sees
 
 
-def water_colour(path_m: float) -> tuple[Float, Float]:
-    """Effect of `path_m` of water on a colour (BGR): the share that passes, and the scattered light that is added, 0 to
-    255."""
-    return np.exp(-ABSORPTION_PER_M * np.float32(path_m)), VEIL * (1.0 - np.exp(-SCATTERING_PER_M * np.float32(path_m)))
-
-
-def through_water(raw: Float, path_m: float) -> Float:
-    """Apply a path through water to a mosaic in place: transmission and scattered light of each pixel's colour."""
-    water = np.array(water_colour(path_m))[:, MOSAIC]  # share and veil, of even and odd rows, in even and odd columns
-    rows = np.empty((2, 2, raw.shape[1]), np.float32)
-    rows[..., 0::2], rows[..., 1::2] = water[..., :1], water[..., 1:]
-    for i, (share, veil) in enumerate(rows.swapaxes(0, 1)):
-        raw[i::2] *= share
-        raw[i::2] += veil
-    return raw
+def water_colour(path_m: ArrayLike) -> tuple[Float, Float]:
+    """Effect of paths (...) through water on a colour, (..., 3) BGR: the share that passes, and the scattered light that is
+    added, 0 to 255."""
+    path = np.asarray(path_m, dtype=np.float32)[..., None]
+    return np.exp(-ABSORPTION_PER_M * path), VEIL * (1.0 - np.exp(-SCATTERING_PER_M * path))
 
 
 @dataclass(frozen=True)

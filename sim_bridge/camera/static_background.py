@@ -7,8 +7,9 @@ time, which costs a quarter of a millisecond instead of thirty.
 import cv2
 import numpy as np
 
+from sim_bridge.camera.kernels import BLOCK
 from sim_bridge.camera.optics import Bytes, Float
-from sim_bridge.camera.rays import BLOCK, CameraRays, sample_mosaic
+from sim_bridge.camera.rays import CameraRays, sample_mosaic
 from sim_bridge.camera.scene import WaterView, draw_still_pool, plan_coordinates, trace_to_surfaces, vignette
 from sim_bridge.camera.textures import LENS_SOFTNESS_PX
 from sim_bridge.camera.water_optics import LOOP_S, PHASES, WaterLight

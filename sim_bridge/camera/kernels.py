@@ -1,0 +1,195 @@
+"""Robots, balls, plates, shadows and noise, pixel by pixel.
+
+A picture is a raw mosaic (height, width) uint8, RGGB: the pixel at (row, column) sees channel row % 2 + column % 2 of red,
+green, blue. Places are m in the pool frame, z down. A line of sight crosses the surface at (sx, sy) and is at
+(sx, sy) + z (slope_x, slope_y) at depth z. Fields that change slowly are given at the middles of BLOCK x BLOCK pixels.
+Colours are 0 to 255.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim_bridge.camera.optics import Bytes, Float
+from wire.frames import Array
+from wire.kernels import kernel
+
+BLOCK = 8  # px, side of a block; the shortest ripple is some 60 px long
+LAMP_X, LAMP_Y, LAMP_UP = -0.30, -0.22, 0.93  # direction to most of the light: pool x, y and up; shadows fall the other way
+AMBIENT, DIFFUSE = 0.50, 0.56  # shares of ambient and of directed light on a hull
+GLOSS = 26.0  # grey levels of a wet hull's highlight, which falls with the 24th power of the light
+SHADOW = 0.42  # share of the light that is missing in the middle of a shadow
+PENUMBRA = 0.30  # width of a shadow's edge per metre between robot and floor, for long lamp tubes
+
+PICTURE, PLANE, WINDOW, LAYERS = "u1[:,::1]", "f4[:,::1]", "f4[:,:]", "u1[:,:,::1]"
+LINES = f"UniTuple({WINDOW}, 6)"
+BODY = f"Tuple((f8, f8, {LAYERS}, b1, {LAYERS}, f8))"
+
+Planes = tuple[Any, ...]
+
+
+@kernel(f"f8({LAYERS}, i8, f8, f8)")
+def sample(texture: Bytes, layer: int, column: float, row: float) -> float:
+    """Bilinear sample of a texture's layer; beyond its edge the edge is repeated."""
+    x = min(max(column, 0.0), texture.shape[2] - 1.001)
+    y = min(max(row, 0.0), texture.shape[1] - 1.001)
+    j, i = int(x), int(y)
+    u, v = x - j, y - i
+    upper = (1.0 - u) * texture[layer, i, j] + u * texture[layer, i, j + 1]
+    lower = (1.0 - u) * texture[layer, i + 1, j] + u * texture[layer, i + 1, j + 1]
+    return float((1.0 - v) * upper + v * lower)
+
+
+@kernel("UniTuple(f8, 4)(f8, f8, f8, f8, f8, f8)")
+def intersect_sphere(
+    x: float, y: float, slope_x: float, slope_y: float, radius: float, px_per_m: float
+) -> tuple[float, float, float, float]:
+    """Unit normal (x, y, up) of a sphere where a line of sight meets it, and the share of the pixel that it covers.
+
+    The line is at (x, y) from the centre at its depth, and moves by the slope per metre of depth:
+    |(x, y, 0) + w (slope, 1)| = r, with w the depth below the centre: a w^2 + 2 b w + |x, y|^2 - r^2 = 0. A line that just
+    misses gets the normal of the limb, so that a half-covered pixel at the edge has a colour.
+    """
+    per_a = 1.0 / (slope_x * slope_x + slope_y * slope_y + 1.0)
+    b = x * slope_x + y * slope_y
+    miss2 = x * x + y * y - b * b * per_a  # squared distance of the line from the centre
+    cover = min(max((radius - math.sqrt(max(miss2, 0.0))) * px_per_m + 0.5, 0.0), 1.0)
+    w = -(b * per_a + math.sqrt(max(radius * radius - miss2, 0.0) * per_a))
+    per_m = 1.0 / radius
+    return (x + w * slope_x) * per_m, (y + w * slope_y) * per_m, -w * per_m, cover
+
+
+@kernel(f"f8({LAYERS}, i8, f8[:,:,::1], i8, f8, f8, f8, f8)")
+def hull_colour(
+    skin: Bytes, channel: int, attitudes: Array, pose: int, normal_x: float, normal_y: float, up: float, light: float
+) -> float:
+    """Colour of a hull at a unit normal, in air. `skin` (3, size, size) is Lambert's azimuthal projection of the sphere
+    about its top (textures.hull_texture); the columns of `attitudes[pose]` are the body's axes: ahead, aside, down."""
+    ahead = attitudes[pose, 0, 0] * normal_x + attitudes[pose, 1, 0] * normal_y - attitudes[pose, 2, 0] * up
+    aside = attitudes[pose, 0, 1] * normal_x + attitudes[pose, 1, 1] * normal_y - attitudes[pose, 2, 1] * up
+    above = attitudes[pose, 2, 2] * up - attitudes[pose, 0, 2] * normal_x - attitudes[pose, 1, 2] * normal_y
+    half = skin.shape[1] / 2.0
+    flat = half / math.sqrt(2.0 * (1.0 + max(above, -0.999)))
+    paint = sample(skin, channel, ahead * flat + half - 0.5, aside * flat + half - 0.5)
+    lamp = max(normal_x * LAMP_X + normal_y * LAMP_Y + up * LAMP_UP, 0.0)
+    lamp2 = lamp * lamp
+    lamp8 = lamp2 * lamp2 * lamp2 * lamp2
+    return paint * (AMBIENT * (0.6 + 0.4 * up) + DIFFUSE * lamp) * light + GLOSS * lamp8 * lamp8 * lamp8
+
+
+@kernel(f"void({PICTURE}, i8, i8, {LINES}, f4[:,:,:], {PLANE}, {BODY}, f8[:,::1], f8[:,:,::1], f8[:,:,:,::1], f8)")
+def draw_body(
+    raw: Bytes,
+    top: int,
+    left: int,
+    lines: Planes,
+    fields: Float,
+    vignette: Float,
+    body: Planes,
+    places: Array,
+    attitudes: Array,
+    water: Array,
+    px_per_m: float,
+) -> None:
+    """Lay a body over a rectangle of the mosaic: the mean of its pictures in k poses, by their coverage.
+
+    The rectangle begins at (top, left). `lines` are its lines of sight (planes surface x, y, air x, y, water x, y), `fields`
+    (height, width, 4) the turn of the lines in the water along x and y, the light on the body, and the glare at the surface.
+    The body is a sphere (radius 0: none) with its skin, and a plate at a height above its centre, (2, size, size) brightness
+    and coverage, with texels per metre. In each of k poses its centre is at `places` (k, 3), its axes are the columns of
+    `attitudes` (k, 3, 3), and `water` (k, 2, 2, 3) is the share and the veil of the water over the sphere and over the plate,
+    in red, green and blue.
+    """
+    radius, height_m, skin, has_plate, plate, texels_per_m = body
+    surface_x, surface_y, air_x, air_y, water_x, water_y = lines
+    middle = plate.shape[1] / 2.0 - 0.5
+    k = len(places)
+    for i in range(surface_x.shape[0]):
+        for j in range(surface_x.shape[1]):
+            row, column = top + i, left + j
+            channel = row % 2 + column % 2
+            sx, sy = surface_x[i, j], surface_y[i, j]
+            wx = water_x[i, j] + fields[i, j, 0]
+            wy = water_y[i, j] + fields[i, j, 1]
+            light = fields[i, j, 2]
+            colour, cover = 0.0, 0.0
+            for pose in range(k):
+                x, y, z = places[pose, 0], places[pose, 1], places[pose, 2]
+                marking, plate_cover = 0.0, 0.0
+                if has_plate:
+                    ox, oy, oz = attitudes[pose, 0, 2], attitudes[pose, 1, 2], attitudes[pose, 2, 2]
+                    above = z - height_m * oz
+                    slope_x, slope_y = (wx, wy) if above > 0.0 else (air_x[i, j], air_y[i, j])
+                    dx, dy = sx - (x - height_m * ox), sy - (y - height_m * oy)  # and (slope, 1) deeper per metre
+                    deep = (above * oz - dx * ox - dy * oy) / (oz + slope_x * ox + slope_y * oy)  # to the plate's plane
+                    dx += deep * slope_x
+                    dy += deep * slope_y
+                    dz = deep - above
+                    right_m = attitudes[pose, 0, 1] * dx + attitudes[pose, 1, 1] * dy + attitudes[pose, 2, 1] * dz
+                    ahead_m = attitudes[pose, 0, 0] * dx + attitudes[pose, 1, 0] * dy + attitudes[pose, 2, 0] * dz
+                    texel_x, texel_y = middle + texels_per_m * right_m, middle - texels_per_m * ahead_m
+                    if max(abs(texel_x - middle), abs(texel_y - middle)) < middle:
+                        plate_cover = sample(plate, 1, texel_x, texel_y) / 255.0
+                        marking = sample(plate, 0, texel_x, texel_y) * light
+                        marking = plate_cover * (marking * water[pose, 1, 0, channel] + water[pose, 1, 1, channel])
+                sphere, sphere_cover = 0.0, 0.0
+                if radius > 0.0 and plate_cover < 1.0:
+                    nx, ny, up, sphere_cover = intersect_sphere(sx + z * wx - x, sy + z * wy - y, wx, wy, radius, px_per_m)
+                    if z < radius:  # it breaks the surface: the part above is seen straight
+                        ax, ay = air_x[i, j], air_y[i, j]
+                        dry = intersect_sphere(sx + z * ax - x, sy + z * ay - y, ax, ay, radius, px_per_m)
+                        if (up if z > 0.0 else dry[2]) * radius > z:
+                            nx, ny, up, sphere_cover = dry
+                    if sphere_cover > 0.0:
+                        sphere = hull_colour(skin, channel, attitudes, pose, nx, ny, up, light)
+                        sphere = sphere_cover * (sphere * water[pose, 0, 0, channel] + water[pose, 0, 1, channel])
+                colour += (sphere * (1.0 - plate_cover) + marking) / k
+                cover += (sphere_cover * (1.0 - plate_cover) + plate_cover) / k
+            if cover > 0.0:
+                seen = colour * vignette[row, column] + cover * fields[i, j, 3]
+                raw[row, column] = int(min(max(raw[row, column] * (1.0 - cover) + seen, 0.0), 255.0) + 0.5)
+
+
+@kernel(f"void({LINES}, {WINDOW}, f8, f8, f8, f8, {PLANE})")
+def shadow(lines: Planes, depth_m: Float, x: float, y: float, z: float, radius_m: float, light: Float) -> None:
+    """Share of the light that the shadow of a sphere at (x, y, z) leaves where `lines` meet the surface of their
+    `depth_m`."""
+    surface_x, surface_y, _, _, water_x, water_y = lines
+    for i in range(light.shape[0]):
+        for j in range(light.shape[1]):
+            below = depth_m[i, j] - z
+            dx = surface_x[i, j] + depth_m[i, j] * water_x[i, j] - x + below * (LAMP_X / LAMP_UP)
+            dy = surface_y[i, j] + depth_m[i, j] * water_y[i, j] - y + below * (LAMP_Y / LAMP_UP)
+            softness = PENUMBRA * max(below, 0.02)
+            inside = min(max((radius_m - math.sqrt(dx * dx + dy * dy)) / softness * 0.5 + 0.5, 0.0), 1.0)
+            inside *= inside * (3.0 - 2.0 * inside)
+            light[i, j] = 1.0 - SHADOW * inside if below > 0.0 else 1.0
+
+
+@kernel(f"void({PICTURE}, i8, i8, {PLANE})")
+def darken(raw: Bytes, top: int, left: int, light: Float) -> None:
+    """Multiply the rectangle of the mosaic that begins at (top, left) by its share of the light, rounded."""
+    height, width = light.shape
+    half = np.float32(0.5)
+    for i in range(height):
+        levels, share = raw[top + i, left : left + width], light[i]
+        for j in range(width):
+            levels[j] = np.uint8(np.float32(levels[j]) * share[j] + half)
+
+
+@kernel(f"void({PICTURE}, i1[:,::1], i8, i8, f4, f4, {PICTURE})")
+def add_noise(
+    raw: Bytes, field: NDArray[np.int8], top: int, left: int, read: np.float32, shot: np.float32, noisy: Bytes
+) -> None:
+    """level + sqrt(read + shot level) noise, rounded and clipped, with the cut-out of the noise `field` that begins at
+    (top, left). All float32, so that the loop over a row runs several pixels at a time."""
+    low, high, half = np.float32(0.0), np.float32(255.0), np.float32(0.5)
+    width = raw.shape[1]
+    for row in range(raw.shape[0]):
+        levels, noise, result = raw[row], field[top + row, left : left + width], noisy[row]
+        for column in range(width):
+            level = np.float32(levels[column])
+            level += math.sqrt(read + shot * level) * np.float32(noise[column])
+            result[column] = np.uint8(min(max(level, low), high) + half)
