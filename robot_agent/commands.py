@@ -1,6 +1,5 @@
 """SHELL: `robot-agent init`, `unit`, `compile` and `check`: configuration, service and preflight of a robot's computer."""
 
-import importlib
 import re
 import time
 from collections.abc import Iterator
@@ -100,7 +99,7 @@ def compile_kernels() -> None:
     start_log("compile")
     began_s = time.monotonic()
     with install_recorder("numba:compile") as compilations:
-        importlib.import_module("robot_agent.agent")
+        import robot_agent.agent  # noqa: F401  kernels are compiled as their modules are imported
     if not CACHE.writable:
         raise typer.Exit(1)
     count = sum(event.is_start for _, event in compilations.buffer)

@@ -29,7 +29,7 @@ from robot_agent.control.law import Law, guidance_config, make_law
 from robot_agent.control.mpc import Mpc, MpcPlan
 from robot_agent.guidance.formation import Formation, Neighbour, NeighbourPredictions, Priority
 from robot_agent.guidance.obstacles import Obstacle
-from robot_agent.guidance.reference import Goal, Hold, Reference, ReferenceSampler
+from robot_agent.guidance.reference import Goal, Hold, Reference, ReferenceSampler, interpolate
 from robot_agent.guidance.velocity_obstacles import CATCH_UP_MPS, GiveWay, obstacle_traffic, robot_traffic
 from robot_agent.vehicle.allocation import Allocator
 from robot_agent.vehicle.dynamics import Model
@@ -115,7 +115,8 @@ class Controller:
         self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)
         self._allocator = Allocator(vehicle)
-        self._to_now = _resampling(np.concatenate([[0.0], nodes_s]), steps_s)
+        # Plans begin at the instant of action and are told from now on: rows of the one for the other
+        self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
         self._wrench = np.zeros(3)  # asked for in the last step,
         self._delivered = np.zeros(3)  # and what its pulses gave
         self._priority = Priority(urgent, 0.0)
@@ -258,7 +259,7 @@ class Controller:
         # pull: neighbours who shared a deviation would else see less of it, and the less the more of them there are.
         told = np.empty((len(command), 8))
         told[0, :4], told[1:, :4], told[:, 4:7], told[:, 7] = estimate.eta, plan.eta, lead.eta[:, :3], command[:, 3]
-        told = self._to_now @ told
+        told = interpolate(told, self._told_rows)
         self._priority = Priority(self._urgent, error_m)
         return ControlOutput(
             pulse_us=pulses,
@@ -320,13 +321,3 @@ class Controller:
             depth_leap="" if estimate is None else estimate.depth_leap,
             is_free=False,
         )
-
-
-def _resampling(from_s: Array, to_s: Array) -> Array:
-    """Linear interpolation as a matrix (to, from): plans begin at the instant of action and are told from now on."""
-    matrix = np.zeros((len(to_s), len(from_s)))
-    low = np.clip(np.searchsorted(from_s, to_s, side="right") - 1, 0, len(from_s) - 2)
-    share = (to_s - from_s[low]) / (from_s[low + 1] - from_s[low])
-    matrix[np.arange(len(to_s)), low] = 1.0 - share
-    matrix[np.arange(len(to_s)), low + 1] += share
-    return matrix

@@ -71,6 +71,8 @@ class HalfSpaces:
 
     def binds(self, eta: Array) -> bool:
         """True if a plan (horizon + 1, 4) lies against any of the bounds."""
+        if not len(self.node):
+            return False
         places = eta[self.node, 0] + 1j * eta[self.node, 1]
         return bool(((places * self.normal.conj()).real < self.offset + LEANS_M).any())
 
@@ -171,7 +173,7 @@ class Formation:
             return None
         count = min(math.ceil((len(plan.eta) - 1) * plan.period_s / period_s), LONGEST_PLAN) + 1
         place = np.arange(count, dtype=np.float64) * (period_s / plan.period_s)
-        eta, reference = interpolate(plan.eta, place), interpolate(plan.eta_reference, place)
+        eta, reference = (interpolate(np.array(rows), place) for rows in (plan.eta, plan.eta_reference))
         return replace(neighbour, plan=replace(plan, period_s=period_s, eta=eta, eta_reference=reference))
 
     def _steps(self, others: Sequence[Neighbour], now_ns: int) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:

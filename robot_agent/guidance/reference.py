@@ -5,7 +5,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from wire.frames import Array
+from wire.kernels import kernel
 from wire.messages.messages import Trajectory
+
+
+@kernel("void(f8[:,::1], f8[::1], f8[:,::1])")
+def interpolate_rows(table: Array, place: Array, out: Array) -> None:
+    """Rows of `table` (rows, columns) at fractional row numbers `place` (n,), linearly; held beyond its ends. `out` (n,
+    columns)."""
+    last = len(table) - 1
+    for i in range(len(place)):
+        within = min(place[i], float(last)) if place[i] > 0.0 else 0.0  # NaN is no row either
+        low = int(within)
+        high = min(low + 1, last)
+        share = within - low
+        for j in range(table.shape[1]):
+            out[i, j] = table[low, j] + share * (table[high, j] - table[low, j])
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,16 +85,18 @@ class ReferenceSampler:
 
 
 def interpolate(table: Array, place: Array) -> Array:
-    """Rows of a table (rows, columns) at fractional row numbers (n,), held beyond its ends."""
-    low = np.floor(place).astype(np.intp)
-    share = (place - low)[:, None]
-    first = table.take(low, axis=0, mode="clip")
-    return first + share * (table.take(low + 1, axis=0, mode="clip") - first)
+    """Rows of a writable table (rows, columns) at fractional row numbers (n,), held beyond its ends."""
+    out = np.empty((len(place), table.shape[1]))
+    interpolate_rows(table, place, out)
+    return out
 
 
 def pose_at(trajectory: Trajectory, time_s: float) -> Array:
     """Pose (4,) at an instant of a trajectory's clock; before its start and after its end the first and the last one."""
-    pose: Array = interpolate(trajectory.eta, np.array([_row(trajectory, time_s)]))[0]
+    last = len(trajectory.eta) - 1
+    row = min(max(_row(trajectory, time_s), 0.0), last)
+    low = min(int(row), max(last - 1, 0))
+    pose: Array = interpolate(np.array(trajectory.eta[low : low + 2]), np.array([row - low]))[0]
     return pose
 
 

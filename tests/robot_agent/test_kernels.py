@@ -35,7 +35,7 @@ def test_nothing_is_compiled_in_flight() -> None:
     """Alone, past a neighbour and a thing in the way, on hold, and in neutral."""
     one, other = Controller(POOL.vehicle, POOL.controller, POOL.safety), np.tile([1.0, 0.0, 0.3, 0.0], (51, 1))
     box = np.array([[0.7, 0.4], [0.8, 0.4], [0.8, 0.5], [0.7, 0.5]])
-    things = obstacles_from_message(Obstacles(ids=(1,), outline=(box,), velocity=np.zeros((1, 2))), 0, 0.3)
+    things = obstacles_from_message(Obstacles(ids=(1,), outline=box[None], velocity=np.zeros((1, 2))), 0, 0.3)
     hold = Hold(GOAL.trajectory.eta[0])
     with install_recorder("numba:compile") as compilations:
         for k in range(1, 41):

@@ -39,7 +39,7 @@ def _kernels(tree: ast.Module) -> list[tuple[ast.FunctionDef, ast.expr]]:
 
 
 def _offences(tree: ast.Module) -> Iterator[str]:
-    """What breaks the rules of wire/kernels.py."""
+    """Breaches of the rules of wire/kernels.py."""
     kernels = _kernels(tree)
     own = {function.name for function, _ in kernels}
     for function, mark in kernels:
