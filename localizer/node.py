@@ -126,17 +126,10 @@ class LocalizerNode:
         frame_ms = (time.perf_counter_ns() - started_ns) * 1e-6
         found = result.status
         told = tuple(robot for robot, _ in result.poses)
-        status = LocalizerStatus(
-            found.camera,
-            found.frames,
-            captured.dropped,
-            frame_ms,
-            age_ns * 1e-6,
-            found.message,
-            told,
-            self._obstacles_ns,
-            self._failed,
-        )
+        status = replace(
+            found, dropped=captured.dropped, frame_ms=frame_ms, frame_age_ms=age_ns * 1e-6, robots=told,
+            obstacles_ns=self._obstacles_ns, failed=self._failed,
+        )  # fmt: skip
         self._publish_status(status, captured.stamp_ns)
         self._detect_obstacles(captured, result)
         self._finish()
@@ -179,10 +172,8 @@ class LocalizerNode:
             found = self._obstacle_detector.step(captured.pixels, captured.instant_ns, np.array(seen).reshape(-1, 3))
         except Exception as error:
             log.error("obstacles: %s: %s; the water is learnt anew", type(error).__name__, error, exc_info=error)
-            self._obstacle_detector, found = (
-                ObstacleDetector(self._experiment),
-                Obstacles(),
-            )  # nothing is watched, and that is told
+            self._obstacle_detector = ObstacleDetector(self._experiment)
+            found = Obstacles()  # says that nothing is watched
         if found is not None:
             self._obstacles, self._obstacles_ns = found, captured.stamp_ns
             self._bus.publish(

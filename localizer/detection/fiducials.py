@@ -4,13 +4,14 @@ Settings are for markers of 24 px and more, seen from straight above: one thresh
 error correction (4x4_50 differs in only 4 bits, so a corrected reading may be a neighbour's), corners to sub-pixel.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from localizer import kernels
 from localizer.camera_model import RefractiveCamera
 from localizer.detection.image_regions import ImageRegion, Pixels
 from wire.frames import Array
@@ -92,19 +93,15 @@ def square(side_m: float) -> Array:
     return np.array([[half, -half], [half, half], [-half, half], [-half, -half]])
 
 
-def marker_pose(image: MarkerImage, view: RefractiveCamera, depth_m: float, side_m: float) -> MarkerPose:
-    """Fit a square to a marker's four corners by least squares in the POOL frame, its plate at `depth_m`.
+def marker_poses(images: Sequence[MarkerImage], view: RefractiveCamera, depths_m: Array, side_m: float) -> list[MarkerPose]:
+    """Fit a square to each marker's four corners by least squares in the POOL frame, its plate at `depths_m` (n,).
 
     An angle between pixels is no heading, because lens and water bend the picture (up to 1.5 deg in the pool's corners).
     """
-    flat = square(side_m)
-    corners = view.pixel_to_pool(image.corners_px, depth_m)
-    centre = corners.mean(axis=0)
-    seen = corners - centre
-    yaw = np.arctan2(np.sum(flat[:, 0] * seen[:, 1] - flat[:, 1] * seen[:, 0]), np.sum(flat * seen))
-    c, s = np.cos(yaw), np.sin(yaw)
-    misfit = np.max(np.abs(seen - flat @ np.array([[c, s], [-s, c]]))) / side_m
-    return MarkerPose(np.append(centre, yaw), float(misfit))
+    corners_px = np.array([image.corners_px for image in images]).reshape(-1, 4, 2)
+    poses, misfits = np.empty((len(images), 3)), np.empty(len(images))
+    kernels.marker_poses(view.numbers, corners_px, depths_m, side_m, poses, misfits)
+    return [MarkerPose(pose, misfit) for pose, misfit in zip(poses, misfits.tolist(), strict=True)]
 
 
 class MarkerReader:
@@ -124,10 +121,11 @@ class MarkerReader:
         """
         best: dict[int, MarkerPose] = {}
         foreign_ids = set()
-        for image in (image for region in regions for image in find_markers(self._detector, region)):
-            robot = self._robot_of_marker.get(image.id)
-            depth_m = float(plates_m.mean() if robot is None else plates_m[robot])
-            reading = marker_pose(image, view, depth_m, self._side_m)
+        images = [image for region in regions for image in find_markers(self._detector, region)]
+        robots = [self._robot_of_marker.get(image.id) for image in images]
+        depths_m = np.array([plates_m.mean() if robot is None else plates_m[robot] for robot in robots], dtype=np.float64)
+        readings = marker_poses(images, view, depths_m, self._side_m)
+        for image, robot, reading in zip(images, robots, readings, strict=True):
             if robot is None:
                 foreign_ids.update({image.id} if reading.misfit < _MAX_MISFIT else set())
             elif reading.misfit < (best[robot].misfit if robot in best else _MAX_MISFIT):

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from localizer import kernels
 from wire.frames import Array
 
 # Frames are RGGB: the first pixel is red. OpenCV's older names (BayerBG for this pattern) count from the second row and
@@ -163,7 +164,7 @@ def _with_drop(points_m: Array, hull: RobotShape) -> Array:
 def _sample(colour: DemosaicedRegion, points_m: Array, body: BodyProjection) -> NDArray[np.float32]:
     """Sample the region at body points (3, rows, columns): (3, rows, columns), BGR."""
     to_colour = np.column_stack([body.body_to_px, body.down_px]) / colour.shrink
-    place = to_colour @ points_m.reshape(3, -1) + colour.place(body.top_px)[:, None]
-    x, y = place.reshape(2, *points_m.shape[1:]).astype(np.float32)
-    sampled = cv2.remap(colour.bgr, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.ascontiguousarray(np.moveaxis(sampled, -1, 0), dtype=np.float32)
+    left, top = colour.place(body.top_px)
+    samples = np.empty(points_m.shape, np.float32)
+    kernels.sample_colours(colour.bgr, points_m.reshape(3, -1), to_colour, left, top, samples.reshape(3, -1))
+    return samples

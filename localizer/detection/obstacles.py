@@ -8,7 +8,7 @@ in their way. Objects that were there from the start are background. An object t
 obstacle for as long as it is seen.
 
 When most of the picture changes at once, the light has changed or the camera has moved, and the background is learnt anew.
-Until that is done the detector reports that it is blind. Obstacles that it had followed for 2 s by then it keeps reporting,
+Until that is done the detector reports that it is blind. It goes on reporting obstacles that it had followed for 2 s,
 with the time for which they were not seen, until it finds one there again: an object that lies still meanwhile is learnt as
 water.
 

@@ -86,6 +86,7 @@ class FleetLocalizer:
         self._overlap_px = round(
             _OVERLAP_SIDES * vehicle.marker.side_m * max(camera.focal_px) / abs(camera.position_m[2])
         )  # between strips; deeper markers look smaller
+        self._plate_reach_m = np.sqrt(0.5) * _QUIET * vehicle.marker.side_m  # half the diagonal of the white plate
         plate_half_m = _QUIET * vehicle.marker.side_m / 2.0 if settings.markers else 0.0
         hull = RobotShape(vehicle.radius_m, vehicle.marker.height_m, plate_half_m)
         self._appearance = AppearanceModel(len(self._ids), hull, settings.template_px)
@@ -136,7 +137,7 @@ class FleetLocalizer:
         located, self._located = self._located, None
         if located is None:
             return
-        self._match_appearance([v for i, v in located.views.items() if self._tracks[i].state is Track.LOST])
+        self._match_appearance([v for i, v in located.views.items() if self._is_lost(i)])
         self._scan(located)
         if self._camera_pose.fresh:
             self._update_appearance(located.views)
@@ -165,18 +166,27 @@ class FleetLocalizer:
         views = {}
         for i, tangent, mapping in zip(places, tangents, self._camera_pose.uncertainty(tangents, plates_m), strict=True):
             sigma_m = sigmas_m[i] + float(np.sqrt(mapping[0, 0] + mapping[1, 1]))
-            reach_m = self._appearance.reach_m + _REGION_SIGMAS * min(sigma_m, _WIDEST_SIGMA_M)
-            region = cut(frame, tangent.pixel, reach_m * tangent.px_per_m)
+            around_m = _REGION_SIGMAS * min(sigma_m, _WIDEST_SIGMA_M)
+            region = cut(frame, tangent.pixel, (self._appearance.reach_m + around_m) * tangent.px_per_m)
+            plate = cut(frame, tangent.pixel, (self._plate_reach_m + around_m) * tangent.px_per_m)
             if region is not None:
-                views[i] = PredictedView(i, self.radius_m, depths[i], tangent, mapping, region)
+                views[i] = PredictedView(i, self.radius_m, depths[i], tangent, mapping, region, plate or region)
         return views
 
     def _read_markers(self, frame: Pixels, depths: Sequence[Depth], views: dict[int, PredictedView]) -> None:
-        """Give each track its marker. Adds the views of robots that were found elsewhere than expected."""
+        """Give each track its marker. Adds the views of robots that were found elsewhere than expected.
+
+        A marker that was read in the last frame is looked for where the plate is expected, at half the cost, and then like
+        the others in the robot's whole region. The regions of lost robots are left to `finish`.
+        """
         if not self._settings.markers:
             return
-        regions = [view.region for view in views.values()] + self._claim_regions(frame, depths, views)
-        readings = self._reader.read(self.view, regions, np.array([depth.plate_m for depth in depths]))
+        plates_m = np.array([depth.plate_m for depth in depths])
+        plates = [view.plate for i, view in views.items() if self._tracks[i].state is Track.MARKER]
+        readings = self._reader.read(self.view, plates, plates_m)
+        missed = [view.region for i, view in views.items() if i not in readings and not self._is_lost(i)]
+        claims = self._claim_regions(frame, depths, views)
+        readings = self._reader.read(self.view, missed + claims, plates_m) | readings
         strays = [i for i, r in readings.items() if i not in views or views[i].distance_m(r.pose) > self.radius_m]
         elsewhere = {i: readings[i].pose[:2] for i in strays}
         views.update(self._views_at(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
@@ -187,9 +197,13 @@ class FleetLocalizer:
                 self._tracks[i] = track.contradicted()
 
     def _claim_regions(self, frame: Pixels, depths: Sequence[Depth], views: Mapping[int, PredictedView]) -> list[ImageRegion]:
-        """Regions around claims (markers read once) that lie where no robot is expected."""
+        """Regions around claims (markers read once) of lost robots, and where their robot is not expected."""
         claims = {i: track.claim for i, track in enumerate(self._tracks) if track.claim is not None}
-        away = {i: c.pose[:2] for i, c in claims.items() if i not in views or views[i].distance_m(c.pose) > self.radius_m}
+        away = {
+            i: claim.pose[:2]
+            for i, claim in claims.items()
+            if i not in views or self._is_lost(i) or views[i].distance_m(claim.pose) > self.radius_m
+        }
         return [view.region for view in self._views_at(frame, depths, away, dict.fromkeys(away, _WIDEST_SIGMA_M)).values()]
 
     def _is_occupied(self, position_m: Array, robot: int, readings: Mapping[int, MarkerPose]) -> bool:
@@ -199,7 +213,7 @@ class FleetLocalizer:
 
     def _needs_match(self, robot: int) -> bool:
         """True for a followed robot whose marker was not read."""
-        return self._tracks[robot].measured is None and self._tracks[robot].state is not Track.LOST
+        return self._tracks[robot].measured is None and not self._is_lost(robot)
 
     def _match_appearance(self, views: Sequence[PredictedView]) -> None:
         """Give each view's track the match of its appearance, if that is known."""
@@ -253,18 +267,16 @@ class FleetLocalizer:
         return "; ".join([self._camera_pose.trouble, *said] if self._camera_pose.trouble else said)
 
     def _scan(self, located: _Located) -> None:
-        """While a robot is lost, read the markers of the picture's next strip; of all of it at once in every fifth frame as
-        long as no robot is followed. What is found is a claim, which the next frame's regions confirm."""
-        lost = [track.state is Track.LOST for track in self._tracks]
+        """While a robot is lost, read the markers where it was lost and in the picture's next strip; in all of the picture in
+        every fifth frame as long as no robot is followed. What is found is a claim, which the next frame confirms."""
+        lost = [self._is_lost(i) for i in range(len(self._tracks))]
         if not self._settings.markers or not any(lost):
             return
-        strip = self._frames % _STRIPS
+        regions, strip = [view.region for i, view in located.views.items() if lost[i]], self._frames % _STRIPS
         if not all(lost):
-            regions = [self._strip(located.frame, strip)]
+            regions.append(self._strip(located.frame, strip))
         elif strip == 1:
-            regions = [whole(located.frame)]
-        else:
-            return
+            regions.append(whole(located.frame))
         plates_m = np.array([depth.plate_m for depth in located.depths])
         for i, reading in self._reader.read(self.view, regions, plates_m).items():
             self._tracks[i] = self._tracks[i].with_scan(reading.pose, self.radius_m)
@@ -312,6 +324,9 @@ class FleetLocalizer:
         if track.measured is not None:
             return track.measured.pose
         return np.zeros(3) if track.motion is None else track.motion.mean[:3]
+
+    def _is_lost(self, robot: int) -> bool:
+        return self._tracks[robot].state is Track.LOST
 
     def _is_certain(self, robot: int) -> bool:
         track = self._tracks[robot]

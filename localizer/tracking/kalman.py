@@ -5,11 +5,11 @@ robot and its inputs, and a second filter before it would only add lag and colou
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
-from wire.frames import Array, wrap
+from localizer import kernels
+from wire.frames import Array
 
 # Standard deviations of acceleration: about twice the thrusters' maximum (6 N on 12 kg, 0.5 N m on 0.12 kg m^2), so that a
 # push by hand or by a neighbour stays inside the gates.
@@ -54,44 +54,25 @@ def initial_state(pose: Array, covariance: Array) -> KalmanState:
 def predict(motion: KalmanState, step_s: float) -> KalmanState:
     """Predict the state by `step_s`, with a random acceleration that is constant over the step and independent of the last
     one."""
-    transition, noise = _model(step_s)
-    mean = transition @ motion.mean
-    mean[2] = wrap(float(mean[2]))
-    return KalmanState(mean, transition @ motion.covariance @ transition.T + noise)
+    predicted = KalmanState(np.empty(6), np.empty((6, 6)))
+    kernels.kalman_predict(
+        motion.mean,
+        motion.covariance,
+        step_s,
+        _ACCELERATION_MPS2,
+        _YAW_ACCELERATION_RADPS2,
+        predicted.mean,
+        predicted.covariance,
+    )
+    return predicted
 
 
-@lru_cache(maxsize=16)  # cameras keep their periods, and robots share them
-def _model(step_s: float) -> tuple[Array, Array]:
-    """Transition matrix and process noise, (6, 6) each, of a step."""
-    transition = np.eye(6)
-    transition[[0, 1, 2], [3, 4, 5]] = step_s
-    sigma = np.array([_ACCELERATION_MPS2, _ACCELERATION_MPS2, _YAW_ACCELERATION_RADPS2])
-    gain = np.vstack([np.diag(sigma) * step_s**2 / 2.0, np.diag(sigma) * step_s])
-    return transition, gain @ gain.T
-
-
-def innovation(motion: KalmanState, pose: Array) -> Array:
-    """Measured minus predicted [x, y, yaw], yaw wrapped."""
-    difference = pose - motion.mean[:3]
-    difference[2] = wrap(float(difference[2]))
-    return np.asarray(difference)
-
-
-def mahalanobis_squared(motion: KalmanState, pose: Array, covariance: Array) -> float:
-    """Squared Mahalanobis distance of a measured pose from the prediction; compare with GATE."""
-    difference = innovation(motion, pose)
-    return float(difference @ np.linalg.solve(motion.covariance[:3, :3] + covariance, difference))
-
-
-def update(motion: KalmanState, pose: Array, covariance: Array) -> KalmanState:
-    """Update with a measured pose [x, y, yaw] of covariance (3, 3). Joseph's form keeps the covariance symmetric and
-    positive."""
-    gain = np.linalg.solve(motion.covariance[:3, :3] + covariance, motion.covariance[:3, :]).T
-    mean = motion.mean + gain @ innovation(motion, pose)
-    mean[2] = wrap(float(mean[2]))
-    keep = np.eye(6)
-    keep[:, :3] -= gain
-    return KalmanState(mean, keep @ motion.covariance @ keep.T + gain @ covariance @ gain.T)
+def update(motion: KalmanState, pose: Array, covariance: Array) -> tuple[KalmanState, float]:
+    """Update with a measured pose [x, y, yaw] of covariance (3, 3). Also the squared Mahalanobis distance of the pose from the
+    prediction, to be compared with GATE."""
+    updated = KalmanState(np.empty(6), np.empty((6, 6)))
+    squared = kernels.kalman_update(motion.mean, motion.covariance, pose, covariance, updated.mean, updated.covariance)
+    return updated, squared
 
 
 def stopped(motion: KalmanState) -> KalmanState:

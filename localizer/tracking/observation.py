@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from localizer import kernels
 from localizer.camera_model import LocalLinearization
 from localizer.detection.image_regions import BodyProjection, ImageRegion
 from wire.config.experiment import Experiment
@@ -81,6 +82,7 @@ class PredictedView:
     tangent: LocalLinearization
     mapping: Array  # (3, 3), covariance of [x, y, yaw] here due to the error of the camera's pose
     region: ImageRegion
+    plate: ImageRegion  # the part of it that the marker plate is expected in
 
     def distance_m(self, pose: Array) -> float:
         """Distance of [x, y, ...] from the predicted position."""
@@ -104,8 +106,9 @@ class PredictedView:
         pose error."""
         wave_m = 0.25 * _WAVE_SLOPE_RAD * max(self.depth.plate_m, 0.0)
         round_m2 = wave_m**2 + (noise.centre_share * self.radius_m) ** 2
-        spread = self.tangent.jacobian * np.array([noise.centre_px, noise.centre_px, self.depth.sigma_m])
-        covariance = self.mapping.copy()
-        covariance[:2, :2] += spread @ spread.T + round_m2 * np.eye(2)
-        covariance[2, 2] += (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
+        yaw_rad2 = (noise.rim_px / (self.tangent.px_per_m * self.radius_m)) ** 2 + noise.rim_share**2
+        covariance = np.empty((3, 3))
+        kernels.measurement_covariance(
+            self.tangent.jacobian, self.mapping, noise.centre_px, self.depth.sigma_m, round_m2, yaw_rad2, covariance
+        )
         return TrackMeasurement(pose, covariance, peak)

@@ -47,7 +47,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from localizer.tracking.kalman import GATE, KalmanState, initial_state, mahalanobis_squared, predict, stopped, update
+from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, stopped, update
 from localizer.tracking.observation import TrackMeasurement
 from wire.frames import Array, wrap
 from wire.messages.messages import Pose, Track
@@ -122,11 +122,12 @@ class RobotTrack:
         if self._is_reachable(measurement.pose, jump_m):
             assert self.motion is not None
             verified_now = self.verified or agreed
-            restart = mahalanobis_squared(self.motion, measurement.pose, measurement.covariance) > GATE
+            updated, squared = update(self.motion, measurement.pose, measurement.covariance)
+            motion = updated if squared <= GATE else None
             claim = None if verified_now else Claim(measurement.pose)
-            return replace(self._updated(measurement, restart), state=Track.MARKER, verified=verified_now, claim=claim)
+            return self._measured(measurement, motion, Track.MARKER, verified_now, claim)
         if agreed:
-            return replace(self._updated(measurement, restart=True), state=Track.MARKER, verified=True, claim=None)
+            return self._measured(measurement, None, Track.MARKER, verified=True, claim=None)
         return replace(self.contradicted(), claim=Claim(measurement.pose))
 
     def _is_reachable(self, pose: Array, jump_m: float) -> bool:
@@ -148,12 +149,12 @@ class RobotTrack:
         if self.motion is None or self.measured is not None or self.refuted:
             return matched
         lost = self.state is Track.LOST
-        enough = max(least_peak, _REGAIN_PEAK) if lost else least_peak
-        if measurement.peak <= enough or (
-            not lost and mahalanobis_squared(self.motion, measurement.pose, measurement.covariance) > GATE
-        ):
+        if measurement.peak <= (max(least_peak, _REGAIN_PEAK) if lost else least_peak):
             return matched
-        return replace(matched._updated(measurement, restart=lost), state=Track.KCF)
+        updated, squared = update(self.motion, measurement.pose, measurement.covariance)
+        if squared > GATE and not lost:
+            return matched
+        return matched._measured(measurement, None if lost else updated, Track.KCF, self.verified, self.claim)
 
     def with_scan(self, pose: Array, jump_m: float) -> "RobotTrack":
         """The track after a scan found its marker at [x, y, yaw]: a claim, unless the robot's own region covers the place."""
@@ -195,12 +196,12 @@ class RobotTrack:
             track=self.state, identity_verified=self.verified, peak=self.peak, depth_m=depth_m,
         )  # fmt: skip
 
-    def _updated(self, measurement: TrackMeasurement, restart: bool) -> "RobotTrack":
-        if restart or self.motion is None:
-            motion = initial_state(measurement.pose, measurement.covariance)
-        else:
-            motion = update(self.motion, measurement.pose, measurement.covariance)
-        return replace(self, motion=motion, unseen_s=0.0, measured=measurement)
+    def _measured(
+        self, measurement: TrackMeasurement, motion: KalmanState | None, state: Track, verified: bool, claim: Claim | None
+    ) -> "RobotTrack":
+        """The track after a measurement that is believed; with `motion` None the state estimate starts anew from it."""
+        motion = initial_state(measurement.pose, measurement.covariance) if motion is None else motion
+        return RobotTrack(motion, state, verified, 0.0, measurement, self.refuted, self.peak, claim)
 
 
 def close_pairs(tracks: Sequence[RobotTrack], distance_m: float) -> list[tuple[int, int]]:

@@ -365,6 +365,32 @@ def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
         shell._stop.raise_failure()
 
 
+def test_an_error_after_the_poses_costs_no_pose_and_ten_in_a_row_the_process(
+    hub: tuple[Bus, Callable[..., LocalizerNode]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next status counts it; the poses of each picture are out."""
+    bus, localize = hub
+    statuses, scene = bus.inbox(topics.LOCALIZER, LocalizerStatus), Scene(EXPERIMENT)
+    shell = localize(LockstepClock())
+    finish, wrong = FleetLocalizer.finish, [False]
+
+    def sometimes(localizer: FleetLocalizer) -> None:
+        finish(localizer)
+        if wrong[0]:
+            raise cv2.error("no memory")
+
+    monkeypatch.setattr(FleetLocalizer, "finish", sometimes)
+    assert eventually(lambda: "localizer" in bus.present)
+    for k in range(13):
+        wrong[0] = k >= 3
+        assert not shell._stop.requested
+        said = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
+        assert said.failed == max(k - 3, 0) and (said.robots == (1, 2) or k == 0)
+    assert eventually(lambda: shell._stop.requested)
+    with pytest.raises(Failed, match="10 pictures in a row could not be localized in: no memory"):
+        shell._stop.raise_failure()
+
+
 def test_an_obstacle_watch_that_fails_says_that_it_watches_nothing(
     hub: tuple[Bus, Callable[..., LocalizerNode]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

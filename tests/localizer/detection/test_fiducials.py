@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from localizer.camera_model import RefractiveCamera
-from localizer.detection.fiducials import MarkerReader, find_markers, marker_detector, marker_pose
+from localizer.detection.fiducials import MarkerReader, find_markers, marker_detector, marker_poses
 from localizer.detection.image_regions import ImageRegion, cut, whole
 from tests.localizer.scene import Pixels, Scene, bayer
 from wire.config.experiment import load_experiment
@@ -92,8 +92,8 @@ def test_a_hidden_marker_is_not_imagined(scene: Scene) -> None:
 def test_misfit_tells_a_square_from_a_squashed_one(scene: Scene) -> None:
     frame = scene.frame({1: np.array([0.2, 0.1, 0.3, 0.5])})
     image = find_markers(marker_detector(), _region(frame, 0.2, 0.1))[0]
-    good = marker_pose(image, VIEW, PLATE_M, SIDE_M)
+    (good,) = marker_poses([image], VIEW, np.array([PLATE_M]), SIDE_M)
     squashed = image.corners_px.copy()
     squashed[:2] += 0.25 * (squashed[2:][::-1] - squashed[:2])
-    bad = marker_pose(type(image)(image.id, squashed), VIEW, PLATE_M, SIDE_M)
+    (bad,) = marker_poses([type(image)(image.id, squashed)], VIEW, np.array([PLATE_M]), SIDE_M)
     assert good.misfit < 0.03 < 0.1 < bad.misfit

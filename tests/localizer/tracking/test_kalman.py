@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from localizer.tracking.kalman import GATE, initial_state, innovation, mahalanobis_squared, predict, stopped, update
+from localizer.tracking.kalman import GATE, initial_state, predict, stopped, update
 from wire.frames import wrap
 
 NOISE = np.diag([4e-6, 9e-6, 1e-4])
@@ -17,7 +17,7 @@ NOISE[0, 1] = NOISE[1, 0] = 2e-6
 def test_equals_weighted_least_squares() -> None:
     """Two measurements and the first speed's prior: the filter's answer is the least-squares one over all unknowns."""
     first, second, step = np.array([0.1, 0.2, 0.3]), np.array([0.13, 0.18, 0.36]), 0.1
-    filtered = update(predict(initial_state(first, NOISE), step), second, NOISE)
+    filtered, _ = update(predict(initial_state(first, NOISE), step), second, NOISE)
 
     start = initial_state(first, NOISE)
     moved = predict(start, step)
@@ -46,11 +46,11 @@ def test_equals_weighted_least_squares() -> None:
 
 def test_gate_lets_through_what_the_covariance_promises() -> None:
     random = np.random.default_rng(1)
-    motion = update(predict(initial_state(np.zeros(3), NOISE), 0.05), np.array([0.001, 0.0, 0.01]), NOISE)
+    motion, _ = update(predict(initial_state(np.zeros(3), NOISE), 0.05), np.array([0.001, 0.0, 0.01]), NOISE)
     ahead = predict(motion, 0.05)
     spread = ahead.covariance[:3, :3] + NOISE
     samples = random.multivariate_normal(ahead.mean[:3], spread, 4000)
-    distances = np.array([mahalanobis_squared(ahead, sample, NOISE) for sample in samples])
+    distances = np.array([update(ahead, sample, NOISE)[1] for sample in samples])
     assert distances.mean() == pytest.approx(3.0, rel=0.05)  # chi-square with 3 degrees of freedom
     assert np.quantile(distances, 0.95) == pytest.approx(7.81, rel=0.05)
     assert distances.max() < GATE
@@ -60,8 +60,8 @@ def test_gate_lets_through_what_the_covariance_promises() -> None:
 def test_heading_is_filtered_across_the_wrap(yaw: float, turn: float) -> None:
     motion = initial_state(np.array([0.0, 0.0, wrap(yaw)]), NOISE)
     measured = np.array([0.0, 0.0, wrap(yaw + turn)])
-    assert innovation(motion, measured)[2] == pytest.approx(turn, abs=1e-9)
-    after = update(motion, measured, NOISE)
+    after, squared = update(motion, measured, NOISE)
+    assert squared == pytest.approx(turn**2 / (2.0 * NOISE[2, 2]), abs=1e-9)
     assert wrap(after.yaw_rad - yaw) == pytest.approx(turn / 2, abs=1e-9)
     assert -np.pi <= after.yaw_rad < np.pi
 
@@ -73,15 +73,16 @@ def test_follows_a_robot_that_turns_steadily() -> None:
         angle = 2.0 * 0.05 * k
         motion = predict(motion, 0.05)
         pose = np.array([0.15 * np.cos(angle), 0.15 * np.sin(angle), wrap(angle + np.pi / 2)])
+        ahead = motion.mean
+        motion, squared = update(motion, pose, NOISE)
         if k > 20:
-            assert np.linalg.norm(innovation(motion, pose)[:2]) < 4e-3
-            assert abs(innovation(motion, pose)[2]) < 0.01
-            assert mahalanobis_squared(motion, pose, NOISE) < GATE / 2
-        motion = update(motion, pose, NOISE)
+            assert np.linalg.norm(pose[:2] - ahead[:2]) < 4e-3
+            assert abs(wrap(pose[2] - ahead[2])) < 0.01
+            assert squared < GATE / 2
 
 
 def test_uncertainty_grows_in_the_dark_and_stops_at_rest() -> None:
-    motion = update(predict(initial_state(np.zeros(3), NOISE), 0.05), np.zeros(3), NOISE)
+    motion, _ = update(predict(initial_state(np.zeros(3), NOISE), 0.05), np.zeros(3), NOISE)
     sigmas = []
     for _ in range(10):
         motion = predict(motion, 0.05)

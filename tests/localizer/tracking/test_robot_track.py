@@ -104,7 +104,7 @@ def test_a_contradicting_marker_first_doubts_then_wins() -> None:
 
 
 def test_a_scan_claims_what_only_a_region_confirms() -> None:
-    """What comes after the poses moves no track; a marker read where the robot is, or can be, says nothing new."""
+    """A scan moves no track; a marker read where the robot is, or can be, says nothing new."""
     seen = _followed().predicted(STEP_S).with_marker(_seen(0.0), JUMP_M).end_of_frame(LOST_AFTER_S)
     assert seen.with_scan(np.array([0.8, 0.0, 0.0]), JUMP_M) is seen
     coasting = _followed().predicted(STEP_S).end_of_frame(LOST_AFTER_S)
