@@ -187,7 +187,7 @@ def test_an_old_command_name_works_and_names_the_new_one(old: list[str], new: st
     assert (f"this command is now: groundstation {new}" in why) is bool(new)
 
 
-def test_what_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+def test_unwritable_output_is_told_in_one_line(tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
     for place in (file / "layout.json", tmp_path):
@@ -196,7 +196,7 @@ def test_what_cannot_be_written_is_one_line(tmp_path: Path) -> None:
         assert why.startswith(f"{place}: ")
 
 
-def test_what_is_no_log_is_said_and_stays_as_it_is(tmp_path: Path) -> None:
+def test_file_that_is_no_log_is_named_and_left_unchanged(tmp_path: Path) -> None:
     file, out = tmp_path / "run.mcap", tmp_path / "tables"
     for content, command, reason in (
         (b"name = 'pool'", ["log", "repair", str(file)], "is no log"),
@@ -227,7 +227,7 @@ def test_json_is_json_and_nothing_else(tmp_path: Path) -> None:
     assert {"key": "safety.radius_m", "values": ["0.3", "0.31"]} in compared["differences"]
 
 
-def test_what_recover_and_export_did_is_json_for_a_script(tmp_path: Path) -> None:
+def test_repair_and_export_print_json_for_a_script(tmp_path: Path) -> None:
     from tests.groundstation.synthetic import Script, write_run
 
     write_run(tmp_path, Script(duration_s=1.0))
@@ -325,7 +325,7 @@ def test_a_station_that_does_not_come_up_says_why(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fleet", ["", "lab/*", "a#b", "-x", "x" * 33, "replay/lab", 'a"b', "a b", "Bö"])
-def test_what_is_no_fleet_is_refused(fleet: str, tmp_path: Path) -> None:
+def test_invalid_fleet_is_refused(fleet: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(groundstation, ["keys", "init", "--keys", str(tmp_path / "keys"), f"--fleet={fleet}"])
     assert (done.exit_code, list(tmp_path.iterdir())) == (2, [])
     assert "fleet's name" in done.output or "recorded run" in done.output

@@ -73,7 +73,7 @@ def test_with_warn_they_fly_on_and_the_alarm_is_there() -> None:
 
 
 @pytest.mark.parametrize(("policy", "phase"), [("hold", MissionState.WAITING), ("warn", MissionState.RUNNING)])
-def test_nobody_arms_while_the_localizer_learns_unless_it_may(policy: str, phase: MissionState) -> None:
+def test_robots_do_not_arm_while_the_localizer_learns_unless_allowed(policy: str, phase: MissionState) -> None:
     pool = DimPool(load_experiment("pool", ["duration_s=30", f"mission.blind={policy}"]), automatic=True)
     pool.blind = "the localizer learns what the water looks like"
     pool.run(4.0)
@@ -81,7 +81,7 @@ def test_nobody_arms_while_the_localizer_learns_unless_it_may(policy: str, phase
     assert (pool.blind in pool.mission.reason) == (policy == "hold")
 
 
-def test_who_watches_for_nothing_by_choice_is_not_blind() -> None:
+def test_localizer_told_to_watch_for_nothing_is_not_blind() -> None:
     pool = DimPool(load_experiment("pool", ["duration_s=30", "localizer.obstacle_min_m=0"]), automatic=True)
     pool.run(4.0)
     assert not pool.watched and alarms(pool) == set()

@@ -37,7 +37,7 @@ def test_everybody_comes_home_and_disarms() -> None:
 
 
 @pytest.mark.slow
-def test_who_was_stopped_comes_home_later() -> None:
+def test_stopped_robot_comes_home_later() -> None:
     pool = flying("pool", "duration_s=60")
     pool.run(8.0)
     assert pool.wish(Order.DISARM) == ""
@@ -119,7 +119,7 @@ def test_when_one_robot_misses_a_switch_all_get_one_new_plan_before_they_go_on()
 
 
 @pytest.mark.slow
-def test_what_comes_to_lie_on_a_robots_way_home_is_gone_round() -> None:
+def test_obstacle_on_a_robots_way_home_is_passed_around() -> None:
     pool = flying("blocked-path", "sim.drifters=[]")
     pool.run(10.0)
     assert pool.wish(Order.RETURN) == ""

@@ -199,7 +199,7 @@ def test_an_own_camera_is_shared_and_shown(start: Callable[..., Localizer]) -> N
     assert shown is not None and shown.shape == (480, 640, 3)
 
 
-def test_what_cannot_be_is_said_without_waiting_for_a_station() -> None:
+def test_impossible_setting_is_refused_without_waiting_for_a_station() -> None:
     command = [sys.executable, "-m", "localizer", "run", "pool", "--station", f"tcp/127.0.0.1:{free_port()}"]
     source = ["--source", "v4l2:/dev/video-nobody-has"]
     done = subprocess.run([*command, *source], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
@@ -286,7 +286,7 @@ def test_in_lockstep_only_what_the_tick_names_is_used(hub: tuple[Bus, Callable[.
     assert received.header.age_ns == 30 * MS
 
 
-def test_what_drifts_into_the_pool_is_published_after_the_poses(hub: tuple[Bus, Callable[..., LocalizerNode]]) -> None:
+def test_obstacle_that_drifts_in_is_published_after_the_poses(hub: tuple[Bus, Callable[..., LocalizerNode]]) -> None:
     """A ball comes after 5 s, at the robots' depth: outlined ten times a second, with its speed; robots never are. A black
     camera has nothing to say."""
     ball = "sim.drifters=[{start_m=[-1.1, 0.5, 0.3], velocity_mps=[0.1, 0.0, 0.0], from_s=5.0}]"
@@ -441,7 +441,7 @@ def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() 
 
 
 @pytest.mark.parametrize(("scene", "settings"), [("pool", ["localizer.obstacle_min_m=0"]), ("drone", [])])
-def test_nobody_looks_for_obstacles_who_was_not_asked_or_moves(scene: str, settings: list[str]) -> None:
+def test_obstacles_are_not_watched_unasked_or_from_a_moving_camera(scene: str, settings: list[str]) -> None:
     """Under a drone all of the background moves."""
     bus = Bus(MemoryTransport(MemoryHub()))
     assert (

@@ -5,7 +5,11 @@ import hashlib
 import json
 from pathlib import Path
 
+import pytest
+
 from groundstation.web.server import STATIC
+
+pytestmark = pytest.mark.real_time
 
 SOURCES = Path(__file__).parents[2] / "groundstation" / "web" / "page"
 BESIDE = ("index.html", "package-lock.json", "package.json", "tsconfig.json", "vite.config.ts")

@@ -35,7 +35,7 @@ from wire.messages.messages import Event, Mode, Order, Outcome, Progress, RobotS
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
-pytestmark = pytest.mark.timeout(600)  # what waits for a browser waits for a loaded machine
+pytestmark = [pytest.mark.timeout(600), pytest.mark.real_time]  # what waits for a browser waits for a loaded machine
 
 YAW_WEIGHT = "800"  # a hundred times that of the file
 AXE = resources.files("axe_playwright_python") / "axe.min.js"
@@ -190,7 +190,7 @@ def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: Fli
     second.context.close()
 
 
-def test_what_is_old_does_not_look_live(page: Page, flight: Flight) -> None:
+def test_old_values_are_not_shown_as_live(page: Page, flight: Flight) -> None:
     """In lockstep one robot that hangs stops all."""
     agent = flight.agent(2)
     agent.send_signal(signal.SIGSTOP)
@@ -552,7 +552,7 @@ def test_nothing_serious_for_who_sees_or_hears_badly(page: Page, theme: str) -> 
     assert serious(page) == []
 
 
-def test_it_comes_back_by_itself_when_the_station_is_started_again(page: Page, flight: Flight) -> None:
+def test_page_reconnects_when_the_station_is_started_again(page: Page, flight: Flight) -> None:
     flight.stop()
     expect(page.get_by_text("no connection", exact=True)).to_be_visible()
     expect(page.get_by_label("Alarms")).to_contain_text("what you see is old")

@@ -41,9 +41,7 @@ def flying() -> tuple[Agent, Inputs, int]:
     ],
     ids=["wrench", "step", "plan", "error", "slack", "ahead", "astern", "ankle high", "ankle low"],
 )
-def test_what_is_no_number_or_no_pulse_of_this_vehicle_ends_in_neutral(
-    broken: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     agent, inputs, now_ns = flying()
     controller = agent._controller
     real = controller.step

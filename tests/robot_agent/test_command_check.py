@@ -34,7 +34,7 @@ def test_an_order_that_counts_is_taken() -> None:
         (header(), order(), StationView(), "not come from the station"),
     ],
 )
-def test_what_does_not_count_is_refused_with_the_reason(
+def test_unacceptable_command_is_refused_with_the_reason(
     head: Header, command: Command, station: StationView, says: str
 ) -> None:
     assert says in unacceptable(1, HASH, head, command, station)

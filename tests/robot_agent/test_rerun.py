@@ -179,7 +179,7 @@ def test_another_tuning_comes_out_otherwise_and_is_not_refused(flown: Pond) -> N
     assert max(wrenches) > 1e-3
 
 
-def test_what_really_went_out_is_what_the_estimate_goes_by(flown: Pond) -> None:
+def test_observer_uses_the_pulses_that_really_went_out(flown: Pond) -> None:
     """With the log's states behind its steps a changed agent sees no disturbance in thrust that it never gave."""
     changed, corrected = load_experiment("pool", [*UNMOVED, "controller.mpc.horizon=25"]), with_states(flown)
     found, _, _ = again(corrected, changed)
@@ -190,7 +190,7 @@ def test_what_really_went_out_is_what_the_estimate_goes_by(flown: Pond) -> None:
 
 
 @pytest.mark.parametrize("topic", [topics.PLAN, topics.OBSTACLES, topics.INPUTS])
-def test_what_the_log_does_not_hold_is_said(flown: Pond, topic: Topic) -> None:
+def test_input_missing_in_the_log_is_named(flown: Pond, topic: Topic) -> None:
     of_this = [k for k, line in enumerate(flown.lines) if line[0] is topic]
     gap = of_this[len(of_this) // 2]
     states, _, said = again(flown.lines[:gap] + flown.lines[gap + 1 :], flown.experiment)

@@ -36,14 +36,14 @@ def thrust(line: str, pulses: list[float]) -> Array:
 
 
 @pytest.mark.parametrize(("effect", "factor"), [("dead", 0.0), ("reversed", -1.0), ("weak 0.3", 0.3), ("stuck", 0.478 / 1.22)])
-def test_a_broken_thruster(effect: str, factor: float) -> None:
+def test_broken_thruster_gives_its_faulty_thrust(effect: str, factor: float) -> None:
     force = thrust(f"thruster 2/3 {effect}", [1700.0] * 4)
     expected = np.full((2, 4), 1.22)
     expected[1, 2] *= factor
     assert force == pytest.approx(expected, abs=1e-3)
 
 
-def test_it_says_what_breaks_and_what_is_whole_again() -> None:
+def test_schedule_names_what_breaks_and_what_is_repaired() -> None:
     faults = FaultSchedule(load_experiment("pool", faults=["t=1 for=2 camera dark", "t=2 battery 1 sag 2"]))
     assert faults.at(0.99) == []
     assert faults.at(1.0) == ["fault: camera dark"]
@@ -73,7 +73,7 @@ def test_before_the_start_nothing_breaks() -> None:
     assert world.apply_faults() == ["fault: camera dark"]
 
 
-def test_a_broken_imu() -> None:
+def test_broken_imu_gives_its_faulty_samples() -> None:
     experiment = load_experiment("pool")
     still = np.zeros(4)
     whole, broken = (BoardSensors(experiment.sim.sensors, 1, 1) for _ in range(2))
@@ -94,7 +94,7 @@ def test_a_frozen_camera_sends_its_last_picture() -> None:
     assert (camera.apply(second, ()) == second).all()
 
 
-def test_dark_occluded_and_dazzled() -> None:
+def test_camera_faults_darken_hide_and_dazzle_the_picture() -> None:
     picture = np.full((400, 600), 96, dtype=np.uint8)
     dark, hidden, dazzled = (
         CameraFaults().apply(picture, (read_what(f"camera {effect}"),)) for effect in ("dark", "occluded 0.25", "glare 0.2")
@@ -163,7 +163,7 @@ def test_a_noisy_link_loses_doubles_and_reorders() -> None:
     assert numbers == [number for _, number in through(LinkFaults(loss=0.2))]  # the same seed, the same luck
 
 
-def test_what_a_flight_cannot_break_is_refused() -> None:
+def test_fault_that_this_flight_cannot_have_is_refused() -> None:
     experiment = load_experiment("pool", faults=["t=1 thruster 1/1 dead", "t=2 camera dark"])
     with pytest.raises(
         ConfigError, match=r"sim.faults.1.what = 'camera dark': in a numeric flight .* \(allowed here: thruster"

@@ -48,7 +48,7 @@ def fly(looks: bool, *settings: str) -> tuple[list[bytes], list[Motion | None], 
     return states, expected, came
 
 
-def test_what_is_expected_of_an_exposure_comes_unless_something_breaks() -> None:
+def test_expected_exposure_comes_unless_something_breaks() -> None:
     _, expected, came = fly(True)
     right = [
         then is not None and all(np.array_equal(a, b) for a, b in zip(then, now, strict=True))

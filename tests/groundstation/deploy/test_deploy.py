@@ -27,6 +27,8 @@ from sim_bridge.sil.ports import free_port
 from wire.config.experiment import load_experiment
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.real_time
+
 SSHD = shutil.which("sshd", path=f"{os.environ.get('PATH', '')}:/usr/sbin")
 HERE = Probe(os.uname().machine, f"{sys.version_info.major}.{sys.version_info.minor}", {})
 

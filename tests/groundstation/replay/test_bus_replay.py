@@ -21,6 +21,8 @@ from wire.process.runtime import Stop
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.real_time
+
 SECOND = 1_000_000_000
 Heard = tuple[str, Header, bytes, float]
 

@@ -14,6 +14,8 @@ from wire.process.cli_options import DEFAULT_STATION
 from wire.toml_loader import ConfigError
 from wire.transport.endpoint import Endpoint
 
+pytestmark = pytest.mark.real_time
+
 HERE = Endpoint("tcp/127.0.0.1:17448", router=True)
 CHILD = """
 import sys

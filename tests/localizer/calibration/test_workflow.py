@@ -205,7 +205,7 @@ def test_a_picture_of_16_bits_is_refused(tmp_path: Path) -> None:
 # --- videos
 
 
-def test_of_a_video_the_sharp_frames_are_taken(tmp_path: Path) -> None:
+def test_sharp_frames_of_a_video_are_taken(tmp_path: Path) -> None:
     path = tmp_path / "board.avi"
     video = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (160, 120))
     random = np.random.default_rng(1)
@@ -283,7 +283,7 @@ def _files(folder: Path, lab: Path) -> None:
         ),
     ],
 )
-def test_what_cannot_be_used_is_named(
+def test_unusable_picture_is_named(
     arguments: str,
     complaint: str,
     lab: Path,
@@ -332,7 +332,7 @@ def test_check_draws_the_pool_over_a_picture(
         ("--live --image {lab}/pool.png", "give --image, or --live or --show, not both"),
     ],
 )
-def test_check_refuses(
+def test_check_refuses_an_unusable_calibration(
     arguments: str,
     complaint: str,
     lab: Path,

@@ -203,7 +203,7 @@ def test_a_robot_nobody_knows_of_is_an_obstacle() -> None:
     assert np.linalg.norm(centres - last.robots[1, :2], axis=1).min(initial=9.0) < RADIUS_M
 
 
-def test_what_is_small_is_no_obstacle() -> None:
+def test_small_thing_is_no_obstacle() -> None:
     small = {"cork": Intruder(*ball(0.03), (40, 40, 200), (0.9, -0.7))}
     assert not any(look.obstacles.ids for look in watch(LEARNT_S + 2.0, standing, small))
     wanted = watch(LEARNT_S + 2.0, standing, small, least_m=0.02)
@@ -365,7 +365,7 @@ def follow(tracker: BlobTracker, looks: Sequence[Sequence[Blob]]) -> list[list[i
     return numbers
 
 
-def test_what_persists_is_shown_and_what_flickers_is_not() -> None:
+def test_lasting_blob_is_shown_and_a_flickering_one_is_not() -> None:
     steady, gap = [region(0.0)], list[Blob]()
     assert follow(BlobTracker(), [steady] * 6) == [[], [], [], [], [1], [1]]
     assert follow(BlobTracker(), [steady, steady, steady, gap] * 5) == [[]] * 20

@@ -104,7 +104,7 @@ def test_the_first_pictures_and_what_was_lost_among_them_do_not_count() -> None:
     assert {(t.arrived_ns - t.instant_ns, t.ready_ns - t.arrived_ns) for t in found} == {(9 * MS, 2 * MS)}
 
 
-def test_what_is_measured_is_the_whole_localizer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_latency_is_measured_through_the_whole_localizer(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each picture is told of once, before the obstacles of the picture are looked for."""
     order: list[str] = []
 

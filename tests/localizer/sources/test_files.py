@@ -153,7 +153,7 @@ def test_instants_are_by_our_clock_and_the_stated_age_whatever_the_cameras_clock
     assert captured.instant_ns == captured.arrived_ns - 40 * MS
 
 
-def test_what_cannot_be_read_is_no_picture_and_no_old_one_again() -> None:
+def test_unreadable_file_is_no_picture_and_repeats_none() -> None:
     hub, stop = MemoryHub(), Stop(install=False)
     transport, mine = MemoryTransport(hub), Bus(MemoryTransport(hub))
     camera = Bus(transport)
@@ -284,7 +284,7 @@ def test_a_folder_is_played_in_the_order_of_its_numbers_and_then_followed(tmp_pa
     assert take(shots, 1) == [77]
 
 
-def test_of_a_folder_that_grows_faster_than_it_is_read_the_newest_counts(tmp_path: Path, clock: HandClock) -> None:
+def test_newest_picture_counts_in_a_folder_that_grows_faster_than_it_is_read(tmp_path: Path, clock: HandClock) -> None:
     for number in range(10, 30):
         put(tmp_path, f"{number}.png", flat(number))
     shots = FolderSource(tmp_path, 20.0, clock).frames(Stop(install=False))

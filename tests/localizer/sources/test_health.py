@@ -50,7 +50,7 @@ def test_the_watch_keeps_no_reference_to_the_callers_buffer() -> None:
 
 
 @pytest.mark.parametrize(("level", "health"), [(0, CameraHealth.BLACK), (3, CameraHealth.BLACK), (25, CameraHealth.OK)])
-def test_black(level: int, health: CameraHealth) -> None:
+def test_black_frame_is_noticed(level: int, health: CameraHealth) -> None:
     noise = np.random.default_rng(4).integers(0, 3, (960, 1280))
     assert FrameHealthMonitor(SIZE_PX, 5).assess((level + noise).astype(np.uint8)) is health
 
@@ -58,7 +58,7 @@ def test_black(level: int, health: CameraHealth) -> None:
 @pytest.mark.parametrize(
     "frame", [np.full((480, 640), 90, np.uint8), np.full((960, 1280, 3), 90, np.uint8), np.full((960, 1280), 90.0)]
 )
-def test_wrong_size(frame: np.ndarray) -> None:
+def test_frame_of_the_wrong_size_is_noticed(frame: np.ndarray) -> None:
     watch = FrameHealthMonitor(SIZE_PX, 5)
     assert watch.assess(frame) is CameraHealth.WRONG_SIZE
     assert watch.assess(np.full((960, 1280), 90, np.uint8)) is CameraHealth.OK

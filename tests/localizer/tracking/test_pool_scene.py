@@ -74,7 +74,7 @@ def _surprises(run: list[tuple[Array, LocalizationResult]]) -> Array:
     return np.asarray(np.sum(errors * np.linalg.solve(covariances, errors[..., None])[..., 0], axis=1))
 
 
-def test_with_markers() -> None:
+def test_markers_give_poses_within_their_limits() -> None:
     run = list(_run(FleetLocalizer(_experiment(True)), True, range(70)))
     assert all(pose.track is Track.MARKER and pose.identity_verified for _, located in run for _, pose in located.poses)
     rms = np.sqrt(np.mean(_errors(run) ** 2, axis=0))
@@ -83,7 +83,7 @@ def test_with_markers() -> None:
     assert 0.3 < _surprises(run).mean() < 4.5
 
 
-def test_without_markers_over_a_whole_lap() -> None:
+def test_looks_alone_give_poses_over_a_whole_lap() -> None:
     """Every heading and every side of the sphere: parallax, shading and background all change on the way."""
     run = list(_run(FleetLocalizer(_experiment(False)), False, range(200)))[1:]
     assert all(pose.track is Track.KCF for _, located in run for _, pose in located.poses)

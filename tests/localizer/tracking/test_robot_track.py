@@ -187,7 +187,7 @@ def test_any_history_leaves_a_sound_track(steps: list[tuple[str, float, float, f
         assert (track.measured is not None) == (pose.track in (Track.KCF, Track.MARKER))
 
 
-def test_near_pairs() -> None:
+def test_near_pairs_are_found() -> None:
     tracks = [RobotTrack().with_marker(_seen(x), JUMP_M).with_marker(_seen(x), JUMP_M) for x in (0.0, 0.3, 0.9)] + [
         RobotTrack()
     ]
@@ -254,7 +254,7 @@ def test_a_camera_of_one_picture_a_second_confirms_a_claim_too() -> None:
     assert track.state is Track.MARKER and track.verified
 
 
-def test_what_is_not_finite_is_no_measurement() -> None:
+def test_measurement_that_is_not_finite_is_refused() -> None:
     track, nan = _followed().predicted(STEP_S), float("nan")
     bad = [_seen(nan), _seen(0.0, 0.0, nan), _seen(0.0, peak=nan), TrackMeasurement(np.zeros(3), np.full((3, 3), np.inf), 0.9)]
     for measurement in bad:
@@ -262,7 +262,7 @@ def test_what_is_not_finite_is_no_measurement() -> None:
         assert track.with_match(measurement, 0.3) is track
 
 
-def test_what_is_added_for_a_lean_is_published_and_does_not_move_the_track() -> None:
+def test_covariance_of_a_lean_is_published_and_does_not_move_the_track() -> None:
     lean = np.diag([4e-6, 4e-6, 0.0])
     pose = _followed().message(0.3, lean)
     assert pose is not None and pose.covariance == pytest.approx(SIGMA + lean)

@@ -70,7 +70,7 @@ def test_a_film_can_be_decoded_picture_by_picture(pictures: list[Pixels]) -> Non
         assert likeness_db(frame.to_ndarray(format="bgr24"), coloured(pixels)) > 27.0
 
 
-def test_who_jumps_into_a_film_waits_a_second_at_most(pictures: list[Pixels]) -> None:
+def test_viewer_that_joins_a_film_waits_a_second_at_most(pictures: list[Pixels]) -> None:
     made = experiment("h264", video_scale=0.25)
     pack = packer(made.recording, made.camera.size_px)
     found = [units(pack(pictures[k % 12], k * SECOND // 20)) for k in range(45)]
@@ -104,7 +104,7 @@ def captured(pixels: Pixels, k: int) -> CapturedFrame:
 
 
 @pytest.mark.parametrize(("video", "topic", "kind"), [("h264", topics.VIDEO, Video), ("jpeg", topics.PICTURE, Picture)])
-def test_it_goes_out_on_its_topic_with_the_pictures_stamp(
+def test_film_goes_out_on_its_topic_with_the_pictures_stamp(
     pictures: list[Pixels], video: str, topic: Topic, kind: type
 ) -> None:
     hub, enough = MemoryHub(), threading.Event()

@@ -203,7 +203,7 @@ def test_the_wrench_grows_as_fast_per_second_at_every_control_period(period_s: f
     assert wrench[:2] == pytest.approx([0.4 * 6.0, 0.4 * 6.0], rel=1e-3)
 
 
-def test_what_the_thrusters_could_not_give_is_not_expected_of_them() -> None:
+def test_prediction_does_not_expect_thrust_that_could_not_be_given() -> None:
     """2 N were asked for and 1 N came: the plan goes on from 1 N, the limits of what is asked from 2 N."""
     asked, delivered = np.array([2.0, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])
     controller = mpc(blocks=(10, 10))

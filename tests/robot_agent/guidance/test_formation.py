@@ -78,7 +78,7 @@ def test_a_silent_neighbour_leaves_the_formation_and_keeps_a_growing_bubble() ->
         (Priority(False, 0.1), Priority(False, 0.2)),
     ],
 )
-def test_ranks(high: Priority, low: Priority) -> None:
+def test_order_of_ranks_decides_who_yields(high: Priority, low: Priority) -> None:
     assert high.goes_before(low) and not low.goes_before(high) and not high.goes_before(high)
 
 
@@ -113,7 +113,7 @@ def test_the_higher_ignores_the_lower_which_yields_and_equals_both_act() -> None
     assert formation().required_clearance_m(here, Priority(False, 0.2), 0) == pytest.approx(0.6)
 
 
-def test_nobody_is_above_a_silent_robot() -> None:
+def test_silent_robot_has_no_robot_above_it() -> None:
     silent = neighbour(plan((1, 0), tracking_error_m=9.0), fresh=False)
     assert formation().required_clearance_m(silent, Priority(True, 0.0), 0) == pytest.approx(0.6)
 
@@ -129,13 +129,13 @@ def test_half_spaces_only_when_it_gets_close() -> None:
     assert len(half_spaces(here, expecting(0.64)).node) == 5
 
 
-def test_of_a_silent_robot_half_spaces_come_sooner() -> None:
+def test_half_spaces_of_a_silent_robot_come_sooner() -> None:
     silent = [neighbour(plan((0, 0)), fresh=False)]
     assert len(half_spaces(silent, expecting(1.0), now_ns=NS).node) == 0
     assert half_spaces(silent, expecting(1.0), now_ns=5 * NS).offset == pytest.approx(np.full(5, 1.1))
 
 
-def test_who_ranks_higher_sees_no_half_spaces() -> None:
+def test_robot_of_higher_priority_sees_no_half_spaces() -> None:
     here = [neighbour(plan((0, 0), tracking_error_m=0.2)), neighbour(plan((0.5, 1.0), tracking_error_m=0.0), robot=3)]
     rows = half_spaces(here, expecting(0.5, 0.5), Priority(False, 0.1))
     assert rows.offset == pytest.approx(np.full(5, -1.0 + 0.6)) and np.allclose(rows.normal, -1j)  # of the second one alone

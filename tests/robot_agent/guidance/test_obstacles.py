@@ -35,7 +35,7 @@ def test_a_place_is_as_far_from_the_pieces_as_from_the_box(half_x: float, half_y
     assert not obstacle.overlaps(complex(place), 0.15, 0)
 
 
-def test_what_drifts_is_expected_where_it_will_be() -> None:
+def test_drifting_obstacle_is_expected_where_it_will_be() -> None:
     (obstacle,) = obstacles_from_message(box(1.0, 0.0, 0.1, 0.1, (0.0, 0.05)), NS, 0.3)
     near, _, _ = nearest_border(obstacle, np.array([0.0, 0.0j]), [NS, 3 * NS])
     assert near[0].imag == pytest.approx(0.0, abs=0.101) and near[1].imag == pytest.approx(0.0, abs=0.01)
@@ -51,7 +51,7 @@ def test_inside_the_nearest_border_is_the_way_out() -> None:
 
 
 @pytest.mark.parametrize("place", [0.0, 0.05 + 0.1j, 0.35, 0.2 - 0.3j])
-def test_what_lies_where_the_robot_is_is_the_robot(place: complex) -> None:
+def test_obstacle_at_the_robots_place_is_the_robot_itself(place: complex) -> None:
     (obstacle,) = obstacles_from_message(box(0.0, 0.0, 0.25, 0.25), 0, 0.3)
     assert obstacle.overlaps(complex(place), 0.15, 0)
 
@@ -65,7 +65,7 @@ def test_nonsense_is_no_obstacle(poison: float) -> None:
 
 
 @pytest.mark.parametrize(("told", "believed"), [(2.1, 2.0), (-5.0, -2.0), (1e9, 2.0), (np.nan, 0.0), (np.inf, 0.0)])
-def test_what_moves_faster_than_anything_can_is_an_obstacle_all_the_same(told: float, believed: float) -> None:
+def test_obstacle_faster_than_anything_can_be_is_kept(told: float, believed: float) -> None:
     """An arm in the water, or an outline that grows at once: the slope of its middle is no reason to swim into it."""
     (obstacle,) = obstacles_from_message(box(1.0, 0.0, 0.1, 0.1, (told, 0.0)), 0, 0.3)
     assert obstacle.velocity == pytest.approx(believed) and obstacle.centre == pytest.approx(1.0)

@@ -125,7 +125,7 @@ def test_a_trajectory_that_cannot_be_flown_is_refused(loaded: Trajectory | None,
 
 
 @pytest.mark.parametrize("scene", ["pool", "figure-eight", "straight", "islands", "numeric", "swap", "blocked-path"])
-def test_what_the_planner_plans_is_loaded(scene: str) -> None:
+def test_trajectory_of_the_planner_is_loaded(scene: str) -> None:
     experiment = load_experiment(scene)
     for trajectory in planner.plan(experiment).values():
         assert unflyable(trajectory, experiment.pool, experiment.vehicle) == ""

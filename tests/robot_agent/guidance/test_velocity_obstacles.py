@@ -73,7 +73,7 @@ def fly(points: list[Point], seconds: float) -> tuple[float, np.ndarray]:
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.5, 2.5])
-def test_whoever_is_in_the_way_is_seen_whatever_the_horizon(seconds: float) -> None:
+def test_robot_in_the_way_is_seen_whatever_the_horizon(seconds: float) -> None:
     times_s = TIMES_S[: np.searchsorted(TIMES_S, seconds)]
     for ahead_m, leaves in ((1.0, True), (-1.0, False)):
         point = Point(0j, 5.0 + 0j, 0.1)
@@ -120,7 +120,7 @@ def test_four_through_one_point_go_round_one_another(seed: int) -> None:
     assert nearest > 0.65 and arrived(points)
 
 
-def test_who_is_overtaken_goes_on_and_the_other_goes_round() -> None:
+def test_overtaken_robot_goes_on_and_the_other_passes_around() -> None:
     points = [Point(-1.9 + 0.02j, 1.9 + 0.02j, 0.1), Point(-1.0, 0.6, 0.04)]
     nearest, track = fly(points, 60.0)
     assert nearest > KEEP_M - 0.06 and arrived(points)
@@ -137,7 +137,7 @@ def test_robots_in_formation_are_given_back_their_own_path(angle: float, apart: 
     assert not any(me.step(k * PERIOD_S, mate) for k in range(20))
 
 
-def test_it_comes_back_without_overshoot() -> None:
+def test_robot_comes_back_to_its_path_without_overshoot() -> None:
     points = [Point(-1.8, 2.5, 0.1), Point(1.8, -1.8, 0.1)]
     _, track = fly(points, 60.0)
     aside = track[:, 0].imag
@@ -146,7 +146,7 @@ def test_it_comes_back_without_overshoot() -> None:
     assert np.all(np.diff(aside[gone:]) < 1e-3)
 
 
-def test_it_is_not_driven_into_a_wall() -> None:
+def test_robot_is_not_driven_into_a_wall() -> None:
     """The wall is 0.5 m to starboard: the other one has to do it all."""
     room = (10.0, 1.0)
     points = [Point(-1.8 + 0.3j, 1.8 + 0.3j, 0.1, room), Point(1.8 + 0.3j, -1.8 + 0.3j, 0.1, room)]

@@ -59,7 +59,7 @@ def test_the_unit_says_what_was_decided() -> None:
 @pytest.mark.parametrize(
     ("home", "user"), [("shoal", "pi"), ("/opt/sh oal", "pi"), ("/opt/$X", "pi"), ("/opt", "pi\nUser=root")]
 )
-def test_what_systemd_would_misread_is_refused(home: str, user: str) -> None:
+def test_value_that_systemd_would_misread_is_refused(home: str, user: str) -> None:
     with pytest.raises(ConfigError):
         unit_text(home, user)
 
@@ -112,7 +112,7 @@ def test_without_a_service_manager_nothing_happens(environment: dict[str, str]) 
     watchdog.close()
 
 
-def test_what_the_robot_does_stands_in_a_file_until_the_agent_ends(tmp_path: Path) -> None:
+def test_mode_stands_in_a_file_until_the_agent_ends(tmp_path: Path) -> None:
     watchdog = ServiceNotifier({"RUNTIME_DIRECTORY": str(tmp_path)})
     watchdog.mode("DISARMED")
     watchdog.mode("TRACKING")
@@ -170,7 +170,7 @@ def in_a_child(wanted: RealtimeConfig) -> str:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="real-time options are Linux's")
-def test_what_the_system_refuses_is_said_and_not_fatal() -> None:
+def test_refusal_of_the_system_is_told_and_not_fatal() -> None:
     assert realtime.apply(RealtimeConfig()) == []
     assert "cores [4000]" in in_a_child(RealtimeConfig(cores=(4000,)))
     assert in_a_child(RealtimeConfig(cores=tuple(os.sched_getaffinity(0)))) == "[]"
@@ -178,7 +178,7 @@ def test_what_the_system_refuses_is_said_and_not_fatal() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="needs root to be allowed everything")
-def test_what_the_system_allows_is_done_for_this_thread_only() -> None:
+def test_realtime_settings_hold_for_this_thread_only() -> None:
     script = """
 import os, threading
 from robot_agent.host import realtime

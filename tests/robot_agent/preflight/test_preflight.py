@@ -319,7 +319,7 @@ def test_a_board_where_all_is_well_passes_and_its_thrusters_turn(site: Path) -> 
         agent.close()
 
 
-def test_what_is_wrong_is_named(tmp_path: Path) -> None:
+def test_failed_check_is_named(tmp_path: Path) -> None:
     file = tmp_path / "agent.toml"
     text = 'experiment = "pool"\nrobot = 9\nstation = "{}"\nlink = "serial:/dev/nothing-here"\nkeys = "keys"\n'
     file.write_text(text.format(f"tls/127.0.0.1:{free_port()}"))

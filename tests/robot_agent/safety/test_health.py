@@ -62,7 +62,7 @@ def test_a_robot_that_is_well_arms() -> None:
          "the thruster board does not arm with this battery: charge state 3, 12.4 V"),
     ],
 )  # fmt: skip
-def test_what_keeps_a_robot_from_arming_is_said(inputs: Inputs, station: StationView, reason: str) -> None:
+def test_reason_against_arming_is_told(inputs: Inputs, station: StationView, reason: str) -> None:
     assert unfit(inputs, station) == reason
 
 

@@ -62,7 +62,7 @@ def test_evidence_is_a_ratio_of_likelihoods(missing: float) -> None:
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.3, 1.0])
-def test_it_learns_what_a_batch_fit_of_all_samples_finds(missing: float, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recursion_learns_what_a_batch_fit_of_all_samples_finds(missing: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """But of those that are still looked at. The fit knows the noise, and neither forgets anything."""
     monkeypatch.setattr(robot_agent.safety.likelihood_ratio, "FADES_S", 1e9)
     theta = np.array([-0.25, 0.2, 0.3, 0.003])
@@ -76,14 +76,14 @@ def test_it_learns_what_a_batch_fit_of_all_samples_finds(missing: float, monkeyp
     assert (expected > 20.0) is (missing == 1.0)
 
 
-def test_what_is_always_missing_is_a_habit() -> None:
+def test_constant_lack_becomes_a_habit() -> None:
     """A quarter of both parts and a little more of one, from the beginning: never evidence worth the name."""
     x, y = samples(np.array([-0.4, -0.25, 0.0, 0.0]), 40.0, 2)
     test = fresh()
     assert max(teach(test, x[k : k + 1], y[k : k + 1], k).evidence for k in range(len(x))) < SUSPECTED
 
 
-def test_what_is_suspected_does_not_become_a_habit() -> None:
+def test_suspected_sample_does_not_become_a_habit() -> None:
     """However long it lasts."""
     x, y = samples(np.zeros(4), 60.0, 4)
     begin = round(20.0 / STEP_S)
@@ -94,7 +94,7 @@ def test_what_is_suspected_does_not_become_a_habit() -> None:
     assert np.median(late) > 20.0
 
 
-def test_what_is_not_seen_any_more_is_doubted_again() -> None:
+def test_habit_that_is_not_seen_any_more_is_doubted_again() -> None:
     x, y = samples(np.zeros(4), 30.0, 5)
     broken = y[-20:] - 0.8 * x[-20:, 0]
     known = teach(teach(fresh(), x[:-20], y[:-20]), x[-20:], broken, len(x) - 20).evidence

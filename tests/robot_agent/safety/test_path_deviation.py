@@ -24,24 +24,24 @@ def left(off_m: Sequence[float], is_free: Sequence[bool] | None = None) -> int |
     return None
 
 
-def test_who_leaves_the_path_for_half_a_second_says_so() -> None:
+def test_robot_off_its_path_for_half_a_second_reports_it() -> None:
     assert left([0.05] * 20 + [0.31] * 100) == 30
     assert left([0.05] * 20 + [0.29] * 100) is None
     assert left(([0.05] * 20 + [0.31] * 9) * 5) is None
 
 
-def test_who_has_not_arrived_yet_or_comes_back_does_not() -> None:
+def test_robot_that_has_not_arrived_or_comes_back_reports_nothing() -> None:
     assert left([4.0] * 200 + [0.2] * 20 + [0.4] * 200) is None
     assert left([4.0] * 200 + [0.1] * 20 + [0.4] * 200) is not None
 
 
-def test_who_makes_way_has_a_reason_until_it_is_back() -> None:
+def test_robot_that_gives_way_is_excused_until_it_is_back() -> None:
     off_m = [0.05] * 20 + [0.8] * 100 + [0.4] * 100 + [0.05] * 20 + [0.4] * 100
     is_free = [True] * 19 + [False] * 101 + [True] * 220
     assert left(off_m, is_free) == 20 + 100 + 100 + 20 + 10
 
 
-def test_who_drifts_off_and_comes_near_to_others_has_none() -> None:
+def test_robot_that_drifts_towards_others_is_not_excused() -> None:
     assert left([0.05] * 20 + [0.2] * 20 + [0.31] * 100, [True] * 25 + [False] * 115) == 50
 
 
@@ -61,7 +61,7 @@ def test_where_a_path_sets_off_at_once_all_arrive_anew() -> None:
 
 
 @pytest.mark.parametrize("speed_mps", [0.1, 0.2, 0.3, 0.4])
-def test_who_starts_from_rest_on_a_fast_path_flies_it(speed_mps: float) -> None:
+def test_robot_that_starts_from_rest_on_a_fast_path_flies_it(speed_mps: float) -> None:
     fleet = flew(load_experiment("straight", [f"path.speed_mps={speed_mps}", "duration_s=15"]))
     assert {state.mode for state in fleet.robots[0].states if state.trajectory_s > 0.0} == {Mode.TRACKING}
     assert np.linalg.norm(fleet.truth[-1][0][:2] - fleet.robots[0].states[-1].eta_reference[:2]) < 0.1
@@ -96,7 +96,7 @@ def test_a_thruster_that_goes_on_as_it_was_told_does_little_harm_in_still_water(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(24))
-def test_whatever_breaks_a_thruster_does_little_harm_in_still_water(seed: int) -> None:
+def test_broken_thruster_does_little_harm_in_still_water(seed: int) -> None:
     random = np.random.default_rng(seed)
     robot, thruster, at_s = random.integers(1, 3), random.integers(1, 5), random.uniform(8.0, 20.0)
     how = ("dead", "reversed", "stuck", "weak 0.2")[seed % 4]

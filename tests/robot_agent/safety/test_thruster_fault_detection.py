@@ -145,7 +145,7 @@ def test_how_a_robot_turns_is_learned() -> None:
     assert watched(broken.sum(axis=1), told).broken
 
 
-def test_what_was_learned_outlasts_a_gap() -> None:
+def test_learned_habit_outlasts_a_gap() -> None:
     """The gap itself is no alarm either, though the robot turned meanwhile."""
     told = legs(35.0)
     obeyed = 0.75 * told
@@ -163,7 +163,7 @@ def test_a_leg_that_stuck_is_found_when_it_should_do_otherwise() -> None:
     assert watched(given.sum(axis=1), told).broken
 
 
-def test_what_is_heard_late_is_no_alarm() -> None:
+def test_late_sample_raises_no_alarm() -> None:
     """Now and then, or all the time."""
     told = legs(35.0, swing=0.15, largest_nm=0.25)
     assert not watched(told.sum(axis=1), told, late=range(500, 600)).broken

@@ -28,7 +28,7 @@ wrenches = st.tuples(st.floats(-6, 6), st.floats(-3, 3), st.floats(-0.5, 0.5))
 
 @settings(max_examples=400, deadline=None)
 @given(wrenches)
-def test_what_fits_is_delivered_exactly(wrench: tuple[float, float, float]) -> None:
+def test_feasible_wrench_is_delivered_exactly(wrench: tuple[float, float, float]) -> None:
     surge, heave, yaw = wrench
     side = abs(surge) / 4 + abs(yaw) / (4 * 0.0833)
     assume(side < 2.2 and math.hypot(side, abs(heave) / 4) < 2.4 and abs(heave) / 4 < 1.1 * max(side, 0.7))
@@ -142,7 +142,7 @@ def test_neutral_delivers_nothing() -> None:
 
 @pytest.mark.parametrize("poison", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_what_is_no_number_is_neutral(axis: int, poison: float) -> None:
+def test_wrench_that_is_not_finite_gives_neutral(axis: int, poison: float) -> None:
     wrench = np.zeros(3)
     wrench[axis] = poison
     allocator = Allocator(load_vehicle("spherical"))

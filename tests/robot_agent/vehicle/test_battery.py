@@ -50,7 +50,7 @@ def test_a_board_that_measures_nothing_any_more_tells_0_V_and_that_is_empty() ->
     assert battery.empty and "the battery has" in battery.arming_refusal(now_ns)
 
 
-def test_who_was_too_low_to_arm_stays_so_until_well_above() -> None:
+def test_battery_too_low_to_arm_stays_so_until_well_above() -> None:
     battery, now_ns = told(10.4)
     assert battery.arming_refusal(now_ns) == "the battery has 10.4 V, needs 10.8 V since it was below 10.5 V"
     battery, now_ns = told(*[10.7] * 20, battery=battery, from_ms=500)
@@ -64,7 +64,7 @@ def test_who_was_too_low_to_arm_stays_so_until_well_above() -> None:
     [(0, True, False), (1, True, False), (2, True, False), (3, False, False), (4, False, True), (5, False, True),
      (6, False, True), (7, False, False)],
 )  # fmt: skip
-def test_what_the_board_takes_the_battery_for_counts_whatever_the_voltage(charge: int, arms: bool, empty: bool) -> None:
+def test_battery_level_of_the_board_counts_whatever_the_voltage(charge: int, arms: bool, empty: bool) -> None:
     battery, now_ns = told(12.4, charge=charge)
     assert (battery.arming_refusal(now_ns) == "", battery.empty) == (arms, empty)
     assert arms or f"charge state {charge}" in battery.arming_refusal(now_ns)

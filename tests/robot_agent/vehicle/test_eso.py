@@ -165,7 +165,7 @@ def test_a_current_is_found_once_the_robot_has_turned() -> None:
     assert np.hypot(without[0], without[1]) > 2 * np.hypot(late[0], late[1]) and max(without[4:6]) > 5 * max(late[4:6])
 
 
-def test_what_a_current_does_is_told_as_the_disturbance_that_still_water_would_need() -> None:
+def test_effect_of_a_current_is_told_as_the_disturbance_in_still_water() -> None:
     """The acceleration over ground less what the nominal model gives for these velocities, by finite differences."""
     found, flight = fly(circling, 60.0, estimator(), current=0.06 - 0.04j)
     for k in range(1000, 1150, 10):

@@ -59,7 +59,7 @@ def test_parameters_over_a_serial_port_and_across_a_restart(tmp_path: Path) -> N
         assert say("get", "--link", link, "THR1_TRIM_US") == (0, "-12\n")
 
 
-def test_what_cannot_be_asked_for_is_not(tmp_path: Path) -> None:
+def test_bench_command_with_invalid_options_is_refused(tmp_path: Path) -> None:
     for name in ("", "SLÉW", "A_NAME_OF_17_CHAR"):
         assert "no parameter's name (allowed: 1 to 16 ASCII characters" in say("get", name)[1]
     for value in ("1e39", "-- -1e39", "inf", "nan"):

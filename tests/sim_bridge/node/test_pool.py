@@ -22,7 +22,7 @@ ROBOT = "robots=[{id=1, node_m=[0.0, 0.0, 0.0], start=[0.4, 0.0, 0.3, 0.0]}]"
 EXPOSURES = 8
 
 
-def test_of_every_exposure_there_is_a_pose_however_old_poses_are() -> None:
+def test_every_exposure_has_a_pose_however_old_poses_are() -> None:
     """Four periods of the camera old, and told when they are as old as that."""
     experiment = load_experiment("pool", ["sim.latency_s=0.2", ROBOT])
     hub, stop = MemoryHub(), Stop(install=False)

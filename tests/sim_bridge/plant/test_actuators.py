@@ -68,7 +68,7 @@ def test_each_pulse_acts_once_and_in_order() -> None:
 
 
 @pytest.mark.parametrize("pulse", [1477, 1490, 1500, 1523])
-def test_dead_zone(pulse: float) -> None:
+def test_pulse_inside_the_dead_zone_gives_no_thrust(pulse: float) -> None:
     assert (run(Plant(pool(), seed=0), None, pulses(pulse, 1500), 100)[-1].force_n == 0.0).all()
 
 

@@ -29,7 +29,7 @@ def thrust_factor(supply: BatteryModel, charge: Array, force_n: Array, sag_v: Ar
     return factor
 
 
-def test_it_starts_at_the_experiment_s_voltage() -> None:
+def test_battery_starts_at_the_experiments_voltage() -> None:
     for volts in (11.0, 12.4, 12.6, 13.5):
         found = supply(f"sim.sensors.battery_v={volts}")
         assert found.rest_v(found.start(2)) == pytest.approx([volts, volts])

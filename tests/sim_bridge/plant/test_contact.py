@@ -24,7 +24,7 @@ def test_an_island_stops_a_robot_and_lets_it_slide_off() -> None:
     assert state.eta[1, 0] > 3.0  # the other one passes
 
 
-def test_nobody_starts_in_an_island() -> None:
+def test_robot_that_starts_in_an_island_is_refused() -> None:
     fleet = Plant(load_experiment("pool", ISLAND), 1)
     with pytest.raises(ConfigError, match=r"robot 2: starts at \(1.3, 0.5, 0.5\), in a wall, an island or another robot"):
         fleet.start(np.array([[-0.5, 0.5, 0.5, 0.0], [1.3, 0.5, 0.5, 0.0]]))

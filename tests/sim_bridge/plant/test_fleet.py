@@ -137,7 +137,7 @@ def test_the_error_falls_with_the_fourth_power_of_the_step() -> None:
 # --- closed forms
 
 
-def test_terminal_speeds() -> None:
+def test_terminal_speeds_balance_drag_and_thrust() -> None:
     """linear v + quadratic v^2 = thrust, solved by hand; both robots, ahead and astern."""
     fleet = plant(*OPEN)
     pulses = np.array([[1600.0] * 4 + [1500] * 4, [1400.0] * 4 + [1500] * 4])

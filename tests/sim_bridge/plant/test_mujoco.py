@@ -105,7 +105,7 @@ def agree(peer: Peer, state: PlantState, place_m: float, attitude_rad: float) ->
     assert attitude(state) == pytest.approx(peer.turn, abs=attitude_rad)
 
 
-def test_free_decay() -> None:
+def test_free_decay_equals_mujocos() -> None:
     """Let go at 23 degrees of roll and 17 of pitch, turning and drifting: it swings, slides and comes to rest alike."""
     roll, pitch = 0.4, -0.3
     state = ours([1500.0] * 4, 4.0, lambda s: replace(s, tilt=np.tile([roll, pitch, 0.0, 0.0], (2, 1))))
@@ -119,7 +119,7 @@ def test_free_decay() -> None:
     assert np.abs(state.tilt[0, :2]).max() > 0.01  # still swinging: the comparison is of motion, not of rest
 
 
-def test_constant_thrust() -> None:
+def test_motion_at_constant_thrust_equals_mujocos() -> None:
     """All four ahead: the bow lifts by the thrusters' lever, and speed settles."""
     thrust = 4 * 1.22
     state = ours([1700.0] * 4, 10.0)
@@ -129,7 +129,7 @@ def test_constant_thrust() -> None:
     assert state.eta[0, 0] - APART[0, 0] > 3.0 and state.tilt[0, 1] > 0.05
 
 
-def test_circle() -> None:
+def test_circle_equals_mujocos() -> None:
     """Port thrusters harder than starboard: a circle, slid through sideways, heeled outwards. Twenty seconds of it."""
     port, starboard = 0.478, 0.207
     state = ours([1600.0, 1550.0, 1600.0, 1550.0], 20.0)

@@ -19,7 +19,7 @@ from wire.toml_loader import ConfigError
         ("numeric-disturbed", (), "localizer.uses_camera = false: no camera locates these robots"),
     ],
 )
-def test_who_cannot_be_seen_flies_without_the_camera_or_not_at_all(
+def test_robot_outside_the_picture_flies_without_the_camera_or_not_at_all(
     name: str, settings: tuple[str, ...], complaint: str
 ) -> None:
     experiment = load_experiment(name, settings)

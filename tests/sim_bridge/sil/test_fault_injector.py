@@ -17,7 +17,7 @@ from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
 
-def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:
+def test_injector_stops_continues_and_kills_a_process(tmp_path: Path) -> None:
     lines = ["t=0.1 for=0.3 process agent-1 stopped", "t=0.2 process agent-2 killed"]
     children = Children(tmp_path)
     try:
@@ -38,7 +38,7 @@ def test_it_stops_lets_go_on_and_kills(tmp_path: Path) -> None:
         children.stop()
 
 
-def test_what_holds_on_outlives_a_shorter_fault_of_the_same_program(tmp_path: Path) -> None:
+def test_longer_fault_outlives_a_shorter_one_of_the_same_program(tmp_path: Path) -> None:
     """Stopped for good, and once more for a moment; a clock an hour off, and a minute for a moment."""
     lasting = ["t=0.1 process agent-1 stopped", "t=0.1 clock agent-2 step 3600"]
     passing = ["t=0.2 for=0.2 process agent-1 stopped", "t=0.2 for=0.2 clock agent-2 step 60"]

@@ -31,7 +31,7 @@ def test_two_robots_are_named() -> None:
     assert told.endswith("1 tracking 12 mm, 2 holding 0 mm (the pose is old)")
 
 
-def test_of_twenty_the_worst_is_named_and_whoever_has_something_to_say() -> None:
+def test_of_twenty_robots_the_worst_and_those_with_alarms_are_named() -> None:
     states = {robot: tracking(0.001 * robot) for robot in range(1, 19)} | {
         19: RobotState(mode=Mode.DISARMED, fault="no battery")
     }

@@ -98,7 +98,7 @@ def test_draws_are_from_their_distributions_and_repeat() -> None:
         ({"flights": 3}, "flights: unknown key"),
     ],
 )
-def test_what_is_refused(changes: dict[str, Any], complaint: str) -> None:
+def test_invalid_campaign_is_refused(changes: dict[str, Any], complaint: str) -> None:
     with pytest.raises(ConfigError) as caught:
         campaign(**changes)
     assert complaint in str(caught.value)
@@ -173,7 +173,7 @@ def test_a_campaign_with_the_camera_refuses_what_has_none(changes: dict[str, Any
         fly(campaign(camera=True, **changes), tmp_path / "c")
 
 
-def test_it_goes_on_where_it_was(flown: Path, tmp_path: Path) -> None:
+def test_interrupted_campaign_continues_where_it_was(flown: Path, tmp_path: Path) -> None:
     """Half a journal, its last line torn, and one flight that is now wanted otherwise."""
     lines = (flown / "journal.jsonl").read_text().splitlines()
     (tmp_path / "journal.jsonl").write_text("\n".join([*lines[:2], lines[2][:40]]) + "\n")
@@ -322,7 +322,7 @@ def test_a_bad_value_of_the_last_flight_is_found_before_the_first_one_flies(tmp_
     assert not (tmp_path / "c").exists()
 
 
-def test_of_a_million_flights_only_a_few_are_prepared_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_a_few_of_a_million_flights_are_prepared_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The flights are swept, so that two of them are checked; the executor counts how many it holds."""
     stop, held, most = Stop(install=False), [0], [0]
 
@@ -354,7 +354,7 @@ def test_a_dask_cluster_flies_the_same(flown: Path, tmp_path: Path) -> None:
     assert [row["rms_m"] for row in found] == [row["rms_m"] for row in expected]
 
 
-def test_a_cluster_that_is_not_there(tmp_path: Path) -> None:
+def test_absent_cluster_is_named(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:1: "):
         fly(campaign(seeds=1), tmp_path / "c", scheduler="tcp://127.0.0.1:1")
 

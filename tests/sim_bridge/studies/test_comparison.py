@@ -117,7 +117,7 @@ def test_the_command_flies_in_processes_what_this_process_flies(tmp_path: Path) 
         (["pool", "--scatter", "3.0", "--seeds", "1", "--laws", "pid"], "starts at"),
     ],
 )
-def test_what_cannot_be_compared_is_said(arguments: list[str], complaint: str, tmp_path: Path) -> None:
+def test_impossible_comparison_is_refused(arguments: list[str], complaint: str, tmp_path: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", "sim_bridge", "compare", *arguments, "--out", str(tmp_path), "--jobs", "1"],
         capture_output=True,

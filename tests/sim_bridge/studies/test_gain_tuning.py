@@ -28,7 +28,7 @@ def test_gains_go_out_and_come_back_in_the_order_of_the_section(name: str) -> No
 
 
 @pytest.mark.parametrize("name", FEEDBACK)
-def test_what_is_printed_is_a_section_of_an_experiment_file(name: str) -> None:
+def test_printed_gains_are_a_section_of_an_experiment_file(name: str) -> None:
     section = getattr(CONTROLLER, name)
     changed = with_gains(section, 1.5 * np.array(values(section)))
     table = tomllib.loads(TuningResult(name.replace("_", "-"), 0.0, 0.0, changed.model_dump()).toml())
@@ -49,7 +49,7 @@ def bowl(gains: Array) -> float:
     return float(np.sum(np.log(gains / BEST) ** 2))
 
 
-def test_it_spends_its_budget_and_begins_with_the_guess() -> None:
+def test_search_spends_its_budget_and_begins_with_the_guess() -> None:
     flown: list[Array] = []
 
     def fly(gains: Array) -> float:
@@ -64,7 +64,7 @@ def test_it_spends_its_budget_and_begins_with_the_guess() -> None:
         assert trial.cost == bowl(gains) and np.all(gains > 0.0)
 
 
-def test_it_finds_gains_two_decades_away() -> None:
+def test_search_finds_gains_two_decades_away() -> None:
     costs = [min(t.cost for t in search(np.ones(4), 200, seed, bowl)) for seed in range(5)]
     assert bowl(np.ones(4)) > 30.0 and max(costs) < 0.1
 
@@ -84,7 +84,7 @@ def test_gains_that_are_zero_stay_out_of_it() -> None:
 @pytest.mark.parametrize(
     "worse", [{"rms_m": 0.2}, {"rms_after_20s_m": 0.02}, {"rms_yaw_rad": 0.3}, {"input_step_rms": 0.2}, {"under_way": 0.99}]
 )
-def test_what_is_worse_costs_more(worse: dict[str, float]) -> None:
+def test_worse_flight_costs_more(worse: dict[str, float]) -> None:
     assert cost([GOOD, dataclasses.replace(GOOD, **worse)]) > cost([GOOD, GOOD])
 
 

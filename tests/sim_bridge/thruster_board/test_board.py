@@ -484,7 +484,7 @@ def allowed(experiment: Experiment, pulses: tuple[int, ...]) -> bool:
 
 @settings(max_examples=150)
 @given(actions=ACTIONS)
-def test_whatever_arrives_the_rules_hold(actions: list[tuple[str, object]]) -> None:
+def test_rules_hold_whatever_arrives(actions: list[tuple[str, object]]) -> None:
     """Against a second, blunt account of the rules: thrust only when armed, within 255 ms of an override that was allowed,
     never out of range, never faster than the slew rate."""
     experiment = load_experiment("pool")

@@ -103,7 +103,7 @@ def test_the_board_says_what_it_is() -> None:
     assert [m.result for m in Bench().ask(other)] == [agent_link.UNSUPPORTED]
 
 
-def test_somebody_elses_timesync_does_not_set_the_computers_clock() -> None:
+def test_timesync_of_a_stranger_does_not_set_the_computers_clock() -> None:
     bench = Bench()
     bench.now_ns = 3_600_000_000_000
     bench.step(bench.station.pack(dialect.MAVLink_timesync_message(0, bench.now_ns - 7)))
@@ -144,7 +144,7 @@ def test_one_is_read_by_name_or_by_index(name: bytes, index: int) -> None:
 
 
 @pytest.mark.parametrize(("name", "index"), [(b"NONSENSE", -1), (b"", 1000), (b"CMD_AGE_MS", 32767), (b"\xff\xfe", -1)])
-def test_what_is_not_there_cannot_be_read(name: bytes, index: int) -> None:
+def test_unknown_parameter_cannot_be_read(name: bytes, index: int) -> None:
     error, _ = Bench().ask(dialect.MAVLink_param_request_read_message(1, 1, name, index))
     assert (error.get_type(), error.error) == ("PARAM_ERROR", dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)
 
@@ -168,7 +168,7 @@ def test_setting_is_acknowledged_kept_and_counts() -> None:
         ("BAT_WARN_V", 9.0, 9, 2),
     ],
 )
-def test_what_is_refused_is_answered_with_the_old_value_and_the_reason(name: str, value: float, kind: int, error: int) -> None:
+def test_refused_value_is_answered_with_the_old_one_and_the_reason(name: str, value: float, kind: int, error: int) -> None:
     bench = Bench()
     before = bench.board.rules.parameters
     told, refused, text = bench.set(name, value, kind)
@@ -336,7 +336,9 @@ def test_a_folder_keeps_a_key_for_its_owners_eyes_only(tmp_path: Path) -> None:
         (1, KEY, None, "a board is heard that has no key (over a cable, `robot-agent params give-key FILE` gives it one)"),
     ],
 )
-def test_who_hears_no_board_is_told_why(robot: int | None, key: Key | None, boards: Key | None, says: str) -> None:
+def test_computer_that_hears_no_board_is_told_the_reason(
+    robot: int | None, key: Key | None, boards: Key | None, says: str
+) -> None:
     client, bench = ParameterClient(robot, key, lambda: 1000), Bench(boards)
     assert (client.heard, client.silence()) == (False, "no board is heard (is it powered?)")
     assert client.silence("the cable is out") == "the cable is out"

@@ -20,7 +20,7 @@ def changed(name: str, value: float) -> Parameters:
     return new
 
 
-def test_they_begin_as_vehicle_and_board_have_them() -> None:
+def test_parameters_begin_with_the_values_of_vehicle_and_board() -> None:
     experiment = load_experiment("pool")
     assert Parameters.of(experiment) == POOL  # which was made when this file was read: before `make mutants` changes anything
     assert POOL.curve == tuple((us, single(force)) for us, force in experiment.vehicle.thruster.curve)
@@ -94,7 +94,7 @@ def test_no_parameter_takes_what_is_no_number(value: float) -> None:
         ("CRV07_N", 0.01),
     ],
 )
-def test_what_does_not_fit_together_is_refused(name: str, value: float) -> None:
+def test_inconsistent_value_is_refused(name: str, value: float) -> None:
     assert POOL.changed(name, value) is Refusal.INCONSISTENT
 
 
@@ -119,7 +119,7 @@ def test_what_does_not_fit_together_is_refused(name: str, value: float) -> None:
         ("BAT_HYST_V", 5),
     ],
 )
-def test_what_fits_is_taken(name: str, value: float) -> None:
+def test_consistent_value_is_accepted(name: str, value: float) -> None:
     assert changed(name, value)[name] == single(value)
 
 
@@ -130,11 +130,11 @@ def test_a_curve_that_is_nowhere_zero_has_no_dead_zone() -> None:
     assert not Parameters(POOL.table, values).is_consistent()
 
 
-def test_unknown_names() -> None:
+def test_unknown_parameter_name_is_refused() -> None:
     assert POOL.changed("SLEW", 1) is POOL.changed("", 1) is Refusal.UNKNOWN
 
 
-def test_what_was_kept_comes_back() -> None:
+def test_stored_values_come_back_after_a_restart() -> None:
     stored = dict(zip(POOL.index, changed("THR2_TRIM_US", -20).values, strict=True))
     assert POOL.restored(stored)["THR2_TRIM_US"] == -20
     assert POOL.restored({}) == POOL
@@ -144,20 +144,20 @@ def test_what_was_kept_comes_back() -> None:
 @pytest.mark.parametrize(
     ("name", "ends"), [("CMD_AGE_MS", (50, 300)), ("SLEW_US_S", (100, 100_000)), ("ANK4_TRIM_US", (-100, 100))]
 )
-def test_what_was_kept_may_be_at_the_ends_of_its_range(name: str, ends: tuple[float, float]) -> None:
+def test_stored_values_at_the_ends_of_their_range_come_back(name: str, ends: tuple[float, float]) -> None:
     assert [POOL.restored({name: value})[name] for value in ends] == list(ends)
 
 
 @pytest.mark.parametrize(
     "broken", [{"CMD_AGE_MS": 1e9}, {"CMD_AGE_MS": math.nan}, {"CMD_AGE_MS": 60.5}, {"THR_MIN_US": 1600.0}]
 )
-def test_what_was_kept_badly_does_not(broken: dict[str, float]) -> None:
+def test_damaged_stored_values_are_replaced_by_defaults(broken: dict[str, float]) -> None:
     assert POOL.restored({"THR2_TRIM_US": 5.0, **broken}) == POOL
 
 
 @settings(max_examples=300)
 @given(st.lists(st.tuples(st.sampled_from(POOL.table), st.floats() | st.integers(-200, 3000).map(float)), max_size=30))
-def test_whatever_is_written_all_stays_consistent(writes: list[tuple[Parameter, float]]) -> None:
+def test_any_sequence_of_writes_leaves_consistent_parameters(writes: list[tuple[Parameter, float]]) -> None:
     parameters = POOL
     for row, value in writes:
         new = parameters.changed(row.name, value)
@@ -167,7 +167,7 @@ def test_whatever_is_written_all_stays_consistent(writes: list[tuple[Parameter, 
 
 
 @given(st.floats())
-def test_single_precision(value: float) -> None:
+def test_value_is_kept_in_single_precision(value: float) -> None:
     rounded = single(value)
     assert math.isnan(rounded) if math.isnan(value) else single(rounded) == rounded
     if abs(value) < 1e38 and abs(value) > 1e-37:

@@ -52,7 +52,7 @@ def flying(pulses: tuple[int, ...] = AHEAD) -> BoardStateMachine:
 # --- arming
 
 
-def test_power_on() -> None:
+def test_outputs_are_neutral_at_power_on() -> None:
     rules = fresh()
     assert (rules.armed, rules.echo_us, rules.outputs_us, rules.charge) == (False, NEUTRAL, NEUTRAL, Charge.GOOD)
     assert (rules.overrides_received, rules.overrides_refused, rules.said) == (0, 0, [])
@@ -318,7 +318,7 @@ def test_a_measurement_that_is_no_number_counts_as_none(volts: float) -> None:
     assert rules.said == [StatusText(2, "battery NEUTRAL: 0.0 V")]
 
 
-def test_what_the_levels_forbid() -> None:
+def test_battery_levels_forbid_arming_and_thrust() -> None:
     rules = armed()
     rules.battery(10.6, 1.0)
     assert rules.armed

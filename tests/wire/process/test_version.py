@@ -13,6 +13,8 @@ from wire.config.experiment import load_experiment
 from wire.process import version
 from wire.process.version import UNKNOWN, commit
 
+pytestmark = pytest.mark.real_time
+
 ROOT = Path(__file__).parents[3]
 
 

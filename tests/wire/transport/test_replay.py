@@ -10,6 +10,8 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import pytest
+
 from sim_bridge.sil.ports import free_port
 from tests.waiting import eventually
 from wire.config.experiment import load_experiment
@@ -20,6 +22,8 @@ from wire.transport.bus import Bus
 from wire.transport.endpoint import Endpoint
 from wire.transport.transport import Await
 from wire.transport.zenoh_transport import ZenohTransport
+
+pytestmark = pytest.mark.real_time
 
 POOL = load_experiment("pool")
 HOUR_S = 3600.0
