@@ -336,7 +336,7 @@ def test_a_folder_keeps_a_key_for_its_owners_eyes_only(tmp_path: Path) -> None:
         (1, KEY, None, "a board is heard that has no key (over a cable, `robot-agent params give-key FILE` gives it one)"),
     ],
 )
-def test_computer_that_hears_no_board_is_told_the_reason(
+def test_client_that_hears_no_board_is_told_the_reason(
     robot: int | None, key: Key | None, boards: Key | None, says: str
 ) -> None:
     client, bench = ParameterClient(robot, key, lambda: 1000), Bench(boards)
