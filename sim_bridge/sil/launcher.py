@@ -130,7 +130,10 @@ def dry_run(experiment: Experiment, run_dir: Path, options: RunOptions, console:
         "lockstep, as fast as it goes" if options.lockstep else f"real time, {experiment.duration_s:g} s and some to get ready"
     )
     console.print(f"in {pace}; seed {experiment.seed}; it would start:", soft_wrap=True, highlight=False)
-    for program in started if not options.one_process else ():
+    if options.one_process:
+        console.print(f"  nothing: {', '.join(program.name for program in started)} run in this process", soft_wrap=True)
+        started = []
+    for program in started:
         command = shlex.join(["python", "-m", program.module, *program.arguments])
         console.print(f"  {program.name:13} {command}", soft_wrap=True, highlight=False)
     for fault in experiment.sim.faults:

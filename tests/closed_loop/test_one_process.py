@@ -62,8 +62,8 @@ def lines(folder: Path) -> set[tuple[str, str]]:
     [
         pytest.param(("pool", "--duration", "1.5", "--seed", "3", *FAULTS), id="faults"),
         pytest.param(("islands", "--duration", "2", "--poses"), id="poses"),
-        pytest.param(("pool", "--duration", "20"), id="pool", marks=pytest.mark.slow),
-        pytest.param(("figure-eight", "--duration", "15"), id="figure-eight", marks=pytest.mark.slow),
+        pytest.param(("pool", "--duration", "8"), id="pool", marks=pytest.mark.slow),
+        pytest.param(("figure-eight", "--duration", "8"), id="figure-eight", marks=pytest.mark.slow),
         pytest.param(("pool", "--duration", "10", "--set", "sim.latency_s=0.12", *FAULTS), id="late", marks=pytest.mark.slow),
     ],
 )
