@@ -79,7 +79,7 @@ class Agent:
         self._own_hull = OwnHullFilter(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
-        self.inputs = Inputs()
+        self.inputs = Inputs()  # of the last step, a pose outside the pool left out
 
     # --- orders
 

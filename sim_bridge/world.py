@@ -35,6 +35,7 @@ class World:
         self._held = held
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
+        # one thruster board per robot, in the experiment's order
         self.boards = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz

@@ -103,7 +103,7 @@ class Station:
 
     def __post_init__(self) -> None:
         self.requests = RequestTracker(self.experiment.robot_ids)
-        self.beat_s = time.monotonic()
+        self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(self.mission.state, self.mission.reason)
 
     def cycle(self, now_ns: int, lockstep: bool) -> None:

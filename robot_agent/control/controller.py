@@ -120,7 +120,7 @@ class Controller:
         self._wrench = np.zeros(3)  # asked for in the last step,
         self._delivered = np.zeros(3)  # and what its pulses gave
         self._priority = Priority(urgent, 0.0)
-        self.goal: Goal | None = None
+        self.goal: Goal | None = None  # of the last step
         self._turns: int | None = None  # of the heading against the path's; None: not known yet
 
     def _formation_weight(self, config: ControllerConfig) -> tuple[float, float, float, float]:

@@ -35,6 +35,7 @@ class Renderer:
         random = generator(seed, Stream.CAMERA, 0)
         motion = experiment.sim.camera_motion
         swings = CameraSway(experiment.camera, motion, generator(seed, Stream.CAMERA, 3))
+        # the water without robots at any time
         self.backdrop = MovingBackground(experiment, swings, random) if motion.moves else StaticBackground(experiment, random)
         shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
         self._sprites = [
