@@ -75,7 +75,7 @@ class LocalizerNode:
         page: MjpegServer | None = None,
         publish_frames: bool = False,
     ) -> None:
-        self._experiment, self._bus, self._stop, self._clock = experiment, bus, stop, clock
+        self._experiment, self._bus, self.stop, self._clock = experiment, bus, stop, clock
         self._page, self._publish_frames = page, publish_frames
         self._states = bus.inboxes(topics.STATE, RobotState, experiment.robot_ids)
         self._source = own or open_bus(bus, clock, stop, experiment.camera.rate_hz, self._states)
@@ -98,14 +98,14 @@ class LocalizerNode:
         show = partial(draw, self._localizer)
         with ExitStack() as stack:
             if self._experiment.recording.video != "none":
-                self._video = stack.enter_context(closing(VideoEncoder(self._experiment, self._bus, self._stop)))
-            previews = PreviewPublisher(show, self._bus, self._clock, self._stop, rate_hz, self._page, self._publish_frames)
+                self._video = stack.enter_context(closing(VideoEncoder(self._experiment, self._bus, self.stop)))
+            previews = PreviewPublisher(show, self._bus, self._clock, self.stop, rate_hz, self._page, self._publish_frames)
             stack.enter_context(closing(previews))
             log_to_bus(self._bus, self._clock, "localizer")
             self._bus.announce("localizer")
             log.info("ready, experiment %s", self._experiment.hash[:8])
             yield
-            for captured in self._source.frames(self._stop):
+            for captured in self._source.frames(self.stop):
                 if captured is None:
                     self._report_absent(previews)
                 else:
@@ -159,7 +159,7 @@ class LocalizerNode:
         if self._failed_in_a_row == 1:
             log.error("%s", why, exc_info=error)
         if self._failed_in_a_row >= FAILURES_IN_A_ROW:
-            self._stop.fail(f"{self._failed_in_a_row} pictures in a row could not be localized in: {error}")
+            self.stop.fail(f"{self._failed_in_a_row} pictures in a row could not be localized in: {error}")
 
     def _detect_obstacles(self, captured: CapturedFrame, result: LocalizationResult) -> None:
         if self._obstacle_detector is None:

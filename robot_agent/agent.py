@@ -60,7 +60,7 @@ class Agent:
         self.mode = Mode.DISARMED
         self._experiment, self._me = experiment, experiment.robot(robot)
         leader = experiment.leader_of(robot)
-        self._controller = Controller(
+        self.controller = Controller(
             experiment.vehicle,
             experiment.controller,
             experiment.safety,
@@ -69,7 +69,7 @@ class Agent:
             room_m=experiment.pool.size_m[:2] if experiment.pool.walls else None,
             islands=island_obstacles(experiment.islands, experiment.vehicle.radius_m),
         )
-        self._tuning = LiveTuning(self._controller, experiment.controller)
+        self._tuning = LiveTuning(self.controller, experiment.controller)
         coupled = experiment.formation.kind == "virtual-structure"
         self._in_formation_with = self._me.neighbours if coupled else () if leader is None else (leader,)
         self._fault = ""
@@ -79,7 +79,7 @@ class Agent:
         self._own_hull = OwnHullFilter(experiment.vehicle.radius_m)
         self._hold: Hold | None = None
         self._last: ControlOutput | None = None
-        self._inputs = Inputs()
+        self.inputs = Inputs()  # of the last step, a pose outside the pool left out
 
     # --- orders
 
@@ -114,7 +114,7 @@ class Agent:
         if reason:
             return reason
         if command.order is Order.ARM:
-            return self._health.arming_refusal(self._inputs, station, now_ns)
+            return self._health.arming_refusal(self.inputs, station, now_ns)
         return self._tuning.objection(command, prepared)
 
     def _apply(self, command: Command, prepared: Prepared, station: StationView, begin_ns: int, given_ns: int) -> None:
@@ -146,7 +146,7 @@ class Agent:
         """Run one control step at `now_ns`."""
         if inputs.pose is not None and not self._inside(inputs.pose.pose):
             inputs = replace(inputs, pose=None)
-        self._inputs = inputs
+        self.inputs = inputs
         self._health.note_inputs(inputs, self.mode, now_ns, self._selftest is not None and self._selftest.result == "running")
         solver_failed = self._last is not None and self._last.solve is Solve.FAILED
         health = self._health.health(inputs, solver_failed, now_ns)
@@ -157,13 +157,13 @@ class Agent:
             self._enter(mode, reason + (LEFT if reason in UNSEEN and self._left_the_picture() else ""))
         neighbours = self._neighbours(inputs, now_ns)
         obstacles, goal = (
-            self._obstacles(inputs, now_ns),
+            self.obstacles(inputs, now_ns),
             self._goal(now_ns),
         )  # time goes on along the path while the board arms
         if not inputs.telemetry.armed:
             goal = None  # a board arms on neutral pulses, and puts out no others
         self._tuning.step(now_ns, self._clock.reached_s)
-        output = self._sound(self._controller.step(_measurement(inputs), goal, neighbours, now_ns, obstacles))
+        output = self._sound(self.controller.step(_measurement(inputs), goal, neighbours, now_ns, obstacles))
         self._last = output
         pulses = self._pulses(output, inputs.telemetry, now_ns)
         self._health.note_pulses(pulses, now_ns)
@@ -208,7 +208,7 @@ class Agent:
     def note_sent(self, state: RobotState, now_ns: int) -> None:
         """Take note of the pulses and wrench that really went out at `now_ns` instead of those of the last step (a rerun moves
         no robot)."""
-        self._controller.note_command(state.wrench, state.wrench_delivered, now_ns)
+        self.controller.note_command(state.wrench, state.wrench_delivered, now_ns)
         self._health.note_pulses(state.pulse_us, now_ns)
 
     @property
@@ -242,7 +242,7 @@ class Agent:
     def _goal(self, now_ns: int) -> Goal | None:
         """Return the controller's goal in the present mode; None is neutral."""
         if self.mode is Mode.TRACKING:
-            return self._clock.goal(self._inputs.station, now_ns)
+            return self._clock.goal(self.inputs.station, now_ns)
         if self.mode is Mode.HOLDING:
             leapt = self._last is not None and self._last.leap != ""  # the place to hold was never the robot's
             if (self._hold is None or leapt) and self._last is not None and self._last.estimated:
@@ -261,7 +261,7 @@ class Agent:
             for robot, heard in sorted(inputs.plans.items())
         )  # fmt: skip
 
-    def _obstacles(self, inputs: Inputs, now_ns: int) -> Sequence[Obstacle]:
+    def obstacles(self, inputs: Inputs, now_ns: int) -> Sequence[Obstacle]:
         """Return the obstacles without the robot's own hull. Those not seen lately grow with their age."""
         watched, safety = inputs.obstacles, self._experiment.safety
         if watched is None:

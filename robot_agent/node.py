@@ -68,10 +68,10 @@ class AgentNode:
     ) -> None:
         """With `signing`, frames to the board are signed, and unsigned frames from it are dropped."""
         self.agent = Agent(experiment, robot)
-        self._experiment, self._robot, self._bus, self._link, self._stop = experiment, robot, bus, link, stop
+        self._experiment, self._robot, self._bus, self._link, self.stop = experiment, robot, bus, link, stop
         self._watchdog = watchdog or ServiceNotifier({})
-        self._clock: Clock = LockstepClock() if lockstep else WallClock()
-        self._lockstep = Lockstep(bus, stop, self._clock) if isinstance(self._clock, LockstepClock) else None
+        self.clock: Clock = LockstepClock() if lockstep else WallClock()
+        self._lockstep = Lockstep(bus, stop, self.clock) if isinstance(self.clock, LockstepClock) else None
         self._signing = signing
         self._mavlink = agent_end(robot, signing)
         self._poses = bus.inbox(topics.POSE, Pose, robot)
@@ -106,9 +106,9 @@ class AgentNode:
     def steps(self) -> Generator[None]:
         """The control loop: yields when the robot is ready, and after each step. In lockstep `next` waits for a tick unless it
         is there already."""
-        log_to_bus(self._bus, self._clock, f"agent-{self._robot}")
-        self._stop.on_request(self._awake)
-        self._bus.serve(self._robot, self._order)
+        log_to_bus(self._bus, self.clock, f"agent-{self._robot}")
+        self.stop.on_request(self._awake)
+        self._bus.serve(self._robot, self.on_order)
         self._greet()
         self._bus.announce(f"agent-{self._robot}")
         log.info("ready, experiment %s", self._experiment.hash[:8])
@@ -119,10 +119,10 @@ class AgentNode:
             if self._failure is not None:
                 raise self._failure
             started_ns = time.perf_counter_ns()
-            now_ns = self._clock.now_ns()
+            now_ns = self.clock.now_ns()
             with self._turn:
-                record, outputs = self._step(now_ns, up_to_ns)
-            self._write(outputs, now_ns, due_ns, started_ns)
+                record, outputs = self.step(now_ns, up_to_ns)
+            self.write(outputs, now_ns, due_ns, started_ns)
             self._watchdog.alive(time.monotonic_ns())
             self._bus.publish(topics.INPUTS, record, now_ns, self._robot)
             self._compare_clocks()
@@ -145,7 +145,7 @@ class AgentNode:
             self._link.send(self._mavlink.pulses(self.agent.neutral_us))
             told += 1
             self._link.wait(LEAVE_AGAIN_S)
-            self._mavlink.receive(self._link.read(), self._clock.now_ns())
+            self._mavlink.receive(self._link.read(), self.clock.now_ns())
             seen = self._mavlink.telemetry
             disarmed = seen.acknowledgements > before and seen.acknowledged == DISARMED and not seen.armed
         log.log(
@@ -189,12 +189,13 @@ class AgentNode:
             return
         self._clocks_compared_s = deadline_s
         before = self._mavlink.telemetry.round_trips
-        self._link.send(self._mavlink.timesync(self._clock.now_ns()))
+        self._link.send(self._mavlink.timesync(self.clock.now_ns()))
         while self._mavlink.telemetry.round_trips == before and (left_s := deadline_s - time.monotonic()) > 0:
             self._link.wait(left_s)
-            self._mavlink.receive(self._link.read(), self._clock.now_ns())
+            self._mavlink.receive(self._link.read(), self.clock.now_ns())
 
-    def _order(self, header: Header, command: Command) -> Reply:
+    def on_order(self, header: Header, command: Command) -> Reply:
+        """Serve an order of the station, on a network thread. One that fails ends the robot's program."""
         agent = self.agent
         try:
             prepared = agent.prepare(command)  # what is long to make is made beside the steps
@@ -213,9 +214,9 @@ class AgentNode:
 
     def _obey(self, header: Header, command: Command, prepared: Prepared | None) -> Reply:
         # In lockstep the station may have taken up a tick that we have not: an order of that tick is given in it.
-        now_ns = max(self._clock.now_ns(), header.stamp_ns) if self._lockstep else self._clock.now_ns()
+        now_ns = max(self.clock.now_ns(), header.stamp_ns) if self._lockstep else self.clock.now_ns()
         heartbeat = self._station()
-        record = record_command(self._steps, self._orders, self._clock, header, command, heartbeat)
+        record = record_command(self._steps, self._orders, self.clock, header, command, heartbeat)
         live = self.agent.mode in LIVE  # a thruster test runs in ARMED
         reply = self.agent.handle_command(header, command, station_view(record, now_ns), now_ns, prepared)
         self._orders += 1
@@ -226,7 +227,7 @@ class AgentNode:
 
     # --- inputs
 
-    def _step(self, now_ns: int, up_to_ns: int | None) -> tuple[StepInputs, Outputs]:
+    def step(self, now_ns: int, up_to_ns: int | None) -> tuple[StepInputs, Outputs]:
         """Make the record of a step, and step on it."""
         self._mavlink.receive(self._link.read(), now_ns)
         heartbeat, obstacles = self._station(), self._obstacles.newest(self._obstacles_up_to_ns)
@@ -234,7 +235,7 @@ class AgentNode:
         plans = {robot: plan for robot, plan in heard.items() if plan is not None}
         telemetry = self._mavlink.telemetry
         pose = self._poses.newest()
-        record = record_step(self._steps, self._pace.late_steps, self._clock, pose, heartbeat, telemetry, plans, obstacles)
+        record = record_step(self._steps, self._pace.late_steps, self.clock, pose, heartbeat, telemetry, plans, obstacles)
         self._steps += 1
         messages = {robot: plan.message for robot, plan in plans.items()}
         seen = obstacles.message if obstacles is not None else None
@@ -256,15 +257,15 @@ class AgentNode:
     def _wall_pace(self) -> Iterator[tuple[int, None]]:
         pace = self._pace = StepClock(self._experiment.controller.period_s, time.monotonic())
         taken: Received[Pose] | None = None
-        while not self._stop.requested:
+        while not self.stop.requested:
             due_s = self._await_step(pace, taken)
-            if self._stop.requested:
+            if self.stop.requested:
                 return
             self._hurry.clear()
             now_s, pose = time.monotonic(), self._poses.newest()
             pace.stepped(now_s, _arrived_s(pose, taken))
             taken = pose
-            yield self._clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9), None
+            yield self.clock.now_ns() - round(max(now_s - due_s, 0.0) * 1e9), None
 
     def _await_step(self, pace: StepClock, taken: Received[Pose] | None) -> float:
         """Sleep until the next step. Returns the instant (s, monotonic) at which it was due. `taken` is the last step's
@@ -272,7 +273,7 @@ class AgentNode:
         react_by_s = self._react_by_s()
         # Asleep, not waiting: among twenty robots something arrives every 3 ms, and would wake it for nothing.
         self._hurry.wait(max(min(pace.opens_s, react_by_s) - time.monotonic(), 0.0))
-        while not self._stop.requested and not self._hurry.is_set():
+        while not self.stop.requested and not self._hurry.is_set():
             seen = self._poses.newest_header()
             due_s = min(pace.due_s(_arrived_s(self._poses.newest(), taken)), react_by_s)
             left_s = due_s - time.monotonic()
@@ -280,7 +281,7 @@ class AgentNode:
                 return due_s
             wait(
                 self._bus,
-                self._stop,
+                self.stop,
                 lambda seen=seen: self._hurry.is_set() or self._poses.newest_header() is not seen,  # type: ignore[misc]
                 left_s,
             )
@@ -288,7 +289,7 @@ class AgentNode:
 
     def _react_by_s(self) -> float:
         """Instant (s, monotonic) at which the pose becomes too old; infinity if it does not, or is too old already."""
-        react_by_ns, now_ns = self.agent.react_by_ns, self._clock.now_ns()
+        react_by_ns, now_ns = self.agent.react_by_ns, self.clock.now_ns()
         if react_by_ns is None or react_by_ns <= now_ns:
             return float("inf")
         return time.monotonic() + (react_by_ns - now_ns) * 1e-9
@@ -316,7 +317,7 @@ class AgentNode:
         """Wait for the board's burst that belongs to this tick. False when told to stop."""
         wanted = dict(zip(tick.robots, tick.board_ms, strict=True)).get(self._robot, 0)
         reminder = Reminder()
-        while not self._stop.requested:
+        while not self.stop.requested:
             self._mavlink.receive(self._link.read(), tick.now_ns)
             if self._mavlink.telemetry.board_ms >= wanted:
                 return True
@@ -327,7 +328,7 @@ class AgentNode:
 
     # --- outputs
 
-    def _write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
+    def write(self, outputs: Outputs, now_ns: int, due_ns: int, started_ns: int) -> None:
         """Send pulses to the board first, then publish plan and state."""
         step_ns = time.perf_counter_ns() - started_ns
         if outputs.arm is not None:

@@ -35,7 +35,8 @@ class World:
         self._held = held
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
-        self._boards = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
+        # one thruster board per robot, in the experiment's order
+        self.boards = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)
@@ -78,15 +79,15 @@ class World:
 
     def receive(self, i: int, data: bytes) -> bool:
         """Give bytes from the i-th robot's computer to its board. Returns True if the board took a frame of them."""
-        return self._boards[i].receive(data, self.now_ns)
+        return self.boards[i].receive(data, self.now_ns)
 
     def board_ms(self, i: int) -> int:
         """Board time of the i-th board's last burst."""
-        return max(self._boards[i].burst_ms, 0)
+        return max(self.boards[i].burst_ms, 0)
 
     def neutral(self, i: int) -> bool:
         """True if the i-th board's thruster outputs are all at neutral."""
-        return self._boards[i].neutral
+        return self.boards[i].neutral
 
     @property
     def flown_s(self) -> float:
@@ -96,7 +97,7 @@ class World:
     def apply_faults(self) -> list[str]:
         """Move the fault timeline to now. Returns a line of text for each fault that began or ended."""
         changes = self.faults.at(self.flown_s)
-        for board, error in zip(self._boards, self.faults.imu_error.tolist() if changes else (), strict=False):
+        for board, error in zip(self.boards, self.faults.imu_error.tolist() if changes else (), strict=False):
             board.sensors.error = (error[0], error[1])
         return changes
 
@@ -118,11 +119,11 @@ class World:
 
     def _pulses(self) -> Array:
         """Pulses on the boards' outputs, (n, 8)."""
-        return np.array([board.pulses for board in self._boards], dtype=np.float64)
+        return np.array([board.pulses for board in self.boards], dtype=np.float64)
 
     def _next_state(self, pulses_us: Array, actuators: ActuatorFaults) -> PlantState:
         """The plant one step on, from the states computed ahead where they hold."""
-        self._held = self._held and not any(board.armed for board in self._boards)
+        self._held = self._held and not any(board.armed for board in self.boards)
         if self._held:
             return replace(self._state, steps=self._state.steps + 1)
         if self._ahead and self._ahead_faults is actuators:
@@ -134,7 +135,7 @@ class World:
         """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
         actuators = self.faults.actuators
         self._state = state = self._next_state(self.faults.pulses(self._pulses()), actuators)
-        measures = self._boards[0].measures(self.now_ns)  # otherwise the values are not used
+        measures = self.boards[0].measures(self.now_ns)  # otherwise the values are not used
         acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
         supply_v = self._plant.rest_v(state, actuators).tolist() if measures else self._no_voltage
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
@@ -142,5 +143,5 @@ class World:
             self._frames = int((self.now_ns * 1e-9 + 1e-9) / self._frame_period_s) + 1
         return [
             (i, board.step(self.now_ns, state.eta[i], state.nu[i], acceleration[i], supply_v[i], state.tilt[i]))
-            for i, board in enumerate(self._boards)
+            for i, board in enumerate(self.boards)
         ]

@@ -1,6 +1,10 @@
-"""Names and first lines, read from the source: one name for one class, and docstrings that say what a thing is or does."""
+"""Names and first lines, read from the source: one name for one class, docstrings that say what a thing is or does, and tests
+that are named by what they do and use public names."""
 
 import ast
+import io
+import re
+import tokenize
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +14,9 @@ import pytest
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks", "tests")
 GENERATED = {"fleet_pb2.py"}
+PUBLIC = {"_replace", "_asdict", "_fields", "_exit"}  # of named tuples and of `os`: documented in spite of the underscore
+DIRECTIVE = re.compile(r"#\s*(type: ignore|noqa|fmt:|pragma:)[^#]*")  # a comment for a tool, which gives no reason
+VAGUE = re.compile(r"test_(who|what|whoever|somebody|nobody)_")
 RIDDLES = {"who", "whom", "whose", "whoever", "what", "whatever", "where", "wherever", "how", "why", "whether", "when"}
 
 
@@ -43,5 +50,92 @@ def test_a_docstring_begins_with_what_a_thing_is_or_does(package: str) -> None:
         for path in sources(package)
         for name, line in first_lines(path)
         if line.removeprefix("SHELL: ").partition(" ")[0].strip(",.:").lower() in RIDDLES
+    ]
+    assert not found, "\n".join(found)
+
+
+def imported_modules(node: ast.AST) -> list[str]:
+    """Names of the modules that a statement may import."""
+    if isinstance(node, ast.ImportFrom):
+        return [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+
+
+def private_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Each private name of something else that a file uses, with its line."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
+            if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
+                yield node.end_lineno or node.lineno, node.attr
+        elif isinstance(node, ast.ImportFrom):
+            yield from ((alias.lineno, alias.name) for alias in node.names)
+
+
+def lines_with_reasons(text: str) -> set[int]:
+    """Lines that end in a comment for people, and lines below a line that is nothing but one."""
+    found = set()
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == tokenize.COMMENT and DIRECTIVE.sub("", token.string).strip("# "):
+            line, column = token.start
+            found |= {line} if token.line[:column].strip() else {line, line + 1}
+    return found
+
+
+def unexplained(text: str) -> list[tuple[int, str]]:
+    """Private names that a file uses without a reason beside them, with their lines."""
+    explained = lines_with_reasons(text)
+    return [
+        (line, name)
+        for line, name in private_names(ast.parse(text))
+        if re.match(r"_[^_]", name) and name not in PUBLIC and line not in explained
+    ]
+
+
+def test_a_private_name_is_used_in_tests_only_with_a_reason_beside_it() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path in sources("tests")
+        for line, name in unexplained(path.read_text(encoding="utf-8"))
+    ]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("a._b", ["_b"]),
+        ("from a import _b", ["_b"]),
+        ("a._b = 1  # type: ignore[method-assign]", ["_b"]),
+        ("# noqa: SLF001\na._b", ["_b"]),
+        ("# a reason\n\na._b", ["_b"]),
+        ("c = 1  # a reason for another line\na._b", ["_b"]),
+        ("a._b['#']", ["_b"]),
+        ("a._b  # type: ignore[attr-defined]  # a reason", []),
+        ("# a reason\na._b", []),
+        ("a._replace(b=1), self._b, a.__dict__", []),
+    ],
+)
+def test_a_comment_for_a_tool_or_on_another_line_is_no_reason(text: str, names: list[str]) -> None:
+    assert [name for _, name in unexplained(text)] == names
+
+
+def test_a_test_is_named_by_what_it_does() -> None:
+    found = [
+        f"{path.relative_to(ROOT)}: {node.name}"
+        for path in sources("tests")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and VAGUE.match(node.name)
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_no_test_module_imports_from_another() -> None:
+    """Helpers that two of them share are in a module of their own, so that either can be moved or run alone."""
+    found = [
+        f"{path.relative_to(ROOT)}: {name}"
+        for path in sources("tests")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for name in imported_modules(node)
+        if name.startswith("tests.") and any(part.startswith("test_") for part in name.split("."))
     ]
     assert not found, "\n".join(found)

@@ -236,7 +236,11 @@ def _gather(log: RunLog, robot: int, known: bool, window: tuple[int, int]) -> _R
         disturbance=disturbance,
         poses=poses,
         inputs={e.stamp_ns: e.message for e in inputs},
-        lost={"poses": _lost(log.of(topics.POSE, Pose, robot)), "states": _lost(states), "inputs": _lost(inputs)},
+        lost={
+            "poses": messages_lost(log.of(topics.POSE, Pose, robot)),
+            "states": messages_lost(states),
+            "inputs": messages_lost(inputs),
+        },
         clock_ns=clock_ns,
         clock_s=clock_s,
     )
@@ -340,7 +344,7 @@ def _middle(path: PathSpec, duration_s: float, trajectory: Trajectory | None) ->
     return np.asarray(trajectory.eta[: round(duration_s / trajectory.period_s) + 1].mean(axis=0))
 
 
-def _hops_ms(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Array:
+def hops_of(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Array:
     """Shares in ms of the time from the exposure to the PWM, by HOPS; NaN where the pose was an old one, or nothing is
     known."""
     unknown = np.full(len(HOPS), np.nan)
@@ -352,7 +356,7 @@ def _hops_ms(state: DecodedMessage[RobotState], inputs: StepInputs | None) -> Ar
     return hops if age_ms <= OLD_POSE_MS else unknown
 
 
-def _lost(entries: Sequence[DecodedMessage[Any]]) -> int:
+def messages_lost(entries: Sequence[DecodedMessage[Any]]) -> int:
     """Numbers left out; a sender that begins anew begins at 1."""
     steps = np.diff([e.sequence for e in entries]) if len(entries) > 1 else np.zeros(0)
     return int((steps[steps > 1] - 1).sum())
@@ -388,7 +392,7 @@ def _states(entries: Sequence[DecodedMessage[RobotState]], inputs: Mapping[int, 
         missed_deadlines=column([m.missed_deadlines for m in messages]),
         slack_m=column([m.slack_m for m in messages]),
         board_loss=column([m.board_loss for m in messages]),
-        hops_ms=rows([_hops_ms(e, inputs.get(e.stamp_ns)) for e in entries], len(HOPS)),
+        hops_ms=rows([hops_of(e, inputs.get(e.stamp_ns)) for e in entries], len(HOPS)),
     )
 
 

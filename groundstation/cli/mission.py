@@ -96,7 +96,7 @@ def _tell_station(
 
     where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
     patience_s = PATIENCE_S.get(command.order, OTHERWISE_S) if wait is None else wait
-    told = _Printer(what, as_json)
+    told = OutcomePrinter(what, as_json)
     try:
         with Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet) as bus:
             reply = follow(lambda c: bus.command(c, time.time_ns(), ORDER_TIMEOUT_S), command, patience_s, told.progress)
@@ -240,7 +240,7 @@ def follow(ask: Callable[[Command], Reply], command: Command, patience_s: float,
     return reply
 
 
-class _Printer:
+class OutcomePrinter:
     """Prints the progress of a request, each fact once."""
 
     def __init__(self, what: str, as_json: bool) -> None:

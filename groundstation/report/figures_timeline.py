@@ -37,7 +37,7 @@ def timeline(series: Series) -> Figure | None:
         figure, axes = _rows([*(f"robot {robot}" for robot, _ in known), "faults"])
         for row, (_, states) in enumerate(known):
             for mode, tone in TONES.items():
-                spans = _spans(states.time_s, np.asarray(states.mode == mode))
+                spans = spans_of(states.time_s, np.asarray(states.mode == mode))
                 if spans:
                     axes.broken_barh(spans, (row - 0.38, 0.76), color=tone, label=mode.name.lower())
         for at_s, sign, name in ((noticed, "v", "noticed"), (made, "x", "made, or over")):
@@ -61,7 +61,7 @@ def limits(series: Series) -> Figure | None:
     with mpl.rc_context(STYLE):
         figure, axes = _rows([name for name, *_ in rows[:MOST_ROWS]])
         for row, (_, r, active, index) in enumerate(rows[:MOST_ROWS]):
-            axes.broken_barh(_spans(r.states.time_s, active), (row - 0.38, 0.76), color=colour(index))
+            axes.broken_barh(spans_of(r.states.time_s, active), (row - 0.38, 0.76), color=colour(index))
         axes.set_xlim(0.0, max(series.end_s, 0.1))
     return figure
 
@@ -120,7 +120,7 @@ def _rows(names: Sequence[str]) -> tuple[Figure, Axes]:
     return figure, axes
 
 
-def _spans(time_s: Array, active: Mask) -> list[tuple[float, float]]:
+def spans_of(time_s: Array, active: Mask) -> list[tuple[float, float]]:
     """Beginning and length of each stretch in which something holds; up to the next control step."""
     step_s = float(np.median(np.diff(time_s))) if len(time_s) > 1 else 0.05
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(int), [0]]))).tolist()

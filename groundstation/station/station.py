@@ -103,7 +103,7 @@ class Station:
 
     def __post_init__(self) -> None:
         self.requests = RequestTracker(self.experiment.robot_ids)
-        self._beat_s = time.monotonic()
+        self.beat_s = time.monotonic()  # instant of the last heartbeat (s, monotonic)
         self._status = Status(self.mission.state, self.mission.reason)
 
     def cycle(self, now_ns: int, lockstep: bool) -> None:
@@ -112,9 +112,9 @@ class Station:
             self.seen, answers = self.fleet(), self._answers()
             for_tuner = [answer for answer in answers if answer.command.order in TUNING]
             for_mission = [answer for answer in answers if answer not in for_tuner]
-            self._plan(lockstep, now_ns)
+            self.plan(lockstep, now_ns)
             commands = self.mission.step(self.seen, for_mission, now_ns, self._around())
-            self._plan(lockstep, now_ns)
+            self.plan(lockstep, now_ns)
             self.publish_paths(now_ns)
             commands += self.tuner.step(self.seen, for_tuner, now_ns)
             self.laps.update(self.seen)
@@ -137,7 +137,7 @@ class Station:
         state = self.mission.state.name
         beat = StationHeartbeat(self.experiment.hash, stopped, state, pace.lag_s, 1.0 - pace.rate, planned)
         self.bus.publish(topics.HEARTBEAT, beat, now_ns)
-        self._beat_s = time.monotonic()
+        self.beat_s = time.monotonic()
         self._tell()
 
     def _unanswered(self, command: Command) -> int:
@@ -168,7 +168,7 @@ class Station:
             return ObstacleSet()
         return obstacle_set(received.message, age_s(self.clock, received), self.experiment.safety)
 
-    def _plan(self, lockstep: bool, now_ns: int) -> None:
+    def plan(self, lockstep: bool, now_ns: int) -> None:
         """Compute the plan that the mission waits for: in another thread, because the heartbeat must go on; in lockstep at
         once. The outcome is dropped if the mission no longer waits for it."""
         wanted = self.mission.plan_request
@@ -250,7 +250,7 @@ class Station:
                 self._status = self._stand()
             finally:
                 self.lock.release()
-        return replace(self._status, beat_age_s=time.monotonic() - self._beat_s)
+        return replace(self._status, beat_age_s=time.monotonic() - self.beat_s)
 
     def _stand(self) -> Status:
         mission = self.mission

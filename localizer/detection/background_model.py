@@ -29,7 +29,7 @@ LAG_S = float(np.log(2.0)) * _BLUR_S  # s, lag of a moving obstacle's edge, whic
 _LOGARITHM = np.log(np.arange(256) + _DARK_LEVEL).astype(np.float32)
 
 _SETTLE_S = 4.0  # s of unobstructed view before a cell is judged: several periods of the slowest ripples
-_MEMORY_S = 20.0  # s, memory of mean and covariance after that; follows daylight and clouds, which are slower than obstacles
+MEMORY_S = 20.0  # s, memory of mean and covariance after that; follows daylight and clouds, which are slower than obstacles
 _NOISE = 0.03  # log units, least standard deviation of each colour, however still the water was while learning
 _FLICKER = 0.08  # log units, least standard deviation of the brightness of all three colours together
 _SHADE = 0.5  # log units, the same where a robot may cast its shadow: 0.4 to 0.6 of the light are left in its middle
@@ -111,7 +111,7 @@ class BackgroundModel:
         """Take in `colours` at the cells of `where`. `distance` is the one that was found for them."""
         is_known = self.is_known
         self._seen_s[where] += np.float32(step_s)
-        rate = where * (np.float32(step_s) / np.clip(self._seen_s, np.float32(step_s), np.float32(_MEMORY_S)))
+        rate = where * (np.float32(step_s) / np.clip(self._seen_s, np.float32(step_s), np.float32(MEMORY_S)))
         leap = np.float32(_LONGEST_LEAP)
         deviation = (colours - self._mean) * np.where(
             is_known & (distance > leap), leap / np.maximum(distance, leap), np.float32(1.0)

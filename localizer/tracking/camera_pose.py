@@ -66,7 +66,7 @@ class CameraPoseTracker:
 
     def __init__(self, camera: Camera, landmarks: Sequence[Landmark]) -> None:
         self.view = RefractiveCamera(camera)
-        self._pose = CameraPoseEstimate(camera, np.zeros((6, 6)))
+        self.pose = CameraPoseEstimate(camera, np.zeros((6, 6)))
         self._corners = np.array([_corners(landmark) for landmark in landmarks])  # (landmarks, 4, 3)
         self._index = {landmark.id: i for i, landmark in enumerate(landmarks)}
         self._detector = marker_detector()
@@ -106,12 +106,12 @@ class CameraPoseTracker:
         if len(found) < LANDMARKS_NEEDED:
             return
         places, pixels = self._corners[list(found)], np.array(list(found.values()))
-        fitted, residuals = _fit(self._pose.camera, places, pixels)
+        fitted, residuals = fit_camera_pose(self.pose.camera, places, pixels)
         agrees = np.sqrt(np.mean(np.sum(residuals**2, axis=2), axis=1)) < _AGREES_PX
         self._agreeing = int(np.sum(agrees))
         if self._agreeing < LANDMARKS_NEEDED or fitted.camera.position_m[2] >= 0.0:
             return
-        self._pose, self.view, self._age_s = fitted, RefractiveCamera(fitted.camera), 0.0
+        self.pose, self.view, self._age_s = fitted, RefractiveCamera(fitted.camera), 0.0
 
     def uncertainty(self, tangents: Sequence[LocalLinearization], depths_m: Sequence[float]) -> Array:
         """Covariances (n, 3, 3) of [x, y, yaw] measured at some places, due to the error of the camera's pose."""
@@ -121,10 +121,10 @@ class CameraPoseTracker:
         moved = np.zeros((len(tangents), 3, 6))
         here = self.view.pixel_to_pool(pixels, depths)
         for k, step in enumerate(_STEP * np.eye(6)):
-            moved[:, :2, k] = (RefractiveCamera(_moved(self._pose.camera, step)).pixel_to_pool(pixels, depths) - here) / _STEP
+            moved[:, :2, k] = (RefractiveCamera(_moved(self.pose.camera, step)).pixel_to_pool(pixels, depths) - here) / _STEP
         moved[:, 2, 3:] = -self.view.down  # a camera turned about the vertical sees every heading turned back
         drift = (self._age_s * np.array([_DRIFT_MPS, _DRIFT_MPS, _DRIFT_RADPS])) ** 2
-        return np.asarray(moved @ self._pose.covariance @ np.swapaxes(moved, 1, 2) + np.diag(drift))
+        return np.asarray(moved @ self.pose.covariance @ np.swapaxes(moved, 1, 2) + np.diag(drift))
 
     def _read(self, frame: Pixels) -> dict[int, Array] | None:
         """Corners (4, 2) px of the landmarks seen, by index, in a fixed order; None in frames without an attempt."""
@@ -156,7 +156,7 @@ def _moved(camera: Camera, step: Array) -> Camera:
     return camera.model_copy(update={"position_m": tuple(position.tolist()), "rotation_rad": tuple(rotation.tolist())})
 
 
-def _fit(camera: Camera, places: Array, pixels: Array) -> tuple[CameraPoseEstimate, Array]:
+def fit_camera_pose(camera: Camera, places: Array, pixels: Array) -> tuple[CameraPoseEstimate, Array]:
     """Fit the pose, starting at `camera`, to corners (n, 4, 3) that were found at pixels (n, 4, 2); also the residuals (n, 4,
     2) px.
 

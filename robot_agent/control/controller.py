@@ -108,19 +108,19 @@ class Controller:
         self._estimator = Estimator(model, config.estimator, vehicle.thruster.dead_time_s, vehicle.limits.speed_mps)
         steps_s = period_s * np.arange(horizon + 1, dtype=np.float64)
         nodes_s = vehicle.thruster.dead_time_s + steps_s
-        self._sampler = ReferenceSampler(nodes_s)
+        self.sampler = ReferenceSampler(nodes_s)
         self._heading = HeadingReference(vehicle, guidance_config(config), period_s, config.estimator.sway)
         self._formation = Formation(config.mpc, safety, period_s, vehicle.thruster.dead_time_s, room_m, vehicle.radius_m)
         self._formation.set_weight(self._formation_weight(config))
         self._give_way = GiveWay(vehicle, np.concatenate([[0.0], nodes_s]), period_s, room_m, islands)
         self._law: Law = make_law(vehicle, model, config, period_s, self._formation.rows)
-        self._allocator = Allocator(vehicle)
+        self.allocator = Allocator(vehicle)
         # Plans begin at the instant of action and are told from now on: rows of the one for the other
         self._told_rows = np.interp(steps_s, np.concatenate([[0.0], nodes_s]), np.arange(horizon + 2.0))
         self._wrench = np.zeros(3)  # asked for in the last step,
         self._delivered = np.zeros(3)  # and what its pulses gave
         self._priority = Priority(urgent, 0.0)
-        self._goal: Goal | None = None
+        self.goal: Goal | None = None  # of the last step
         self._turns: int | None = None  # of the heading against the path's; None: not known yet
 
     def _formation_weight(self, config: ControllerConfig) -> tuple[float, float, float, float]:
@@ -157,7 +157,7 @@ class Controller:
         if estimate is None or goal is None:
             return self._neutral(estimate, now_ns)
         self._take_up(goal)
-        reference = self._sampler.sample(goal)
+        reference = self.sampler.sample(goal)
         predictions = self._formation.predict_neighbours(neighbours, now_ns)
         lead = (
             reference if isinstance(goal, Hold) else self._avoidance_path(reference, predictions, obstacles, estimate, now_ns)
@@ -183,7 +183,7 @@ class Controller:
 
     def _take_up(self, goal: Goal) -> None:
         """Clear the heading memory at a goal of another kind."""
-        before, self._goal = self._goal, goal
+        before, self.goal = self.goal, goal
         if type(before) is not type(goal) or (isinstance(goal, Hold) and before is not goal):
             self._heading.reset()
             self._give_way.reset()
@@ -250,8 +250,8 @@ class Controller:
     ) -> ControlOutput:
         """Convert a plan to pulses and output."""
         failed = plan.solve is Solve.FAILED
-        pulses = self._allocator.neutral_us if failed else self._allocator.pulses(plan.wrench)
-        delivered = self._allocator.delivered(pulses)
+        pulses = self.allocator.neutral_us if failed else self.allocator.pulses(plan.wrench)
+        delivered = self.allocator.delivered(pulses)
         self._estimator.note_wrench(delivered, now_ns)
         wrench_step, self._wrench, self._delivered = plan.wrench - self._wrench, plan.wrench, np.array(delivered)
         error_m = math.dist(reference.eta[0, :3].tolist(), estimate.eta[:3].tolist())
@@ -291,14 +291,14 @@ class Controller:
         self._law.reset()
         self._heading.reset()
         self._give_way.reset()
-        self._goal = None
+        self.goal = None
         wrench_step, self._wrench, self._delivered = -self._wrench, np.zeros(3), np.zeros(3)
         self._estimator.note_wrench((0.0, 0.0, 0.0), now_ns)
         self._priority = Priority(self._urgent, 0.0)
         eta = np.zeros(4) if estimate is None else estimate.eta
         stay = np.tile(eta, (self._config.mpc.horizon + 1, 1))
         return ControlOutput(
-            pulse_us=self._allocator.neutral_us,
+            pulse_us=self.allocator.neutral_us,
             wrench=np.zeros(3),
             wrench_step=wrench_step,
             wrench_wanted=np.zeros(3),

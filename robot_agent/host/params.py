@@ -90,7 +90,7 @@ def get(
     with _talk(link, robot, key, insecure) as talk:
         client = talk.client
         talk.until(lambda: name in client.values or client.error is not None, lambda: client.ask(name))
-        typer.echo(f"{_found(client, name):.7g}")
+        typer.echo(f"{answered_value(client, name):.7g}")
 
 
 @cli.command("set")
@@ -115,7 +115,7 @@ def set_one(
             lambda: client.error is not None or abs(client.values.get(name, math.inf) - value) <= close,
             lambda: client.set(name, value),
         )
-        now = _found(client, name)
+        now = answered_value(client, name)
         if client.error is not None or not done:
             raise ConfigError(f"{name} is still {now:.7g}: {client.said or 'the board does not say why'}")
         typer.echo(f"{name} = {now:.7g}")
@@ -153,7 +153,8 @@ def _check_name(name: str) -> None:
         )
 
 
-def _found(client: ParameterClient, name: str) -> float:
+def answered_value(client: ParameterClient, name: str) -> float:
+    """Value of a parameter as the board has told it. Raises ConfigError with the reason if it has not."""
     if name not in client.values:
         raise ConfigError(f"{name}: {_refusal(client)}")
     return client.values[name]

@@ -47,7 +47,7 @@ def run_preflight(
     flying = yield from check_network(config)
     yield from _computer(config)
     if experiment is not None:
-        yield _timing(experiment, config.robot)
+        yield step_timing(experiment, config.robot)
     yield from _device(config)
     idle = False
     if flying:  # two programs on one thruster board: what one sends the other would spoil
@@ -130,7 +130,8 @@ def _computer(config: AgentConfig) -> Iterator[CheckFinding]:
         )
 
 
-def _timing(experiment: Experiment, robot: int) -> CheckFinding:
+def step_timing(experiment: Experiment, robot: int) -> CheckFinding:
+    """The finding about how long control steps take, from those of a rehearsed flight."""
     steps_ms = []
     try:
         for agent, inputs, now_ns in itertools.islice(rehearse(experiment, robot), REHEARSED):

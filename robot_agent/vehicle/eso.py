@@ -278,7 +278,11 @@ class Estimator:
         x, y = x + b1 * error[0], y + b1 * error[1]
         u, gamma[0] = u + b2 * error_u, gamma[0] + b3 * error_u
         if config.sway:
-            v = self._split_side_force_and_current(u, v + b2 * error_v, gamma[1] + b3 * error_v, yaw, elapsed_s)
+            v += b2 * error_v
+            side, slope = gamma[1] + b3 * error_v, self._model.sway_slope(u, v)
+            share = -math.expm1(-config.current_rate_radps * elapsed_s)
+            gamma[1], self._current, drift = split_side_force(side, self._current, yaw, slope, share, self._fastest_mps)
+            v -= drift
         depth = self._sensed_at(1, at_ns)
         if depth is not None:
             error_z = depth - z
@@ -294,20 +298,6 @@ class Estimator:
             r, gamma_step = r + b2 * error_r, b3 * error_r
         gamma[3] += gamma_step if config.enabled else 0.0
         return (x, y, z, yaw + b1 * error[2], u, v, w, r, *thrust)
-
-    def _split_side_force_and_current(self, u: float, v: float, side: float, yaw: float, elapsed_s: float) -> float:
-        """Divide a side force (m/s^2) between Gamma_v and the current. Returns the sway velocity through the water. A current
-        at its limit grows no further: the rest stays a side force."""
-        slope = self._model.sway_slope(u, v)
-        drift = -math.expm1(-self._config.current_rate_radps * elapsed_s) * side / slope
-        aside = cmath.rect(1.0, yaw + 0.5 * math.pi)
-        if abs(self._current + drift * aside) > self._fastest_mps:
-            along = (self._current * aside.conjugate()).real  # |current + t aside| = fastest at t = -along +- half
-            half = math.sqrt(max(along**2 + self._fastest_mps**2 - abs(self._current) ** 2, 0.0))
-            drift = min(max(drift, min(-along - half, 0.0)), max(-along + half, 0.0))
-        self._disturbance[1] = side - drift * slope
-        self._current += drift * aside
-        return v - drift
 
     def _sensed_at(self, column: int, at_ns: int) -> float | None:
         """Return depth (1) or yaw rate (2) at an instant, interpolated between board samples and held at the ends."""
@@ -336,6 +326,24 @@ class Estimator:
             model.coefficients, model.sway, model.lag_s, state, tuple(self._disturbance), current,
             self._acts_ns, self._wrenches, self._inputs, from_ns, to_ns,
         )  # fmt: skip
+
+
+def split_side_force(
+    side: float, current: complex, yaw: float, slope: float, share: float, fastest_mps: float
+) -> tuple[float, complex, float]:
+    """Division of a side force (m/s^2) between Gamma_v and the current: both anew, and by how much the current grew to the
+    side (m/s). The sway velocity through the water falls by as much.
+
+    `slope` is that of the sway drag, `share` the part that goes to the current. A current at its limit grows no further: the
+    rest stays a side force.
+    """
+    drift = share * side / slope
+    aside = cmath.rect(1.0, yaw + 0.5 * math.pi)
+    if abs(current + drift * aside) > fastest_mps:
+        along = (current * aside.conjugate()).real  # |current + t aside| = fastest at t = -along +- half
+        half = math.sqrt(max(along**2 + fastest_mps**2 - abs(current) ** 2, 0.0))
+        drift = min(max(drift, min(-along - half, 0.0)), max(-along + half, 0.0))
+    return side - drift * slope, current + drift * aside, drift
 
 
 def gains(bandwidth_radps: float, step_s: float) -> tuple[float, float, float]:

@@ -35,7 +35,8 @@ class Renderer:
         random = generator(seed, Stream.CAMERA, 0)
         motion = experiment.sim.camera_motion
         swings = CameraSway(experiment.camera, motion, generator(seed, Stream.CAMERA, 3))
-        self._backdrop = MovingBackground(experiment, swings, random) if motion.moves else StaticBackground(experiment, random)
+        # the water without robots at any time
+        self.backdrop = MovingBackground(experiment, swings, random) if motion.moves else StaticBackground(experiment, random)
         shades = [0 if self._picture.alike else i for i in range(len(self._robots))]
         self._sprites = [
             BodySprite.robot(robot, experiment, generator(seed, Stream.CAMERA, 1, shade))
@@ -64,7 +65,7 @@ class Renderer:
         for i, robot in enumerate(self._robots):
             if not (np.all(np.isfinite(eta[i])) and np.all(np.isfinite(nu[i]))):
                 raise ValueError(f"robot {robot}: eta = {eta[i]}, nu = {nu[i]} must be finite")
-        scene, raw = self._backdrop.at(time_s)
+        scene, raw = self.backdrop.at(time_s)
         self._draw_landmarks(raw, scene, time_s)
         roll_pitch = np.zeros((len(eta), 2)) if tilt is None else tilt[:, :2]
         bodies: list[Body] = [*zip(self._sprites, eta, nu, roll_pitch, strict=True), *self._drifting_balls(time_s)]

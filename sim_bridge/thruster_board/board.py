@@ -67,7 +67,7 @@ class ThrusterBoard:
         self._vehicle, self._supply_v, self._store_callback = vehicle, sensors.battery_v, store
         computer = (robot_id, agent_link.AGENT_COMPONENT)
         self.rules = BoardStateMachine(Parameters.of(experiment).restored(stored.parameters), computer, key, stored.heard)
-        self._link = BoardLink(robot_id, self.rules.gate, key, stored.sent + SENT_BETWEEN)
+        self.link = BoardLink(robot_id, self.rules.gate, key, stored.sent + SENT_BETWEEN)
         self.sensors = BoardSensors(sensors, robot_id, seed)
         self._burst_ns = round(S_NS / sensors.rate_hz)
         self._outbox: list[bytes] = []
@@ -101,18 +101,18 @@ class ThrusterBoard:
     @property
     def unauthentic_frames(self) -> int:
         """Number of frames that were dropped for their signature."""
-        return self._link.unauthentic_frames
+        return self.link.unauthentic_frames
 
     def receive(self, data: bytes, now_ns: int) -> bool:
         """Take bytes from the robot's computer or another peer. Returns True if a frame in them was taken: intact, and on
         a signed link well signed. Never raises, for any bytes."""
-        link = self._link
+        link = self.link
         before = link.taken_frames
         self._handle(data, now_ns)
         return link.taken_frames > before
 
     def _handle(self, data: bytes, now_ns: int) -> None:
-        for asker, event in self._link.receive(data, now_ns):
+        for asker, event in self.link.receive(data, now_ns):
             match event:
                 case Override(pulses_us):
                     self.rules.override(asker, pulses_us, now_ns)
@@ -120,13 +120,13 @@ class ThrusterBoard:
                     self._store()
                     result = self.rules.arm(arm, now_ns)
                     self._report_status()
-                    self._outbox.append(self._link.acknowledge(asker, COMPONENT_ARM_DISARM, result))
+                    self._outbox.append(self.link.acknowledge(asker, COMPONENT_ARM_DISARM, result))
                 case Timesync(sent_ns):
-                    self._outbox.append(self._link.timesync(max(now_ns, 1), sent_ns))
+                    self._outbox.append(self.link.timesync(max(now_ns, 1), sent_ns))
                 case TellVersion():
-                    self._outbox += [self._link.acknowledge(asker, REQUEST_MESSAGE, agent_link.ACCEPTED), self._link.version()]
+                    self._outbox += [self.link.acknowledge(asker, REQUEST_MESSAGE, agent_link.ACCEPTED), self.link.version()]
                 case Unsupported(command):
-                    self._outbox.append(self._link.acknowledge(asker, command, agent_link.UNSUPPORTED))
+                    self._outbox.append(self.link.acknowledge(asker, command, agent_link.UNSUPPORTED))
                 case ListParameters():
                     self._to_list = 0
                 case ReadParameter(name, index):
@@ -148,11 +148,11 @@ class ThrusterBoard:
         """Sign with this key from now on. A board with a key accepts another only from the owner of its own."""
         refusal = self.rules.set_key(key, newest)
         if refusal:
-            self._outbox.append(self._link.text(WARNING, f"no new key: {refusal}"))
+            self._outbox.append(self.link.text(WARNING, f"no new key: {refusal}"))
             return
         self._key = key
-        self._link = BoardLink(self._robot_id, self.rules.gate, key, self._link.stamp + SENT_BETWEEN)
-        self._outbox.append(self._link.text(INFO, "signed from now on"))
+        self.link = BoardLink(self._robot_id, self.rules.gate, key, self.link.stamp + SENT_BETWEEN)
+        self._outbox.append(self.link.text(INFO, "signed from now on"))
         self._store()
 
     def _answer_parameter(self, asker: Peer, name: str, refusal: Refusal | None) -> None:
@@ -162,19 +162,19 @@ class ThrusterBoard:
         if index >= 0:
             self._outbox.append(self._value(index))
         if refusal is not None:
-            self._outbox.append(self._link.parameter_error(asker, name, index, refusal.code))
+            self._outbox.append(self.link.parameter_error(asker, name, index, refusal.code))
             bounds = f" ({self.rules.parameters.table[index].bounds})" if refusal is Refusal.RANGE else ""
-            self._outbox.append(self._link.text(WARNING, f"{name}: {refusal.words}{bounds}"))
+            self._outbox.append(self.link.text(WARNING, f"{name}: {refusal.words}{bounds}"))
 
     def _value(self, index: int) -> bytes:
         parameters = self.rules.parameters
-        return self._link.parameter(parameters.table[index].name, parameters.values[index], len(parameters.table), index)
+        return self.link.parameter(parameters.table[index].name, parameters.values[index], len(parameters.table), index)
 
     def _store(self) -> None:
         """Write the nonvolatile state, before a command is carried out, so that its frame cannot count again."""
         parameters, self._stored_heard = self.rules.parameters, self.rules.gate.newest
         values = dict(zip(parameters.index, parameters.values, strict=True))
-        self._store_callback(NonvolatileState(values, self._stored_heard, self._link.stamp, self._key))
+        self._store_callback(NonvolatileState(values, self._stored_heard, self.link.stamp, self._key))
 
     def measures(self, now_ns: int) -> bool:
         """True if the step to this instant reads the sensors."""
@@ -212,18 +212,18 @@ class ThrusterBoard:
 
     def _report_status(self) -> None:
         """Send the texts and the change of arming that are due."""
-        self._outbox += [self._link.text(said.severity, said.text) for said in self.rules.said]
+        self._outbox += [self.link.text(said.severity, said.text) for said in self.rules.said]
         self.rules.said.clear()
         if self.rules.armed is not self._told_armed:
             self._told_armed = self.rules.armed
             self._outbox.append(self._heartbeat())
 
     def _heartbeat(self) -> bytes:
-        return self._link.heartbeat(self.rules.armed, healthy=self.rules.charge < Charge.NO_ARM)
+        return self.link.heartbeat(self.rules.armed, healthy=self.rules.charge < Charge.NO_ARM)
 
     def _burst(self, now_ns: int, reading: Reading, voltage: float) -> None:
         """Send all measurements, ATTITUDE last: it completes a burst."""
-        link, rules = self._link, self.rules
+        link, rules = self.link, self.rules
         self.burst_ms = now_ns // MS_NS % 2**32
         self._outbox += [
             link.imu(self.burst_ms, reading.acceleration_mps2, reading.yaw_rate_radps),

@@ -66,7 +66,7 @@ class CrewedPool(DryPool):
                 self.control_step(i, plans)
                 self._heard_ns[i] = self.now_ns
         self.references.append(np.array([_goal(robot.agent) for robot in self.robots]))
-        self.pulses.append(np.array([board.pulses for board in self.world._boards]))
+        self.pulses.append(np.array([board.pulses for board in self.world.boards]))
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds * NS / self.period_ns)):
@@ -121,8 +121,8 @@ class CrewedPool(DryPool):
 
 def _goal(agent: Agent) -> Array:
     """The goal of a robot (12,), NaN where it has none."""
-    goal = agent._controller._goal
+    goal = agent.controller.goal
     if goal is None:
         return np.full(12, np.nan)
-    path = agent._controller._sampler.sample(goal)
+    path = agent.controller.sampler.sample(goal)
     return np.concatenate([path.eta[0], path.velocity[0], path.acceleration[0]])

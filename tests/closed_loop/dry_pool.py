@@ -25,7 +25,7 @@ class BoardWater:
 
     def __init__(self, experiment: Experiment, seed: int, starts: Array) -> None:
         self.world = World(experiment, seed, starts)
-        self._links = [AgentLink(robot) for robot in experiment.robot_ids]
+        self.links = [AgentLink(robot) for robot in experiment.robot_ids]
         self._inboxes = [b""] * len(starts)
 
     @property
@@ -42,14 +42,14 @@ class BoardWater:
                 self._inboxes[i] += data
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:
-        self._links[i].receive(self._inboxes[i], now_ns)
+        self.links[i].receive(self._inboxes[i], now_ns)
         self._inboxes[i] = b""
-        return self._links[i].telemetry
+        return self.links[i].telemetry
 
     def act(self, i: int, outputs: Outputs) -> None:
         if outputs.arm is not None:
-            self.world.receive(i, self._links[i].arm(outputs.arm))
-        self.world.receive(i, self._links[i].pulses(outputs.pulse_us))
+            self.world.receive(i, self.links[i].arm(outputs.arm))
+        self.world.receive(i, self.links[i].pulses(outputs.pulse_us))
 
 
 class DryPool(AgentFleet):
@@ -70,7 +70,7 @@ class DryPool(AgentFleet):
         starts = planner.start_poses(experiment, trajectories)
         water = BoardWater(experiment, seed, np.array([starts[r] for r in experiment.robot_ids]))
         super().__init__(experiment, trajectories, water, seed)
-        self.world = water.world
+        self.world, self.links = water.world, water.links
         self.pulses: list[Array] = []  # (n, 8) on the boards' outputs, per control step
         self.camera_works = True
         self.station_works = True
@@ -89,7 +89,7 @@ class DryPool(AgentFleet):
         """Fly on."""
         for _ in range(round(seconds * 1e9 / self.period_ns)):
             self.step()
-            self.pulses.append(np.array([board.pulses for board in self.world._boards]))
+            self.pulses.append(np.array([board.pulses for board in self.world.boards]))
 
     def expose(self, stamp_ns: int) -> None:
         if self.camera_works:

@@ -92,10 +92,10 @@ def test_a_robot_keeps_away_from_where_an_unseen_pole_may_be() -> None:
     """The localizer goes silent about everything but poses, and the mission flies on."""
     pool = flying('mission.blind="warn"', "sim.drifters=[{start_m=[0.9,-0.75,0.3]}]")
     agent, radius_m = pool.robots[0].agent, pool.experiment.safety.radius_m
-    (seen,) = agent._obstacles(agent._inputs, pool.now_ns)
+    (seen,) = agent.obstacles(agent.inputs, pool.now_ns)
     pool.telling = False
     pool.run(6.0)
-    (kept,) = agent._obstacles(agent._inputs, pool.now_ns)
+    (kept,) = agent.obstacles(agent.inputs, pool.now_ns)
     assert seen.clearance_m == radius_m
     assert kept.clearance_m == pytest.approx(radius_m + pool.experiment.safety.bubble_max_m)
     assert abs(kept.centre - seen.centre) < 0.08, "it lay still, as far as noise can tell"

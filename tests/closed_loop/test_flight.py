@@ -79,9 +79,9 @@ def test_a_board_that_disarmed_itself_is_not_armed_again_unasked() -> None:
     pool = flying()
     pool.agents_work[0] = False
     pool.run(0.4)
-    assert not pool.world._boards[0].armed
-    idle = pool.robots[0].agent._controller._allocator.neutral_us
-    pool.robots[0].agent._controller._allocator.pulses = lambda wrench: idle  # type: ignore[method-assign]
+    assert not pool.world.boards[0].armed
+    idle = pool.robots[0].agent.neutral_us
+    pool.robots[0].agent.controller.allocator.pulses = lambda wrench: idle  # type: ignore[method-assign]
     pool.agents_work[0] = True
     pool.run(1.0)
     assert pool.robots[0].agent.mode is Mode.FAULT
@@ -92,14 +92,14 @@ def test_a_board_that_disarmed_itself_is_not_armed_again_unasked() -> None:
 def test_a_board_that_missed_the_first_request_to_arm_arms_at_a_later_one() -> None:
     """A board arms on neutral pulses only, and the station's START comes long before the second request."""
     pool = DryPool(load_experiment("pool"))
-    link = pool._water._links[0]  # type: ignore[attr-defined]
+    link = pool.links[0]
     ask, asked = link.arm, []
 
     def missed_once(arm: bool) -> bytes:
         asked.append(arm)
         return ask(arm) if len(asked) > 1 else b""
 
-    link.arm = missed_once
+    link.arm = missed_once  # type: ignore[method-assign]
     pool.take_off(start_in_s=1.0)
     pool.run(3.0)
     assert len(asked) > 1
@@ -127,7 +127,7 @@ def test_a_robot_told_to_hold_in_the_dark_holds_where_it_finds_itself() -> None:
 
 def test_a_robot_whose_pressure_sensor_dies_does_not_fly_on_by_its_last_depth() -> None:
     pool = flying()
-    link = pool.world._boards[0]._link
+    link = pool.world.boards[0].link
     told = link.pressure
     link.pressure = lambda board_ms, depth_m: told(board_ms, math.nan)  # type: ignore[method-assign]
     dead = len(pool.truth)
@@ -140,7 +140,7 @@ def test_a_robot_whose_pressure_sensor_dies_does_not_fly_on_by_its_last_depth() 
 def test_control_steps_that_are_late_three_times_in_a_row_end_in_neutral() -> None:
     pool = flying()
     agent = pool.robots[0].agent
-    inputs = agent._inputs
+    inputs = agent.inputs
     for late_steps, mode in ((2, Mode.TRACKING), (0, Mode.TRACKING), (3, Mode.FAULT)):
         outputs = agent.step(replace(inputs, late_steps=late_steps), pool.now_ns)
         assert outputs.state.mode is mode
@@ -196,10 +196,10 @@ def test_a_stop_right_after_an_arm_disarms_the_board_at_the_next_step() -> None:
     pool.run(1.0)
     assert pool.order(Order.ARM, 0).accepted
     pool.run(0.05)
-    assert pool.world._boards[0].armed
+    assert pool.world.boards[0].armed
     assert pool.order(Order.STOP, 0).accepted
     pool.run(0.05)
-    assert not pool.world._boards[0].armed
+    assert not pool.world.boards[0].armed
 
 
 @pytest.mark.parametrize("place", [{"x_m": 2.6, "y_m": 0.0}, {"x_m": 0.0, "y_m": -1.9}])
@@ -231,8 +231,8 @@ def test_a_step_is_due_when_the_pose_gets_too_old_for_what_the_robot_does() -> N
     hold_ns, neutral_ns = (seen_ns + round(limit_s * 1e9) + 1 for limit_s in (safety.pose_hold_s, safety.pose_neutral_s))
     found = [(agent.react_by_ns, agent.mode)]
     for now_ns in (hold_ns - 1, hold_ns, neutral_ns - 1, neutral_ns):
-        telemetry = replace(agent._inputs.telemetry, arrival_ns=now_ns)
-        agent.step(replace(agent._inputs, station=pool.station(), telemetry=telemetry), now_ns)
+        telemetry = replace(agent.inputs.telemetry, arrival_ns=now_ns)
+        agent.step(replace(agent.inputs, station=pool.station(), telemetry=telemetry), now_ns)
         found.append((agent.react_by_ns, agent.mode))
     assert found[:2] == [(hold_ns, Mode.TRACKING)] * 2
     assert found[2:] == [(neutral_ns, Mode.HOLDING)] * 2 + [(None, Mode.FAULT)]
@@ -303,6 +303,7 @@ def test_a_robot_that_leaves_the_picture_says_so() -> None:
     """Its camera hangs elsewhere than the plan was told: the robot is at the picture's edge when poses stop coming."""
     pool = flying()
     aside = pool.experiment.camera.model_copy(update={"position_m": (-1.3, 0.0, -2.8)})
+    # with another experiment from the beginning it would refuse the fleet's orders
     pool.robots[0].agent._experiment = pool.experiment.model_copy(update={"camera": aside})
     pool.camera_works = False
     pool.run(0.25)

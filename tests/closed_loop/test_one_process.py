@@ -84,7 +84,7 @@ def test_one_process_flies_to_the_bit_what_processes_fly(arguments: tuple[str, .
     assert all(re.search(rf"^{verdict}\b", said, re.MULTILINE) for said in (output, output_of_one))
 
 
-def test_what_the_station_refuses_leaves_no_folder(tmp_path: Path) -> None:
+def test_a_run_that_the_station_refuses_leaves_no_folder(tmp_path: Path) -> None:
     code, output, _ = sil(tmp_path, "pool", "--one-process", "--set", "recording.min_free_gb=1e9")
     assert code == 2
     assert "a run needs" in output.replace("\n", " ")

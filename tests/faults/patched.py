@@ -78,6 +78,7 @@ class Flaws:
             time.sleep(self.delay_s)  # a solver that waits is as late as one that computes
             return Solution(np.zeros(len(q)), False, 0) if self.unsolved else real_solve(solver, p, q, *rest)
 
+        # an order that is lost on its way: every order of a bus goes through this one method
         real_ask = Bus._ask
 
         def ask(bus: Bus, key: str, command: Command, stamp_ns: int, timeout_s: float, only_after: int | None = None) -> Any:
@@ -86,6 +87,7 @@ class Flaws:
             return real_ask(bus, key, command, stamp_ns, timeout_s, only_after)
 
         OsqpSolver.solve = solve  # type: ignore[assignment, method-assign]
+        # an order that is lost on its way: every order of a bus goes through this one method
         Bus._ask = ask  # type: ignore[assignment, method-assign]
         for number in (signal.SIGUSR1, signal.SIGUSR2, signal.SIGALRM, signal.SIGHUP, *LOST, *END_THREAD.values()):
             signal.signal(number, self.on_signal)

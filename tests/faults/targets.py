@@ -134,7 +134,7 @@ def _agent_step(robot: Agent, bites: Bites, now_ns: int) -> None:
         return now_ns - (0, 20_000_000, -20_000_000, 10**10)[bites.byte(4)]
 
     kind = bites.byte(8)
-    inputs = robot._inputs
+    inputs = robot.inputs
     pose = StampedPose(bites.message(Pose), instant()) if kind & 1 else inputs.pose
     telemetry = dataclasses.replace(inputs.telemetry, arrival_ns=now_ns, armed=True)
     if kind & 2:
@@ -167,7 +167,7 @@ def orders(data: bytes) -> None:
         header = Header(bites.byte(2), bites.byte(), now_ns - bites.byte() * 10_000_000)
         reply = robot.handle_command(header, command, StationView(bites.byte(2), now_ns, 0.0), now_ns)
         decode(Reply, encode(reply), "agent", "reply")
-        robot.step(dataclasses.replace(robot._inputs, station=StationView(1, now_ns, 0.0)), now_ns)
+        robot.step(dataclasses.replace(robot.inputs, station=StationView(1, now_ns, 0.0)), now_ns)
         now_ns += PERIOD_NS
     assert robot.mode not in POWERED  # it never knew where it is
 

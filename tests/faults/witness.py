@@ -114,7 +114,7 @@ def watched_world(line: Line) -> type[World]:
             asked = line.asked()
             if asked is None:
                 return []
-            for robot, board in zip(self._experiment.robot_ids, self._boards, strict=True):
+            for robot, board in zip(self._experiment.robot_ids, self.boards, strict=True):
                 vars(board)["crossed"] = f"board {robot} crossed" in asked
                 depths = [what.split()[2:] for what in asked if what.startswith(f"depth {robot} ")]
                 vars(board)["depth_wrong"] = tuple(depths[-1]) if depths else ()
@@ -124,14 +124,14 @@ def watched_world(line: Line) -> type[World]:
             sim = self._experiment.sim.model_copy(update={"faults": faults})
             self.faults = FaultSchedule(self._experiment.model_copy(update={"sim": sim}))
             said = self.faults.at(0.0)
-            for board, error in zip(self._boards, self.faults.imu_error.tolist(), strict=True):
+            for board, error in zip(self.boards, self.faults.imu_error.tolist(), strict=True):
                 board.sensors.error = (error[0], error[1])
             line.tell(broken=asked)
             return said
 
         def step(self) -> list[tuple[int, bytes]]:
             sent = super().step()
-            for i, board in enumerate(self._boards):
+            for i, board in enumerate(self.boards):
                 now = self.neutral(i), board.armed
                 if now != self._said[i]:
                     self._said[i] = now

@@ -8,19 +8,10 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from localizer.camera_model import RefractiveCamera
-from wire.config.experiment import load_experiment
+from tests.localizer.cameras import CAMERA, TILTED
 from wire.config.perception import Camera
 from wire.frames import Array
 
-CAMERA = load_experiment("pool").camera
-TILTED = CAMERA.model_copy(
-    update={
-        "rotation_rad": (0.15, -0.2, 0.3),
-        "position_m": (0.4, -0.3, -2.5),
-        "centre_px": (620.3, 490.1),
-        "distortion": (-0.25, 0.08, 0.001, -0.0015, -0.01),
-    }
-)
 CAMERAS = pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["pool", "tilted"])
 
 

@@ -11,7 +11,7 @@ import pytest
 from localizer import kernels
 from localizer.camera_model import RefractiveCamera
 from tests.localizer import numpy_geometry as reference
-from tests.localizer.test_camera_model import CAMERA, TILTED
+from tests.localizer.cameras import CAMERA, TILTED
 from wire.config.perception import Camera
 from wire.frames import Array
 

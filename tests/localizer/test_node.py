@@ -359,10 +359,10 @@ def test_an_error_in_a_picture_costs_that_picture_and_ten_in_a_row_the_process(
         elif k > 0:
             assert said.robots == (1, 2) and said.message == ""
         if k < 21:
-            assert not shell._stop.requested
-    assert eventually(lambda: shell._stop.requested)
+            assert not shell.stop.requested
+    assert eventually(lambda: shell.stop.requested)
     with pytest.raises(Failed, match="10 pictures in a row could not be localized in: Singular matrix"):
-        shell._stop.raise_failure()
+        shell.stop.raise_failure()
 
 
 def test_an_error_after_the_poses_costs_no_pose_and_ten_in_a_row_the_process(
@@ -373,21 +373,23 @@ def test_an_error_after_the_poses_costs_no_pose_and_ten_in_a_row_the_process(
     statuses, scene = bus.inbox(topics.LOCALIZER, LocalizerStatus), Scene(EXPERIMENT)
     shell = localize(LockstepClock())
     finish = FleetLocalizer.finish
+    finished = list[int]()
 
     def sometimes(localizer: FleetLocalizer) -> None:
         finish(localizer)
-        if localizer._frames > 3:
+        finished.append(1)
+        if len(finished) > 3:
             raise cv2.error("no memory")
 
     monkeypatch.setattr(FleetLocalizer, "finish", sometimes)
     assert eventually(lambda: "localizer" in bus.present)
     for k in range(13):
-        assert not shell._stop.requested
+        assert not shell.stop.requested
         said = expose(bus, statuses, scene.frame(ETA), 50 * MS * k)
         assert said.failed == max(k - 3, 0) and (said.robots == (1, 2) or k == 0)
-    assert eventually(lambda: shell._stop.requested)
+    assert eventually(lambda: shell.stop.requested)
     with pytest.raises(Failed, match="10 pictures in a row could not be localized in: no memory"):
-        shell._stop.raise_failure()
+        shell.stop.raise_failure()
 
 
 def test_an_obstacle_watch_that_fails_says_that_it_watches_nothing(
@@ -410,7 +412,7 @@ def test_an_obstacle_watch_that_fails_says_that_it_watches_nothing(
     assert eventually(lambda: (h := obstacles.newest_header()) is not None and h.stamp_ns == 100 * MS)
     received = obstacles.newest()
     assert received is not None and received.message.watched == 0.0
-    assert not shell._stop.requested
+    assert not shell.stop.requested
 
 
 def test_a_preview_that_cannot_be_drawn_says_so_and_is_not_the_picture_before() -> None:
@@ -444,8 +446,10 @@ def test_obstacles_are_not_watched_unasked_or_from_a_moving_camera(scene: str, s
     """Under a drone all of the background moves."""
     bus = Bus(MemoryTransport(MemoryHub()))
     assert (
+        # whether a detector was made is not told before the first picture
         LocalizerNode(load_experiment(scene, settings), bus, Stop(install=False), LockstepClock())._obstacle_detector is None
     )
+    # whether a detector was made is not told before the first picture
     assert LocalizerNode(EXPERIMENT, bus, Stop(install=False), LockstepClock())._obstacle_detector is not None
 
 

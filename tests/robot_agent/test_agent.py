@@ -43,7 +43,7 @@ def flying() -> tuple[Agent, Inputs, int]:
 )
 def test_invalid_pulse_ends_in_neutral(broken: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     agent, inputs, now_ns = flying()
-    controller = agent._controller
+    controller = agent.controller
     real = controller.step
     monkeypatch.setattr(controller, "step", lambda *arguments: replace(real(*arguments), **broken))
     outputs = agent.step(inputs, now_ns)

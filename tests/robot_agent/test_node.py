@@ -161,7 +161,9 @@ def test_gains_are_made_ready_beside_the_steps(running: Running, monkeypatch: py
     asked = threading.Thread(target=lambda: replies.append(running.order(Order.TUNE, tuning(POOL.controller))))
     asked.start()
     assert building.wait(PATIENCE_S)
+    # the number of steps is told only in the log of inputs, which this station does not hear
     before = running.robot._steps
+    # the number of steps is told only in the log of inputs, which this station does not hear
     assert running.until(lambda: running.robot._steps > before + 5)
     built.set()
     asked.join()
@@ -179,7 +181,7 @@ def test_an_order_that_breaks_the_program_ends_it_and_says_why(running: Running,
 
 
 def test_a_program_that_is_ending_takes_no_order_that_gives_power(running: Running) -> None:
-    running.robot._stop.request()
+    running.robot.stop.request()
     assert running.until(lambda: len(running.ended) > 0)
     reply = running.order(Order.HOLD)
     assert (reply.accepted, reply.reason) == (False, "HOLD: the robot's program is ending")

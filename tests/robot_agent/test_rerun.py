@@ -75,8 +75,8 @@ class Pond:
             listener.subscribe(topic, None, self._hear)
         self.clock = HandClock()
         self.node = AgentNode(self.experiment, ME, self.agents, Board(), False, Stop(install=False))
-        self.node._clock = self.clock
-        self.agents.serve(ME, self.node._order)
+        self.node.clock = self.clock
+        self.agents.serve(ME, self.node.on_order)
         self.random = np.random.default_rng(4)
         self.trajectory = planner.plan(self.experiment)[ME]
 
@@ -110,9 +110,9 @@ class Pond:
             self.station.publish(topics.HEARTBEAT, StationHeartbeat(self.experiment.hash, False, "RUNNING"), self.sent_ns)
             self.clock.tick_ns += PERIOD_NS
             now_ns = self.clock.tick_ns
-            record, outputs = self.node._step(now_ns, None)
+            record, outputs = self.node.step(now_ns, None)
             self.agents.publish(topics.INPUTS, record, now_ns, ME)
-            self.node._write(outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS)  # never late
+            self.node.write(outputs, now_ns, now_ns, time.perf_counter_ns() + HOUR_NS)  # never late
             self.states.append(outputs.state)
             self.plans += [outputs.plan] if outputs.plan is not None else []
 

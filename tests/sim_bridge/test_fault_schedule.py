@@ -62,6 +62,7 @@ def test_a_sagging_battery_is_measured_and_felt() -> None:
         texts += world.apply_faults()
         world.step()
     assert texts == ["fault: battery 2 sag 2"]
+    # the boards tell the voltage with noise; the exact one is the plant's
     volts = world._plant.rest_v(world._state, world.faults.actuators)
     assert volts[0] - volts[1] == pytest.approx(2.0, abs=1e-9)
 
@@ -107,8 +108,10 @@ def test_camera_faults_darken_hide_and_dazzle_the_picture() -> None:
 
 def test_a_glare_is_made_once_for_all_pictures_of_a_size() -> None:
     camera, glare = CameraFaults(), (read_what("camera glare 0.3"),)
+    # how often the glare is drawn is seen in its cache alone
     before = camera_faults._glare.cache_info().misses
     pictures = [camera.apply(np.full((96, 128), level, np.uint8), glare) for level in (10, 20, 30)]
+    # how often the glare is drawn is seen in its cache alone
     assert camera_faults._glare.cache_info().misses == before + 1
     assert [int(picture[0, 0]) for picture in pictures] == [10, 20, 30]
     assert all(picture[48, 64] == 255 and picture.flags.writeable for picture in pictures)

@@ -63,15 +63,15 @@ class UdpLink:
     """A board behind UDP, as in simulation or on an Ethernet autopilot."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.connect((host, port))
-        self._socket.setblocking(False)
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.connect((host, port))
+        self.socket.setblocking(False)
         self.address = (host, port)
         self.trouble = ""
 
     def send(self, data: bytes) -> None:
         try:
-            self._socket.send(data)
+            self.socket.send(data)
         except OSError as error:  # refused: the other end does not listen now
             self.trouble = error.strerror or str(error)
 
@@ -81,7 +81,7 @@ class UdpLink:
         left = READ_BYTES
         for _ in range(READ_DATAGRAMS):
             try:
-                datagrams.append(self._socket.recv(READ_BYTES))
+                datagrams.append(self.socket.recv(READ_BYTES))
                 self.trouble = ""
                 left -= len(datagrams[-1])
                 if left <= 0:
@@ -98,10 +98,10 @@ class UdpLink:
 
     def wait(self, timeout_s: float) -> None:
         """Sleep until something can be read, at most this long."""
-        select.select([self._socket], [], [], max(timeout_s, 0.0))
+        select.select([self.socket], [], [], max(timeout_s, 0.0))
 
     def close(self) -> None:
-        self._socket.close()
+        self.socket.close()
 
 
 class SerialLink:

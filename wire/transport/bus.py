@@ -129,7 +129,7 @@ class Bus:
         self.session = secrets.randbits(63) | 1
         self.arrival = threading.Condition()  # notified whenever something arrives
         self.rejected = 0  # messages without a readable header
-        self._transport, self._fleet = transport, fleet
+        self.transport, self._fleet = transport, fleet
         self._publishers: dict[str, Callable[[bytes, bytes], None]] = {}
         self._sequences: dict[str, int] = {}
         self._present: set[str] = set()
@@ -152,7 +152,7 @@ class Bus:
         key = self._key(topic.key(robot))
         with self._turns.setdefault(key, threading.Lock()):  # numbered and sent in one order, also from several threads
             if key not in self._publishers:
-                self._publishers[key] = self._transport.publisher(key, topic.qos, topic.cache_depth)
+                self._publishers[key] = self.transport.publisher(key, topic.qos, topic.cache_depth)
             header = self._next_header(key, stamp_ns, age_ns)
             self._publishers[key](payload, header.encode())
         return key, header, payload
@@ -196,12 +196,12 @@ class Bus:
             if decoded is not None:
                 raw(topic, key, decoded, payload)
 
-        self._transport.subscribe(self._key(topic.key(robot)), topic.qos, deliver)
+        self.transport.subscribe(self._key(topic.key(robot)), topic.qos, deliver)
 
     def collect(self, topic: Topic) -> Collected:
         """As `subscribe`, of all robots, for messages that can wait: to be called now and then, from one thread, for those
         that have come. Cheaper, and no network thread ever waits for whoever collects."""
-        collect = self._transport.collect(self._key(topic.key()), topic.qos)
+        collect = self.transport.collect(self._key(topic.key()), topic.qos)
 
         def collected() -> Iterator[tuple[Topic, str, Header, bytes]]:
             for key, payload, header in collect():
@@ -249,7 +249,7 @@ class Bus:
             except DecodeError:
                 return False
 
-        self._transport.serve(self._key(name), answer, urgent)
+        self.transport.serve(self._key(name), answer, urgent)
 
     def command(self, command: Command, stamp_ns: int, timeout_s: float) -> Reply:
         """Send an order and wait for its answer. No answer, or one that cannot be read, is a refusal with the reason."""
@@ -290,7 +290,7 @@ class Bus:
             if only_after is not None and self._sequences.get(key) != only_after:
                 return None
             header = self._next_header(key, stamp_ns)
-            return header.sequence, self._transport.ask(key, payload, header.encode(), timeout_s)
+            return header.sequence, self.transport.ask(key, payload, header.encode(), timeout_s)
 
     def _read(self, command: Command, key: str, answer: bytes | None, timeout_s: float) -> Reply:
         if answer is None:
@@ -304,7 +304,7 @@ class Bus:
         """Wait until no other process of this name is in the fleet: one that has crashed is missed after some seconds. Raises
         ConfigError if one is there all the same. Do it first: two of one name would act by turns."""
         key, deadline_s, told = self._key(topics.PRESENCE_KEY.format(process=process)), time.monotonic() + patience_s, False
-        while self._transport.is_present(key) and not stopped():
+        while self.transport.is_present(key) and not stopped():
             if time.monotonic() > deadline_s:
                 raise ConfigError(
                     f"{process}: another process of this name is in fleet {self._fleet} (allowed: one): end it, or start this "
@@ -317,7 +317,7 @@ class Bus:
 
     def announce(self, process: str) -> None:
         """Make this process visible to the others. Do it last, when every subscription stands."""
-        self._transport.announce(self._key(topics.PRESENCE_KEY.format(process=process)))
+        self.transport.announce(self._key(topics.PRESENCE_KEY.format(process=process)))
 
     def watch_presence(self) -> None:
         """Start to follow who is there; see `present`."""
@@ -328,7 +328,7 @@ class Bus:
                 (self._present.add if there else self._present.discard)(process)
                 self.arrival.notify_all()
 
-        self._transport.watch(self._key(topics.PRESENCE_KEY.format(process="*")), presence)
+        self.transport.watch(self._key(topics.PRESENCE_KEY.format(process="*")), presence)
 
     @property
     def present(self) -> frozenset[str]:
@@ -343,7 +343,7 @@ class Bus:
 
     def close(self) -> None:
         """Leave the fleet."""
-        self._transport.close()
+        self.transport.close()
 
     def __enter__(self) -> "Bus":
         return self

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from groundstation.cli import mission as order_commands
-from groundstation.cli.mission import _Printer, follow
+from groundstation.cli.mission import OutcomePrinter, follow
 from wire.messages.messages import Command, Order, Outcome, Progress, Reply
 
 SILENT = Reply(0, False, "no answer within 2 s", silent=True)
@@ -93,21 +93,21 @@ def test_patience_ends() -> None:
 def test_the_exit_code_and_the_last_lines_say_what_was_achieved(
     reply: Reply, code: int, lines: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert _Printer("stop", False).end(reply, 5.0) == code
+    assert OutcomePrinter("stop", False).end(reply, 5.0) == code
     assert [line for line in capsys.readouterr().out.splitlines() if not line.startswith("  mission")] == lines
-    assert _Printer("stop", True).end(reply, 5.0) == code
+    assert OutcomePrinter("stop", True).end(reply, 5.0) == code
     told = json.loads(capsys.readouterr().out)
     assert told["done"] is (code == 0)
     assert told["robots"].get("2", "confirmed") == ("not heard" if "NOT" in "".join(lines) else "confirmed")
 
 
-def test_who_wants_only_to_be_heard_is_told_no_more(capsys: pytest.CaptureFixture[str]) -> None:
-    assert _Printer("start", False).end(outcome(), 0.0) == 0
+def test_a_request_that_does_not_wait_is_told_no_more_than_taken(capsys: pytest.CaptureFixture[str]) -> None:
+    assert OutcomePrinter("start", False).end(outcome(), 0.0) == 0
     assert capsys.readouterr().out == "start: taken by the station\n"
 
 
 def test_progress_is_told_once(capsys: pytest.CaptureFixture[str]) -> None:
-    told = _Printer("start", False)
+    told = OutcomePrinter("start", False)
     for mission, confirmed in (("LOADING", ()), ("LOADING", ()), ("TEST_ARMING", (1,)), ("TEST_ARMING", (1,))):
         told.progress(Outcome(1, Order.START, mission=mission, confirmed=confirmed))
     assert capsys.readouterr().out.splitlines() == ["  mission: loading", "  mission: test arming", "  robot 1: confirmed"]

@@ -209,6 +209,7 @@ def row(result: Result) -> list[str]:
 def own_wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A wheelhouse with nothing but this project's wheel."""
     folder = tmp_path_factory.mktemp("wheels")
+    # the public functions also collect the wheels of all other packages, which takes minutes
     wheelhouse._pip("wheel", "--no-deps", "--wheel-dir", str(folder), str(wheelhouse.ROOT))
     return folder
 

@@ -167,6 +167,7 @@ def test_the_layouts_words_are_those_of_the_viewers_own_library() -> None:
         "RosOut": their_layouts.LogConfig(),
     }
     for name, config in layout(load_experiment("fleet-20"), "shoal")["configById"].items():
+        # the SDK has no public way to list the settings of a panel
         unknown = set(config) - set(theirs[name.partition("!")[0]]._to_dict()) - {"foxglovePanelTitle"}
         assert not unknown, f"{name}: {unknown}"
 

@@ -124,7 +124,7 @@ def test_messages_before_the_end_are_recorded(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_who_gathers_messages_and_fails_stops_the_log_and_says_so(tmp_path: Path) -> None:
+def test_a_source_of_messages_that_fails_stops_the_log_and_says_so(tmp_path: Path) -> None:
     def source() -> Iterator[tuple[Topic, str, Header, bytes]]:
         raise MemoryError("no room for a message")
 
@@ -161,6 +161,7 @@ def test_messages_beyond_the_memory_limit_are_dropped_and_counted(tmp_path: Path
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, "", {})
     half = bytes(MAX_PENDING_BYTES // 2 + 1)
+    # the writer thread takes messages at once unless it is held up here
     recorder._write_pending = lambda: None  # type: ignore[method-assign]  # as while the disk hangs
     recorder.put(topics.PREVIEW, "shoal/camera/preview", Header(1, 1, 0), half, 0)
     assert recorder.error == ""
@@ -277,6 +278,7 @@ def test_put_returns_at_once_while_the_disk_hangs(tmp_path: Path) -> None:
         hanging.set()
         release.wait(30.0)
 
+    # the recorder opens its file itself, so a disk that hangs can only be put in here
     recorder._output.sync = hang  # type: ignore[method-assign]
     assert hanging.wait(30.0)
     for k in range(100):  # would block for ever if the lock were held

@@ -647,7 +647,7 @@ def test_robots_that_lie_disarmed_and_have_no_way_home_say_so() -> None:
     assert run.mission.reason == "no way from here: an island is in the way"
 
 
-def test_who_should_rejoin_stays_out_when_there_is_no_way() -> None:
+def test_a_robot_that_should_rejoin_stays_out_when_there_is_no_way() -> None:
     run = three_running("go-on")
     run.robots[2].mode = Mode.DISARMED
     run.step(0.2)
@@ -835,7 +835,7 @@ def test_a_formation_on_its_way_home_is_not_sent_elsewhere() -> None:
     assert "on their way back" in run.mission.request(Order.GO, run.fleet(), run.now_ns, [(0.5, 0.5)])
 
 
-def test_who_held_on_a_way_of_their_own_that_is_blocked_now_get_another_one() -> None:
+def test_robots_held_on_a_way_home_that_is_blocked_since_get_another_one() -> None:
     run = running([STRAIGHT, "duration_s=20"], automatic=False)
     assert run.mission.request(Order.RETURN, run.fleet(), run.now_ns) == ""
     run.step(0.2)

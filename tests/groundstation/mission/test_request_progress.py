@@ -118,6 +118,7 @@ def test_places_are_gone_to_or_the_planner_says_why_not(found: bool) -> None:
     asked.fly()
     mission = asked.run.mission
     number = asked.requests.begin(Order.GO, mission)
+    # the public request would make the plan too, which this test makes elsewhere
     mission._go(Order.GO, asked.run.now_ns)
     mission.plans.by_operator = True
     asked.look()

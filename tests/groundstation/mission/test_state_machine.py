@@ -103,6 +103,6 @@ def test_a_refusal_names_the_states_that_would_do() -> None:
 
 
 @pytest.mark.parametrize("state", [state for state in MissionState if state in IN_FLIGHT])
-def test_whoever_flies_can_be_held_and_disarmed(state: MissionState) -> None:
+def test_flying_robots_can_be_held_and_disarmed(state: MissionState) -> None:
     assert next_state(state, Order.HOLD) is MissionState.PAUSED
     assert next_state(state, Order.DISARM) is MissionState.ENDING

@@ -107,7 +107,7 @@ def test_a_thing_in_the_way_is_gone_round() -> None:
     assert np.hypot(*(motions[1].eta[:, :2] - [0.0, 0.1]).T).min() >= 0.5 - 1e-6
 
 
-def test_who_is_there_already_stays() -> None:
+def test_a_robot_that_is_at_its_goal_already_stays() -> None:
     starts = {1: pose(0.0, 0.0), 2: pose(2.0, 0.0)}
     goals = {1: pose(0.0, 0.0), 2: pose(1.0, 0.0)}
     motions = plan_transfers(pool(), starts, goals, NO_OBSTACLES)
@@ -122,7 +122,7 @@ def test_no_way_is_said_and_why() -> None:
 
 
 @pytest.mark.parametrize("absurd", [(np.nan, 0.0), (1e9, 0.0), (0.0, np.nan), (0.0, np.inf)])
-def test_who_says_that_it_is_nowhere_is_not_marshalled(absurd: tuple[float, float]) -> None:
+def test_a_robot_that_tells_an_impossible_place_is_not_marshalled(absurd: tuple[float, float]) -> None:
     x, yaw = absurd
     with pytest.raises(PlanError, match="robot 1 says that it"):
         plan_transfers(pool(), {1: pose(x, 0.0, yaw=yaw)}, {1: pose(4.0, 0.0)}, NO_OBSTACLES)

@@ -118,7 +118,7 @@ def test_replay_publishes_no_topic_that_moves_a_robot(tmp_path: Path) -> None:
     assert "does not come from the station" in agent.handle_command(Header(9, 1, 0), command, Inputs().station, SECOND).reason
 
 
-def test_what_a_topic_is_decides_and_every_topic_is_decided() -> None:
+def test_every_topic_is_either_replayed_or_left_out_by_its_kind() -> None:
     """A new topic is not replayed until somebody has thought about it."""
     motion = {topics.HEARTBEAT, topics.TRAJECTORY, topics.TUNING, topics.INPUTS, topics.ORDERS}
     assert set(TOPICS) == set(SEEN_AND_SAID) | motion | {topics.TICK, topics.EXPOSED, topics.FRAME}

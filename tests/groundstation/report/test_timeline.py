@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from groundstation.analysis.alignment import _hops_ms, _lost, align
+from groundstation.analysis.alignment import align, hops_of, messages_lost
 from groundstation.analysis.metrics import evaluate
 from groundstation.analysis.series import HOPS, Series, active_limits
 from groundstation.logs.reader import DecodedMessage, RunLog, read_log
@@ -76,7 +76,7 @@ def test_the_hops_add_up_to_the_whole() -> None:
     """30 ms in the localizer, 5 until the step, 2 for the step, 1 to the board."""
     state = RobotState(pose_age_ms=35.0, step_us=2000.0, exposure_to_pwm_ms=38.0)
     inputs = StepInputs(4, Pose(0.0, 0.0, 0.0), pose_instant_ns=65 * MS, pose_told_age_ns=30 * MS)
-    hops = _hops_ms(entry(state, 100 * MS), inputs)
+    hops = hops_of(entry(state, 100 * MS), inputs)
     np.testing.assert_allclose(hops, [30.0, 5.0, 2.0, 1.0], atol=1e-9)
     assert len(hops) == len(HOPS) and hops.sum() == pytest.approx(38.0)
 
@@ -84,26 +84,26 @@ def test_the_hops_add_up_to_the_whole() -> None:
 def test_a_step_without_a_new_pose_says_nothing_about_latency() -> None:
     state = RobotState(pose_age_ms=400.0, step_us=2000.0, exposure_to_pwm_ms=403.0)
     inputs = StepInputs(4, Pose(0.0, 0.0, 0.0), pose_instant_ns=0, pose_told_age_ns=30 * MS)
-    assert np.isnan(_hops_ms(entry(state, 400 * MS), inputs)).all()
-    assert np.isnan(_hops_ms(entry(state, 400 * MS), None)).all()
-    assert np.isnan(_hops_ms(entry(state, 400 * MS), StepInputs(0))).all()
+    assert np.isnan(hops_of(entry(state, 400 * MS), inputs)).all()
+    assert np.isnan(hops_of(entry(state, 400 * MS), None)).all()
+    assert np.isnan(hops_of(entry(state, 400 * MS), StepInputs(0))).all()
 
 
 def test_numbers_left_out_are_messages_lost_and_a_new_beginning_is_none() -> None:
     def entries(numbers: list[int]) -> list[DecodedMessage[RobotState]]:
         return [DecodedMessage(k, k, number, RobotState()) for k, number in enumerate(numbers)]
 
-    assert _lost(entries([1, 2, 3])) == 0
-    assert _lost(entries([5, 6, 9, 10, 12])) == 3
-    assert _lost(entries([5, 6, 1, 2])) == 0
-    assert _lost(entries([5])) == _lost([]) == 0
+    assert messages_lost(entries([1, 2, 3])) == 0
+    assert messages_lost(entries([5, 6, 9, 10, 12])) == 3
+    assert messages_lost(entries([5, 6, 1, 2])) == 0
+    assert messages_lost(entries([5])) == messages_lost([]) == 0
 
 
 def test_stretches_reach_to_the_next_step() -> None:
     time_s: Array = np.linspace(0.0, 0.35, 8)
     active = np.array([True, True, False, False, True, False, True, True])
-    assert np.array(drawn._spans(time_s, active)) == pytest.approx(np.array([(0.0, 0.1), (0.2, 0.05), (0.3, 0.1)]))
-    assert drawn._spans(time_s, ~np.ones(8, dtype=bool)) == []
+    assert np.array(drawn.spans_of(time_s, active)) == pytest.approx(np.array([(0.0, 0.1), (0.2, 0.05), (0.3, 0.1)]))
+    assert drawn.spans_of(time_s, ~np.ones(8, dtype=bool)) == []
 
 
 def test_the_timeline_shows_every_mode_there_was(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.planning.segment import PlanSegment, first_segment
 from groundstation.station import process
-from groundstation.station.station import MAX_UNANSWERED, Station, workers
+from groundstation.station.station import COMMAND_KINDS, MAX_UNANSWERED, Station, workers
 from groundstation.telemetry import subscribe_fleet
 from wire.config.experiment import Experiment, dump_experiment, load_experiment
 from wire.messages import topics
@@ -73,12 +73,12 @@ def test_an_outdated_plan_is_dropped(tmp_path: Path) -> None:
             return detour
 
         mission.state, mission.plans.request = MissionState.HALTING, PlanRequest("another path", slow)
-        station._plan(False, 0)
+        station.plan(False, 0)
         mission.plans.request = PlanRequest("a way for everybody from rest", lambda: home)
         late.set()
         deadline = time.monotonic() + PATIENCE_S
         while mission.state is MissionState.HALTING and time.monotonic() < deadline:
-            station._plan(False, 0)
+            station.plan(False, 0)
             time.sleep(0.001)
         assert mission.state is MissionState.RELOADING
         assert mission.segment is home
@@ -92,7 +92,7 @@ def test_a_planner_that_breaks_leaves_the_fleet_holding_and_the_station_alive(tm
             MissionState.HALTING,
             PlanRequest("another path", lambda: dict[str, PlanSegment]()["robot 3"]),
         )
-        station._plan(True, 0)
+        station.plan(True, 0)
         assert mission.state is MissionState.PAUSED
         assert "KeyError: 'robot 3'" in mission.reason
 
@@ -149,7 +149,7 @@ def test_a_stop_reaches_the_robots_while_every_other_thread_is_at_work(tmp_path:
     with a_station(tmp_path, hub) as station:
         fleet = Fleet(hub, station.experiment)
         for threads in (station.workers.orders, station.workers.plans):
-            for _ in range(2 * threads._max_workers):
+            for _ in range(2 * MAX_UNANSWERED * COMMAND_KINDS * len(station.experiment.robot_ids)):
                 threads.submit(free.wait, PATIENCE_S)
         try:
             number = asked(station, Order.STOP)
@@ -238,13 +238,13 @@ def test_status_returns_at_once_while_a_cycle_hangs(tmp_path: Path) -> None:
         station.cycle(station.clock.now_ns(), lockstep=False)
         before = station.status()
         with station.lock:  # as a cycle does
-            station._beat_s -= 5.0
+            station.beat_s -= 5.0
             hung = station.status()
         assert before.beat_age_s < 5.0 <= hung.beat_age_s
         assert hung.state is before.state
 
 
-def test_what_is_flown_now_is_told_with_its_end(tmp_path: Path) -> None:
+def test_the_paths_flown_now_are_told_with_their_end(tmp_path: Path) -> None:
     with a_station(tmp_path) as station:
         segment = station.mission.segment
         station.publish_paths(0)

@@ -77,6 +77,7 @@ def test_missing_and_old_messages_are_not_shown_as_present(run: Path, tmp_path: 
 def test_lines_of_the_log_come_by_once(replay: ReplayBackend) -> None:
     replay.seek(START_S - 1.0, 0.0)
     assert replay.notes() == []
+    # a seek would drop the lines in between; playing on takes real time
     replay._at_ns = round((START_S + 1.0) * 1e9)  # as if it had played on
     assert [note["text"] for note in replay.notes()] == ["mission: running"]
     assert replay.notes() == []

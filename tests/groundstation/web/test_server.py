@@ -187,7 +187,7 @@ def test_nonsense_ends_only_its_own_connection(lab: Lab, text: str) -> None:
     assert good.until(lambda f: state(f) and f["watchers"] == 1)
 
 
-def test_who_has_control_commands_and_all_may_stop(lab: Lab) -> None:
+def test_only_the_page_in_control_commands_and_all_may_stop(lab: Lab) -> None:
     first, second = lab.open(), lab.open()
     mine, yours = first.hello()["you"], second.hello()["you"]
     first.order(1, "start")
@@ -397,8 +397,8 @@ def _readable(connection: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("said", [b"", b"GET / HTTP/1.1\r\nHost: 127.0", b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET"])
-def test_who_does_not_finish_a_request_in_time_is_cut_off(said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also who has asked for something before, and who lets bytes trickle."""
+def test_a_client_that_does_not_finish_a_request_in_time_is_cut_off(said: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also one that has asked for something before, and one that lets bytes trickle."""
     monkeypatch.setattr(connection_limits, "ASKS_WITHIN_S", 0.2)
     with _served() as found, socket.create_connection(("127.0.0.1", found.port), PATIENCE_S) as slow:
         slow.sendall(said)

@@ -306,6 +306,7 @@ def test_distances_are_mahalanobis_by_plain_algebra(seed: int) -> None:
         same_everywhere = (4.0 + mixing @ random.standard_normal(3)).astype(np.float32)[:, None, None]
         colours = np.broadcast_to(same_everywhere, (3, *shape)).copy()
         background_model.learn(colours, np.zeros(shape, np.float32), ~nowhere, 0.2)
+    # mean and covariance are told to nobody; only with them can the distance be computed independently
     mean, (rr, rg, rb, gg, gb, bb) = background_model._mean[:, 0, 0], background_model._covariance[:, 0, 0]
     covariance = np.array([[rr, rg, rb], [rg, gg, gb], [rb, gb, bb]], np.float64) + 0.03**2 * np.eye(3) + 0.08**2
     probe = random.normal(4.0, 0.5, 3).astype(np.float32)
@@ -392,7 +393,7 @@ def test_water_and_robots_alone_raise_no_alarm(settings: tuple[str, ...], seed: 
     """A minute each. The simulated water repeats after 2.4 s, which any background has soon seen all of; here it repeats after
     longer than the background's memory."""
     loop_s = 24.0
-    assert loop_s > background_model._MEMORY_S
+    assert loop_s > background_model.MEMORY_S
     for module in (water_optics, scene, static_background):
         monkeypatch.setattr(module, "LOOP_S", loop_s)
     for module in (scene, static_background):

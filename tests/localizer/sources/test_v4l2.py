@@ -131,6 +131,7 @@ def test_the_newest_picture_of_a_camera_wins_and_the_overtaken_are_counted(plug:
     plug.expose(1)
     assert level(next(shots)) == 1
     plug.expose(20)  # while the localizer is busy
+    # the count is public only with the next picture, and asking for that would end the wait
     assert eventually(lambda: source._newest.overtaken == 19)
     captured = next(shots)
     source.close()

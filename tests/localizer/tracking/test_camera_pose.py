@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from localizer.tracking.camera_pose import STALE_AFTER_S, CameraPoseTracker, _fit
+from localizer.tracking.camera_pose import STALE_AFTER_S, CameraPoseTracker, fit_camera_pose
 from localizer.tracking.fleet_localizer import FleetLocalizer, LocalizationResult
 from sim_bridge.camera.optics import project
 from sim_bridge.camera.renderer import Renderer
@@ -41,7 +41,7 @@ def _frame(k: int) -> Pixels:
 
 
 def _true_camera(k: int) -> Camera:
-    return _renderer()._backdrop.at(k * PERIOD_S)[0].view.camera
+    return _renderer().backdrop.at(k * PERIOD_S)[0].view.camera
 
 
 def _run(
@@ -94,7 +94,7 @@ def test_the_camera_itself_is_found() -> None:
     for k in range(15):
         eye.advance(PERIOD_S)
         eye.update(_frame(k))
-        truth, found = _true_camera(k), eye._pose.camera
+        truth, found = _true_camera(k), eye.pose.camera
         assert eye.fresh and eye.trouble == ""
         assert np.linalg.norm(np.subtract(truth.position_m, found.position_m)) < 0.02
         corners = np.array([[x, y, 0.15] for x in (-1.0, 1.0) for y in (-0.7, 0.7)])
@@ -111,7 +111,7 @@ def test_fit_is_exact_for_landmarks_in_air_and_under_water(seed: int) -> None:
     square = 0.1 * np.array([[1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
     places = centres[:, None] + square
     pixels = project(truth, places.reshape(-1, 3)).reshape(-1, 4, 2)
-    fitted, residuals = _fit(DRONE.camera, places, pixels)
+    fitted, residuals = fit_camera_pose(DRONE.camera, places, pixels)
     assert fitted.camera.position_m == pytest.approx(truth.position_m, abs=2e-5)
     assert fitted.camera.rotation_rad == pytest.approx(truth.rotation_rad, abs=1e-5)
     assert np.abs(residuals).max() < 0.05
@@ -130,7 +130,7 @@ def test_a_landmark_that_was_kicked_does_not_count() -> None:
     eye = CameraPoseTracker(DRONE.camera, kicked)
     eye.update(_frame(0))
     assert eye.fresh and eye.trouble == ""
-    assert np.linalg.norm(np.subtract(_true_camera(0).position_m, eye._pose.camera.position_m)) < 0.02
+    assert np.linalg.norm(np.subtract(_true_camera(0).position_m, eye.pose.camera.position_m)) < 0.02
     few = CameraPoseTracker(DRONE.camera, kicked[:4])
     few.update(_frame(0))
     assert not few.fresh and not few.usable

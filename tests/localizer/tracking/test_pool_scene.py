@@ -97,6 +97,7 @@ def test_a_marker_that_cannot_be_read_is_bridged(marker_id: int, monkeypatch: py
     """One robot's marker is never read after the first second; it is followed by its look, the other one is not affected."""
     locator = FleetLocalizer(_experiment(True))
     list(_run(locator, True, range(20)))
+    # the localizer makes its reader of markers itself; the test makes it miss one
     reader = locator._reader
     read = reader.read
     monkeypatch.setattr(reader, "read", lambda *a: {i: r for i, r in read(*a).items() if i != marker_id - 1})

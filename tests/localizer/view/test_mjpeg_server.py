@@ -87,6 +87,7 @@ def test_another_name_for_this_machine_is_refused(page: MjpegServer) -> None:
 
 
 def test_only_this_machine_is_served(page: MjpegServer) -> None:
+    # the public address says 127.0.0.1 whatever the socket is bound to
     assert page._server.server_address[0] == "127.0.0.1"
 
 

@@ -64,6 +64,7 @@ def test_the_plan_minimises_the_nonlinear_cost() -> None:
     )
     first = None
     for _ in range(6):  # the same state again: linearised along its own plan, it converges
+        # the public step shifts the plan; the optimum without a shift is seen only if that is undone
         for nominal in (controller._prediction.eta, controller._prediction.nu):
             nominal[:, 1:] = nominal[:, :-1].copy()  # undo the shift
         first = controller.plan(START, np.zeros(4), np.zeros(3), reference, WEIGHT, NOWHERE)
@@ -125,7 +126,9 @@ class Refusing:
     """A solver that gives up when told to."""
 
     def __init__(self, controller: Mpc) -> None:
+        # the controller makes its solver itself; the test makes it fail
         self._real, self.refuse = controller._plain_solver, False
+        # the controller makes its solver itself; the test makes it fail
         controller._plain_solver = self
 
     def warm_start(self, x: Array, multipliers: Array) -> None:

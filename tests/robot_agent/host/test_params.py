@@ -2,7 +2,7 @@
 
 import pytest
 
-from robot_agent.host.params import _found
+from robot_agent.host.params import answered_value
 from wire.mavlink.board_link import BoardLink
 from wire.mavlink.parameters import STATION, ParameterClient
 from wire.toml_loader import ConfigError
@@ -17,5 +17,5 @@ def test_an_error_that_comes_before_the_value_is_told_as_what_it_is(code: int, s
     client.receive(board.heartbeat(armed=True, healthy=True), 0)
     client.receive(board.parameter_error(STATION, "CMD_AGE_MS", 0, code), 0)
     with pytest.raises(ConfigError) as refused:
-        _found(client, "CMD_AGE_MS")
+        answered_value(client, "CMD_AGE_MS")
     assert str(refused.value) == says

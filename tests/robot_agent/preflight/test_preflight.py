@@ -174,7 +174,7 @@ def test_the_rehearsal_flies_whatever_the_battery_and_the_rate(setting: str) -> 
 
 def test_a_rehearsal_that_does_not_fly_tells_no_time() -> None:
     """The steps of a robot that lies disarmed are in time on any CPU."""
-    finding = check_shell._timing(load_experiment("pool", ["pool.size_m=[1.5, 0.9, 1.0]"]), 1)
+    finding = check_shell.step_timing(load_experiment("pool", ["pool.size_m=[1.5, 0.9, 1.0]"]), 1)
     assert (finding.what, finding.verdict) == ("control step", CheckVerdict.WARN)
     assert "not timed" in finding.detail and "LOAD is refused: trajectory.eta leaves the pool" in finding.detail
     assert "p50" not in finding.detail

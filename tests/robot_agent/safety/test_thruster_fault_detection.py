@@ -201,6 +201,7 @@ def test_a_flight_begins_with_thrusters_at_rest() -> None:
     for k in range(40):
         detector.note_moments(still, begin_ns + k * STEP_NS)
         detector.step(0.0, begin_ns + k * STEP_NS, begin_ns + k * STEP_NS)
+    # below its limit the evidence is told to nobody
     assert abs(detector._test.evidence) < 1e-9
 
 

@@ -1,5 +1,6 @@
 """The observer against the truth it cannot see: convergence, delay, gaps, wrong order, nonsense."""
 
+import cmath
 import dataclasses
 import math
 from collections.abc import Callable
@@ -9,8 +10,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from robot_agent.vehicle.dynamics import Model
-from robot_agent.vehicle.eso import COAST_NS, Estimate, Estimator, PoseMeasurement, StateMeasurement, gains, gains_with_rate
+from robot_agent.vehicle.dynamics import Model, propagate
+from robot_agent.vehicle.eso import (
+    COAST_NS,
+    Estimate,
+    Estimator,
+    PoseMeasurement,
+    StateMeasurement,
+    gains,
+    gains_with_rate,
+    split_side_force,
+)
 from tests.robot_agent.water import integrate
 from wire.config.controller import EstimatorConfig
 from wire.config.vehicle import load_vehicle
@@ -19,6 +29,7 @@ from wire.frames import Array, wrap
 VEHICLE = load_vehicle("spherical")
 STEP_NS, DEAD_S = 50_000_000, VEHICLE.thruster.dead_time_s
 STEP_S = STEP_NS / 1e9
+YAW_RAD = 0.7
 Wrench = tuple[float, float, float]
 
 
@@ -176,17 +187,23 @@ def test_effect_of_a_current_is_told_as_the_disturbance_in_still_water() -> None
         assert estimate.gamma_still_water[:2] == pytest.approx((after - still)[4:6] / 0.05, abs=4e-3), here
 
 
+def predicted(v: float, side: float, current: complex) -> Array:
+    """Place (2,) 0.1 s on of a robot with the yaw YAW_RAD and a surge of 0.15 m/s, without thrust."""
+    model, state = Model(VEHICLE), (0.0, 0.0, 0.3, YAW_RAD, 0.15, v, 0.0, 0.0, 0.0, 0.0, 0.0)
+    never, nothing = np.zeros(1, dtype=np.int64), np.zeros((1, 3))
+    water = (current.real, current.imag)
+    gamma = (0.0, side, 0.0, 0.0)
+    return np.array(
+        propagate(model.coefficients, model.sway, model.lag_s, state, gamma, water, never, nothing, 0, 0, 100_000_000)
+    )[:2]
+
+
 def test_sharing_out_a_side_force_changes_no_prediction_at_this_heading() -> None:
-    observer = estimator()
-    observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, 0.0, 0.0, 0.0), [0.0, 0.01, 0.0, 0.0]
-    observer.note_wrench((0.0, 0.0, 0.0), 0)
-    before = np.array(observer._propagate(observer._state, 0, 100_000_000))
-    v = observer._split_side_force_and_current(0.15, 0.02, 0.01, 0.7, 0.05)
-    after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
-    assert observer._disturbance[1] < 0.01 and abs(observer._current) > 1e-4
-    assert after[:2] == pytest.approx(
-        before[:2], abs=abs(observer._current) * 0.1 * 0.02
-    )  # 2 % of how far the current carries
+    slope, share = Model(VEHICLE).sway_slope(0.15, 0.02), -math.expm1(-EstimatorConfig().current_rate_radps * 0.05)
+    side, current, drift = split_side_force(0.01, 0j, YAW_RAD, slope, share, math.inf)
+    assert side < 0.01 and abs(current) > 1e-4
+    carried_m = abs(current) * 0.1
+    assert predicted(0.02 - drift, side, current) == pytest.approx(predicted(0.02, 0.01, 0j), abs=0.02 * carried_m)
 
 
 def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
@@ -197,15 +214,13 @@ def test_no_current_is_believed_that_nobody_could_swim_against() -> None:
 
 def test_at_the_strongest_current_too_sharing_out_changes_no_prediction() -> None:
     """The rest that no current can explain stays a side force, and does not change the velocity."""
-    observer = Estimator(Model(VEHICLE), EstimatorConfig(), DEAD_S, fastest_mps=0.05)
+    slope, share = Model(VEHICLE).sway_slope(0.15, 0.02), -math.expm1(-EstimatorConfig().current_rate_radps * 0.05)
     for turned in (0.5 * math.pi, 0.5 * math.pi + 0.7):  # from the current to where the side force points
-        observer._current = 0.05 * np.exp(1j * (0.7 + 0.5 * math.pi - turned + 0.5 * math.pi))
-        observer._state, observer._disturbance = (0.0, 0.0, 0.3, 0.7, 0.15, 0.02, 0.0, 0.0, *(0.0,) * 3), [0.0, 0.4, 0.0, 0.0]
-        before = np.array(observer._propagate(observer._state, 0, 100_000_000))
-        v = observer._split_side_force_and_current(0.15, 0.02, 0.4, 0.7, 0.05)
-        after = np.array(observer._propagate((*observer._state[:5], v, *observer._state[6:]), 0, 100_000_000))
-        assert abs(observer._current) <= 0.05 + 1e-12
-        assert after[:2] == pytest.approx(before[:2], abs=0.05 * 0.1 * 0.02)
+        believed = 0.05 * cmath.exp(1j * (YAW_RAD + 0.5 * math.pi - turned + 0.5 * math.pi))
+        side, current, drift = split_side_force(0.4, believed, YAW_RAD, slope, share, 0.05)
+        assert abs(current) <= 0.05 + 1e-12
+        before, after = predicted(0.02, 0.4, believed), predicted(0.02 - drift, side, current)
+        assert after == pytest.approx(before, abs=0.05 * 0.1 * 0.02)
 
 
 def test_without_sway_the_side_channel_stays_silent() -> None:

@@ -109,7 +109,9 @@ def test_a_thruster_test_that_was_passed_counts_no_more_once_the_thrusters_are_i
     steps = rehearse(POOL, 1)
     for agent, inputs, now_ns in itertools.islice(steps, ARM_AFTER + 1):
         agent.step(inputs, now_ns)
+    # through the order TEST the robot would have to go through every thruster first
     agent._selftest = ThrusterSelftest(POOL.vehicle, agent.neutral_us)
+    # through the order TEST the robot would have to go through every thruster first
     agent._selftest.result = "passed"
     for agent, inputs, now_ns in itertools.islice(steps, 20):
         state = agent.step(inputs, now_ns).state
@@ -129,6 +131,7 @@ def test_a_thruster_that_runs_by_itself_is_noticed_before_the_start(testing: boo
     assert agent is not None
     agent.mode = Mode.ARMED
     if testing:
+        # through the order TEST the robot would have to go through every thruster first
         agent._selftest = ThrusterSelftest(POOL.vehicle, agent.neutral_us)
     seen = []
     for k in range(20):

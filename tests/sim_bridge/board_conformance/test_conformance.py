@@ -220,7 +220,9 @@ def _any_signature(self: SignatureVerifier, frame: bytes, system: int, component
     )
 
 
+# the wrong boards change one rule each and call the right one for the rest
 Rules_override, Rules_arm, Rules_why = BoardStateMachine.override, BoardStateMachine.arm, BoardStateMachine._arming_refusal
+# the wrong boards change one rule each and call the right one for the rest
 Rules_step, Rules_move, Rules_change = BoardStateMachine.step, BoardStateMachine._move, BoardStateMachine.change
 accept_verified = SignatureVerifier.verify
 AGE = {"age", "age-heartbeat", "age-refused", "age-repeated", "age-damaged", "age-stranger", "age-target", "age-thrust"}
@@ -291,6 +293,7 @@ def test_a_board_that_gives_a_false_start_byte_half_a_second_is_found(monkeypatc
 def test_a_board_that_forces_arming_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     from wire.mavlink import board_link
 
+    # a board that reads a message wrongly: the readers are the decoder's own table
     monkeypatch.setitem(board_link._READERS, "COMMAND_LONG", lambda message: board_link.Arm(message.param1 == 1.0))
     assert tried("arming-forced") == {"arming-forced"}
 
@@ -303,6 +306,7 @@ def test_a_board_that_obeys_what_is_for_another_is_found(monkeypatch: pytest.Mon
             message.target_system = 1
         return original(self, message)
 
+    # a board that does not look at the target: the check is in the decoder
     original = board_link.BoardLink._read
     monkeypatch.setattr(board_link.BoardLink, "_read", read)
     assert tried("age-target") == {"age-target"}

@@ -25,7 +25,7 @@ def _colour(raw: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def _camera(renderer: Renderer, time_s: float) -> Camera:
-    return renderer._backdrop.at(time_s)[0].view.camera
+    return renderer.backdrop.at(time_s)[0].view.camera
 
 
 def _corners_px(experiment: Experiment, camera: Camera) -> dict[int, Array]:

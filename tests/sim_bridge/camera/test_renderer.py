@@ -298,12 +298,10 @@ def test_ripples_shift_the_floor_as_tilted_water_does() -> None:
     camera, rippled = experiment(*setup).camera, renderer(*setup)
     u, v = np.meshgrid(np.arange(600.0, 680.0, 2.0), np.arange(440.0, 520.0, 2.0))
     lines = rays(camera, np.stack([u, v], axis=-1))
-    basis = rippled._backdrop.at(0.0)[0].waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
+    basis = rippled.backdrop.at(0.0)[0].waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
     moved = []
     for time_s in np.arange(0.0, 2.4, 0.2):
-        slope = (
-            rippled._backdrop.at(0.0)[0].waters.ripples.slopes(basis, float(time_s)).reshape(2, *u.shape).astype(np.float64)
-        )
+        slope = rippled.backdrop.at(0.0)[0].waters.ripples.slopes(basis, float(time_s)).reshape(2, *u.shape).astype(np.float64)
         floor = _through_tilted_water(lines.surface_m, lines.air, slope, camera.water_index, 1.0)
         inside = np.hypot(floor[..., 0], floor[..., 1]) < 0.085
         expected = np.array([u[inside].mean(), v[inside].mean()])
@@ -334,11 +332,11 @@ def test_ripples_shift_robots_with_the_same_sign() -> None:
     middle = corners_px(experiment(*setup), pose).mean(axis=0)
     u, v = (np.arange(-25.0, 25.0, 0.5) + centre for centre in middle)
     lines = rays(camera, np.stack(np.meshgrid(u, v), axis=-1))
-    basis = rippled._backdrop.at(0.0)[0].waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
+    basis = rippled.backdrop.at(0.0)[0].waters.ripples.basis(*(lines.surface_m[..., i].astype(np.float32) for i in (0, 1)))
     expected, seen = [], []
     for time_s in np.arange(0.0, 2.4, 0.2):
         slope = (
-            rippled._backdrop.at(0.0)[0]
+            rippled.backdrop.at(0.0)[0]
             .waters.ripples.slopes(basis, float(time_s))
             .reshape(2, *lines.air.shape[:2])
             .astype(np.float64)

@@ -208,7 +208,7 @@ def test_strangers_take_nobody_s_place_at_a_signed_board_and_are_told_nothing(po
         assert not port.heard
         spoken(port, board, computer, AgentLink(1, key, lambda: 1000).heartbeat(), 100)
         port.send(b"telemetry", 200)
-        select([computer._socket], [], [], 5.0)
+        select([computer.socket], [], [], 5.0)
         assert [link.read() for link in links] == [b""] * 9 + [b"telemetry"]
     finally:
         for link in links:
@@ -222,7 +222,7 @@ def test_when_there_are_too_many_the_one_that_was_silent_longest_makes_room(port
         for k, link in enumerate((*links[:8], links[0], links[8])):
             spoken(port, board, link, Sender((200 + k, 1), None, lambda: 0).pack(HEARTBEAT), k)
         port.send(b"telemetry", 100)
-        select([links[8]._socket], [], [], 5.0)
+        select([links[8].socket], [], [], 5.0)
         assert [bool(link.read()) for link in links] == [True, False, *[True] * 7]
     finally:
         for link in links:

@@ -69,8 +69,10 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
     sockets = Flooded(free_base_port((1,)), (1,), experiment.seed)
     pool = PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False, poses=True)
     clock = HandClock()
+    # the node makes its clock itself; the test's clock stands still
     pool._clock = clock
     steps = []
+    # what is counted is the step between two sleeps, which no message shows
     move = pool._step_plant
 
     def counted(world: World) -> None:
@@ -79,6 +81,7 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
         if len(steps) == 50:
             stop.request()
 
+    # what is counted is the step between two sleeps, which no message shows
     pool._step_plant = counted  # type: ignore[method-assign]
     pool.run()
     assert sockets.woken > 100, "the flood has woken it between steps"

@@ -25,8 +25,10 @@ def test_injector_stops_continues_and_kills_a_process(tmp_path: Path) -> None:
         with Bus(MemoryTransport(MemoryHub())) as bus:
             injector = ProcessFaultInjector(load_experiment("pool", faults=lines), children, bus)
             injector.act(0.0)
+            # that the time of the faults has not begun is known to the injector alone
             assert injector._start_s is None  # the robots have not started: nothing breaks
             until_s, was_stopped = time.monotonic() + 20.0, False
+            # how many faults last is known to the injector alone
             while time.monotonic() < until_s and (not was_stopped or len(injector._broken) != 1 or two.exit_code is None):
                 injector.act(0.01)
                 was_stopped |= psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED
@@ -48,8 +50,10 @@ def test_longer_fault_outlives_a_shorter_one_of_the_same_program(tmp_path: Path)
         with Bus(MemoryTransport(MemoryHub())) as bus:
             injector = ProcessFaultInjector(load_experiment("pool", faults=lasting + passing), children, bus)
             begin_s, most = time.monotonic(), 0
+            # how many faults last is known to the injector alone
             while time.monotonic() - begin_s < 20.0 and not (most == 4 and len(injector._broken) == 2):
                 injector.act(0.01)
+                # how many faults last is known to the injector alone
                 most = max(most, len(injector._broken))
                 time.sleep(0.01)
         assert psutil.Process(one.process.pid).status() == psutil.STATUS_STOPPED

@@ -335,6 +335,7 @@ def test_only_a_few_of_a_million_flights_are_prepared_at_a_time(tmp_path: Path, 
             return future
 
     loaded = campaign(seeds=1_000_000, sweep={}, draw={})
+    # the public function makes its executor itself; this one counts what it holds
     coming = campaign_runner._fly(Counting(), loaded, {}, 4, stop, Console(quiet=True))  # type: ignore[arg-type]
     for _ in range(10):
         next(coming)
@@ -343,6 +344,7 @@ def test_only_a_few_of_a_million_flights_are_prepared_at_a_time(tmp_path: Path, 
     checked: list[int] = []
     monkeypatch.setattr(campaign_runner, "_experiment", lambda campaign, flight: checked.append(flight.seed))
     monkeypatch.setattr(campaign_runner, "flights", lambda campaign: islice(flights(campaign), 50))
+    # the public function would fly all flights after the check
     campaign_runner._check_all(loaded, stop)
     assert checked == [1], "seeds between the first and the last are not loaded"
 

@@ -411,6 +411,7 @@ def synced(ahead_ns: int, now_ns: int, trip_ns: int = 2 * MS, link: AgentLink | 
 
 def measured_ns(agent: AgentLink, board_ms: int, read_ns: int) -> int:
     """The instant of a burst, as far as the computer knows."""
+    # each call's board counts its frames anew
     agent._receiver._sequences.clear()
     agent.receive(burst(BoardLink(7), board_ms), read_ns)
     assert agent.telemetry.board_ms == board_ms
@@ -467,7 +468,7 @@ def test_a_boards_time_goes_on_through_its_32_bits() -> None:
     assert measured_ns(agent, 50, 1060 * MS) == 1050 * MS
 
 
-def test_what_the_board_tells_of_its_battery_is_counted_and_an_impossible_state_refused() -> None:
+def test_battery_reports_are_counted_and_an_impossible_state_is_refused() -> None:
     agent, board = AgentLink(7), BoardLink(7)
     assert (agent.telemetry.battery_reports, agent.telemetry.charge) == (0, 0)
     agent.receive(board.status(0.0, 1, 1, 0) + board.status(11.5, 1, 1, 0) + board.battery(11.5, 3), 0)

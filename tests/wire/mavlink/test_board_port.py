@@ -69,8 +69,8 @@ def test_network_errors_about_a_datagram_do_not_raise(number: int) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as board:
         board.bind(("127.0.0.1", 0))
         link = UdpLink(*board.getsockname())
-        answered = Answered(fileno=link._socket.detach())
-        link._socket = answered
+        answered = Answered(fileno=link.socket.detach())
+        link.socket = answered
         try:
             board.sendto(b"burst", answered.getsockname())
             answered.answer = number
@@ -210,8 +210,8 @@ def test_a_flood_of_datagrams_does_not_hold_up_a_read() -> None:
                     next(flood)
                     return b"x"
 
-            link._socket.close()
-            link._socket = Flooded(socket.AF_INET, socket.SOCK_DGRAM)
+            link.socket.close()
+            link.socket = Flooded(socket.AF_INET, socket.SOCK_DGRAM)
             assert len(link.read()) == next(flood) == READ_DATAGRAMS
         finally:
             link.close()

@@ -257,6 +257,7 @@ def test_origins_are_forgotten_in_the_end(monkeypatch: pytest.MonkeyPatch) -> No
     door = Door()
     for host in range(100):
         door.admission.gone(door.come(f"10.0.0.{host}", 0.0))
+    # how many origins are remembered is told to nobody
     assert len(door.admission._origins) <= 11
 
 

@@ -82,7 +82,7 @@ def test_repeated_and_reordered_messages_are_dropped_and_a_restart_is_not(make_b
     _, first, payload = bus.publish(topics.HEARTBEAT, heartbeat, 1)
     assert eventually(lambda: inbox.newest_header() is not None)
     key = "shoal/station/heartbeat"
-    put = bus._transport.publisher(key, topics.HEARTBEAT.qos)
+    put = bus.transport.publisher(key, topics.HEARTBEAT.qos)
     put(payload, first.encode())  # repeated
     put(payload, Header(first.session, 5, 5).encode())
     put(payload, Header(first.session, 4, 4).encode())  # reordered
@@ -96,7 +96,7 @@ def test_bad_messages_are_counted_and_the_last_good_one_stays(make_bus: MakeBus)
     bus = make_bus()
     inbox = bus.inbox(topics.HEARTBEAT, messages.StationHeartbeat)
     bus.publish(topics.HEARTBEAT, messages.StationHeartbeat(mission="good"), 1)
-    put = bus._transport.publisher("shoal/station/heartbeat", topics.HEARTBEAT.qos)
+    put = bus.transport.publisher("shoal/station/heartbeat", topics.HEARTBEAT.qos)
     put(b"\xff\xff\xff", Header(bus.session, 9, 2).encode())
     assert eventually(lambda: (h := inbox.newest_header()) is not None and h.sequence == 9)
     received = inbox.newest()
@@ -210,6 +210,7 @@ def test_uncollected_messages_do_not_delay_other_topics(monkeypatch: pytest.Monk
 
 def test_threads_that_send_their_first_pictures_at_once_share_a_session(monkeypatch: pytest.MonkeyPatch) -> None:
     """The localizer's previews and its film begin with the same picture. A second session would never be closed."""
+    # a second session would be seen neither in messages nor in the transport's public names
     opened, real, together = [], zenoh_transport._open, threading.Barrier(2)
 
     def open_and_note(endpoint: Endpoint, stopped: Callable[[], bool], patience_s: float) -> zenoh.Session:

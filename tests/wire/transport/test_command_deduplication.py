@@ -58,6 +58,7 @@ def test_the_number_of_remembered_senders_is_bounded_and_the_newest_are_kept() -
         deduplicator.record(Header(session, 1, 0), Reply(1, True))
     assert deduplicator.known_reply(Header(SENDERS + 2, 1, 0), command()) is not None
     assert deduplicator.known_reply(Header(3, 1, 0), command()) is not None
+    # how many senders are remembered is told to nobody
     assert len(deduplicator._answered) == SENDERS
 
 

@@ -123,7 +123,7 @@ def test_a_guard_that_dies_is_started_again_and_links_come_back(
             return newest is not None and newest.sequence > sequence
 
         assert eventually(heard)
-        found = station._transport._gate  # type: ignore[attr-defined]
+        found = station.transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
         before = found.guard_pid
         os.kill(before, signal.SIGKILL)
         assert eventually(lambda: found.guard_pid not in (0, before))
@@ -134,7 +134,8 @@ def test_a_guard_that_dies_is_started_again_and_links_come_back(
 def test_a_guard_that_cannot_be_started_at_once_is_started_later(
     station: Bus, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    found = station._transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
+    found = station.transport._gate  # type: ignore[attr-defined]  # the guard's process is known to the gate alone
+    # the gate starts its guard itself; the first start is made to fail here
     start, tries = found._start, list[int]()
 
     def fails_once() -> None:

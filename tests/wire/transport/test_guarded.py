@@ -159,9 +159,10 @@ def test_only_the_station_commands_robots_and_only_it_and_the_operator_command_t
 
 
 def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: Guarded) -> None:
-    session = guarded.buses["agent-1"]._transport._control  # type: ignore[attr-defined]
+    # a bus sends only under its own keys; a forger uses the session below it
+    session = guarded.buses["agent-1"].transport._control  # type: ignore[attr-defined]
     seen: list[str] = []
-    listener = guarded.buses["viewer"]._transport
+    listener = guarded.buses["viewer"].transport
     listener.subscribe("shoal/robot/*/state", topics.STATE.qos, lambda key, payload, _: seen.append(payload.decode()))
     listener.subscribe("shoal/station/heartbeat", topics.HEARTBEAT.qos, lambda key, payload, _: seen.append(payload.decode()))
     for key in ("shoal/robot/2/state", "shoal/robot/*/state", "shoal/robot/**", "shoal/**", "shoal/station/heartbeat"):
@@ -174,7 +175,7 @@ def test_a_robot_cannot_speak_for_another_not_even_by_a_wildcard(guarded: Guarde
 def test_a_robot_cannot_answer_for_another(guarded: Guarded) -> None:
     guarded.obeyed.clear()
     usurped: list[bytes] = []
-    guarded.buses["agent-1"]._transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"", bool)  # type: ignore[func-returns-value]
+    guarded.buses["agent-1"].transport.serve("shoal/robot/2/command", lambda payload, _: usurped.append(payload) or b"", bool)  # type: ignore[func-returns-value]
     time.sleep(0.2)
     assert guarded.buses["groundstation"].command(Command(Order.STOP, 2), 1, 2.0).accepted
     assert (usurped, guarded.obeyed) == ([], [(2, Order.STOP)])

@@ -37,13 +37,13 @@ class Tape:
     orders: list[tuple[str, bytes, bytes]] = field(default_factory=list)
 
     def record(self, bus: Bus) -> None:
-        ask = bus._transport.ask
+        ask = bus.transport.ask
 
         def recording(key: str, payload: bytes, header: bytes, timeout_s: float) -> Await:
             self.orders.append((key, payload, header))
             return ask(key, payload, header, timeout_s)
 
-        bus._transport.ask = recording  # type: ignore[method-assign]
+        bus.transport.ask = recording  # type: ignore[method-assign]
 
     def play(self, address: str) -> list[bytes | None]:
         """As a stranger does it: bytes, from a session of his own."""
@@ -130,7 +130,7 @@ def test_a_robot_ignores_replayed_commands_live_and_after_restarts(address: str,
         later = station = Beating(address)
         station.until_heard(agent)
         assert station.order(Order.CLEAR_STOP).accepted
-        put = later.bus._transport.publisher("shoal/station/heartbeat", topics.HEARTBEAT.qos)
+        put = later.bus.transport.publisher("shoal/station/heartbeat", topics.HEARTBEAT.qos)
         for data, header in heartbeats[-5:]:
             put(data, header.encode())
             tape.play(address)
