@@ -116,23 +116,26 @@ def export(
 ) -> None:
     """Write every recorded message of a run as tables, one per topic and robot, with columns of named units.
 
-    The first column, time_s, is 0 where the report's is. Exit code 1 if the log is not whole or holds messages that cannot be
-    decoded. Or, for 3-D viewers, the log with the scene in it, and a layout that shows it.
+    The first column, time_s, is 0 where the report's is. Or, for 3-D viewers, the log with the scene in it, and a layout that
+    shows it. Exit code 1 if the log is not whole or holds messages that cannot be decoded.
 
     Examples:  groundstation log export runs/pool-20260101-120000 --out tables
                groundstation log export runs/pool-20260101-120000 --out viewer --foxglove
     """
     from groundstation.export import foxglove_file, tables
+    from groundstation.logs.reader import read_log
 
     written: list[tuple[Path, int | None]]
     trouble: list[str] = []
     if foxglove:
         written = [(path, None) for path in foxglove_file.export(run_folder, out)]
+        trouble += [read_log(run_folder / "run.mcap", ()).trouble]
     else:
         done = tables.export(run_folder, out, parquet)
         written = [*done.files]
-        trouble += [done.trouble] if done.trouble else []
+        trouble += [done.trouble]
         trouble += [f"{done.undecodable} messages cannot be decoded: they are in no table"] if done.undecodable else []
+    trouble = [line for line in trouble if line]
     for line in trouble:
         typer.echo(line, err=True)
     if as_json:

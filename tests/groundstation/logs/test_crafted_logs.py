@@ -242,6 +242,19 @@ def test_a_report_of_an_empty_or_cut_log_begins_with_that_and_ends_with_code_1(t
     assert (missing["where"], missing["value"], missing["passed"]) == ("Cut log", None, False)
 
 
+@pytest.mark.parametrize("how", [[], ["--foxglove"]])
+def test_export_of_a_cut_log_says_so_and_ends_with_code_1(how: list[str], tmp_path: Path) -> None:
+    run, path = tmp_path / "run", tmp_path / "run" / "run.mcap"
+    run.mkdir()
+    (run / "experiment.toml").write_text(dump_experiment(load_experiment("pool")))
+    record_poses(path, 20)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.index(b"recorder") - 20])
+    done = CliRunner().invoke(cli, ["log", "export", str(run), "--out", str(tmp_path / "out"), *how])
+    assert done.exit_code == 1 and done.stderr.startswith("Cut log: run.mcap ends before its run does")
+    assert list((tmp_path / "out").iterdir())
+
+
 def test_a_log_with_gaps_says_how_many(tmp_path: Path) -> None:
     write_crafted(tmp_path, "shoal/robot/2/pose", end='{"dropped": "7"}')
     assert write_report(tmp_path).log_trouble == "Log with gaps: the recorder could not take 7 messages."
