@@ -87,6 +87,7 @@ class DirectPlant:
         for pulses in pulses_us:
             for _ in range(self._steps_a_period):
                 self._state = self._plant.step(self._state, pulses)
+        eta, nu = np.ascontiguousarray(eta), np.ascontiguousarray(nu)  # the plant's kernels take no other layout
         self._state = replace(self._state, eta=eta, nu=nu, tilt=np.zeros_like(eta), steps=now_ns // self._step_ns)
         self._pulses_us, self._armed, self._begin_ns = pulses_us[-1].copy(), list(armed), begin_ns
 
