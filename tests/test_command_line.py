@@ -26,6 +26,8 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).parents[1]
 PROGRAMS = {
     "groundstation": "groundstation",

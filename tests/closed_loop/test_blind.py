@@ -10,6 +10,8 @@ from tests.closed_loop.crewed_pool import CrewedPool
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode
 
+pytestmark = pytest.mark.long
+
 LAMP = "the light changed or the camera moved"
 
 

@@ -9,6 +9,8 @@ from sim_bridge.in_process.fleet import AgentFleet, DirectPlant
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("name", SCENES)
 def test_everyone_arrives_and_nobody_comes_near(name: str) -> None:

@@ -11,6 +11,8 @@ from tests.closed_loop.dry_pool import DryPool
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order
 
+pytestmark = pytest.mark.long
+
 NEUTRAL_US = 1500
 
 

@@ -13,6 +13,8 @@ from wire.frames import Array
 from wire.messages.messages import Mode, Solve
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 LAWS = get_args(LawName)
 FOLLOWING = "formation.kind=leader-follower"
 

@@ -17,6 +17,8 @@ from wire.mavlink.board_port import UdpLink
 from wire.mavlink.signing import Key
 from wire.messages.messages import Mode
 
+pytestmark = pytest.mark.long
+
 ADRIFT = "sim.drifters=[{radius_m=0.2, start_m=[-3.0, 0.2, 0.5], from_s=0.0, velocity_mps=[0.1, 0.0, 0.0]}]"
 NOISY = "t=0.1 for=0.6 link 1 noisy 0.3"
 LATER = SENT_BETWEEN + 1  # than a new board begins to count, in ticks of a signature's timestamp

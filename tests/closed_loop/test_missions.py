@@ -11,6 +11,8 @@ from tests.closed_loop.crewed_pool import CrewedPool
 from wire.config.experiment import load_experiment
 from wire.messages.messages import Mode, Order
 
+pytestmark = pytest.mark.long
+
 
 def flying(scene: str, *settings: str) -> CrewedPool:
     pool = CrewedPool(load_experiment(scene, settings))

@@ -19,6 +19,8 @@ from wire.messages import topics
 from wire.messages.messages import Mode, RobotState, Solve
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 # Whole-run optimum of x^2 + y^2 + z^2 + yaw^2 (m^2 + rad^2, integrated over time in s) per robot, for one who knows plant and
 # disturbance beforehand: direct multiple shooting over 20 s of 0.05 s steps, RK4, the limits (39, 40), solved with IPOPT.
 OPTIMUM = {"numeric": (1.661, 5.591, 4.106), "numeric-disturbed": (15.95, 3.820, 18.69)}

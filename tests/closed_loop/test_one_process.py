@@ -22,7 +22,7 @@ from wire.process.runtime import Failed, log
 from wire.toml_loader import ConfigError
 from wire.transport.memory_transport import MemoryHub
 
-pytestmark = pytest.mark.timeout(600)
+pytestmark = [pytest.mark.timeout(600), pytest.mark.long]
 
 BROKEN = ("link 1 noisy 0.3", "thruster 2/3 dead", "camera occluded 0.1", "battery 1 sag 0.2", "marker 2 lost")
 FAULTS = [part for i, what in enumerate(BROKEN) for part in ("--fault", f"t={0.3 + 0.2 * i:g} for=0.9 {what}")]

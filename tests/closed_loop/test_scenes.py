@@ -8,6 +8,8 @@ from groundstation.planning import planner
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 
+pytestmark = pytest.mark.long
+
 
 def clearance_m(experiment: Experiment, place_m: Array) -> float:
     """Least distance of any island from any centre (..., 2): R of equation (36) is meant from there."""

@@ -34,7 +34,7 @@ from wire.process.runtime import Stop
 from wire.transport.endpoint import Endpoint
 from wire.transport.zenoh_transport import ZenohTransport
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = [pytest.mark.timeout(400), pytest.mark.long]
 
 
 def start(out: Path, *arguments: str) -> "subprocess.Popen[str]":

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 
 import numpy as np
+import pytest
 
 from groundstation.mission.command_dispatcher import CommandResult
 from groundstation.mission.gain_update import GainStage, GainUpdater
@@ -15,6 +16,8 @@ from wire.frames import Array
 from wire.messages.codec import Header
 from wire.messages.live_gains import tunable_parameters, tuning
 from wire.messages.messages import Command, Mode, Order, Reply, RobotState
+
+pytestmark = pytest.mark.long
 
 SHORT_LAPS = ("path.lap_s=25", "duration_s=100")
 B = {  # of every part of the controller one

@@ -8,6 +8,8 @@ from hypothesis import strategies as st
 from tests.faults.targets import TARGETS, seeds
 from tests.wire.strategies import damaged
 
+pytestmark = pytest.mark.long
+
 EXAMPLES = {"agent": 40, "orders": 40, "locator": 40, "toml": 40}
 
 

@@ -15,6 +15,8 @@ from tests.localizer.cameras import CAMERA, TILTED
 from wire.config.perception import Camera
 from wire.frames import Array
 
+pytestmark = pytest.mark.long
+
 CAMERAS = pytest.mark.parametrize("camera", [CAMERA, TILTED], ids=["pool", "tilted"])
 COUNT = 40
 

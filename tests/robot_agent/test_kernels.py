@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numba import njit
 from numba.core.event import install_recorder
 
@@ -15,6 +16,8 @@ from robot_agent.guidance.obstacles import obstacles_from_message
 from robot_agent.guidance.reference import Hold
 from tests.robot_agent.control.drawn_inputs import GOAL, POOL, STEP_NS, at
 from wire.messages.messages import Obstacles, Plan
+
+pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).parents[2]
 KERNEL_TESTS = [

@@ -17,6 +17,8 @@ from tests.groundstation.synthetic import Script, write_run
 from wire.messages import topics
 from wire.messages.messages import Mode, RobotState
 
+pytestmark = pytest.mark.long
+
 ROOT2 = np.sqrt(2.0)
 
 

@@ -28,6 +28,8 @@ from wire.toml_loader import ConfigError
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.long
+
 
 def test_recorded_messages_and_metadata_read_back_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"

@@ -27,6 +27,8 @@ from wire.messages.codec import Header, encode
 from wire.messages.messages import Event
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 VOID = {"meta", "br", "img", "input", "link", "hr"}
 
 

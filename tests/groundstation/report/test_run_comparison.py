@@ -16,6 +16,8 @@ from groundstation.report.run_comparison import Run, differences, drawn, metric_
 from tests.groundstation.synthetic import AMPLITUDE_M, Script, write_run
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:

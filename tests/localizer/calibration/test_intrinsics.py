@@ -19,6 +19,8 @@ from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 POOL = load_experiment("pool").camera
 WIDE = POOL.model_copy(
     update={

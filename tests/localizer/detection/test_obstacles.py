@@ -30,6 +30,8 @@ from wire.config.fault_injection import read_what
 from wire.frames import Array
 from wire.messages.messages import Obstacles
 
+pytestmark = pytest.mark.long
+
 EXPERIMENT = load_experiment("pool")
 STRONG = ("sim.picture.ripples_m=0.003", "sim.picture.caustics=0.6", "sim.picture.glare=0.8")
 DEPTH_M = 0.3

@@ -18,6 +18,8 @@ from wire.frames import Array, wrap
 from wire.messages.messages import Track
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 DRONE = load_experiment("drone", ["localizer.tilt_sigma_rad=0", "localizer.tilt_rad_per_n=0"])  # robots are drawn level
 PERIOD_S = 0.1  # half the camera's rate: the pose changes by twice as much between pictures
 SEED = 3

@@ -7,6 +7,8 @@ import pytest
 
 from tests.localizer.encounters import check_encounter
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("seed", range(4))
 def test_no_swap_goes_unnoticed(seed: int) -> None:

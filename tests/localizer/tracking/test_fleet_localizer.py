@@ -14,6 +14,8 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, body_to_pool, wrap
 from wire.messages.messages import CameraHealth, Obstacles, Pose, Track
 
+pytestmark = pytest.mark.long
+
 EXPERIMENT = load_experiment("pool")
 STEP_NS = 50_000_000
 LEVEL = load_experiment("pool", ["localizer.tilt_sigma_rad=0", "localizer.tilt_rad_per_n=0"])

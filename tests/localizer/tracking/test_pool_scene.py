@@ -17,6 +17,8 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, pool_to_body, wrap
 from wire.messages.messages import Track
 
+pytestmark = pytest.mark.long
+
 PERIOD_S = 0.05
 SEED = 1
 LEVEL = ("localizer.tilt_sigma_rad=0", "localizer.tilt_rad_per_n=0")  # as these robots are drawn

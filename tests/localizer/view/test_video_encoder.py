@@ -22,6 +22,8 @@ from wire.process.runtime import Stop
 from wire.transport.bus import Bus
 from wire.transport.memory_transport import MemoryHub, MemoryTransport
 
+pytestmark = pytest.mark.long
+
 SECOND = 1_000_000_000
 START = b"\0\0\1"  # of each unit of H.264
 KEY, PARAMETERS = 5, 7  # kinds of units

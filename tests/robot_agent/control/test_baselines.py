@@ -30,6 +30,8 @@ from wire.config.vehicle import Vehicle
 from wire.frames import Array, wrap
 from wire.messages.messages import Plan, Solve
 
+pytestmark = pytest.mark.long
+
 POOL = load_experiment("pool")
 VEHICLE = POOL.vehicle
 LIMIT, STEP = np.array(VEHICLE.limits.wrench), np.array(VEHICLE.limits.wrench_step(0.05))

@@ -30,6 +30,8 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.frames import wrap
 from wire.messages.messages import Plan, Solve, Trajectory
 
+pytestmark = pytest.mark.long
+
 
 def controller(*settings_: str) -> Controller:
     experiment = load_experiment("pool", settings_) if settings_ else POOL

@@ -12,6 +12,8 @@ from wire.config.experiment import load_experiment
 from wire.frames import Array
 from wire.messages.messages import Mode
 
+pytestmark = pytest.mark.long
+
 ROUGH = ("sim.plant.gust_mps=0.03", "sim.plant.waves.height_m=0.05")
 WITHIN_S = 2.0
 STEP_NS = 50_000_000

@@ -26,6 +26,8 @@ from wire.config.controller import EstimatorConfig
 from wire.config.vehicle import load_vehicle
 from wire.frames import Array, wrap
 
+pytestmark = pytest.mark.long
+
 VEHICLE = load_vehicle("spherical")
 STEP_NS, DEAD_S = 50_000_000, VEHICLE.thruster.dead_time_s
 STEP_S = STEP_NS / 1e9

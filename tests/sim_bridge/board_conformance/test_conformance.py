@@ -23,6 +23,8 @@ from wire.mavlink.agent_link import ACCEPTED, IGNORED
 from wire.mavlink.framing import Peer, Sequence8
 from wire.mavlink.signing import Key, SignatureVerifier
 
+pytestmark = pytest.mark.long
+
 POOL = load_experiment("pool")
 KEY = Key(hashlib.sha256(b"a link of tests").digest())
 STILL = np.zeros(4)

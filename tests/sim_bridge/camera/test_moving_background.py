@@ -14,6 +14,8 @@ from wire.config.perception import Camera
 from wire.config.simulation import CameraMotion
 from wire.frames import Array, body_to_pool
 
+pytestmark = pytest.mark.long
+
 STILL = tuple(f"sim.picture.{key}=0" for key in ("noise", "ripples_m", "caustics", "glare"))
 CLEAN = (*STILL, "sim.picture.shadows=false")
 AWAY, REST = np.tile([50.0, 0.0, 0.3, 0.0], (2, 1)), np.zeros((2, 4))

@@ -16,6 +16,8 @@ from sim_bridge.camera.water_optics import Caustics
 from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array, body_to_pool
 
+pytestmark = pytest.mark.long
+
 Bytes = NDArray[np.uint8]
 
 STILL = tuple(f"sim.picture.{key}=0" for key in ("noise", "ripples_m", "caustics", "glare", "vignetting"))

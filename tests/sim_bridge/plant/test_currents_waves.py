@@ -11,6 +11,8 @@ from sim_bridge.plant.fleet import Plant
 from wire.config.experiment import load_experiment
 from wire.frames import Array
 
+pytestmark = pytest.mark.long
+
 DEEP = "pool.size_m=[100,100,50]"
 FLOATING = ("pool.walls=false", "sim.plant.buoyancy_n=0", "sim.plant.tilt.enabled=false")
 WAVES = ("sim.plant.waves.height_m=0.1", "sim.plant.waves.period_s=1.3", "sim.plant.waves.direction_rad=0.6")

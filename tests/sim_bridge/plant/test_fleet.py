@@ -13,6 +13,8 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.frames import Array
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 NEUTRAL = np.full((2, 8), 1500.0)
 APART = np.array([[-40.0, 0.0, 5.0, 0.0], [40.0, 0.0, 5.0, 0.0]])
 IDEAL = ("sim.plant.thruster_spread=0", "sim.plant.battery.capacity_wh=0")

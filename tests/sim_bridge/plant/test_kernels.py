@@ -14,6 +14,8 @@ from wire.config.experiment import Experiment, load_experiment
 from wire.config.scene import RobotConfig
 from wire.frames import Array
 
+pytestmark = pytest.mark.long
+
 INTERPRETED = os.environ.get("NUMBA_DISABLE_JIT") == "1"
 ROBOTS = 5
 DISTURBED = (

@@ -30,6 +30,8 @@ from wire.config.experiment import EXPERIMENTS, NO_CAMERA, Experiment, load_expe
 from wire.process.runtime import Failed, Stop
 from wire.toml_loader import ConfigError, check
 
+pytestmark = pytest.mark.long
+
 TABLE: dict[str, Any] = {
     "name": "small",
     "experiment": "pool",

@@ -17,6 +17,8 @@ from wire.config.controller_benchmark import Comparison, Variant
 from wire.config.experiment import EXPERIMENTS, Experiment, load_experiment
 from wire.toml_loader import ConfigError
 
+pytestmark = pytest.mark.long
+
 SHORT = ("duration_s=22",)
 
 

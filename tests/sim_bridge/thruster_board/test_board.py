@@ -18,6 +18,8 @@ from wire.mavlink import agent_link
 from wire.mavlink.agent_link import IGNORED, AgentLink, Telemetry
 from wire.mavlink.framing import Sender
 
+pytestmark = pytest.mark.long
+
 MS = 1_000_000
 S = 1000 * MS
 STEP = 5 * MS

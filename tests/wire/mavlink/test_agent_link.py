@@ -14,6 +14,8 @@ from wire.mavlink.board_link import Arm, Event, Heartbeat, Override, Timesync, U
 from wire.mavlink.framing import FRAME_TIMEOUT_NS, Receiver, Sender, Sequence8
 from wire.mavlink.signing import SignatureVerifier
 
+pytestmark = pytest.mark.long
+
 MS = 1_000_000
 PULSES = (1400, 1600, 1478, 1522, 1500, 1000, 2000, 1234)
 OTHER = (1501, 1502, 1503, 1504, 1505, 1506, 1507, 1508)

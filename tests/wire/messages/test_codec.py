@@ -36,6 +36,8 @@ from wire.messages.messages import (
     Video,
 )
 
+pytestmark = pytest.mark.long
+
 each_class = pytest.mark.parametrize("cls", CLASSES, ids=lambda cls: cls.__name__)
 
 
