@@ -149,7 +149,7 @@ def _read(kind: type[M], payload: bytes) -> M | None:
         return None
 
 
-class _Recorded:
+class _NoRequests:
     """Refuses all requests: a recorded run takes none."""
 
     def request(self, order: Order) -> tuple[str, int]:
@@ -163,7 +163,7 @@ class ReplayBackend:
     """A run, perhaps beside another one of the same robots: both counted from the moment when they began to fly."""
 
     def __init__(self, run: Path, against: Path | None = None) -> None:
-        self.station = _Recorded()
+        self.station = _NoRequests()
         self._log = LogPlayer(run)
         self._against = LogPlayer(against) if against is not None else None
         self._at_ns, self._rate, self._since_s = self._log.flown_ns, 0.0, time.monotonic()

@@ -27,7 +27,7 @@ from groundstation.web.live_backend import LiveBackend
 from groundstation.web.server import WebServer
 from sim_bridge.sil.ports import free_port
 from tests.groundstation.fake_station import FakeStation
-from tests.page.flights import Asked, Flight, open_page, wait_for_port
+from tests.page.flights import OperatorFlight, PageTraffic, open_page, wait_for_port
 from wire.config.experiment import Experiment, load_experiment
 from wire.messages import topics
 from wire.messages.codec import decode
@@ -111,7 +111,9 @@ def test_the_emergency_stop_is_latched_and_confirmed_by_name(page: Page) -> None
     clear_stop(page)
 
 
-def test_a_second_page_only_watches_but_may_stop(page: Page, browser: Browser, flight: Flight, asked: Asked) -> None:
+def test_a_second_page_only_watches_but_may_stop(
+    page: Page, browser: Browser, flight: OperatorFlight, asked: PageTraffic
+) -> None:
     expect(page.get_by_role("button", name="You have control")).to_be_visible()
     second = open_page(browser, flight, asked, width=390, height=844)
     expect(second.get_by_role("button", name=re.compile("Watching"))).to_be_visible()
@@ -168,7 +170,7 @@ def renderers() -> dict[int, psutil.Process]:
     return {process.pid: process for process in found if "--type=renderer" in " ".join(process.cmdline())}
 
 
-def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: Flight, asked: Asked) -> None:
+def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: OperatorFlight, asked: PageTraffic) -> None:
     """Neither the other tab nor the robots. That the recorder missed no step is told by the last test."""
     before = renderers()
     second = open_page(browser, flight, asked)
@@ -190,7 +192,7 @@ def test_a_stopped_tab_holds_nobody_up(page: Page, browser: Browser, flight: Fli
     second.context.close()
 
 
-def test_old_values_are_not_shown_as_live(page: Page, flight: Flight) -> None:
+def test_old_values_are_not_shown_as_live(page: Page, flight: OperatorFlight) -> None:
     """In lockstep one robot that hangs stops all."""
     agent = flight.agent(2)
     agent.send_signal(signal.SIGSTOP)
@@ -337,7 +339,7 @@ def stop_is_not_heard(page: Page) -> None:
 
 
 @dataclass
-class Station:
+class BareStation:
     """`groundstation run` by the wall clock, without robots."""
 
     url: str
@@ -345,7 +347,7 @@ class Station:
 
 
 @pytest.fixture(scope="module")
-def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
+def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BareStation]:
     """Shared: the last of its tests ends it."""
     port = free_port()
     command = [sys.executable, "-m", "groundstation", "run", "pool", "--listen", f"tcp/127.0.0.1:{free_port()}"]
@@ -354,7 +356,7 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
     )
     try:
         wait_for_port(port, process)
-        yield Station(f"http://127.0.0.1:{port}/", process)
+        yield BareStation(f"http://127.0.0.1:{port}/", process)
     finally:
         process.send_signal(signal.SIGCONT)
         process.terminate()
@@ -362,7 +364,7 @@ def station(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Station]:
 
 
 def test_a_station_that_hangs_looks_like_one_that_is_gone_and_a_stop_says_that_nobody_heard_it(
-    browser: Browser, station: Station
+    browser: Browser, station: BareStation
 ) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(station.url)
@@ -380,7 +382,7 @@ def test_a_station_that_hangs_looks_like_one_that_is_gone_and_a_stop_says_that_n
     page.context.close()
 
 
-def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Browser, station: Station) -> None:
+def test_a_stop_pressed_before_the_silence_is_noticed_says_so_too(browser: Browser, station: BareStation) -> None:
     page = browser.new_page()
     page.goto(station.url)
     expect(button(page, "You have control")).to_be_visible()
@@ -467,7 +469,7 @@ def test_a_request_has_one_line_and_that_says_how_it_ended(browser: Browser) -> 
         expect(given).to_have_text("return done ✓ 1 ✓ 2")
 
 
-def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: Station) -> None:
+def test_a_run_is_ended_on_the_page_which_then_is_silent_without_an_alarm(browser: Browser, station: BareStation) -> None:
     page = browser.new_page(viewport={"width": 1440, "height": 900})
     page.goto(station.url)
     button(page, "End run").click()  # nobody is armed: not asked twice
@@ -552,7 +554,7 @@ def test_nothing_serious_for_who_sees_or_hears_badly(page: Page, theme: str) -> 
     assert serious(page) == []
 
 
-def test_page_reconnects_when_the_station_is_started_again(page: Page, flight: Flight) -> None:
+def test_page_reconnects_when_the_station_is_started_again(page: Page, flight: OperatorFlight) -> None:
     flight.stop()
     expect(page.get_by_text("no connection", exact=True)).to_be_visible()
     expect(page.get_by_label("Alarms")).to_contain_text("what you see is old")
@@ -572,7 +574,7 @@ def first_armed_s(run: Path) -> float:
     raise AssertionError("nobody ever armed")
 
 
-def test_a_recorded_run_is_replayed(browser: Browser, flight: Flight) -> None:
+def test_a_recorded_run_is_replayed(browser: Browser, flight: OperatorFlight) -> None:
     """The first run of these tests, which the restart above has ended."""
     recorded = min(folder for folder in flight.folder.iterdir() if folder.is_dir())
     with replayed(recorded) as url:
@@ -594,7 +596,7 @@ def test_a_recorded_run_is_replayed(browser: Browser, flight: Flight) -> None:
         page.close()
 
 
-def test_the_log_holds_the_gains_and_the_solver_had_them(flight: Flight) -> None:
+def test_the_log_holds_the_gains_and_the_solver_had_them(flight: OperatorFlight) -> None:
     """Of the same run. Beside what the robot did stands what its program would have done with these gains from the start."""
     recorded = min(folder for folder in flight.folder.iterdir() if folder.is_dir())
     log = read_log(recorded / "run.mcap")

@@ -17,7 +17,7 @@ from groundstation.telemetry import RobotView
 from groundstation.web import experiment_editor, protocol
 from groundstation.web.alarms import alarms
 from groundstation.web.auth import host_allowed, origin_allowed, token_allowed, web_options
-from groundstation.web.control_lease import SILENT_S, ControlLease
+from groundstation.web.client_hub import SILENT_S, ControlLease
 from groundstation.web.scene import mesh
 from groundstation.web.send_window import MOST_NOTES, UNACKNOWLEDGED, SendWindow
 from groundstation.web.snapshot import ellipse

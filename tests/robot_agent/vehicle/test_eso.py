@@ -40,7 +40,7 @@ def estimator(dead_time_s: float = DEAD_S, **changes: object) -> Estimator:
 
 
 @dataclasses.dataclass
-class Flight:
+class TrueFlight:
     """A true robot and what it did; `true(t)` is its pose at any past time."""
 
     states: list[Array]  # every 5 ms, as seen by one who drifts with the water
@@ -72,9 +72,9 @@ def fly(
     disturbance: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     gyro: bool = True,
     current: complex = 0j,
-) -> tuple[list[Estimate | None], Flight]:
+) -> tuple[list[Estimate | None], TrueFlight]:
     """A control loop without control: poses arrive late, the board is fresh, wrenches act after the dead time."""
-    flight, estimates = Flight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
+    flight, estimates = TrueFlight([np.array([0.3, -0.2, 0.3, 3.0, *([0.0] * 7)])], current), []
     sighting: PoseMeasurement | None = None
     for k in range(round(seconds / STEP_S)):
         now_s, now_ns = k * STEP_S, k * STEP_NS
@@ -96,7 +96,7 @@ def weave(t: float) -> Wrench:
     return 2.5 + math.sin(0.7 * t), 0.3 * math.sin(0.5 * t), 0.08 * math.sin(0.9 * t)
 
 
-def errors(estimates: list[Estimate | None], flight: Flight, since_s: float) -> Array:
+def errors(estimates: list[Estimate | None], flight: TrueFlight, since_s: float) -> Array:
     """Estimate minus truth, [eta, nu] (steps, 8)."""
     rows = []
     for k, estimate in enumerate(estimates):

@@ -31,7 +31,7 @@ STILL = np.zeros(4)
 STEP_NS = 5_000_000
 
 
-class Bench:
+class SteppedWire:
     """A wire to a board that is stepped as time is asked for."""
 
     def __init__(self, key: Key | None = None) -> None:
@@ -56,8 +56,8 @@ class Bench:
         return None
 
 
-def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, RuleResult], Bench]:
-    bench = Bench(key)
+def run(key: Key | None = None, dry: bool = False) -> tuple[dict[str, RuleResult], SteppedWire]:
+    bench = SteppedWire(key)
     outcomes = {outcome.rule: outcome for outcome in examine(BoardProbe(bench, 1, key, lambda: 1000), dry, RULES)}
     return outcomes, bench
 
@@ -69,7 +69,7 @@ def failures(outcomes: dict[str, RuleResult]) -> set[str]:
 def tried(*names: str) -> set[str]:
     """Which of these rules fail on an unsigned board."""
     rules = [rule for rule in RULES if rule.name in {"parameters", *names}]
-    return failures({outcome.rule: outcome for outcome in examine(BoardProbe(Bench(), 1), False, rules)})
+    return failures({outcome.rule: outcome for outcome in examine(BoardProbe(SteppedWire(), 1), False, rules)})
 
 
 def test_the_reference_board_passes() -> None:
@@ -280,7 +280,7 @@ def test_a_board_that_breaks_a_rule_is_found(
     right, flag = getattr(owner, name), [False]
     monkeypatch.setattr(owner, name, lambda self, *arguments: (wrong if flag[0] else right)(self, *arguments))
     for broken in found:
-        bench = Bench(KEY if signed else None)
+        bench = SteppedWire(KEY if signed else None)
         speaking(bench.board, flag)
         rules = [rule for rule in RULES if rule.name in ("parameters", broken)]
         outcomes = {o.rule: o for o in examine(BoardProbe(bench, 1, KEY if signed else None, lambda: 1000), False, rules)}
@@ -315,7 +315,7 @@ def test_a_board_that_obeys_what_is_for_another_is_found(monkeypatch: pytest.Mon
 
 
 def test_a_board_that_sleeps_is_found() -> None:
-    class Asleep(Bench):
+    class Asleep(SteppedWire):
         def receive(self, until_ns: int) -> bytes:
             super().receive(until_ns)
             return b""

@@ -11,8 +11,8 @@ import numpy as np
 import psutil
 from playwright.sync_api import CDPSession, Page, sync_playwright
 
+from benchmarks.groundstation.page import FLAGS, PROBE, SETTLE_S, lab
 from benchmarks.harness import Row
-from benchmarks.page import FLAGS, PROBE, SETTLE_S, lab
 from wire.toml_loader import ConfigError
 
 ROBOTS = 10

@@ -20,8 +20,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from benchmarks.following import Begin, Picture, Place, Step, Task, follow
 from benchmarks.harness import ROOT, Row, run_peer
+from benchmarks.localizer.following import Begin, Picture, Place, Step, Task, follow
 from localizer.detection.obstacles import ObstacleDetector
 from localizer.evaluation.runner import read_idtracker
 from localizer.tracking.fleet_localizer import FleetLocalizer

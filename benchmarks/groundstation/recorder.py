@@ -3,7 +3,7 @@ the log, what SIGKILL costs, and whether a robot's control notices it: the time 
 it, steps that came late, and poses that no step answered.
 
     python -m benchmarks recorder                  # two minutes
-    python -m benchmarks.recorder --kills 200      # the kills of the requirement, four at a time (3 minutes)
+    python -m benchmarks.groundstation.recorder --kills 200      # the kills of the requirement, four at a time (3 minutes)
 
 Beside it the writer that Foxglove's SDK brings (Rust, bytes handed over from the same callbacks), and no recorder at all: the
 station's process as router only.
@@ -31,8 +31,8 @@ import typer
 from mcap.records import Channel, Message
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from benchmarks.fleet_load import ROBOTS, VARIANTS, load
 from benchmarks.harness import Row
+from benchmarks.wire.fleet_load import ROBOTS, VARIANTS, load
 from groundstation.logs.reader import valid_records
 from groundstation.logs.recorder import Recorder
 from groundstation.logs.repair import recover

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from benchmarks.control_loop import Case, fly
+from benchmarks.robot_agent.control_loop import Case, fly
 from robot_agent.control.controller import Controller
 from robot_agent.control.qp import Solver
 from wire.config.experiment import Experiment

@@ -14,9 +14,9 @@ from contextlib import ExitStack, closing
 from datetime import UTC, datetime
 from pathlib import Path
 
-from benchmarks.bus import FRAME_ROUND_TRIPS, PATIENCE_S, ROUND_TRIPS, _back_through, _until_it_works
-from benchmarks.codec import examples
 from benchmarks.harness import Row, time_us
+from benchmarks.wire.bus import FRAME_ROUND_TRIPS, PATIENCE_S, ROUND_TRIPS, _back_through, _until_it_works
+from benchmarks.wire.codec import examples
 from groundstation.deploy import key_ring
 from sim_bridge.sil.ports import free_port
 from wire.messages import codec, topics
@@ -72,7 +72,7 @@ def run() -> Iterator[Row]:
 
     def process(stack: ExitStack, role: str, address: str) -> str:
         """Start another process of this benchmark, which ends with us. Returns the line that it begins with."""
-        command = [sys.executable, "-m", "benchmarks.guard", role, str(ring), address]
+        command = [sys.executable, "-m", "benchmarks.wire.guard", role, str(ring), address]
         child = stack.enter_context(subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
         assert child.stdin is not None and child.stdout is not None
         stack.callback(child.stdin.close)

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from typing import Any
 
-from benchmarks.codec import examples
 from benchmarks.harness import Row, run_peer, time_us
+from benchmarks.wire.codec import examples
 from sim_bridge.sil.ports import free_port
 from wire.messages import codec, topics
 from wire.messages.topics import Topic
@@ -41,7 +41,7 @@ def _robot(topic: Topic) -> int | None:
 @contextmanager
 def _process(role: str, argument: str) -> Iterator[None]:
     """Another process of this benchmark. It ends when its standard input does, so also when we are killed."""
-    child = subprocess.Popen([sys.executable, "-m", "benchmarks.bus", role, argument], stdin=subprocess.PIPE)
+    child = subprocess.Popen([sys.executable, "-m", "benchmarks.wire.bus", role, argument], stdin=subprocess.PIPE)
     try:
         yield
     finally:

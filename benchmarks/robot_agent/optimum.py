@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.flights import Flight, flown
+from benchmarks.flights import SceneFlight, flown
 from benchmarks.harness import Row, run_peer
 from wire.config.experiment import load_experiment
 
@@ -18,7 +18,7 @@ SECONDS, PERIOD_S = 35.0, 0.05
 BOUND_S = 20.0  # what comes later costs the optimum nothing
 
 
-def task(flight: Flight) -> dict[str, object]:
+def task(flight: SceneFlight) -> dict[str, object]:
     """The description of a flight for the peer that computes the optimum."""
     experiment = flight.experiment
     vehicle, plant = experiment.vehicle, experiment.sim.plant

@@ -73,7 +73,7 @@ class Courses:
 
 
 @dataclass
-class Run:
+class MeasuredRun:
     """Errors [x, y, yaw] of one run by subject, and our covariances."""
 
     errors: dict[str, list[Array]] = field(default_factory=dict)
@@ -94,13 +94,15 @@ def _experiment(seed: int, courses: Courses, settings: Sequence[str]) -> Experim
     return load_experiment("pool", [*settings, *starts, f"seed={seed}"])
 
 
-def _fly(seed: int, courses: Courses, settings: Sequence[str], baselines: dict[str, Baseline], depth_error_m: float) -> Run:
+def _fly(
+    seed: int, courses: Courses, settings: Sequence[str], baselines: dict[str, Baseline], depth_error_m: float
+) -> MeasuredRun:
     experiment = _experiment(seed, courses, settings)
     renderer, locator, random, run = (
         Renderer(experiment, seed),
         FleetLocalizer(experiment),
         np.random.default_rng([seed, 5]),
-        Run(),
+        MeasuredRun(),
     )
     n, height_m = len(experiment.robots), experiment.vehicle.marker.height_m
     bias = random.normal(0.0, SENSOR_BIAS_M, n) + depth_error_m
@@ -161,7 +163,7 @@ class _SeenFleet(AgentFleet):
 
     def __init__(self, experiment: Experiment, trajectories: Mapping[int, Trajectory], water: DirectPlant, seed: int) -> None:
         super().__init__(experiment, trajectories, water, seed)
-        self.runs = {"leaning": Run(), "level": Run()}
+        self.runs = {"leaning": MeasuredRun(), "level": MeasuredRun()}
         self.lean_rad: list[float] = []
         self._flown, self._renderer, self._frames = water, Renderer(experiment, seed), 0
         self._locators = {how: FleetLocalizer(experiment) for how in self.runs}

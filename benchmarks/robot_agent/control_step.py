@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.control_loop import Case, Flown, fly
 from benchmarks.harness import Row, run_peer
+from benchmarks.robot_agent.control_loop import Case, Flown, fly
 from robot_agent.control.controller import Controller
 from robot_agent.control.qp import Solution, Solver, make_solver
 from wire.config.experiment import Experiment

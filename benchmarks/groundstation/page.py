@@ -175,7 +175,7 @@ def lab(robots: int) -> Iterator[str]:
         station = _Station(experiment, bus)
         desk = LiveBackend(experiment, planner.plan(experiment), bus, station.heard, station.clock, station, "real-time")
         with WebServer(desk, WebOptions(port=port)):
-            command = [sys.executable, "-m", "benchmarks.page", address, str(robots)]
+            command = [sys.executable, "-m", "benchmarks.groundstation.page", address, str(robots)]
             talking = subprocess.Popen(command, stdin=subprocess.PIPE)
             try:
                 yield f"http://127.0.0.1:{port}/"

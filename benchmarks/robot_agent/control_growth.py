@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from benchmarks.control_loop import Case, fly
 from benchmarks.harness import Row
+from benchmarks.robot_agent.control_loop import Case, fly
 
 BENCHMARK = "control_growth"
 STEPS = 600
