@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import replace
 from select import select
@@ -159,7 +159,7 @@ class _Station:
         views = {robot: self.heard.view(robot, LinkMonitor(), self.clock) for robot in self.heard.states}
         return Status(MissionState.RUNNING, "", seen=views)
 
-    def request(self, order: Order) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
         return "", 0
 
     def request_gains(self, values: Mapping[str, float] | None, next_lap: bool) -> tuple[str, int]:

@@ -33,7 +33,7 @@ MOST_WATCHERS = 16
 HELLO_WITHIN_S = 5.0
 MOST_STRANGERS = 32  # connections that have not said who they are: one more ends the oldest
 SILENT_S = 5.0  # without a sign of life, then control is free
-KEPT_EVENTS = 60  # of the log, for a watcher who comes late: as many as the page shows
+KEPT_EVENTS = 500  # of the log, for a watcher who comes late: as many as the page shows
 ORDER_VALID_S = 3.0  # from the newest state that the page had, to the order's arrival: what was meant for then is void now
 COMPLAIN_EVERY_S = 10.0  # when looking or telling fails again and again
 HEAD = struct.Struct("<If")
@@ -128,7 +128,7 @@ class ClientHub:
                 self._look()
                 now_s = time.monotonic()
                 rested = now_s - told_s >= took_s / MOST_SHARE
-                if self._watchers and rested and (self._source.changed() or now_s - told_s >= AT_LEAST_S):
+                if rested and ((self._watchers and self._source.changed()) or now_s - told_s >= AT_LEAST_S):
                     told_s = now_s
                     self.tell()
                     took_s = time.monotonic() - now_s
@@ -191,6 +191,7 @@ class ClientHub:
         watcher = Client(self._count, websocket, hello.page)
         events = [msgspec.Raw(body) for body in self._history]
         watcher.note({"k": "hello", "you": watcher.id, "scene": self._source.scene(), "events": events})
+        watcher.note({"k": "past", "states": self._source.past()})
         if self._picture:
             watcher.window.offer("picture", self._picture)
         self._replace(watcher)
@@ -263,6 +264,8 @@ class ClientHub:
                 self._spawn(self._attempt(watcher))
         elif isinstance(request, protocol.Save):
             self._spawn(self._save(watcher, request))
+        elif isinstance(request, protocol.Remark):
+            self._source.remark(request.text)
         elif isinstance(request, protocol.Seek):
             self._source.seek(request.time_s, request.rate)
 
@@ -291,7 +294,7 @@ class ClientHub:
         else:
             reason = self._may_command(watcher) or self._void(request.seen_ms)
             if not reason:
-                reason, number = await self._at(self._orders, self._source.station.request, order)
+                reason, number = await self._at(self._orders, self._source.station.request, order, request.via_m)
         self._answer(watcher, request.n, request.order, reason, number)
 
     async def _request_gains(self, watcher: Client, request: protocol.TuneRequest) -> None:

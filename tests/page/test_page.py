@@ -19,6 +19,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from playwright.sync_api import Browser, Locator, Page, WebSocketRoute, expect
 
 from groundstation.logs.reader import open_log, read_log
+from groundstation.mission.state_machine import MissionState
 from groundstation.planning import planner
 from groundstation.replay.step_replay import rerun
 from groundstation.telemetry import Finding
@@ -105,7 +106,7 @@ def test_the_emergency_stop_is_latched_and_confirmed_by_name(page: Page) -> None
     stopped = page.get_by_role("alert")
     expect(stopped).to_contain_text("robot 1 confirms: stopped")
     expect(stopped).to_contain_text("robot 2 confirms: stopped")
-    expect(page.get_by_role("button", name="STOPPED Esc")).to_be_visible()
+    expect(page.get_by_role("button", name="STOPPED Shift+Space")).to_be_visible()
     for name in ("Arm", "Start", "Resume"):
         expect(button(page, name)).to_be_disabled()
     clear_stop(page)
@@ -317,6 +318,79 @@ def test_a_stop_into_a_connection_that_is_dead_already_is_sent_on_return(browser
         expect(button(page, "You have control")).to_be_visible()
         page.wait_for_timeout(500)
         assert desk.orders == [Order.STOP]  # answered: not again
+
+
+def test_escape_leaves_what_is_open_and_else_stops_and_shift_space_always_stops(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        page.get_by_text("Layers", exact=True).click()
+        page.get_by_label("trails").uncheck()
+        page.keyboard.press("Escape")
+        expect(page.get_by_label("trails")).not_to_be_visible()
+        page.get_by_label("Remark for the log").fill("half a word")
+        page.keyboard.press("Escape")
+        expect(page.get_by_label("Remark for the log")).not_to_be_focused()
+        page.wait_for_timeout(300)
+        assert desk.orders == []
+        page.keyboard.press("Escape")
+        expect(page.locator(".given")).to_contain_text("stop sent")
+        assert desk.orders == [Order.STOP]
+        page.get_by_label("Remark for the log").focus()
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given li")).to_have_count(2)
+        assert desk.orders == [Order.STOP, Order.STOP]
+        button(page, "Fit").focus()
+        page.get_by_role("button", name="Follow").focus()
+        page.keyboard.press("Shift+Space")
+        expect(page.locator(".given li")).to_have_count(3)
+        expect(page.get_by_role("button", name="Follow")).to_have_attribute("aria-pressed", "false")  # not pressed by it
+
+
+def test_places_clicked_on_the_map_are_where_the_formation_is_led(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        desk.told = replace(desk.told, state=MissionState.RUNNING)
+        page = desk.page
+        page.goto(desk.url)
+        button(page, "Go to…").click()
+        expect(button(page, "Fly there")).to_be_disabled()
+        chart = page.locator(".pool > canvas")
+        box = chart.bounding_box()
+        assert box is not None
+        seen = []
+        for x, y in ((0.5, 0.4), (0.6, 0.55)):
+            chart.click(position={"x": x * box["width"], "y": y * box["height"]})
+            under = re.fullmatch(r"x (\S+)  y (\S+) m", page.locator(".cursor").inner_text())
+            assert under is not None
+            seen.append((float(under[1]), float(under[2])))
+        button(page, "Fly there").click()
+        expect(page.locator(".given")).to_contain_text("go sent")
+        assert desk.orders == [Order.GO]
+        np.testing.assert_allclose(desk.via, seen, atol=0.011)  # both are shown to the centimetre
+        assert abs(seen[0][0] - seen[1][0]) > 0.05
+        button(page, "Go to…").click()
+        page.keyboard.press("Escape")  # leaves the choice, and stops nothing
+        expect(button(page, "Go to…")).to_be_visible()
+        assert desk.orders == [Order.GO]
+
+
+def test_the_log_takes_remarks_and_is_filtered(browser: Browser) -> None:
+    with alone(browser, load_experiment("pool")) as desk:
+        page = desk.page
+        page.goto(desk.url)
+        expect(button(page, "You have control")).to_be_visible()
+        for level, source, text in ((2, "agent-1", "armed"), (4, "agent-2", "no pose"), (3, "groundstation", "robot 1: late")):
+            desk.robots.publish(topics.EVENT, Event(level, source, text), time.time_ns())
+        lines = page.locator(".log li")
+        expect(lines).to_have_count(3)
+        page.get_by_label("Lines of which robot").select_option("1")
+        expect(lines).to_have_count(2)
+        page.get_by_label("From which level on").select_option("3")
+        expect(lines).to_have_text([re.compile("robot 1: late")])
+        page.get_by_label("Lines of which robot").select_option("")
+        page.get_by_label("Lines with this text").fill("POSE")
+        expect(lines).to_have_text([re.compile("no pose")])
 
 
 def looks_lost(page: Page) -> None:
@@ -584,10 +658,24 @@ def test_a_recorded_run_is_replayed(browser: Browser, flight: OperatorFlight) ->
         in_mode(page, "TRACKING")  # it waits where the robots began to fly
         slider = page.get_by_label("Time in the run, seconds")
         before = float(slider.input_value())
-        button(page, "Play").click()
-        expect(page.locator(".replay").get_by_role("button")).to_have_text("Pause")
+        drawn = page.locator(".plot canvas").first
+        drawn.wait_for()
+        told = page.locator(".plot .u-legend").first.inner_text()
+        assert re.search(r"robot 1:?\s*\d", told), (
+            told
+        )  # the whole run is there, with the values of now, before anything was played
+        expect(page.locator(".replay .mark").first).to_be_attached()
+        page.get_by_label("Pace").select_option("2")  # chooses, and plays nothing
+        expect(page.get_by_role("status")).to_contain_text("paused")
+        page.locator("body").press(".")
+        page.wait_for_function(
+            "before => Math.abs(document.querySelector('.replay input').valueAsNumber - before - 0.05) < 0.01", arg=before
+        )
+        page.locator("body").press(" ")
+        expect(button(page, "Pause")).to_be_visible()
         page.wait_for_function("before => document.querySelector('.replay input').valueAsNumber > before + 1", arg=before)
-        page.locator(".replay").get_by_role("button").click()
+        page.locator("body").press(" ")
+        expect(button(page, "Play")).to_be_visible()
         slider.fill(str(first_armed_s(recorded) - 0.1))
         in_mode(page, "DISARMED")
         expect(page.get_by_role("button", name=re.compile("STOP"))).to_have_count(0)  # there is nothing to stop

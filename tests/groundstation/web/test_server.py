@@ -7,8 +7,9 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from groundstation.planning import planner
 from groundstation.telemetry import RobotView
 from groundstation.web import connection_limits, protocol
 from groundstation.web.auth import WebOptions
-from groundstation.web.live_backend import LiveBackend
+from groundstation.web.live_backend import PAST_EVERY_S, LiveBackend
 from groundstation.web.server import WebServer
 from tests.groundstation.fake_station import FakeStation
 from wire.config.experiment import load_experiment
@@ -54,10 +55,10 @@ class ServedStation(FakeStation):
     def say(self, robot: int = 1) -> None:
         self.robots.publish(topics.STATE, RobotState(mode=Mode.ARMED, fault="here"), time.time_ns(), robot)
 
-    def request(self, order: Order) -> tuple[str, int]:
+    def request(self, order: Order, via: Sequence[tuple[float, float]] = ()) -> tuple[str, int]:
         if self.blocked is not None and order is not Order.STOP:
             self.blocked.wait(PATIENCE_S)
-        accepted = super().request(order)
+        accepted = super().request(order, via)
         return ("not now", 0) if order is Order.HOLD else accepted
 
     def request_gains(self, values: Any, next_lap: bool) -> tuple[str, int]:
@@ -152,6 +153,35 @@ def test_a_page_gets_the_scene_then_states_as_they_come(lab: ServedStation) -> N
     assert seen["allowed"] == ["load", "arm", "start", "stop", "disarm", "clear-stop", "return", "test", "end"]
     lab.robots.publish(topics.PREVIEW, Preview(b"jpeg"), time.time_ns())
     assert page.until(lambda f: f["k"] == "picture")["jpeg"] == b"jpeg"
+
+
+def test_a_remark_becomes_one_line_of_the_log(lab: ServedStation, caplog: pytest.LogCaptureFixture) -> None:
+    page = lab.open()
+    page.hello()
+    log.addHandler(caplog.handler)
+    try:
+        page.say(kind="remark", text="lamp\n switched  off")
+        deadline = time.monotonic() + 10.0
+        while not caplog.messages and time.monotonic() < deadline:
+            time.sleep(0.01)
+    finally:
+        log.removeHandler(caplog.handler)
+    assert caplog.messages == ["remark: lamp switched off"]
+
+
+def test_a_page_that_connects_late_gets_what_was_before(lab: ServedStation) -> None:
+    first = lab.open()
+    first.hello()
+    for _ in range(3):
+        lab.say(robot=2)
+        first.until(lambda f: state(f) and "state" in f["robots"][1])
+        time.sleep(PAST_EVERY_S)  # by the wall clock, as the station's
+    late = lab.open()
+    late.hello()
+    rows = late.until(lambda f: f["k"] == "past")["states"]
+    assert len(rows) >= 3
+    assert all(later["time_s"] - row["time_s"] >= PAST_EVERY_S for row, later in pairwise(rows))
+    assert rows[-1]["robots"][1]["state"]["mode"] == "ARMED"
 
 
 @pytest.mark.parametrize("origin", ["http://evil.example", "null", None, "https://127.0.0.1"])
