@@ -102,7 +102,7 @@ def test_an_operator_flies_a_mission(page: Page) -> None:
 
 def test_the_emergency_stop_is_latched_and_confirmed_by_name(page: Page) -> None:
     page.get_by_label("What plot 1 shows").focus()  # wherever the focus is
-    page.keyboard.press("Escape")
+    page.keyboard.press("Shift+Space")
     stopped = page.get_by_role("alert")
     expect(stopped).to_contain_text("robot 1 confirms: stopped")
     expect(stopped).to_contain_text("robot 2 confirms: stopped")
