@@ -49,7 +49,7 @@ TURN = 2.0 * np.pi
 def tell_from_now(
     row: Array, eta: Array, planned: Array, path: Array, command: Array, told: Array, told_reference: Array
 ) -> None:
-    """What neighbours are told, from now on at the command's instants, at fractional rows `row` (nodes,) of the others.
+    """Plan for the neighbours, from now on at the command's instants: fractional rows `row` (nodes,) of the others.
 
     Poses: `eta` (4,) now, then `planned` (nodes, 4). Where they are meant to be: places of `path` and headings of `command`,
     (nodes + 1, 4) each. That is without the formation's pull: neighbours who shared a deviation would else see less of it,

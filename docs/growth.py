@@ -1,0 +1,42 @@
+"""SHELL: docs/images/growth.png: a control step over the horizon and over the neighbours heard: `python docs/growth.py`."""
+
+import time
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from benchmarks.control_loop import Case, fly
+
+STEPS = 150
+HORIZONS = (15, 25, 50, 75, 100, 150, 200)  # the blocks take 15 steps
+NEIGHBOURS = (0, 2, 5, 10, 20, 35, 50)
+
+
+def step_us(case: Case) -> float:
+    """Processor time of a control step, median."""
+    return float(np.median(fly(case, STEPS, clock=time.thread_time_ns).step_us))
+
+
+def main() -> None:
+    """Fly every point and draw both curves, as multiples of the default horizon alone."""
+    figure, panels = plt.subplots(1, 2, figsize=(11, 4.2), sharey=True)
+    alone_us = step_us(Case("default", 0))
+    horizons = {n: step_us(Case("default", 0, more=(f"controller.mpc.horizon={n}",))) for n in HORIZONS}
+    neighbours = {n: step_us(Case("default", n)) for n in NEIGHBOURS}
+    for axes, title, found in (
+        (panels[0], "steps of the horizon, alone", horizons),
+        (panels[1], "neighbours heard, horizon of 50 steps", neighbours),
+    ):
+        axes.plot(list(found), [us / alone_us for us in found.values()], "o-", color="#4477aa")
+        axes.set(xlabel=title, ylim=(0.0, None))
+        axes.grid(True, alpha=0.3)
+        print(title, {n: round(us / alone_us, 2) for n, us in found.items()})
+    panels[0].set_ylabel("processor time of a control step")
+    figure.suptitle("A control step, in multiples of 50 steps alone (medians)")
+    figure.tight_layout()
+    figure.savefig(Path(__file__).parent / "images" / "growth.png", dpi=110)
+
+
+if __name__ == "__main__":
+    main()
