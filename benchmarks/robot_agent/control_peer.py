@@ -35,7 +35,7 @@ def in_place_of_ours(make: MakeSolver) -> Callable[[Controller, Experiment], Non
     def tamper(controller: Controller, experiment: Experiment) -> None:
         size = 3 * len(experiment.controller.mpc.blocks)
         mpc: Any = controller._law
-        mpc._alone = make(size, 2 * size)
-        mpc._alone.solve(mpc._p, mpc._q[:size], mpc._a, mpc._lower[: 2 * size], mpc._upper[: 2 * size])  # it has A from now on
+        mpc._plain_solver = make(size, 2 * size)  # it has A from the first solve on
+        mpc._plain_solver.solve(mpc._p, mpc._q[:size], mpc._a, mpc._lower[: 2 * size], mpc._upper[: 2 * size])
 
     return tamper
