@@ -81,14 +81,14 @@ def _experiment(count: int, markers: bool) -> Experiment:
     return pool.model_copy(update={"robots": robots})
 
 
-def fleet(count: int, markers: bool, lost: bool = False) -> Iterator[Row]:
+def fleet(count: int, markers: bool, lost: bool = False, frames: int = FRAMES) -> Iterator[Row]:
     """Time to the poses and for the whole frame, and, so that nobody is fast by not looking, errors of the robots' centres
     over the same frames. With `lost` the first robot is taken out of the pool before they begin, and is lost throughout."""
     experiment = _experiment(count, markers)
     renderer, locator = Renderer(experiment, experiment.seed), FleetLocalizer(experiment)
     depths = dict.fromkeys(experiment.robot_ids, DEPTH_M)
     poses_ms, frames_ms, errors_mm, followed = [], [], [], 0
-    for k in range(WARM_UP + FRAMES):
+    for k in range(WARM_UP + frames):
         t_s = k * PERIOD_S
         eta = _eta(count, t_s)
         if lost and k >= WARM_UP // 4:
@@ -106,13 +106,13 @@ def fleet(count: int, markers: bool, lost: bool = False) -> Iterator[Row]:
             errors_mm += [1e3 * float(np.hypot(p.x_m - eta[r - 1, 0], p.y_m - eta[r - 1, 1])) for r, p in seen]
     case = f"{count} robot{'s' if count > 1 else ''}" + (", one of them lost" if lost else "")
     subject = "ours, markers" if markers else "ours, no markers"
-    p95_ms = sorted(poses_ms)[-(-95 * FRAMES // 100) - 1]
-    share = 100.0 * followed / ((count - lost) * FRAMES)
+    p95_ms = sorted(poses_ms)[-(-95 * frames // 100) - 1]
+    share = 100.0 * followed / ((count - lost) * frames)
     yield Row.of("localizer", case, subject, "ms to the poses", poses_ms)
-    yield Row("localizer", case, subject, "ms to the poses, 95 %", p95_ms, p95_ms, p95_ms, FRAMES)
+    yield Row("localizer", case, subject, "ms to the poses, 95 %", p95_ms, p95_ms, p95_ms, frames)
     yield Row.of("localizer", case, subject, "ms per frame", frames_ms)
     yield Row.of("localizer", case, subject, "mm off", errors_mm)
-    yield Row("localizer", case, subject, "% of robots seen", share, share, share, (count - lost) * FRAMES)
+    yield Row("localizer", case, subject, "% of robots seen", share, share, share, (count - lost) * frames)
 
 
 def _obstacles() -> Iterator[Row]:
