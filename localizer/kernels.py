@@ -282,7 +282,7 @@ def sample(picture: NDArray[np.uint8], stride: int, samples: NDArray[np.uint8]) 
     differing = 0
     for i in range(samples.shape[0]):
         for j in range(samples.shape[1]):
-            pixel = picture[i * stride, j * stride]
+            pixel = int(picture[i * stride, j * stride])
             total += pixel
             differing += pixel != samples[i, j]
             samples[i, j] = pixel
