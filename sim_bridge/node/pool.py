@@ -43,7 +43,6 @@ class Exposure:
     stamp_ns: int
     broken: tuple[Break, ...] = ()  # faults of the camera
     unmarked: frozenset[int] = frozenset()  # robots without markers, by index
-    expected: bool = False  # it is yet to come, and no pulse sent from now on can change it
 
 
 class PoolNode:
@@ -73,7 +72,7 @@ class PoolNode:
         self._camera_trouble = CameraFaults()
         self._rendered_ahead: tuple[Exposure, NDArray[np.uint8]] | None = None
         self._unmarked: frozenset[int] = frozenset()
-        self._frame_index = self._expected_index = 0  # of the last exposure that has come, and that was expected
+        self._frame_index = 0
         self._pending: deque[Exposure] = deque()  # lockstep: exposed, and not old enough yet to count at a control step
         self._frame_ns = self._obstacles_ns = -1
         self._neutral = dict.fromkeys(experiment.robot_ids, True)
@@ -149,8 +148,8 @@ class PoolNode:
 
     def _run_wall(self, world: World) -> None:
         exposures: queue.Queue[Exposure | None] = queue.Queue(
-            2 if isinstance(self._camera, Renderer) else 0  # an expected one, and the same when it has come; poses only wait
-        )
+            1 if isinstance(self._camera, Renderer) else 0
+        )  # poses only wait there
         camera = guarded_thread(self._stop, "camera", lambda: self._run_camera(exposures))
         camera.start()
         begin_ns = self._clock.now_ns()
@@ -161,8 +160,6 @@ class PoolNode:
                 if world.exposed:
                     self._detect_start(world, begin_ns)
                     self._expose(world, begin_ns, exposures)
-                elif exposures.empty() and (expected := self._expected(world)) is not None:
-                    exposures.put_nowait(expected)
                 # The next step only when its time has come, however much arrives until then: else the water would run ahead.
                 while (ahead_s := (begin_ns + world.now_ns - self._clock.now_ns()) * 1e-9) > 0 and not self._stop.requested:
                     self._sockets.wait(ahead_s)
@@ -189,10 +186,7 @@ class PoolNode:
 
     def _run_camera(self, exposures: "queue.Queue[Exposure | None]") -> None:
         while (exposure := exposures.get()) is not None:
-            if exposure.expected:
-                self._render_ahead(exposure)
-            else:
-                self._publish_exposure(exposure)
+            self._publish_exposure(exposure)
 
     def _publish_exposure(self, exposure: Exposure) -> None:
         """Publish a frame of an exposure, or poses as late as the localizer's."""
@@ -225,23 +219,21 @@ class PoolNode:
         age_ns = max(self._clock.now_ns() - exposure.stamp_ns, 0)
         self._bus.publish(topics.FRAME, Frame(pixels), exposure.stamp_ns, age_ns=age_ns)
 
-    def _expected(self, world: World) -> Exposure | None:
-        """The next exposure, once and as soon as no pulse can move a robot before it; None if it is too early, or known."""
-        if not isinstance(self._camera, Renderer) or self._expected_index > self._frame_index:
-            return None
-        state = world.next_exposure()
-        if state is None:
-            return None
-        self._expected_index = self._frame_index + 1
-        return Exposure(
-            *state, world.exposure_ns * 1e-9, self._expected_index, world.exposure_ns, unmarked=self._unmarked, expected=True
-        )
+    # --- in lockstep
 
-    def _render_ahead(self, expected: Exposure) -> None:
-        """Render the frame of an expected exposure, so that it is out as soon as it is exposed."""
-        assert isinstance(self._camera, Renderer)
-        pixels = self._camera.render(expected.eta, expected.nu, expected.time_s, expected.index, expected.tilt)
-        self._rendered_ahead = (expected, pixels)
+    def _render_ahead(self, world: World) -> None:
+        """Render the next frame while the others compute: the pulses that are awaited cannot move a robot before it is
+        exposed."""
+        expected = world.next_exposure() if not self._pending else None
+        if expected is None or not isinstance(self._camera, Renderer):
+            return
+        exposure = Exposure(
+            *expected, world.exposure_ns * 1e-9, self._frame_index + 1, world.exposure_ns, unmarked=self._unmarked
+        )
+        self._rendered_ahead = (
+            exposure,
+            self._camera.render(exposure.eta, exposure.nu, exposure.time_s, exposure.index, exposure.tilt),
+        )
 
     def _take_rendered(self, exposure: Exposure) -> NDArray[np.uint8] | None:
         """The frame that was rendered ahead, if the exposure is the expected one to the bit; else None."""
@@ -254,8 +246,6 @@ class PoolNode:
             return pixels
         log.debug("frame %d came otherwise than expected", exposure.index)
         return None
-
-    # --- in lockstep
 
     def _run_lockstep(self, world: World, clock: LockstepClock) -> None:
         self._await_everyone(world)
@@ -333,8 +323,7 @@ class PoolNode:
         before = [self._sockets.commands[i] for i in indices]
         board_ms = tuple(self._sockets.burst_ms[i] for i in indices)
         self._bus.publish(topics.TICK, Tick(tick_ns, previous_ns, self._frame_ns, robots, board_ms), tick_ns)
-        if not self._pending and (expected := self._expected(world)) is not None:
-            self._render_ahead(expected)  # while the others compute
+        self._render_ahead(world)
         reminder = Reminder()
         while not self._stop.requested:
             self._sockets.exchange(world)

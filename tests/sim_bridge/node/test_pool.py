@@ -12,8 +12,7 @@ from sim_bridge.sil.ports import free_base_port
 from sim_bridge.world import World
 from wire.config.experiment import load_experiment
 from wire.messages import topics
-from wire.messages.codec import Header, decode
-from wire.messages.messages import Frame, Truth
+from wire.messages.codec import Header
 from wire.messages.topics import Topic
 from wire.process.runtime import Failed, Stop
 from wire.transport.bus import Bus, Received
@@ -60,39 +59,6 @@ def test_a_camera_thread_that_fails_ends_the_run_with_the_reason(monkeypatch: py
     assert seen[0] == 3
     with pytest.raises(Failed, match="thread camera ended: ValueError: robot 1: eta = nan must be finite"):
         stop.raise_failure()
-
-
-def test_frames_rendered_before_their_exposure_show_the_robots_where_they_are_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each picture holds the poses that it was rendered from; the truth of its exposure comes from the plant itself."""
-    experiment = load_experiment("pool", [ROBOT, "localizer.obstacle_min_m=0", "sim.plant.current_mps=[0.05,0.02,0]"])
-    hub, stop = MemoryHub(), Stop(install=False)
-    rendered: list[int] = []
-    early: list[int] = []
-    truths: dict[int, Any] = {}
-    shown: dict[int, Any] = {}
-
-    def render(self: Renderer, eta: Any, nu: Any, time_s: float, index: int, tilt: Any) -> Any:
-        rendered.append(index)
-        return np.frombuffer(eta.tobytes(), np.uint8).reshape(eta.shape[0], -1)
-
-    def expose(topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        truths[header.stamp_ns] = decode(Truth, payload, "pool", topic.name).eta
-        early.extend(index for index in rendered if index == len(truths))
-
-    def show(topic: Topic, key: str, header: Header, payload: bytes) -> None:
-        shown[header.stamp_ns] = np.frombuffer(decode(Frame, payload, "pool", topic.name).pixels.tobytes()).reshape(-1, 4)
-        if len(shown) == EXPOSURES:
-            stop.request()
-
-    monkeypatch.setattr(Renderer, "render", render)
-    witness = Bus(MemoryTransport(hub))
-    witness.subscribe(topics.TRUTH, None, expose)
-    witness.subscribe(topics.FRAME, None, show)
-    sockets = UdpPorts(free_base_port((1,)), (1,), experiment.seed)
-    PoolNode(experiment, Bus(MemoryTransport(hub)), sockets, stop, lockstep=False).run()
-    stop.raise_failure()
-    assert len(shown) >= EXPOSURES and early
-    assert all(np.array_equal(eta, truths[stamp_ns]) for stamp_ns, eta in shown.items())
 
 
 def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
