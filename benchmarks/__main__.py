@@ -19,6 +19,7 @@ from benchmarks.harness import Row
 BENCHMARKS = {
     "codec": ("wire.codec", "a message to bytes, and bytes to a checked message"),
     "bus": ("wire.bus", "there and back between two processes through the router"),
+    "frames": ("wire.frames", "camera frames between processes of one host: network and shared memory (2 minutes)"),
     "guard": ("wire.guard", "the guard of a router with keys: there and back through it and past it"),
     "control_step": ("robot_agent.control_step", "one complete control step, closed loop, beside peers (3 minutes)"),
     "control_growth": ("robot_agent.control_growth", "a control step with longer horizons and more neighbours"),

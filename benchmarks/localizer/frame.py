@@ -39,6 +39,7 @@ WARM_UP = 24  # a robot that is taken away after a quarter of them is lost at th
 PERIOD_S = 0.05
 SPACING_M = (0.62, 0.55)  # of the robots' circles: hulls 0.25 m apart at least
 ROW_OF = 5  # robots
+DENSE_ABOVE, DENSE_SPACING_M, DENSE_ROW_OF = 20, (0.48, 0.4), 7  # robots that fill the picture: hulls 0.1 m apart
 CIRCLE_M = 0.10
 CIRCLE_RADPS = 1.0  # 0.1 m/s
 DEPTH_M = 0.3
@@ -54,11 +55,13 @@ CONTRIB = ("opencv-contrib-python-headless==5.0.0.93",)
 
 def _eta(count: int, t_s: float) -> Array:
     """Robots on a grid, each on a circle of its own, in step, so that none comes near another: (count, 4)."""
-    columns = min(count, ROW_OF)
+    dense = count > DENSE_ABOVE
+    spacing_m = DENSE_SPACING_M if dense else SPACING_M
+    columns = min(count, DENSE_ROW_OF if dense else ROW_OF)
     rows = -(-count // columns)
     index = np.arange(count)
-    x = (index % columns - (columns - 1) / 2.0) * SPACING_M[0]
-    y = (index // columns - (rows - 1) / 2.0) * SPACING_M[1]
+    x = (index % columns - (columns - 1) / 2.0) * spacing_m[0]
+    y = (index // columns - (rows - 1) / 2.0) * spacing_m[1]
     angle = CIRCLE_RADPS * t_s
     yaw = [wrap(float(angle + i)) for i in index]
     return np.column_stack([x + CIRCLE_M * np.cos(angle), y + CIRCLE_M * np.sin(angle), np.full(count, DEPTH_M), yaw])
@@ -78,14 +81,14 @@ def _experiment(count: int, markers: bool) -> Experiment:
     return pool.model_copy(update={"robots": robots})
 
 
-def _fleet(count: int, markers: bool, lost: bool = False) -> Iterator[Row]:
+def fleet(count: int, markers: bool, lost: bool = False, frames: int = FRAMES) -> Iterator[Row]:
     """Time to the poses and for the whole frame, and, so that nobody is fast by not looking, errors of the robots' centres
     over the same frames. With `lost` the first robot is taken out of the pool before they begin, and is lost throughout."""
     experiment = _experiment(count, markers)
     renderer, locator = Renderer(experiment, experiment.seed), FleetLocalizer(experiment)
     depths = dict.fromkeys(experiment.robot_ids, DEPTH_M)
     poses_ms, frames_ms, errors_mm, followed = [], [], [], 0
-    for k in range(WARM_UP + FRAMES):
+    for k in range(WARM_UP + frames):
         t_s = k * PERIOD_S
         eta = _eta(count, t_s)
         if lost and k >= WARM_UP // 4:
@@ -103,13 +106,13 @@ def _fleet(count: int, markers: bool, lost: bool = False) -> Iterator[Row]:
             errors_mm += [1e3 * float(np.hypot(p.x_m - eta[r - 1, 0], p.y_m - eta[r - 1, 1])) for r, p in seen]
     case = f"{count} robot{'s' if count > 1 else ''}" + (", one of them lost" if lost else "")
     subject = "ours, markers" if markers else "ours, no markers"
-    p95_ms = sorted(poses_ms)[-(-95 * FRAMES // 100) - 1]
-    share = 100.0 * followed / ((count - lost) * FRAMES)
+    p95_ms = sorted(poses_ms)[-(-95 * frames // 100) - 1]
+    share = 100.0 * followed / ((count - lost) * frames)
     yield Row.of("localizer", case, subject, "ms to the poses", poses_ms)
-    yield Row("localizer", case, subject, "ms to the poses, 95 %", p95_ms, p95_ms, p95_ms, FRAMES)
+    yield Row("localizer", case, subject, "ms to the poses, 95 %", p95_ms, p95_ms, p95_ms, frames)
     yield Row.of("localizer", case, subject, "ms per frame", frames_ms)
     yield Row.of("localizer", case, subject, "mm off", errors_mm)
-    yield Row("localizer", case, subject, "% of robots seen", share, share, share, (count - lost) * FRAMES)
+    yield Row("localizer", case, subject, "% of robots seen", share, share, share, (count - lost) * frames)
 
 
 def _obstacles() -> Iterator[Row]:
@@ -170,7 +173,7 @@ def _video() -> Task | None:
 
 
 @contextmanager
-def _real_time() -> Iterator[None]:
+def real_time() -> Iterator[None]:
     """One core, and no program of the ordinary scheduler before this one."""
     cores = os.sched_getaffinity(0)
     try:
@@ -188,9 +191,9 @@ def _real_time() -> Iterator[None]:
 def run() -> Iterator[Row]:
     """Fleets, obstacles, then the filters."""
     cv2.setNumThreads(1)
-    with _real_time():
-        rows = [row for count in FLEETS for markers in (True, False) for row in _fleet(count, markers)]
-        rows += [row for count in FLEETS[1:] for row in _fleet(count, markers=True, lost=True)]
+    with real_time():
+        rows = [row for count in FLEETS for markers in (True, False) for row in fleet(count, markers)]
+        rows += [row for count in FLEETS[1:] for row in fleet(count, markers=True, lost=True)]
         rows += _obstacles()
     yield from rows
     with tempfile.TemporaryDirectory() as folder:

@@ -15,6 +15,7 @@ camera's foot by 2.5 mm.
 Deterministic: no clock, robots always in the experiment's order. The number of OpenCV's threads is the process's affair.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -209,7 +210,7 @@ class FleetLocalizer:
     def _is_occupied(self, position_m: Array, robot: int, readings: Mapping[int, MarkerPose]) -> bool:
         """True if another robot's marker was read here: the two would be inside each other."""
         others = (reading.pose[:2] for i, reading in readings.items() if i != robot)
-        return any(float(np.linalg.norm(other - position_m)) < self.radius_m for other in others)
+        return any(math.dist(other, position_m) < self.radius_m for other in others)
 
     def _needs_match(self, robot: int) -> bool:
         """True for a followed robot whose marker was not read."""
@@ -337,7 +338,7 @@ class FleetLocalizer:
     def _clearance_m(self, robot: int, pose: Array) -> float:
         """Distance from a pose's position to the nearest other robot."""
         others = (t.motion.position_m for i, t in enumerate(self._tracks) if i != robot and t.motion is not None)
-        return min((float(np.linalg.norm(other - pose[:2])) for other in others), default=float("inf"))
+        return min((math.dist(other, pose[:2]) for other in others), default=math.inf)
 
 
 def start_poses(experiment: Experiment) -> Array:

@@ -11,6 +11,7 @@ from wire.process.cli_options import (
     DEFAULT_STATION,
     ExperimentName,
     FleetName,
+    FrameRingOption,
     Insecure,
     KeyRing,
     LockstepMode,
@@ -42,6 +43,7 @@ def pool(
     boards: BoardFolder = None,
     lockstep: LockstepMode = False,
     poses: Poses = False,
+    frame_ring: FrameRingOption = None,
     keys: KeyRing = None,
     insecure: Insecure = False,
     verbose: Verbose = False,
@@ -58,6 +60,7 @@ def pool(
     from sim_bridge.thruster_board.nonvolatile import boards_in
     from wire.messages.topics import Role, process_name
     from wire.transport.bus import Bus
+    from wire.transport.frame_ring import codec_of
     from wire.transport.network import endpoint
     from wire.transport.zenoh_transport import ZenohTransport
 
@@ -68,7 +71,7 @@ def pool(
     where = endpoint(station, process_name(Role.SIMULATOR), keys, insecure=insecure, lossless=lockstep)
     make = boards_in(boards) if boards is not None else ThrusterBoard
     sockets = UdpPorts(ports, loaded.robot_ids, loaded.seed)  # ports that are taken are told before the wait for the station
-    with Bus(ZenohTransport(where, stop), fleet) as bus:
+    with Bus(ZenohTransport(where, stop), fleet, *codec_of(frame_ring)) as bus:
         PoolNode(loaded, bus, sockets, stop, lockstep, poses, make).run()
     stop.raise_failure()
 

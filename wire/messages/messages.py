@@ -372,7 +372,11 @@ class OrderTaken:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A camera picture: (height, width) uint8 raw Bayer RGGB. On the wire a foxglove.RawImage `bayer_rggb8`."""
+    """A camera picture: (height, width) uint8 raw Bayer RGGB. On the wire a foxglove.RawImage `bayer_rggb8`.
+
+    Between the programs of one `sim-bridge sil` its encoding is `shared_memory`, and its data are slot u32 and number u64,
+    little-endian, of the picture in their ring (`wire/transport/frame_ring.py`).
+    """
 
     pixels: NDArray[np.uint8]
 

@@ -62,7 +62,7 @@ def test_plans_are_sampled_as_by_interpolation_of_each(seed: int) -> None:
         plan = Plan(float(random.uniform(0.02, 0.2)), eta, reference)
         others.append(Neighbour(robot, int(random.integers(-NS, 4 * NS)), plan, random.random() < 0.7, random.random() < 0.7))
         place = (dead_s + PERIOD_S * np.arange(STEPS) + (now_ns - others[-1].stamp_ns) / NS) / plan.period_s
-        deviation = eta - reference
+        deviation: Array = np.asarray(eta - reference, np.float64)
         deviation[:, 3] -= 2.0 * np.pi * np.rint(deviation[0, 3] / (2.0 * np.pi))
         if others[-1].fresh and others[-1].formation:
             expected += np.array(CONFIG.q_formation) * columns(deviation, place)
@@ -105,7 +105,7 @@ def test_a_trajectory_is_sampled_as_by_interpolation(seed: int) -> None:
     path, offset_s = random.normal(size=(3, 30, 4)), np.sort(random.uniform(-1.0, 3.0, 40))
     begin_s, period_s, time_s, rate = random.uniform(0.05, 1.0, 4).tolist()
     found = np.empty((3, 40, 4))
-    sample_trajectory(*path, begin_s, period_s, time_s, rate, offset_s, *found)
+    sample_trajectory(path[0], path[1], path[2], begin_s, period_s, time_s, rate, offset_s, found[0], found[1], found[2])
     place = (time_s + rate * offset_s - begin_s) / period_s
     moves = rate * ((place >= 0.0) & (place <= 29.0))[:, None]
     for rows, samples, pace in zip(found, path, (1.0, moves, moves**2), strict=True):
@@ -177,7 +177,8 @@ def test_the_way_out_changes_to_its_course_steadily(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(40))
 def test_the_velocity_chosen_is_the_cheapest_of_the_fan(seed: int) -> None:
     random, place, velocity, there, going, keep_m = scene(seed)
-    wanted, sided, ahead = 0.1 + 0.02j, random.random(7) < 0.5, (0.1 + 0.02j) * LOOKS_S
+    wanted, sided = 0.1 + 0.02j, random.random(7) < 0.5
+    ahead = np.asarray(wanted * LOOKS_S, np.complex128)
     room, islands, islands_keep_m = (1.0, 0.6), places(random, 1.0, 2), np.array([0.3, 0.2])
     heeded, meets = np.empty(7, bool), np.empty(7, bool)
     found = find_meetings(place, wanted, ahead, there, going, keep_m, sided, heeded, meets)

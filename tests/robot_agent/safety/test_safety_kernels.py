@@ -24,7 +24,7 @@ def test_evidence_is_that_of_inverse_matrices(seed: int) -> None:
         for part in range(3):
             along, size = -rows[:, part] @ np.linalg.solve(s, residual), rows[:, part] @ np.linalg.solve(s, rows[:, part])
             share = np.clip(along / size, least, most)
-            best = max(best, share * (along - 0.5 * share * size))
+            best = max(best, float(share * (along - 0.5 * share * size)))
     found = largest_evidence(np.column_stack([x, y]), weights, begins, theta, covariance, 3, least, most)
     assert found == pytest.approx(best, rel=1e-7)
 
