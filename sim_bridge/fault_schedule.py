@@ -4,6 +4,7 @@ Time is seconds along the trajectories, so no fault begins before the robots sta
 sim_bridge/sil/fault_injector.py.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +54,12 @@ class FaultSchedule:
         self._active = active
         self._derive()
         return said
+
+    def next_change_s(self, time_s: float) -> float:
+        """Time at which the next fault after `time_s` begins or ends; infinite if none does."""
+        begins = [fault.at_s for fault in self._faults]
+        ends = [fault.at_s + fault.for_s for fault in self._faults if fault.for_s is not None]
+        return min((change_s for change_s in (*begins, *ends) if change_s > time_s), default=math.inf)
 
     def pulses(self, pulses_us: Array) -> Array:
         """The pulses (n, 8) that thrusters get, from those on the boards' outputs: a stuck one keeps its last."""

@@ -50,6 +50,7 @@ def test_schedule_names_what_breaks_and_what_is_repaired() -> None:
     assert faults.at(2.5) == ["fault: battery 1 sag 2"]
     assert faults.at(3.0) == ["fault over: camera dark"]
     assert faults.actuators.sag_v.tolist() == [2.0, 0.0] and faults.camera == ()
+    assert [faults.next_change_s(time_s) for time_s in (-1.0, 1.0, 2.5, 3.0)] == [1.0, 2.0, 3.0, np.inf]
 
 
 def test_a_sagging_battery_is_measured_and_felt() -> None:
