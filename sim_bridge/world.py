@@ -19,9 +19,6 @@ from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Truth
 
-NS = 1_000_000_000
-ROUNDING_NS = 1000  # ns by which an event is looked for early, as the times of faults are rounded
-
 
 class World:
     """The fleet in the water from the moment the robots are put in at `starts`, poses (n, 4) in the pool frame."""
@@ -127,10 +124,8 @@ class World:
     def _quiet_steps(self, until_ns: int) -> int:
         """Plant steps to the next event or to `until_ns`, whichever comes first; at least one."""
         due_ns = min(until_ns, self.exposure_ns, *(board.next_event_ns for board in self.boards))
-        change_s = self.faults.next_change_s(self.flown_s) - self.flown_s
-        if change_s * NS < due_ns - self.now_ns:
-            due_ns = self.now_ns + round(change_s * NS) - ROUNDING_NS
-        return max(-((self.now_ns - due_ns) // self._step_ns), 1)
+        steps = max(-((self.now_ns - due_ns) // self._step_ns), 1)
+        return self.faults.quiet_steps(self.flown_s, self._step_ns * 1e-9, steps)
 
     def step(self, until_ns: int = 0) -> list[tuple[int, bytes]]:
         """Move to the next event, but not beyond the first plant step at or after `until_ns`; by one step at least. Returns

@@ -183,8 +183,8 @@ class BoardPorts(ABC):
 
     def quiet_until_ns(self, until_ns: int) -> int:
         """The first plant time up to `until_ns` at which a datagram leaves one of the links; else `until_ns`."""
-        due = [link.next_due_ns for link in (*self._to_board, *self._from_board)]
-        return min((until_ns, *(ns for ns in due if ns is not None)))
+        due = [link.next_due_ns for link in self._to_board] + [link.next_due_ns for link in self._from_board]
+        return min([until_ns, *(ns for ns in due if ns is not None)])
 
     def send(self, i: int, data: bytes, world: World) -> None:
         """Hand a board's bytes to its link."""
