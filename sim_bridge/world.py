@@ -3,17 +3,17 @@
     bytes from the robots' computers -> boards (board.py) -> pulses -> thrusters -> dynamics -> next state
                                                                        sensors -> boards -> bytes to the computers
 
-`step` moves everything by one plant step. sim_bridge/node/pool.py connects it to the wires; time here is the plant's.
+`step` moves everything to the next event: an exposure, sensors that are due, a board whose outputs change, a fault. Between
+events all steps of the plant are one call. sim_bridge/node/pool.py connects it to the wires; time here is the plant's.
 """
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from sim_bridge.fault_schedule import BEFORE_S, FaultSchedule
-from sim_bridge.plant.fleet import ActuatorFaults, Plant, PlantState
+from sim_bridge.plant.fleet import Plant, PlantState
 from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.config.experiment import Experiment
 from wire.frames import Array
@@ -43,8 +43,6 @@ class World:
         self._frames = 1  # the first is at time 0
         self.faults = FaultSchedule(experiment)
         self.start_ns: int | None = None  # plant time at which the trajectories begin; set by the process
-        self._ahead: deque[PlantState] = deque()  # what the next steps come to, as long as the same is broken
-        self._ahead_faults: ActuatorFaults | None = None
         self.exposed = False  # the last step reached the middle of an exposure
 
     @property
@@ -109,35 +107,33 @@ class World:
         steps = (self.exposure_ns - self.now_ns) // self._step_ns
         if self._held or not 0 < steps <= self._plant.dead_steps:
             return None
-        state, pulses, actuators = self._state, self.faults.pulses(self._pulses()), self.faults.actuators
-        self._ahead.clear()
-        self._ahead_faults = actuators
-        for _ in range(steps):
-            state = self._plant.step(state, pulses, actuators)
-            self._ahead.append(state)
+        state = self._plant.step(self._state, self.faults.pulses(self._pulses()), self.faults.actuators, steps)
         return state.eta, state.nu, state.tilt
 
     def _pulses(self) -> Array:
         """Pulses on the boards' outputs, (n, 8)."""
         return np.array([board.pulses for board in self.boards], dtype=np.float64)
 
-    def _next_state(self, pulses_us: Array, actuators: ActuatorFaults) -> PlantState:
-        """The plant one step on, from the states computed ahead where they hold."""
+    def _next_state(self, steps: int) -> PlantState:
+        """The plant some steps on, with the pulses and the faults of now."""
         self._held = self._held and not any(board.armed for board in self.boards)
         if self._held:
-            return replace(self._state, steps=self._state.steps + 1)
-        if self._ahead and self._ahead_faults is actuators:
-            return self._plant.with_command_history(self._ahead.popleft(), self._state, pulses_us)
-        self._ahead.clear()
-        return self._plant.step(self._state, pulses_us, actuators)
+            return replace(self._state, steps=self._state.steps + steps)
+        return self._plant.step(self._state, self.faults.pulses(self._pulses()), self.faults.actuators, steps)
 
-    def step(self) -> list[tuple[int, bytes]]:
-        """Move by one plant step. Returns what the boards send: (index of the robot, bytes)."""
-        actuators = self.faults.actuators
-        self._state = state = self._next_state(self.faults.pulses(self._pulses()), actuators)
+    def _quiet_steps(self, until_ns: int) -> int:
+        """Plant steps to the next event or to `until_ns`, whichever comes first; at least one."""
+        due_ns = min(until_ns, self.exposure_ns, *(board.next_event_ns for board in self.boards))
+        steps = max(-((self.now_ns - due_ns) // self._step_ns), 1)
+        return self.faults.quiet_steps(self.flown_s, self._step_ns * 1e-9, steps)
+
+    def step(self, until_ns: int = 0) -> list[tuple[int, bytes]]:
+        """Move to the next event, but not beyond the first plant step at or after `until_ns`; by one step at least. Returns
+        what the boards send: (index of the robot, bytes). Nothing may arrive at a board between two events."""
+        self._state = state = self._next_state(self._quiet_steps(until_ns))
         measures = self.boards[0].measures(self.now_ns)  # otherwise the values are not used
         acceleration = self._plant.acceleration(state) if measures else self._no_acceleration
-        supply_v = self._plant.rest_v(state, actuators).tolist() if measures else self._no_voltage
+        supply_v = self._plant.rest_v(state, self.faults.actuators).tolist() if measures else self._no_voltage
         self.exposed = self.now_ns * 1e-9 >= self._frames * self._frame_period_s - 1e-9
         if self.exposed:  # of a camera faster than the plant's steps, what falls between two of them is left out
             self._frames = int((self.now_ns * 1e-9 + 1e-9) / self._frame_period_s) + 1

@@ -120,11 +120,12 @@ class PoolNode:
             starts.append(received.message.eta[0] + np.array(robot.start_offset))
         return np.array(starts)
 
-    def _step_plant(self, world: World) -> None:
-        """Make one step of the plant, and log the faults that change and the boards that become neutral or thrusting."""
+    def _step_plant(self, world: World, until_ns: int = 0) -> None:
+        """Move to the next event up to `until_ns`, by one step at least. Log the faults that change, and the boards that
+        become neutral or thrusting."""
         for text in world.apply_faults():
             log.info(text)
-        sent = world.step()
+        sent = world.step(until_ns)
         for i, data in sent:
             self._sockets.send(i, data, world)
             robot = self._experiment.robot_ids[i]
@@ -254,7 +255,7 @@ class PoolNode:
         self._expose_in_lockstep(world, tick_ns, previous_ns)
         while not self._stop.requested:
             while world.now_ns < tick_ns:
-                self._step_plant(world)
+                self._step_plant(world, self._sockets.quiet_until_ns(tick_ns))
                 clock.tick_ns = world.now_ns
                 if world.exposed:
                     self._expose_in_lockstep(world, tick_ns, previous_ns)

@@ -176,6 +176,14 @@ class ThrusterBoard:
         values = dict(zip(parameters.index, parameters.values, strict=True))
         self._store_callback(NonvolatileState(values, self._stored_heard, self.link.stamp, self._key))
 
+    @property
+    def next_event_ns(self) -> int:
+        """Earliest instant at which a step does anything, unless bytes arrive before. Steps until then may be left out."""
+        if self._last_step_ns is None or self._outbox or self.link.is_waiting:
+            return 0
+        burst_ns = (self._last_step_ns // self._burst_ns + 1) * self._burst_ns
+        return min(burst_ns, self.rules.next_event_ns)
+
     def measures(self, now_ns: int) -> bool:
         """True if the step to this instant reads the sensors."""
         return _crosses(self._burst_ns, self._last_step_ns, now_ns)

@@ -16,7 +16,7 @@ from wire.mavlink.signing import Key, SignatureVerifier
 
 THRUSTERS = 4
 S_NS = 1_000_000_000
-NEVER_NS = -(2**62)
+NEVER_NS, EVER_NS = -(2**62), 2**62  # before and after all times
 BATTERY_FILTER_S = 1.0  # s, time constant of the voltage filter: thrust lowers the voltage for moments
 CRITICAL, WARNING, INFO = 2, 4, 6  # MAV_SEVERITY
 
@@ -161,6 +161,17 @@ class BoardStateMachine:
             self._move(self.parameters["SLEW_US_S"] * elapsed_s)
         else:
             self._thrusters_us = [self.parameters.neutral_us] * THRUSTERS
+
+    @property
+    def next_event_ns(self) -> int:
+        """Earliest instant at which a step changes anything, unless a call of another method does before."""
+        if not self.armed:
+            still = self._thrusters_us == [self.parameters.neutral_us] * THRUSTERS
+            return EVER_NS if still and not self.said else NEVER_NS
+        outputs_us = (*self._thrusters_us, *self._ankles_us)
+        if any(goal not in (now, IGNORED) for goal, now in zip(self._command, outputs_us, strict=True)):
+            return NEVER_NS
+        return self._command_ns + self.parameters.age_ns + 1
 
     def _is_stale(self, now_ns: int) -> bool:
         return now_ns - self._command_ns > self.parameters.age_ns

@@ -38,7 +38,7 @@ class BoardWater:
 
     def advance(self, to_ns: int) -> None:
         while self.world.now_ns < to_ns:
-            for i, data in self.world.step():
+            for i, data in self.world.step(to_ns):
                 self._inboxes[i] += data
 
     def telemetry(self, i: int, now_ns: int) -> Telemetry:

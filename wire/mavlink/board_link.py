@@ -128,6 +128,11 @@ class BoardLink:
         return self._receiver.bad_frames
 
     @property
+    def is_waiting(self) -> bool:
+        """True if a frame has begun and not ended: it may be overdue at the next look."""
+        return self._receiver.is_waiting
+
+    @property
     def stale_frames(self) -> int:
         """Intact frames that were old or repeated, and not looked at."""
         return self._receiver.stale_frames
