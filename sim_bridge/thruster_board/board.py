@@ -12,6 +12,7 @@ from sim_bridge.plant.sensors import BoardSensors, Reading
 from sim_bridge.thruster_board.parameters import Parameters, Refusal
 from sim_bridge.thruster_board.state_machine import INFO, S_NS, THRUSTERS, WARNING, BoardStateMachine, Charge
 from wire.config.experiment import Experiment
+from wire.config.vehicle import Thruster
 from wire.frames import Array
 from wire.mavlink import agent_link
 from wire.mavlink.board_link import (
@@ -91,9 +92,9 @@ class ThrusterBoard:
         store: Callable[[NonvolatileState], None] = lambda stored: None,
     ) -> None:
         """Switch the board on, with what it `kept`; `keep` is called with what must survive the next loss of power."""
-        vehicle, sensors, stored = experiment.vehicle, experiment.sim.sensors, stored or NonvolatileState()
+        sensors, stored = experiment.sim.sensors, stored or NonvolatileState()
         self._key, self._robot_id = key, robot_id
-        self._vehicle, self._supply_v, self._store_callback = vehicle, sensors.battery_v, store
+        self._thruster, self._supply_v, self._store_callback = experiment.vehicle.thruster, sensors.battery_v, store
         computer = (robot_id, agent_link.AGENT_COMPONENT)
         self.rules = BoardStateMachine(Parameters.of(experiment).restored(stored.parameters), computer, key, stored.heard)
         self.link = BoardLink(robot_id, self.rules.gate, key, stored.sent + SENT_BETWEEN)
@@ -222,7 +223,7 @@ class ThrusterBoard:
 
     def measures(self, now_ns: int) -> bool:
         """True if the step to this instant reads the sensors."""
-        return _crosses(self._burst_ns, self._last_step_ns, now_ns)
+        return crosses(self._burst_ns, self._last_step_ns, now_ns)
 
     def step(
         self,
@@ -245,7 +246,9 @@ class ThrusterBoard:
             if self._simulated is not None:
                 voltage = self._simulated.battery_v(now_ns)
             else:
-                voltage = self.sensors.battery_v(self._supply_v if supply_v is None else supply_v, self._load())
+                voltage = self.sensors.battery_v(
+                    self._supply_v if supply_v is None else supply_v, demanded_load(self._thruster, self.pulses)
+                )
             if voltage is not None:
                 self.rules.battery(voltage, _seconds(self._last_burst_ns, now_ns))
         self.rules.step(now_ns)
@@ -280,29 +283,29 @@ class ThrusterBoard:
             self._outbox.append(link.imu(self.burst_ms, reading.acceleration_mps2, reading.yaw_rate_radps))
             self._outbox.append(link.pressure(self.burst_ms, reading.depth_m))
         self._outbox.append(link.servo_output(now_ns // 1000, rules.echo_us))
-        if voltage is not None and _crosses(STATUS_NS, self._last_burst_ns, now_ns):
+        if voltage is not None and crosses(STATUS_NS, self._last_burst_ns, now_ns):
             sensors = GYRO | ACCELEROMETER | PRESSURE | MOTORS | BATTERY
             healthy = sensors if rules.charge is Charge.GOOD else sensors & ~BATTERY
             self._outbox.append(link.status(voltage, sensors, healthy, rules.overrides_refused + link.refused_frames))
             self._outbox.append(link.battery(voltage, CHARGE_STATES[rules.charge]))
-        if _crosses(HEARTBEAT_NS, self._last_burst_ns, now_ns):
+        if crosses(HEARTBEAT_NS, self._last_burst_ns, now_ns):
             self._outbox.append(self._heartbeat())
         if self._to_list < len(rules.parameters.table):
             self._outbox.append(self._value(self._to_list))
             self._to_list += 1
         if reading is not None:
             self._outbox.append(link.attitude(self.burst_ms, reading.heading_rad, reading.yaw_rate_radps))
-        if _crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._stored_heard:
+        if crosses(KEEP_NS, self._last_burst_ns, now_ns) and self.rules.gate.newest > self._stored_heard:
             self._store()
 
-    def _load(self) -> float:
-        """Thrust demanded from the battery, as a fraction of all thrusters at full."""
-        thruster = self._vehicle.thruster
-        force_n = np.abs(thruster.force_n(np.array(self.pulses[:THRUSTERS], dtype=np.float64)))
-        return float(force_n.sum()) / (THRUSTERS * thruster.max_thrust_n)
+
+def demanded_load(thruster: Thruster, pulses_us: Sequence[int]) -> float:
+    """Thrust demanded from the battery by the outputs, as a fraction of all thrusters at full."""
+    force_n = np.abs(thruster.force_n(np.array(pulses_us[:THRUSTERS], dtype=np.float64)))
+    return float(force_n.sum()) / (THRUSTERS * thruster.max_thrust_n)
 
 
-def _crosses(period_ns: int, since_ns: int | None, now_ns: int) -> bool:
+def crosses(period_ns: int, since_ns: int | None, now_ns: int) -> bool:
     """True if a multiple of the period lies in (since, now]."""
     return since_ns is None or now_ns // period_ns > since_ns // period_ns
 
