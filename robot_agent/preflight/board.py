@@ -55,7 +55,7 @@ def run_preflight(
     else:
         idle = yield from _board(config)
     if thrusters is None or experiment is None or not idle:
-        needs = "(--thrusters turns them one by one)" if thrusters is None else "(the board must say that it is disarmed)"
+        needs = "(--thrusters moves them one by one)" if thrusters is None else "(the board must say that it is disarmed)"
         yield CheckFinding("thrusters", CheckVerdict.SKIPPED, f"not turned {needs}")
     else:
         yield from thrusters(experiment)
