@@ -142,7 +142,7 @@ def test_a_simulated_battery_that_falls_silent_counts_as_empty() -> None:
     assert (desk.board.rules.charge, desk.agent.telemetry.battery_reports) == (Charge.GOOD, 0)
     desk.run(1.0, "battery", "motion")
     assert desk.board.rules.charge is Charge.GOOD
-    desk.run(2.0)
+    desk.run(1.0)
     assert desk.arm()
     desk.run(4.0, "hold", "motion")
     assert (desk.board.armed, desk.board.rules.charge) == (False, Charge.NEUTRAL)
