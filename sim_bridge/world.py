@@ -9,15 +9,38 @@ events all steps of the plant are one call. sim_bridge/node/pool.py connects it 
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from sim_bridge.fault_schedule import BEFORE_S, FaultSchedule
 from sim_bridge.plant.fleet import Plant, PlantState
+from sim_bridge.plant.sensors import BoardSensors
 from sim_bridge.thruster_board.board import ThrusterBoard
 from wire.config.experiment import Experiment
 from wire.frames import Array
 from wire.messages.messages import Truth
+
+
+class WorldBoard(Protocol):
+    """A thruster board of the world: a simulated one, or a real one in HIL mode (sim_bridge/node/hil_board.py)."""
+
+    sensors: BoardSensors
+    burst_ms: int
+
+    @property
+    def pulses(self) -> tuple[int, ...]: ...
+    @property
+    def armed(self) -> bool: ...
+    @property
+    def neutral(self) -> bool: ...
+    @property
+    def next_event_ns(self) -> int:
+        """Plant time until which `step` need not be called. In the past: it has to be at every step of the plant."""
+
+    def receive(self, data: bytes, now_ns: int) -> bool: ...
+    def measures(self, now_ns: int) -> bool: ...
+    def step(self, now_ns: int, eta: Array, nu: Array, acceleration: Array, supply_v: float, tilt: Array) -> bytes: ...
 
 
 class World:
@@ -28,7 +51,7 @@ class World:
         experiment: Experiment,
         seed: int,
         starts: Array,
-        board_factory: Callable[[Experiment, int, int], ThrusterBoard] = ThrusterBoard,
+        board_factory: Callable[[Experiment, int, int], WorldBoard] = ThrusterBoard,
         held: bool = False,
     ) -> None:
         """With `held` the robots are kept in place until the first of them is armed."""
@@ -36,7 +59,7 @@ class World:
         self._plant = Plant(experiment, seed)
         self._state = self._plant.start(starts)
         # one thruster board per robot, in the experiment's order
-        self.boards = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
+        self.boards: list[WorldBoard] = [board_factory(experiment, robot, seed) for robot in experiment.robot_ids]
         self._step_ns = round(experiment.sim.plant.step_s * 1e9)
         self._frame_period_s = 1.0 / experiment.camera.rate_hz
         self._no_acceleration, self._no_voltage = np.zeros_like(starts), [0.0] * len(starts)

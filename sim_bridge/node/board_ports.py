@@ -216,13 +216,13 @@ class BoardPorts(ABC):
 class UdpPorts(BoardPorts):
     """A UDP port per thruster board."""
 
-    def __init__(self, base_port: int, robots: tuple[int, ...], seed: int) -> None:
-        """Bind the ports: the board of robot N is at `base_port` + N. Raises ConfigError naming a port that cannot be
-        bound."""
+    def __init__(self, base_port: int, robots: tuple[int, ...], seed: int, host: str = "127.0.0.1") -> None:
+        """Bind the ports: the board of robot N is at `base_port` + N of the address `host`. Raises ConfigError naming a port
+        that cannot be bound."""
         self._bound: list[UdpPort] = []
         for robot in robots:
             try:
-                self._bound.append(UdpPort("127.0.0.1", base_port + robot))
+                self._bound.append(UdpPort(host, base_port + robot))
             except (OSError, OverflowError) as error:
                 self.close()
                 why = error.strerror if isinstance(error, OSError) else "allowed: up to 65535"

@@ -9,6 +9,7 @@ import queue
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +20,7 @@ from sim_bridge.camera.ideal_localizer import IdealLocalizer
 from sim_bridge.camera.renderer import Renderer
 from sim_bridge.node.board_ports import BoardPorts
 from sim_bridge.thruster_board.board import ThrusterBoard
-from sim_bridge.thruster_board.nonvolatile import BoardFactory
-from sim_bridge.world import World
+from sim_bridge.world import World, WorldBoard
 from wire.config.experiment import Experiment
 from wire.config.fault_injection import Break
 from wire.frames import Array
@@ -56,7 +56,7 @@ class PoolNode:
         stop: Stop,
         lockstep: bool,
         poses: bool = False,
-        make: BoardFactory = ThrusterBoard,
+        make: Callable[[Experiment, int, int], WorldBoard] = ThrusterBoard,
     ) -> None:
         """`sockets` are closed when the run ends. With `poses` there is no camera: poses are published in the localizer's
         place. `make` makes the thruster boards."""

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import ArrayLike
 
 from robot_agent.guidance.formation import Formation, Neighbour, Places, leans, nearest, tangents
 from robot_agent.guidance.reference import sample_trajectory
@@ -42,7 +41,7 @@ def places(random: np.random.Generator, size: float, *shape: int) -> Places:
     return np.asarray(size * (random.normal(size=shape) + 1j * random.normal(size=shape)))
 
 
-def columns(rows: Array, place: ArrayLike) -> Array:
+def columns(rows: Array, place: Array) -> Array:
     """Rows at fractional row numbers, column by column, held beyond the ends."""
     return np.column_stack([np.interp(place, np.arange(len(rows)), column) for column in rows.T])
 
@@ -62,7 +61,8 @@ def test_plans_are_sampled_as_by_interpolation_of_each(seed: int) -> None:
         reference[:, 3] += 2.0 * np.pi * random.integers(-3, 4)
         plan = Plan(float(random.uniform(0.02, 0.2)), eta, reference)
         others.append(Neighbour(robot, int(random.integers(-NS, 4 * NS)), plan, random.random() < 0.7, random.random() < 0.7))
-        place = (dead_s + PERIOD_S * np.arange(STEPS) + (now_ns - others[-1].stamp_ns) / NS) / plan.period_s
+        age_s = (now_ns - others[-1].stamp_ns) / NS
+        place = np.asarray((dead_s + age_s + PERIOD_S * np.arange(STEPS)) / plan.period_s, np.float64)
         deviation = eta - reference
         deviation[:, 3] -= 2.0 * np.pi * np.rint(deviation[0, 3] / (2.0 * np.pi))
         if others[-1].fresh and others[-1].formation:

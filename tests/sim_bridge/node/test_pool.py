@@ -75,8 +75,8 @@ def test_water_does_not_run_ahead_when_a_port_is_flooded() -> None:
     # what is counted is the step between two sleeps, which no message shows
     move = pool._step_plant
 
-    def counted(world: World) -> None:
-        move(world)
+    def counted(world: World, until_ns: int = 0) -> None:
+        move(world, until_ns)
         steps.append((world.now_ns, clock.now_ns() - clock.begin_ns))
         if len(steps) == 50:
             stop.request()
