@@ -9,6 +9,7 @@ import typer
 from groundstation.cli.deploy import deploy
 from groundstation.cli.foxglove import foxglove_cli, foxglove_layout
 from groundstation.cli.keys import keys_cli
+from groundstation.cli.keys_of import keys_of
 from groundstation.cli.mission import fleet_request, gains_cli, go, mission_cli, order, register, set_or_undo, states
 from groundstation.cli.replay import replay
 from groundstation.cli.rerun import moment, rerun
@@ -53,6 +54,7 @@ benchmark_cli.command("report")(benchmark_report)
 
 cli.command()(run)
 cli.command()(plan)
+cli.command()(keys_of)
 cli.add_typer(mission_cli, name="mission")
 register(cli, "stop")
 register(cli, "end")

@@ -80,7 +80,8 @@ PARTS: dict[str, dict[str, set[str]]] = {
         "mission": {"planning", "telemetry"},
         "web": {"logs", "mission", "planning", "telemetry"},
         "station": {"export", "logs", "mission", "planning", "telemetry", "web"},
-        "cli": {"deploy", "export", "logs", "mission", "planning", "replay", "report", "station", "web"},
+        "client": {"mission", "station"},
+        "cli": {"client", "deploy", "export", "logs", "mission", "planning", "replay", "report", "station", "web"},
     },
     "sim_bridge": {
         "board_conformance": set(),
