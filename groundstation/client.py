@@ -1,8 +1,8 @@
 """SHELL: requests of an operator to a running station, and their outcomes, for terminals and scripts (`import shoal`).
 
-    with connect() as bus:
-        reply = follow(sender(bus), fleet_command("start"), patience_s(Order.START), print)
-        done, text = verdict(reply, 60.0)
+with connect() as bus:
+    reply = follow(sender(bus), fleet_command("start"), patience_s(Order.START), print)
+    done, text = verdict(reply, 60.0)
 """
 
 import time

@@ -35,6 +35,9 @@ NO_CAMERA = "localizer.uses_camera=false"  # the setting of runs in which poses 
 MOVED = {"sim.plant.walls": "pool.walls"}  # keys of earlier versions, and where they stand now
 
 
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]
+
+
 class ArticleRow(Section):
     """A row of the article's result table: tracking of robot "1", or formation of the pair "1-2"."""
 
@@ -72,7 +75,7 @@ class Limit(Section):
 class Experiment(Section):
     """The whole file."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]
+    name: Name
     """Name of the experiment. A run's folder has it in its name."""
     title: str = ""
     """Title, for people."""
