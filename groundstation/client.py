@@ -29,11 +29,17 @@ PATIENCE_S = {Order.STOP: 5.0, Order.RETURN: 600.0, Order.TUNE: 120.0}  # a lap,
 OTHERWISE_S = 60.0  # the station itself gives a robot up after 10 s in each of a request's stages
 
 
-def connect(station: str | None = None, fleet: str = DEFAULT_FLEET, keys: Path | None = None, insecure: bool = False) -> Bus:
+def connect(
+    station: str | None = None,
+    fleet: str = DEFAULT_FLEET,
+    keys: Path | None = None,
+    insecure: bool = False,
+    patience_s: float = ORDER_TIMEOUT_S,
+) -> Bus:
     """The bus of a running station's fleet, as its operator. Without an endpoint it is the station that runs on this machine.
-    Raises ConfigError where there are several, and Failed if none answers."""
+    Raises ConfigError where there are several, and Unreached if none answers within `patience_s`."""
     where = nearest(endpoint(discovery.station(station, fleet), process_name(Role.OPERATOR), keys, insecure=insecure))
-    return Bus(ZenohTransport(where, patience_s=ORDER_TIMEOUT_S), fleet)
+    return Bus(ZenohTransport(where, patience_s=patience_s), fleet)
 
 
 def sender(bus: Bus) -> Callable[[Command], Reply]:

@@ -18,6 +18,7 @@ from wire.process.runtime import Failed, Stop
 from wire.toml_loader import toml_value
 
 STATION = "station: "  # begins the line in which `sim-bridge sil` tells the endpoint of its station
+START_WITHIN_S = 120.0  # kernels that were never compiled take half of it
 END_WITHIN_S = 60.0  # of a run's processes, its report written
 
 
@@ -88,8 +89,8 @@ def simulation(
         else:
             raise Failed("".join(said).strip() or f"sim-bridge sil ended with exit code {child.wait()}")
         threading.Thread(target=said.extend, args=(child.stdout,), name="sil-output", daemon=True).start()
-        with connect(said[-1].removeprefix(STATION).split()[0]) as fleet:
-            fleet.wait_ready()
+        with connect(said[-1].removeprefix(STATION).split()[0], patience_s=START_WITHIN_S) as fleet:
+            fleet.wait_ready(START_WITHIN_S)
             yield fleet
     finally:
         if child.poll() is None:
