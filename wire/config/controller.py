@@ -41,7 +41,7 @@ class Safety(Section):
     radius_m: Positive = 0.30
     """R of equation (36): centres of robots stay two of these apart. Not less than the vehicle's radius."""
     margin_m: NotNegative = 0.05
-    """Extra distance between robots, beyond two radii, that plans keep where they can."""
+    """Distance beyond the least one at which robots, obstacles and walls enter the optimisation as half-spaces."""
     bubble_mps: NotNegative = 0.1
     """Rate at which the space around a silent neighbour grows."""
     bubble_max_m: NotNegative = 0.5

@@ -125,9 +125,9 @@ class Change(Section):
     spacing_m: Positive = 0.8
     """Distance of the new shape's nearest nodes, before `scale`."""
     scale: Positive = 1.0
-    """Factor on the nodes' offsets."""
+    """Factor on the nodes' offsets; without a shape, on those that they have then."""
     turn_rad: float = 0.0
-    """Turn of the nodes about the centre."""
+    """Turn of the nodes about the centre; without a shape, from the direction that they have then."""
 
 
 class FormationConfig(Section):
