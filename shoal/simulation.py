@@ -42,7 +42,8 @@ def simulate(
     from sim_bridge.in_process import run
     from sim_bridge.sil.commands import RunOptions, check
 
-    loaded = load_experiment(experiment, _lines(settings, seed, duration_s, camera), faults)
+    lines = _lines(settings, seed, duration_s)
+    loaded = load_experiment(experiment, lines if camera else [*lines, NO_CAMERA], faults)
     quiet, stop = Console(quiet=True), Stop(install=False)
     if camera:
         from sim_bridge.in_process import executor
@@ -75,7 +76,7 @@ def simulation(
     `lockstep` flies as fast as the machine can, or slower than time where it cannot."""
     command = [sys.executable, "-m", "sim_bridge", "sil", experiment, "--manual", "--no-web", "--out", str(out)]
     command += [*(["--lockstep"] if lockstep else []), *([] if camera else ["--poses"])]
-    for line in _lines(settings, seed, duration_s, camera=True):
+    for line in _lines(settings, seed, duration_s):
         command += ["--set", line]
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
@@ -101,9 +102,8 @@ def simulation(
             child.kill()
 
 
-def _lines(settings: Mapping[str, Any] | None, seed: int | None, duration_s: float | None, camera: bool) -> list[str]:
+def _lines(settings: Mapping[str, Any] | None, seed: int | None, duration_s: float | None) -> list[str]:
     """The settings as `--set` takes them."""
     named = {"seed": seed, "duration_s": duration_s}
     lines = [f"{key}={toml_value(value)}" for key, value in (settings or {}).items()]
-    lines += [f"{key}={value}" for key, value in named.items() if value is not None]
-    return lines if camera else [*lines, NO_CAMERA]
+    return lines + [f"{key}={value}" for key, value in named.items() if value is not None]
