@@ -41,7 +41,7 @@ def test_the_commands_of_the_tutorial_do_what_it_says_one_after_the_other(tmp_pa
     *before, with_camera = shell_lines("tutorial.md")
     assert len(before) == 6 and "--one-process" in with_camera
     for line in before:
-        line = f"{line} --duration 25" if "numeric" in line else line  # of 60 s
+        line = f"{line} --duration 6" if "numeric" in line else line  # of 60 s
         done = run(line, tmp_path)
         assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
     assert run(before[0], tmp_path).returncode == 2  # sim-bridge new again
@@ -50,7 +50,7 @@ def test_the_commands_of_the_tutorial_do_what_it_says_one_after_the_other(tmp_pa
     blind = run(with_camera, tmp_path)
     assert blind.returncode == 2 and "camera: missing" in blind.stderr
     file.write_text(without_comment_signs(file.read_text(), "[camera]"))
-    seen = run(with_camera, tmp_path)
+    seen = run(with_camera.replace("--duration 3", "--duration 1"), tmp_path)
     assert "exposure" not in seen.stderr and list(tmp_path.glob("runs/lab-*/logs/localizer.log")), seen.stdout + seen.stderr
 
 
