@@ -51,6 +51,7 @@ class ConnectedFleet:
         self._heartbeat = bus.inbox(topics.HEARTBEAT, StationHeartbeat)
         self._events: deque[Event] = deque(maxlen=KEPT_EVENTS)
         self._mission_line = ""
+        self.ended = False  # True once the run was ended from here
         bus.subscribe(topics.EVENT, None, self._event)
 
     def __enter__(self) -> "ConnectedFleet":
@@ -115,7 +116,9 @@ class ConnectedFleet:
 
     def end(self, wait_s: float | None = None) -> Outcome:
         """End the run: disarm, write what there is, stop the station."""
-        return self._fleet("end", wait_s)
+        outcome = self._fleet("end", wait_s)
+        self.ended = True
+        return outcome
 
     def set_gains(self, gains: dict[str, Any], wait_s: float | None = None) -> Outcome:
         """Change keys that `groundstation keys-of` marks (live), for all robots at one instant. Raises ConfigError."""

@@ -19,7 +19,7 @@ from wire.toml_loader import toml_value
 
 STATION = "station: "  # begins the line in which `sim-bridge sil` tells the endpoint of its station
 START_WITHIN_S = 300.0  # on a busy machine whose kernels were never compiled; otherwise a few seconds
-END_WITHIN_S = 60.0  # of a run's processes, its report written
+END_WITHIN_S = 300.0  # of a run's processes, its report written
 
 
 def simulate(
@@ -81,7 +81,7 @@ def simulation(
     environment = {**os.environ, "PYTHONUNBUFFERED": "1"}
     child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert child.stdout is not None
-    said: list[str] = []
+    said, ended = list[str](), False
     try:
         for line in child.stdout:
             said.append(line)
@@ -93,8 +93,9 @@ def simulation(
         with connect(said[-1].removeprefix(STATION).split()[0], patience_s=START_WITHIN_S) as fleet:
             fleet.wait_ready(START_WITHIN_S)
             yield fleet
+            ended = fleet.ended
     finally:
-        if child.poll() is None:
+        if not ended and child.poll() is None:
             child.send_signal(signal.SIGINT)
         try:
             child.wait(END_WITHIN_S)
