@@ -1,6 +1,7 @@
 """Keys are found by their names and by what they mean."""
 
 import json
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -9,8 +10,8 @@ from groundstation.__main__ import cli
 from wire.config.experiment import load_experiment
 
 
-def found(*arguments: str) -> list[dict[str, str]]:
-    entries: list[dict[str, str]] = json.loads(CliRunner().invoke(cli, ["keys-of", *arguments, "--json"]).stdout)
+def found(*arguments: str) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = json.loads(CliRunner().invoke(cli, ["keys-of", *arguments, "--json"]).stdout)
     return entries
 
 
