@@ -77,7 +77,7 @@ def _runs(folder: Path) -> Iterator[ListedRun]:
 
 
 def _begun_s(log: Path) -> float:
-    """When a run began: its experiment is written first, and never again. A log without one tells its end."""
+    """Time at which a run began: its experiment is written first, and never again. A log without one tells its end."""
     first = log.parent / "experiment.toml"
     return (first if first.exists() else log).stat().st_mtime
 
