@@ -63,7 +63,7 @@ lint: $(INSTALLED) ## ruff and mypy --strict
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/mypy docs
+	$(BIN)/mypy docs examples
 
 format: $(INSTALLED) ## let ruff lay out and repair what it can
 	$(BIN)/ruff format .
@@ -77,6 +77,7 @@ proto: $(INSTALLED) ## generate wire/messages/fleet_pb2.py from wire/messages/fl
 
 docs: $(INSTALLED) ## write the generated pages of docs/ again
 	$(BIN)/python docs/messages.py > docs/messages.md
+	$(BIN)/python docs/keys.py
 
 lock: ## resolve the newest versions pyproject.toml allows into constraints.txt
 	rm -rf .venv-lock

@@ -4,6 +4,7 @@ import typer
 
 from sim_bridge.board_conformance.cli import board_conformance
 from sim_bridge.cli.compare import compare, tune
+from sim_bridge.cli.new import new
 from sim_bridge.cli.pool import board, hil, pool
 from sim_bridge.cli.sil import campaign, numeric, sil
 from wire.process.cli_options import Version
@@ -25,6 +26,7 @@ def main(version: Version = False) -> None:
 cli.command()(sil)
 cli.command()(numeric)
 cli.command()(campaign)
+cli.command()(new)
 cli.command()(pool)
 cli.command()(hil)
 cli.command()(board)

@@ -269,7 +269,7 @@ def test_an_order_for_a_script_is_json(monkeypatch: pytest.MonkeyPatch) -> None:
     done_by_one = Outcome(1, Order.START, Progress.DONE, "", "RUNNING", (1,), (2,), ("not heard",))
     replies = {Order.START: Reply(0, True, outcome=done_by_one), Order.HOLD: Reply(0, False, "no")}
     station.serve(0, lambda header, command: replies[command.order])
-    monkeypatch.setattr("wire.transport.zenoh_transport.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
+    monkeypatch.setattr("groundstation.client.ZenohTransport", lambda *_, **__: MemoryTransport(hub))
     for order, accepted in (("start", True), ("hold", False)):
         done = CliRunner().invoke(groundstation, ["mission", order, "--json"])
         robots = {"1": "confirmed", "2": "not heard"} if accepted else {}

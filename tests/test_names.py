@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks", "tests")
+PACKAGES = ("shoal", "wire", "groundstation", "robot_agent", "localizer", "sim_bridge", "benchmarks", "tests")
 GENERATED = {"fleet_pb2.py"}
 PUBLIC = {"_replace", "_asdict", "_fields", "_exit"}  # of named tuples and of `os`: documented in spite of the underscore
 DIRECTIVE = re.compile(r"#\s*(type: ignore|noqa|fmt:|pragma:)[^#]*")  # a comment for a tool, which gives no reason

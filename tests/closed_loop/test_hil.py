@@ -26,7 +26,7 @@ STILL = np.zeros(4)
 STEP_NS = 5_000_000
 
 
-class Desk:
+class HilDesk:
     """The link to a board on a desk, in HIL mode and at rest, which makes a step of 5 ms each time that it is read."""
 
     trouble = ""
@@ -51,10 +51,10 @@ class Desk:
 
 @pytest.mark.long
 def test_boards_on_a_desk_fly_the_pool_scene_within_its_limits_and_no_pin_moves() -> None:
-    desks: list[Desk] = []
+    desks: list[HilDesk] = []
 
     def make(experiment: Experiment, robot: int, seed: int) -> HilBoard:
-        desks.append(Desk(robot, ThrusterBoard(experiment, robot, seed)))
+        desks.append(HilDesk(robot, ThrusterBoard(experiment, robot, seed)))
         return HilBoard(experiment, robot, seed, "the desk", desks[-1], None)
 
     pool = DryPool(load_experiment("pool", ["duration_s=32"]), make=make)

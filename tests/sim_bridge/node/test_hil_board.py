@@ -59,7 +59,7 @@ class Tapped:
         return self._link.trouble
 
 
-class Pool:
+class HilPool:
     """The simulator's part and the agent's, by the wall clock: a robot that stands still 2 m deep."""
 
     def __init__(self, where: str, link: Link, signing: Signing | None = None, agent: AgentLink | None = None) -> None:
@@ -94,14 +94,14 @@ def address(kind: str, folder: Path) -> tuple[str, str]:
 
 
 @contextmanager
-def flying(kind: str, folder: Path) -> Iterator[tuple[Pool, "subprocess.Popen[str]", tuple[str, str]]]:
+def flying(kind: str, folder: Path) -> Iterator[tuple[HilPool, "subprocess.Popen[str]", tuple[str, str]]]:
     """A board in HIL mode that is armed and follows."""
     ours, theirs = address(kind, folder)
     with board(ours, folder / "kept") as process:
         set_one("HIL_MODE", 1.0, theirs)
         link, _ = connect(1, theirs, None, insecure=False)
         try:
-            pool = Pool(theirs, link)
+            pool = HilPool(theirs, link)
             assert pool.run(10.0, lambda: pool.hil.armed)
             pool.pulses = AHEAD
             assert pool.run(10.0, lambda: pool.hil.pulses == AHEAD)
@@ -171,7 +171,7 @@ def test_a_board_outside_hil_mode_is_refused_and_never_gets_an_arm(kind: str, tm
             connect(1, theirs, None, insecure=False)
         link = open_link(theirs)
         try:
-            pool = Pool(theirs, link)  # as if it had left HIL mode since
+            pool = HilPool(theirs, link)  # as if it had left HIL mode since
             with pytest.raises(Failed, match=f"robot 1: the board at {theirs} is not in HIL mode"):
                 pool.run(10.0)
             assert pool.link.arms == 0
@@ -193,7 +193,7 @@ def test_a_signed_board_flies_with_its_key_and_says_why_without(tmp_path: Path) 
             connect(1, theirs, None, insecure=False)
         link, signing = connect(1, theirs, key, insecure=False)
         try:
-            pool = Pool(theirs, link, signing, agent_end(1, Signing.of(key, "agent")))
+            pool = HilPool(theirs, link, signing, agent_end(1, Signing.of(key, "agent")))
             assert pool.run(15.0, lambda: pool.hil.armed and abs(pool.agent.telemetry.depth_m - 2.0) < 0.1)
         finally:
             link.close()

@@ -23,7 +23,7 @@ MOTION = (2.0, -0.5, (1.0, -2.0, -9.0), 3.0)  # heading, yaw rate, specific forc
 EXPERIMENT = load_experiment("pool")
 
 
-class Desk:
+class HilBench:
     """A board on a desk with its agent, a ground station and a simulator, on one clock."""
 
     def __init__(self, stored: NonvolatileState | None = None) -> None:
@@ -66,13 +66,13 @@ class Desk:
         return self.board.armed
 
 
-def told(desk: Desk) -> tuple[float, ...]:
+def told(desk: HilBench) -> tuple[float, ...]:
     seen = desk.agent.telemetry
     return (seen.heading_rad, seen.yaw_rate_radps, *seen.acceleration_mps2, seen.depth_m)
 
 
 def test_measurements_are_the_simulators_in_hil_mode_and_its_own_after_it() -> None:
-    desk = Desk()
+    desk = HilBench()
     desk.run(0.1, "motion", "battery")
     assert desk.agent.telemetry.depth_m == pytest.approx(0.0, abs=0.1) and not desk.agent.telemetry.hil
     assert desk.set("HIL_MODE", 1.0)
@@ -88,7 +88,7 @@ def test_measurements_are_the_simulators_in_hil_mode_and_its_own_after_it() -> N
 
 
 def test_outputs_follow_in_hil_mode_and_pins_do_not() -> None:
-    desk = Desk()
+    desk = HilBench()
     assert desk.set("THR1_TRIM_US", 10.0) and desk.set("HIL_MODE", 1.0)
     desk.run(0.1, "motion", "battery")
     assert desk.arm()
@@ -98,18 +98,18 @@ def test_outputs_follow_in_hil_mode_and_pins_do_not() -> None:
 
 
 def test_pins_follow_in_hil_mode_if_asked_and_not_after_another_power_on() -> None:
-    desk = Desk()
+    desk = HilBench()
     assert not desk.set("HIL_OUTPUTS", 1.0), "outside HIL mode it would mean nothing, and then surprise"
     assert desk.set("HIL_MODE", 1.0) and desk.set("HIL_OUTPUTS", 1.0)
     assert desk.arm()
     desk.run(0.3, "drive", "motion")
     assert desk.board.pulses == AHEAD
-    again = Desk(desk.stored).board.rules.parameters
+    again = HilBench(desk.stored).board.rules.parameters
     assert (again.hil, again.pins_held, again["HIL_OUTPUTS"]) == (False, False, 0.0)
 
 
 def test_hil_mode_is_neither_entered_nor_left_while_armed() -> None:
-    desk = Desk()
+    desk = HilBench()
     assert desk.arm()
     desk.step(desk.station.set("HIL_MODE", 1.0))
     assert not desk.board.rules.parameters.hil
@@ -120,7 +120,7 @@ def test_hil_mode_is_neither_entered_nor_left_while_armed() -> None:
 
 
 def test_without_simulated_motion_no_depth_looks_live_and_outputs_are_told() -> None:
-    desk = Desk()
+    desk = HilBench()
     desk.set("HIL_MODE", 1.0)
     desk.run(0.3, "motion")
     last_ms = desk.agent.telemetry.board_ms
@@ -136,7 +136,7 @@ def test_without_simulated_motion_no_depth_looks_live_and_outputs_are_told() -> 
 
 
 def test_a_simulated_battery_that_falls_silent_counts_as_empty() -> None:
-    desk = Desk()
+    desk = HilBench()
     desk.set("HIL_MODE", 1.0)
     desk.run(1.8, "motion")
     assert (desk.board.rules.charge, desk.agent.telemetry.battery_reports) == (Charge.GOOD, 0)
@@ -163,7 +163,7 @@ def test_a_simulated_battery_that_falls_silent_counts_as_empty() -> None:
     ],
 )
 def test_measurements_that_cannot_be_true_are_refused_as_a_whole_and_counted(field: dict[str, float]) -> None:
-    desk = Desk()
+    desk = HilBench()
     desk.set("HIL_MODE", 1.0)
     message = dialect.MAVLink(None).decode(bytearray(desk.simulator.motion(0, *MOTION)))
     values = {name: getattr(message, name) for name in message.fieldnames} | field
@@ -176,7 +176,7 @@ def test_measurements_that_cannot_be_true_are_refused_as_a_whole_and_counted(fie
 
 @pytest.mark.parametrize("sender", [(2, 200), (1, 191), (255, 190)])
 def test_measurements_of_anybody_else_are_ignored(sender: tuple[int, int]) -> None:
-    desk = Desk()
+    desk = HilBench()
     desk.set("HIL_MODE", 1.0)
     desk.run(0.1)
     before = desk.agent.telemetry.board_ms
