@@ -108,6 +108,7 @@ static void take_key(struct board *board, const struct event *event) {
         return;
     }
     link_take_key(&board->link, event->key.secret, event->key.newest, SENT_BETWEEN);
+    board->refused = 0; /* counted anew, as by the link */
     text_begin(&text, SAY_INFO);
     text_flash(&text, PSTR("signed from now on"));
     send_text(&board->link, &text);

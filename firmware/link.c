@@ -22,7 +22,7 @@ void link_take_key(struct link *link, const uint8_t key[KEY_BYTES], uint64_t hea
     gate_open(&link->gate, key, heard > link->gate.newest ? heard : link->gate.newest);
     link->least_stamp = link->sent_stamp + sent_between;
     link->sent_stamp = 0;
-    memset(&link->count, 0, sizeof link->count);
+    link->count = (struct link_counts){.taken = link->count.taken};
     link->begin = link->end = link->wait_end = 0;
     link->verifying = false;
     link->sequences = 0;

@@ -39,7 +39,7 @@ struct frame {
 struct link_counts {
     uint32_t bad;         /* start bytes that led to no intact frame */
     uint32_t unauthentic; /* intact frames that were dropped for their signature */
-    uint32_t taken;       /* intact frames that were handed on */
+    uint32_t taken;       /* intact frames that were handed on; never counted anew */
     uint32_t unsent;      /* frames for which the outbox had no room */
 };
 

@@ -1,7 +1,7 @@
 /* The board as a shared library, for tests: calls that finish all work that is open, and access by name. */
 #include <string.h>
 
-#include "board.h"
+#include "../board.h"
 
 static void finish(struct board *board, uint64_t now_us) {
     while (board_work(board, now_us) || board->memory) /* a memory that writes at once */
@@ -50,4 +50,18 @@ void library_state(const struct board *board, uint16_t outputs_us[CHANNELS], uin
     state[1] = board->rules.charge;
     state[2] = board->rules.overrides_refused;
     state[3] = board->link.count.unsent;
+}
+
+/* The rules' texts that are not sent yet, each with its severity as the first byte and a zero at its end. */
+uint16_t library_take_texts(struct rules *rules, char *texts) {
+    char *at = texts;
+    for (uint8_t i = 0; i < rules->texts; i++) {
+        const struct text *text = &rules->text[i];
+        *at++ = (char)text->severity;
+        memcpy(at, text->characters, text->length);
+        at += text->length;
+        *at++ = '\0';
+    }
+    rules->texts = 0;
+    return (uint16_t)(at - texts);
 }
