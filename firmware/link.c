@@ -76,7 +76,8 @@ static uint16_t frame_bytes(const uint8_t *frame) {
 
 static uint16_t checksum(const uint8_t *frame, uint8_t seed) {
     uint16_t crc = X25_INIT_CRC;
-    for (uint16_t i = 1; i < HEADER_BYTES + frame[1]; i++)
+    const uint16_t end = (uint16_t)(HEADER_BYTES + frame[1]);
+    for (uint16_t i = 1; i < end; i++)
         crc_accumulate(frame[i], &crc);
     crc_accumulate(seed, &crc);
     return crc;
@@ -175,7 +176,7 @@ enum link_state link_next(struct link *link, uint64_t now_us, struct frame *foun
             return LINK_BUSY;
         }
         const uint8_t *sum = frame + HEADER_BYTES + frame[1];
-        if (checksum(frame, kind.crc_extra) != (sum[0] | sum[1] << 8)) {
+        if (checksum(frame, kind.crc_extra) != (uint16_t)(sum[0] | sum[1] << 8)) {
             link->count.bad++;
             link->begin++;
             return LINK_BUSY;

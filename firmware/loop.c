@@ -53,6 +53,6 @@ void loop_once(struct loop *loop) {
     bytes = bytes > 0 ? hal_write(output, bytes) : 0;
     if (bytes > 0)
         link_sent(&board->link, bytes);
-    if (!busy && read == 0 && bytes == 0)
+    if (!busy && read == 0 && bytes == 0 && loop->store.writing == KEEP_NOTHING)
         hal_idle(loop->step_at_us);
 }

@@ -23,7 +23,7 @@ uint16_t rules_echo_us(const struct rules *rules, uint8_t channel) {
 }
 
 uint16_t rules_output_us(const struct rules *rules, uint8_t channel) {
-    return (uint16_t)(rules_echo_us(rules, channel) + (int16_t)rules->parameters.value[THR1_TRIM_US + channel]);
+    return (uint16_t)((int16_t)rules_echo_us(rules, channel) + (int16_t)rules->parameters.value[THR1_TRIM_US + channel]);
 }
 
 static struct text *say(struct rules *rules, enum severity severity) {
