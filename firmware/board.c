@@ -196,14 +196,15 @@ bool board_work(struct board *board, uint64_t now_us) {
 
 /* --- time goes on */
 
-/* True if a multiple of the period lies in (since, now]. */
-static bool crosses(uint32_t period_us, bool has_since, uint64_t since_us, uint64_t now_us) {
-    return !has_since || now_us / period_us > since_us / period_us;
+/* True once for each multiple of the period that is reached. `due_us` is the next one; a division only then, as it is slow. */
+static bool is_due(uint64_t *due_us, uint32_t period_us, uint64_t now_us) {
+    if (now_us < *due_us)
+        return false;
+    *due_us = (now_us / period_us + 1) * period_us;
+    return true;
 }
 
-bool board_measures(const struct board *board, uint64_t now_us) {
-    return crosses(BURST_US, board->has_stepped, board->stepped_us, now_us);
-}
+bool board_measures(const struct board *board, uint64_t now_us) { return now_us >= board->burst_due_us; }
 
 /* Send all measurements, ATTITUDE last: it completes a burst. */
 static void burst(struct board *board, uint64_t now_us, const struct reading *reading) {
@@ -213,18 +214,18 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
     send_imu(link, board_ms, reading);
     send_pressure(link, board_ms, reading);
     send_servo_output(link, (uint32_t)now_us, rules);
-    if (crosses(STATUS_US, board->has_burst, board->burst_us, now_us)) {
+    if (is_due(&board->status_due_us, STATUS_US, now_us)) {
         send_status(link, reading->battery_v, rules->charge, rules->overrides_refused + board->refused);
         send_battery(link, reading->battery_v, rules->charge);
     }
-    if (crosses(HEARTBEAT_US, board->has_burst, board->burst_us, now_us))
+    if (is_due(&board->heartbeat_due_us, HEARTBEAT_US, now_us))
         send_heartbeat(link, rules->armed, rules->charge < CHARGE_NO_ARM);
     if (board->to_list < PARAMETERS) {
         send_parameter(link, board->to_list, rules->parameters.value[board->to_list]);
         board->to_list++;
     }
     send_attitude(link, board_ms, reading);
-    if (crosses(KEEP_US, board->has_burst, board->burst_us, now_us) && has_new_stamps(board))
+    if (is_due(&board->keep_due_us, KEEP_US, now_us) && has_new_stamps(board))
         board->memory |= KEEP_STAMPS;
     board->burst_us = now_us;
     board->has_burst = true;
@@ -237,8 +238,7 @@ void board_step(struct board *board, uint64_t now_us, const struct reading *read
     }
     rules_step(&board->rules, now_us);
     report(board);
-    if (reading != NULL)
+    const bool is_behind = board->link.outbox_ready < board->link.outbox_bytes; /* signing takes longer than a burst's time */
+    if (is_due(&board->burst_due_us, BURST_US, now_us) && reading != NULL && !is_behind)
         burst(board, now_us, reading);
-    board->stepped_us = now_us;
-    board->has_stepped = true;
 }

@@ -37,9 +37,9 @@ struct board {
     struct stamps kept; /* as the memory has them */
     uint8_t memory;     /* memory_* of the settings and stamps that are to be written: see board_to_keep */
     bool has_order;     /* an order waits until its timestamp is kept */
-    bool told_armed, has_stepped;
+    bool told_armed;
     uint8_t to_list; /* parameters from this one on are still to be told */
-    uint64_t stepped_us;
+    uint64_t burst_due_us, status_due_us, heartbeat_due_us, keep_due_us;
     bool has_burst;
     uint64_t burst_us;
     uint32_t refused; /* frames for another board, or with a value that no board takes */

@@ -274,5 +274,6 @@ void link_sent(struct link *link, uint16_t bytes) {
     memmove(link->outbox, link->outbox + bytes, (size_t)(link->outbox_bytes - bytes));
     link->outbox_bytes = (uint16_t)(link->outbox_bytes - bytes);
     link->outbox_ready = (uint16_t)(link->outbox_ready - bytes);
-    link->job.frame -= link->signing_frame ? bytes : 0;
+    if (link->signing_frame)
+        link->job.frame -= bytes;
 }

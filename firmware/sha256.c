@@ -20,7 +20,44 @@ void sha256_begin(uint32_t state[SHA256_WORDS]) {
     memcpy_P(state, INITIAL, sizeof INITIAL);
 }
 
+#ifdef __AVR__
+/* The compiler shifts 32 bits by a loop. Whole bytes are moved instead, and at most 3 bits shifted, either way. */
+#define RIGHT_1 "mov __tmp_reg__, %A0\n\tlsr __tmp_reg__\n\tror %D0\n\tror %C0\n\tror %B0\n\tror %A0\n\t"
+#define LEFT_1 "lsl %A0\n\trol %B0\n\trol %C0\n\trol %D0\n\tadc %A0, __zero_reg__\n\t"
+#define BITS(n) ((n) - 8 * (((n) + 3) / 8))
+static inline __attribute__((always_inline)) uint32_t rotate(uint32_t x, const uint8_t bits) {
+    const uint8_t bytes = (uint8_t)((bits + 3) / 8);
+    if (bytes == 1)
+        x = x >> 8 | x << 24;
+    else if (bytes == 2)
+        x = x >> 16 | x << 16;
+    else if (bytes == 3)
+        x = x >> 24 | x << 8;
+    switch (BITS(bits)) {
+    case 3:
+        __asm__(RIGHT_1 RIGHT_1 RIGHT_1 : "+r"(x));
+        break;
+    case 2:
+        __asm__(RIGHT_1 RIGHT_1 : "+r"(x));
+        break;
+    case 1:
+        __asm__(RIGHT_1 : "+r"(x));
+        break;
+    case -1:
+        __asm__(LEFT_1 : "+r"(x));
+        break;
+    case -2:
+        __asm__(LEFT_1 LEFT_1 : "+r"(x));
+        break;
+    case -3:
+        __asm__(LEFT_1 LEFT_1 LEFT_1 : "+r"(x));
+        break;
+    }
+    return x;
+}
+#else
 static inline uint32_t rotate(uint32_t x, uint8_t bits) { return (x >> bits) | (x << (32 - bits)); }
+#endif
 
 void sha256_block(uint32_t state[SHA256_WORDS], const uint8_t block[SHA256_BLOCK]) {
     uint32_t w[16]; /* the last 16 words of the message schedule */
@@ -33,8 +70,8 @@ void sha256_block(uint32_t state[SHA256_WORDS], const uint8_t block[SHA256_BLOCK
             w[at] = (uint32_t)bytes[0] << 24 | (uint32_t)bytes[1] << 16 | (uint32_t)bytes[2] << 8 | bytes[3];
         } else {
             const uint32_t w2 = w[(i + 14) & 15], w15 = w[(i + 1) & 15];
-            const uint32_t small0 = rotate(w15, 7) ^ rotate(w15, 18) ^ (w15 >> 3);
-            const uint32_t small1 = rotate(w2, 17) ^ rotate(w2, 19) ^ (w2 >> 10);
+            const uint32_t small0 = rotate(w15, 7) ^ rotate(w15, 18) ^ (rotate(w15, 3) & 0x1fffffffu); /* shift by 3 */
+            const uint32_t small1 = rotate(w2, 17) ^ rotate(w2, 19) ^ (rotate(w2, 10) & 0x003fffffu); /* by 10 */
             w[at] += small0 + w[(i + 9) & 15] + small1;
         }
         const uint32_t big1 = rotate(e, 6) ^ rotate(e, 11) ^ rotate(e, 25);

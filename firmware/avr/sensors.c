@@ -8,6 +8,7 @@ A sensor that does not answer is NaN on the link, which the robot's computer tak
 
 enum { MPU = 0x68, MPU_POWER = 0x6B, MPU_FILTER = 0x1A, MPU_GYRO_RANGE = 0x1B, MPU_FORCE_RANGE = 0x1C, MPU_DATA = 0x3B };
 enum { MS = 0x76, MS_RESET = 0x1E, MS_PRESSURE = 0x48, MS_TEMPERATURE = 0x58, MS_RESULT = 0x00, MS_PROM = 0xA0 };
+enum { ADC_CONVERT = 1 << ADEN | 1 << ADSC | 1 << ADPS2 | 1 << ADPS1 | 1 << ADPS0 }; /* 125 kHz: 104 us */
 enum { PROM_WORDS = 7, STILL_SAMPLES = 50, SURFACE_SAMPLES = 10, TEMPERATURE_EVERY = 25 };
 #define FORCE_UNIT_MPS2 (9.80665f / 8192.0f)          /* +-4 g */
 #define GYRO_UNIT_RADPS (0.017453293f / 65.5f)        /* +-500 degrees/s */
@@ -47,7 +48,7 @@ static bool convert(uint8_t command) {
 void sensors_begin(void) {
     ADMUX = 1 << REFS0; /* AVcc */
     ADCSRB = 0;
-    ADCSRA = 1 << ADEN | 1 << ADSC | 1 << ADATE | 1 << ADPS2 | 1 << ADPS1 | 1 << ADPS0; /* free running, 104 us each */
+    ADCSRA = ADC_CONVERT;
     twi_begin();
     imu_begin();
     has_pressure = pressure_begin() && convert(MS_TEMPERATURE);
@@ -123,5 +124,6 @@ void sensors_sample(uint64_t now_us, struct reading *reading) {
     imu_sample(elapsed_s, reading);
     if (!pressure_sample(reading))
         reading->excess_hpa = NAN;
-    reading->battery_v = BATTERY_UNIT_V * (float)ADC;
+    reading->battery_v = BATTERY_UNIT_V * (float)ADC; /* of the conversion that the last sample began */
+    ADCSRA = ADC_CONVERT;
 }

@@ -8,6 +8,7 @@ from pathlib import Path
 from tests.firmware.library import built
 
 CYCLES_PER_US, BAUD = 16, 250_000
+RAM_BEGIN = 0x200
 EEPROM_BYTES, RING, EDGES = 4096, 1 << 16, 1 << 16
 
 
@@ -34,6 +35,7 @@ class Mega:
         self._library.simulation_cycle.restype = ctypes.c_uint64
         elf = elf or built("build/board.elf", compiler="avr-gcc")
         symbols = _symbols(elf)
+        self.static_bytes = (symbols["__bss_end"] & 0xFFFF) - RAM_BEGIN
         self._simulation = ctypes.c_void_p(
             self._library.simulation_open(
                 str(elf).encode(), BAUD, symbols["loop_once"], symbols["hal_idle"], symbols["__bss_end"] & 0xFFFF
