@@ -104,10 +104,10 @@ def test_a_reset_while_thrusters_turn_leaves_neutral_and_disarmed(mega: Mega, by
     begun_us = mega.now_us
     if by_watchdog:
         mega.hang(True)
-        pilot.run(0.1)  # not yet bitten: the timers go on with the last pulses
+        pilot.run(0.16)  # the watchdog bites after 0.12 s; until then the timers go on with the last pulses
         mega.hang(False)
         pilot.run(0.4, 1560, 1560, 1560, 1560)
-        begun_us += 160_000.0  # the watchdog's time, which simavr has as 120 ms
+        begun_us += 160_000.0
     else:
         mega.reset()
         pilot.run(0.5, 1560, 1560, 1560, 1560)

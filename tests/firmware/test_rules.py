@@ -80,12 +80,12 @@ def call(draw: random.Random, machine: BoardStateMachine, board: FirmwareBoard, 
 
 
 def is_near_an_edge(machine: BoardStateMachine) -> bool:
-    """True if single precision may come out on the other side. Private names: what is rounded is not to be seen elsewhere."""
+    """True if single precision may come out on the other side."""
     thresholds = [t + h for t in machine.parameters.thresholds_v for h in (0.0, machine.parameters["BAT_HYST_V"])]
-    voltage = machine._voltage
+    voltage = machine._voltage  # private: the filtered voltage is to be seen nowhere else
     if voltage is not None and any(abs(voltage - threshold) < EDGE_V for threshold in thresholds):
         return True
-    return any(abs(pulse % 1.0 - 0.5) < TIE_US for pulse in machine._thrusters_us)
+    return any(abs(pulse % 1.0 - 0.5) < TIE_US for pulse in machine._thrusters_us)  # private: unrounded pulses
 
 
 def seen(machine: BoardStateMachine) -> tuple[object, ...]:
