@@ -232,13 +232,13 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
 }
 
 void board_step(struct board *board, uint64_t now_us, const struct reading *reading) {
+    const bool is_behind = board->link.outbox_ready < board->link.outbox_bytes; /* signing takes longer than a burst's time */
     if (reading != NULL) {
         const bool later = board->has_burst && now_us > board->burst_us;
         rules_battery(&board->rules, reading->battery_v, later ? (float)(now_us - board->burst_us) * 1e-6f : 0.0f);
     }
     rules_step(&board->rules, now_us);
     report(board);
-    const bool is_behind = board->link.outbox_ready < board->link.outbox_bytes; /* signing takes longer than a burst's time */
     if (is_due(&board->burst_due_us, BURST_US, now_us) && reading != NULL && !is_behind)
         burst(board, now_us, reading);
 }
