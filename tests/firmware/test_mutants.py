@@ -72,4 +72,5 @@ def test_a_broken_rule_is_found(tmp_path: Path, rule: str, file: str, said: str,
     library = tmp_path / "mutant.so"
     include = ["-isystem", str(tree / "build"), f"-I{tree / 'build'}"]
     subprocess.run(["gcc", "-std=c99", "-O1", "-shared", "-fPIC", "-o", library, *sources, *include, "-lm"], check=True)
-    assert first_failure(FirmwareBoard(load(library), KEY), KEY) is not None, rule
+    key = KEY if rule.startswith("signing") else None  # a signature would hide that a frame is damaged or repeated
+    assert first_failure(FirmwareBoard(load(library), key), key) is not None, rule
