@@ -12,7 +12,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-real-time test-computing test-slow mutants faults fuzz soak bench lint format proto docs lock clean
+.PHONY: help page run check test test-real-time test-computing test-slow mutants firmware faults fuzz soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -55,6 +55,9 @@ mutants: $(INSTALLED) ## change the thruster board's rules in every small way, a
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt mutmut==3.8.1
 	$(BIN)/python -m mutmut run --max-children 2
 	$(BIN)/python -m mutmut results
+
+firmware: $(INSTALLED) ## the thruster board's firmware (gcc; avr-gcc for the Arduino Mega). ARGS="avr ROBOT=2", "fuzz"
+	$(MAKE) -C firmware $(ARGS)
 
 bench: $(INSTALLED) ## benchmarks, each beside its peers. ARGS="codec --json rows.json"
 	$(BIN)/python -m benchmarks $(ARGS)
