@@ -48,7 +48,7 @@ fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]' || echo "atheris cannot be installed here: without it, then"
 	$(BIN)/python -m tests.faults.fuzz $(ARGS)
 
-photoreal: $(INSTALLED) ## render tests/localizer/photoreal/data again with Mitsuba 3 (hours). ARGS="tilt-4 --split tune"
+photoreal: $(INSTALLED) ## render tests/localizer/photoreal/data again with Mitsuba 3. ARGS="tilt-4 --split tune" or "--missing"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[photoreal]'
 	$(BIN)/python -m tests.localizer.photoreal.render $(ARGS)
 

@@ -1,4 +1,4 @@
-"""SHELL: `make photoreal`: render the data set with Mitsuba 3 (development only) into `data/`. Hours on two cores.
+"""SHELL: `make photoreal`: render the data set with Mitsuba 3 (development only) into `data/`. Ten minutes on two quiet cores.
 
 `python -m tests.localizer.photoreal.render [ROW ...] [--split tune] [--missing]` renders some rows and leaves the others.
 """

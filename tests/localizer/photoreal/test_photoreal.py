@@ -9,6 +9,8 @@ from tests.localizer.photoreal.dataset import DATA, frames, from_tiles, to_tiles
 from tests.localizer.photoreal.measure import measure, rendered_rows
 from tests.localizer.photoreal.rows import CROP_PX, RATE_HZ, ROBOTS, ROWS, Courses, reports
 
+pytestmark = pytest.mark.long
+
 MOST_BYTES = 30_000_000  # of the pictures in the repository
 
 # Measured, with a third more: mm RMS, deg RMS, NEES of the pose, false matches.
@@ -16,6 +18,7 @@ BOUNDS = {
     "level": (1.3, 0.35, 5.0, 0),
     "covered-white": (20.0, 2.5, 5.0, 0),
     "glare": (8.0, 1.2, 5.0, 0),
+    "dim": (1.4, 0.45, 6.5, 0),
 }
 
 
