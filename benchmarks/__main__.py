@@ -41,6 +41,10 @@ BENCHMARKS = {
     "encounters": ("robot_agent.encounters", "robots in one another's way: 200 random starts of each scene (30 minutes)"),
     "simulation": ("simulation", "the plant, a frame, numeric flights, and lockstep with all processes (3 minutes)"),
     "accuracy": ("localizer.accuracy", "the localizer against the truth of rendered frames (10 minutes)"),
+    "photoreal": (
+        "localizer.photoreal",
+        "the localizer on pictures by another renderer: tilt, waves, glare, covered plates (1 minute)",
+    ),
     "recorder": (
         "groundstation.recorder",
         "the log of 20 robots and the camera's film: CPU, what is missing, control beside it, SIGKILL (2 minutes)",
