@@ -8,8 +8,8 @@ void board_begin(struct board *board, uint8_t robot, const struct settings *sett
     memset(board, 0, sizeof *board);
     struct parameters parameters;
     parameters_standard(&parameters);
-    if (settings != NULL && parameters_are_valid(&settings->parameters))
-        parameters = settings->parameters;
+    if (settings != NULL)
+        parameters_restore(&parameters, &settings->parameters);
     const struct peer me = {robot, BOARD_COMPONENT}, computer = {robot, COMPUTER_COMPONENT};
     const uint8_t *key = settings != NULL && settings->has_key ? settings->key : NULL;
     rules_begin(&board->rules, &parameters, computer);
@@ -38,16 +38,42 @@ void board_kept(struct board *board, uint8_t what, struct stamps stamps) {
 
 static bool has_new_stamps(const struct board *board) { return board->link.gate.newest > board->kept.heard; }
 
+/* --- measurements of the simulator */
+
+static void simulate_motion(struct simulated *simulated, const struct reading *motion, uint64_t now_us) {
+    const float battery_v = simulated->reading.battery_v;
+    simulated->reading = *motion;
+    simulated->reading.battery_v = battery_v;
+    simulated->has_motion = true;
+    simulated->motion_us = now_us;
+}
+
+static void simulate_battery(struct simulated *simulated, float battery_v, uint64_t now_us) {
+    simulated->reading.battery_v = battery_v;
+    simulated->has_battery = true;
+    simulated->battery_us = now_us;
+}
+
+/* What there is to measure with now: a battery that is silent for too long is at 0 V. */
+static void age(struct simulated *simulated, uint64_t now_us) {
+    if (now_us - simulated->motion_us > MOTION_AGE_US)
+        simulated->has_motion = false;
+    if (now_us - simulated->battery_us > BATTERY_AGE_US)
+        simulate_battery(simulated, 0.0f, simulated->battery_us);
+}
+
 /* --- what arrives */
 
-/* Send the texts and the change of arming that are due. */
+/* Send the texts and the changes of arming and of HIL mode that are due. */
 static void report(struct board *board) {
     for (uint8_t i = 0; i < board->rules.texts; i++)
         send_text(&board->link, &board->rules.text[i]);
     board->rules.texts = 0;
-    if (board->rules.armed != board->told_armed) {
-        board->told_armed = board->rules.armed;
-        send_heartbeat(&board->link, board->rules.armed, board->rules.charge < CHARGE_NO_ARM);
+    const bool armed = board->rules.armed, hil = rules_hil(&board->rules);
+    if (armed != board->told_armed || hil != board->told_hil) {
+        board->told_armed = armed;
+        board->told_hil = hil;
+        send_heartbeat(&board->link, &board->rules);
     }
 }
 
@@ -88,7 +114,8 @@ static void read_parameter(struct board *board, struct event *event) {
     answer_parameter(board, event, index, TAKEN);
 }
 
-static void set_parameter(struct board *board, const struct event *event) {
+static void set_parameter(struct board *board, const struct event *event, uint64_t now_us) {
+    const bool was_hil = rules_hil(&board->rules);
     const int index = parameter_named(event->parameter.name);
     enum refusal refusal = NOT_REAL32;
     if (event->parameter.is_real32)
@@ -96,6 +123,8 @@ static void set_parameter(struct board *board, const struct event *event) {
     answer_parameter(board, event, index, refusal);
     if (refusal == TAKEN)
         board->memory |= KEEP_SETTINGS;
+    if (rules_hil(&board->rules) != was_hil)
+        board->simulated = (struct simulated){.motion_us = now_us, .battery_us = now_us};
 }
 
 /* Sign with this key from now on. A board with a key takes another only from who has its own. */
@@ -144,10 +173,16 @@ static void handle(struct board *board, struct event *event, uint64_t now_us) {
         read_parameter(board, event);
         break;
     case EVENT_SET_PARAMETER:
-        set_parameter(board, event);
+        set_parameter(board, event, now_us);
         break;
     case EVENT_SET_KEY:
         take_key(board, event);
+        break;
+    case EVENT_SIMULATED_MOTION:
+        simulate_motion(&board->simulated, &event->motion, now_us);
+        break;
+    case EVENT_SIMULATED_BATTERY:
+        simulate_battery(&board->simulated, event->battery_v, now_us);
         break;
     case EVENT_REFUSED:
         board->refused++;
@@ -178,7 +213,7 @@ bool board_work(struct board *board, uint64_t now_us) {
     struct frame frame;
     switch (link_next(&board->link, now_us, &frame)) {
     case LINK_FRAME: {
-        struct event event = read_event(&frame, board->link.me.system);
+        struct event event = read_event(&frame, board->link.me.system, rules_hil(&board->rules));
         if (is_order(&event) && has_new_stamps(board)) {
             board->order = event;
             board->has_order = true;
@@ -206,25 +241,28 @@ static bool is_due(uint64_t *due_us, uint32_t period_us, uint64_t now_us) {
 
 bool board_measures(const struct board *board, uint64_t now_us) { return now_us >= board->burst_due_us; }
 
-/* Send all measurements, ATTITUDE last: it completes a burst. */
-static void burst(struct board *board, uint64_t now_us, const struct reading *reading) {
+/* Send all measurements that there are, ATTITUDE last: it completes a burst. */
+static void burst(struct board *board, uint64_t now_us, const struct reading *reading, bool has_motion, bool has_battery) {
     struct link *link = &board->link;
     struct rules *rules = &board->rules;
     const uint32_t board_ms = (uint32_t)(now_us / 1000u);
-    send_imu(link, board_ms, reading);
-    send_pressure(link, board_ms, reading);
+    if (has_motion) {
+        send_imu(link, board_ms, reading);
+        send_pressure(link, board_ms, reading);
+    }
     send_servo_output(link, (uint32_t)now_us, rules);
-    if (is_due(&board->status_due_us, STATUS_US, now_us)) {
+    if (is_due(&board->status_due_us, STATUS_US, now_us) && has_battery) {
         send_status(link, reading->battery_v, rules->charge, rules->overrides_refused + board->refused);
         send_battery(link, reading->battery_v, rules->charge);
     }
     if (is_due(&board->heartbeat_due_us, HEARTBEAT_US, now_us))
-        send_heartbeat(link, rules->armed, rules->charge < CHARGE_NO_ARM);
+        send_heartbeat(link, rules);
     if (board->to_list < PARAMETERS) {
         send_parameter(link, board->to_list, rules->parameters.value[board->to_list]);
         board->to_list++;
     }
-    send_attitude(link, board_ms, reading);
+    if (has_motion)
+        send_attitude(link, board_ms, reading);
     if (is_due(&board->keep_due_us, KEEP_US, now_us) && has_new_stamps(board))
         board->memory |= KEEP_STAMPS;
     board->burst_us = now_us;
@@ -233,12 +271,18 @@ static void burst(struct board *board, uint64_t now_us, const struct reading *re
 
 void board_step(struct board *board, uint64_t now_us, const struct reading *reading) {
     const bool is_behind = board->link.outbox_ready < board->link.outbox_bytes; /* signing takes longer than a burst's time */
-    if (reading != NULL) {
+    const bool measures = reading != NULL, hil = rules_hil(&board->rules);
+    if (hil && measures) {
+        age(&board->simulated, now_us);
+        reading = &board->simulated.reading;
+    }
+    const bool has_motion = !hil || board->simulated.has_motion, has_battery = !hil || board->simulated.has_battery;
+    if (measures && has_battery) {
         const bool later = board->has_burst && now_us > board->burst_us;
         rules_battery(&board->rules, reading->battery_v, later ? (float)(now_us - board->burst_us) * 1e-6f : 0.0f);
     }
     rules_step(&board->rules, now_us);
     report(board);
-    if (is_due(&board->burst_due_us, BURST_US, now_us) && reading != NULL && !is_behind)
-        burst(board, now_us, reading);
+    if (is_due(&board->burst_due_us, BURST_US, now_us) && measures && !is_behind)
+        burst(board, now_us, reading, has_motion, has_battery);
 }

@@ -18,6 +18,8 @@ enum { STEP_US = 5000 };
 #define STATUS_US 500000
 #define HEARTBEAT_US 1000000
 #define KEEP_US 1000000
+#define MOTION_AGE_US 100000 /* age of simulated measurements at which they count as gone */
+#define BATTERY_AGE_US 2000000
 #define SENT_BETWEEN 10000 /* more timestamps than a board uses between two writes of its memory */
 
 /* State that a board keeps without power. */
@@ -31,18 +33,26 @@ struct stamps {
     uint64_t sent;  /* newest timestamp that was used for signing */
 };
 
+/* The latest measurements of the simulator, in HIL mode. */
+struct simulated {
+    bool has_motion, has_battery;
+    uint64_t motion_us, battery_us; /* when they came, or HIL mode began */
+    struct reading reading;
+};
+
 struct board {
     struct rules rules;
     struct link link;
     struct stamps kept; /* as the memory has them */
     uint8_t memory;     /* memory_* of the settings and stamps that are to be written: see board_to_keep */
     bool has_order;     /* an order waits until its timestamp is kept */
-    bool told_armed;
+    bool told_armed, told_hil;
     uint8_t to_list; /* parameters from this one on are still to be told */
     uint64_t burst_due_us, status_due_us, heartbeat_due_us, keep_due_us;
     bool has_burst;
     uint64_t burst_us;
     uint32_t refused; /* frames for another board, or with a value that no board takes */
+    struct simulated simulated;
     struct event order;
 };
 

@@ -8,6 +8,7 @@
 #include "mavlink.h"
 
 enum { PULSE_LOW_US = 500, PULSE_HIGH_US = 2500, ALL_COMPONENTS = 0, ALL_VALUES = 65535 };
+enum { HIL_FIELDS = 0x2E7, MOST_MILLIVOLTS = 60000, WATER_CDEGC = 2000 }; /* HIL_SENSOR_UPDATED_FLAGS of what is read */
 enum { SENSORS = 0x1 | 0x2 | 0x8 | 0x8000 | 0x2000000, BATTERY_SENSOR = 0x2000000 }; /* MAV_SYS_STATUS_SENSOR */
 #define SURFACE_HPA 1013.25f
 #define STANDARD_GRAVITY_MPS2 9.80665f /* defines the mG of SCALED_IMU */
@@ -75,6 +76,34 @@ static enum event_kind read_timesync(const struct frame *frame, struct event *ev
     return message.tc1 == 0 ? EVENT_TIMESYNC : EVENT_NONE;
 }
 
+static bool is_within(float value, float most) { return -most <= value && value <= most; } /* no NaN is */
+
+static enum event_kind read_motion(const struct frame *frame, struct event *event) {
+    PAYLOAD_OF(mavlink_hil_sensor_t, frame);
+    const bool force = is_within(message.xacc, 300.0f) && is_within(message.yacc, 300.0f) && is_within(message.zacc, 300.0f);
+    const bool field = is_within(message.xmag, 10.0f) && is_within(message.ymag, 10.0f) &&
+                       !(message.xmag == 0.0f && message.ymag == 0.0f);
+    const bool pressure = 500.0f <= message.abs_pressure && message.abs_pressure <= 20000.0f;
+    if ((message.fields_updated & HIL_FIELDS) != HIL_FIELDS || !(force && field && pressure && is_within(message.zgyro, 50.0f)))
+        return EVENT_REFUSED;
+    event->motion = (struct reading){
+        .heading_rad = (float)atan2(-(double)message.ymag, (double)message.xmag), /* rounded once, as the reference does */
+        .yaw_rate_radps = message.zgyro,
+        .acceleration_mps2 = {message.xacc, message.yacc, message.zacc},
+        .excess_hpa = message.abs_pressure - SURFACE_HPA,
+        .temperature_cdegc = WATER_CDEGC,
+    };
+    return EVENT_SIMULATED_MOTION;
+}
+
+static enum event_kind read_battery(const struct frame *frame, struct event *event) {
+    PAYLOAD_OF(mavlink_battery_status_t, frame);
+    if (message.id != 0)
+        return EVENT_NONE;
+    event->battery_v = (float)message.voltages[0] / 1000.0f;
+    return message.voltages[0] <= MOST_MILLIVOLTS ? EVENT_SIMULATED_BATTERY : EVENT_REFUSED;
+}
+
 /* True if a message is for this board: target system and component are at these places of its payload. */
 static bool is_for(const struct frame *frame, uint8_t system, uint8_t at, bool all_components) {
     const uint8_t target = at < frame->payload_bytes ? frame->payload[at] : 0;
@@ -84,13 +113,20 @@ static bool is_for(const struct frame *frame, uint8_t system, uint8_t at, bool a
 
 #define TARGET_AT(type) ((uint8_t)offsetof(type, target_system))
 
-struct event read_event(const struct frame *frame, uint8_t system) {
+struct event read_event(const struct frame *frame, uint8_t system, bool hil) {
     struct event event = {.kind = EVENT_NONE, .from = frame->peer};
     enum event_kind (*read)(const struct frame *, struct event *) = NULL;
+    const bool simulated = hil && same_peer(frame->peer, (struct peer){system, SIMULATOR_COMPONENT});
     uint8_t target_at = 0;
     switch (frame->message) {
     case MAVLINK_MSG_ID_TIMESYNC:
         event.kind = read_timesync(frame, &event);
+        return event;
+    case MAVLINK_MSG_ID_HIL_SENSOR:
+        event.kind = simulated ? read_motion(frame, &event) : EVENT_NONE;
+        return event;
+    case MAVLINK_MSG_ID_BATTERY_STATUS:
+        event.kind = simulated ? read_battery(frame, &event) : EVENT_NONE;
         return event;
     case MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE:
         read = read_override, target_at = TARGET_AT(mavlink_rc_channels_override_t);
@@ -132,11 +168,13 @@ static uint16_t millivolt(float voltage_v) {
 
 static uint16_t at_most_16_bits(uint32_t count) { return count < ALL_VALUES ? (uint16_t)count : ALL_VALUES; }
 
-void send_heartbeat(struct link *link, bool armed, bool healthy) {
+void send_heartbeat(struct link *link, const struct rules *rules) {
+    const bool armed = rules->armed, healthy = rules->charge < CHARGE_NO_ARM;
     const mavlink_heartbeat_t message = {
         .type = MAV_TYPE_SUBMARINE,
         .autopilot = MAV_AUTOPILOT_GENERIC,
-        .base_mode = (uint8_t)(MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | (armed ? MAV_MODE_FLAG_SAFETY_ARMED : 0)),
+        .base_mode = (uint8_t)(MAV_MODE_FLAG_MANUAL_INPUT_ENABLED | (armed ? MAV_MODE_FLAG_SAFETY_ARMED : 0) |
+                               (rules_hil(rules) ? MAV_MODE_FLAG_HIL_ENABLED : 0)),
         .system_status = (uint8_t)(!healthy ? MAV_STATE_CRITICAL : armed ? MAV_STATE_ACTIVE : MAV_STATE_STANDBY),
         .mavlink_version = 3,
     };

@@ -11,6 +11,7 @@
 enum {
     BOARD_COMPONENT = 1,
     COMPUTER_COMPONENT = 191,
+    SIMULATOR_COMPONENT = 200, /* MAV_COMP_ID_IMU: measures for a board in HIL mode */
     COMMAND_ARM_DISARM = 400,
     COMMAND_REQUEST_MESSAGE = 512
 };
@@ -26,7 +27,18 @@ enum event_kind {
     EVENT_LIST_PARAMETERS,
     EVENT_READ_PARAMETER,
     EVENT_SET_PARAMETER,
-    EVENT_SET_KEY
+    EVENT_SET_KEY,
+    EVENT_SIMULATED_MOTION,
+    EVENT_SIMULATED_BATTERY
+};
+
+/* One sample of the sensors. */
+struct reading {
+    float heading_rad, yaw_rate_radps;
+    float acceleration_mps2[3]; /* specific force, body frame: at rest (0, 0, -g) */
+    float excess_hpa;           /* pressure at the robot's centre minus that at the surface */
+    int16_t temperature_cdegc;
+    float battery_v;
 };
 
 struct event {
@@ -47,21 +59,15 @@ struct event {
             uint8_t secret[KEY_BYTES];
             uint64_t newest;
         } key;
+        struct reading motion; /* without battery_v */
+        float battery_v;
     };
 };
 
-/* One sample of the sensors. */
-struct reading {
-    float heading_rad, yaw_rate_radps;
-    float acceleration_mps2[3]; /* specific force, body frame: at rest (0, 0, -g) */
-    float excess_hpa;           /* pressure at the robot's centre minus that at the surface */
-    int16_t temperature_cdegc;
-    float battery_v;
-};
+/* `hil`: simulated measurements are taken. */
+struct event read_event(const struct frame *frame, uint8_t system, bool hil);
 
-struct event read_event(const struct frame *frame, uint8_t system);
-
-void send_heartbeat(struct link *link, bool armed, bool healthy);
+void send_heartbeat(struct link *link, const struct rules *rules);
 void send_attitude(struct link *link, uint32_t board_ms, const struct reading *reading);
 void send_imu(struct link *link, uint32_t board_ms, const struct reading *reading);
 void send_pressure(struct link *link, uint32_t board_ms, const struct reading *reading);

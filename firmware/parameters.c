@@ -58,8 +58,9 @@ static bool is_consistent(const float *value) {
             return false;
     const float neutral_us = value[THR_NEUTRAL_US];
     return value[CRV01_US] <= value[THR_MIN_US] && value[THR_MIN_US] < neutral_us && neutral_us < value[THR_MAX_US] &&
-           value[THR_MAX_US] <= value[PARAMETERS - 2] && in_dead_zone(value, neutral_us) && value[BAT_WARN_V] > value[BAT_NOARM_V] && value[BAT_NOARM_V] > value[BAT_NEUTRAL_V] &&
-           value[ANK_MIN_US] < value[ANK_MAX_US];
+           value[THR_MAX_US] <= value[PARAMETERS - 2] && in_dead_zone(value, neutral_us) &&
+           value[BAT_WARN_V] > value[BAT_NOARM_V] && value[BAT_NOARM_V] > value[BAT_NEUTRAL_V] &&
+           value[ANK_MIN_US] < value[ANK_MAX_US] && value[HIL_OUTPUTS] <= value[HIL_MODE];
 }
 
 enum refusal parameters_change(struct parameters *parameters, int index, float value) {
@@ -75,9 +76,17 @@ enum refusal parameters_change(struct parameters *parameters, int index, float v
     return INCONSISTENT;
 }
 
-bool parameters_are_valid(const struct parameters *parameters) {
+static bool are_valid(const struct parameters *parameters) {
     for (int i = 0; i < PARAMETERS; i++)
         if (!in_range(i, parameters->value[i]))
             return false;
     return is_consistent(parameters->value);
+}
+
+void parameters_restore(struct parameters *parameters, const struct parameters *kept) {
+    const struct parameters standard = *parameters;
+    *parameters = *kept;
+    parameters->value[HIL_MODE] = parameters->value[HIL_OUTPUTS] = 0.0f;
+    if (!are_valid(parameters))
+        *parameters = standard;
 }

@@ -32,7 +32,8 @@ void parameters_standard(struct parameters *parameters); /* those of the experim
 struct parameter_row parameter_row(int index);
 int parameter_named(const char name[PARAMETER_NAME]); /* ends at a zero or after 16 characters; NO_PARAMETER if unknown */
 enum refusal parameters_change(struct parameters *parameters, int index, float value);
-bool parameters_are_valid(const struct parameters *parameters); /* each in range, and fitting one another */
+/* Take what was kept without power, if each is in range and they fit one another; never HIL_MODE and HIL_OUTPUTS. */
+void parameters_restore(struct parameters *parameters, const struct parameters *kept);
 bool is_neutral_pulse(const struct parameters *parameters, uint16_t pulse_us); /* in the dead zone of the thrust curve */
 
 #endif

@@ -7,23 +7,34 @@
 
 #define BATTERY_FILTER_S 1.0f /* time constant of the voltage filter: thrust lowers the voltage for moments */
 
+/* Pulse without trim at power-on, and on the pin in HIL mode. */
+static uint16_t rest_us(const struct rules *rules, uint8_t channel) {
+    const float *value = rules->parameters.value;
+    if (channel < THRUSTERS)
+        return (uint16_t)value[THR_NEUTRAL_US];
+    return (uint16_t)((uint16_t)(value[ANK_MIN_US] + value[ANK_MAX_US]) / 2);
+}
+
 void rules_begin(struct rules *rules, const struct parameters *parameters, struct peer computer) {
     memset(rules, 0, sizeof *rules);
     rules->parameters = *parameters;
     rules->computer = computer;
-    const float *value = rules->parameters.value;
     for (uint8_t i = 0; i < THRUSTERS; i++) {
-        rules->thruster_us[i] = value[THR_NEUTRAL_US];
-        rules->ankle_us[i] = (uint16_t)((uint16_t)(value[ANK_MIN_US] + value[ANK_MAX_US]) / 2);
+        rules->thruster_us[i] = parameters->value[THR_NEUTRAL_US];
+        rules->ankle_us[i] = rest_us(rules, THRUSTERS);
     }
 }
+
+bool rules_hil(const struct rules *rules) { return rules->parameters.value[HIL_MODE] != 0.0f; }
 
 uint16_t rules_echo_us(const struct rules *rules, uint8_t channel) {
     return channel < THRUSTERS ? (uint16_t)lrintf(rules->thruster_us[channel]) : rules->ankle_us[channel - THRUSTERS];
 }
 
 uint16_t rules_output_us(const struct rules *rules, uint8_t channel) {
-    return (uint16_t)((int16_t)rules_echo_us(rules, channel) + (int16_t)rules->parameters.value[THR1_TRIM_US + channel]);
+    const bool held = rules_hil(rules) && rules->parameters.value[HIL_OUTPUTS] == 0.0f;
+    const uint16_t pulse_us = held ? rest_us(rules, channel) : rules_echo_us(rules, channel);
+    return (uint16_t)((int16_t)pulse_us + (int16_t)rules->parameters.value[THR1_TRIM_US + channel]);
 }
 
 static struct text *say(struct rules *rules, enum severity severity) {
@@ -108,9 +119,14 @@ enum result rules_arm(struct rules *rules, bool wanted, uint64_t now_us) {
 enum refusal rules_change(struct rules *rules, int parameter, float value) {
     if (parameter >= 0 && rules->armed)
         return REFUSED_ARMED;
+    const bool was_hil = rules_hil(rules);
     const enum refusal refusal = parameters_change(&rules->parameters, parameter, value);
     if (refusal == TAKEN)
         rules->has_command = false; /* it was checked against the old values */
+    if (rules_hil(rules) != was_hil) { /* the voltage so far is another battery's */
+        rules->has_voltage = false;
+        rules->charge = CHARGE_GOOD;
+    }
     return refusal;
 }
 

@@ -1,7 +1,7 @@
 /* Any bytes at any time: libFuzzer's target, under the address and undefined-behaviour sanitizers. `make fuzz`.
 
-An input is a key or none, and then records: raw bytes, frames that are made intact, time that passes. After each step the rule
-that matters most is looked at: thrusters turn only while the board is armed, within their limits. */
+An input is a key or none, HIL mode or not, and then records: raw bytes, frames that are made intact, time that passes. After each step the rule
+that matters most is looked at: thrusters turn only while the board is armed, within their limits, and pins in HIL mode not. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -34,12 +34,13 @@ static void receive(const uint8_t *data, uint16_t bytes) {
 static void receive_intact(uint8_t which, const uint8_t *payload, uint8_t bytes) {
     static const struct {
         uint8_t id, seed;
-    } MESSAGES[] = {{70, 124}, {76, 152}, {20, 214}, {21, 159}, {23, 168}, {0, 50}, {111, 34}};
+    } MESSAGES[] = {{70, 124}, {76, 152}, {20, 214}, {21, 159}, {23, 168}, {0, 50}, {111, 34}, {107, 108}, {147, 154}};
+    static const uint8_t COMPONENTS[] = {COMPUTER_COMPONENT, SIMULATOR_COMPONENT, 190, 190};
     static uint8_t sequence;
-    uint8_t frame[FRAME_BYTES] = {0xFD, bytes, 0, 0, sequence++, 1, which & 0x80 ? 190 : COMPUTER_COMPONENT};
+    uint8_t frame[FRAME_BYTES] = {0xFD, bytes, 0, 0, sequence++, 1, COMPONENTS[which >> 6]};
     if (bytes == 0)
         return;
-    const uint8_t at = (which & 0x7F) % (sizeof MESSAGES / sizeof MESSAGES[0]);
+    const uint8_t at = (which & 0x3F) % (sizeof MESSAGES / sizeof MESSAGES[0]);
     frame[7] = MESSAGES[at].id;
     memcpy(frame + HEADER_BYTES, payload, bytes);
     uint16_t crc = X25_INIT_CRC;
@@ -58,9 +59,12 @@ static void step(uint8_t how) {
     finish();
     board_step(&board, now_us, board_measures(&board, now_us) ? &reading : NULL);
     const float *value = board.rules.parameters.value;
+    const bool held = value[HIL_MODE] != 0.0f && value[HIL_OUTPUTS] == 0.0f;
     for (uint8_t i = 0; i < THRUSTERS; i++) {
         const uint16_t echo_us = rules_echo_us(&board.rules, i);
         const bool neutral = (float)echo_us == value[THR_NEUTRAL_US];
+        if (held && (float)rules_output_us(&board.rules, i) != value[THR_NEUTRAL_US] + value[THR1_TRIM_US + i])
+            abort();
         if (!(neutral || (board.rules.armed && value[THR_MIN_US] <= echo_us && echo_us <= value[THR_MAX_US])))
             abort();
     }
@@ -73,6 +77,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size) {
     parameters_standard(&settings.parameters);
     now_us = 0;
     board_begin(&board, 1, &settings, NONE);
+    if (size > 0 && (data[0] & 2))
+        rules_change(&board.rules, HIL_MODE, 1.0f);
     for (size_t at = 1; at + 3 <= size;) {
         const uint8_t kind = data[at] % KINDS, detail = data[at + 1];
         const size_t left = size - at - 3, bytes = data[at + 2] < left ? data[at + 2] : left;

@@ -1,6 +1,7 @@
 """The C board beside the Python reference, byte for byte, and the conformance run on it in simulated time."""
 
 import ctypes
+import math
 import random
 from collections.abc import Callable
 
@@ -21,6 +22,8 @@ pytestmark = pytest.mark.long
 
 KEY, OTHER = Key(bytes(range(1, 33))), Key(bytes(range(2, 34)))
 STILL = np.zeros(4)
+COMPUTER, SIMULATOR = 0, 5  # of the senders
+SIMULATED = (dialect.MAVLINK_MSG_ID_HIL_SENSOR, dialect.MAVLINK_MSG_ID_BATTERY_STATUS)
 STEPS = 60
 HPA_PER_M = 998.0 * 9.81 / 100.0
 
@@ -55,8 +58,8 @@ class Speaker:
 
     def __init__(self, draw: random.Random, key: Key | None) -> None:
         self._draw, self._stamp = draw, 5000
-        keys = [key, OTHER if key else key, key and Key(key.secret, 3), None, OTHER]
-        peers = [(1, 191), (1, 191), (255, 190), (1, 191), (2, 191)]
+        keys = [key, OTHER if key else key, key and Key(key.secret, 3), None, OTHER, key and Key(key.secret, 4)]
+        peers = [(1, 191), (1, 191), (255, 190), (1, 191), (2, 191), (1, 200)]
         self._senders = [Sender(peer, each, lambda: self._stamp) for peer, each in zip(peers, keys, strict=True)]
         self._said: list[bytes] = [b""]
 
@@ -68,9 +71,11 @@ class Speaker:
             return draw.choice(self._said)  # again
         if kind < 0.1:
             return bytes(draw.choice([0xFD, 0, 1, 9, draw.randrange(256)]) for _ in range(draw.randrange(40)))
-        sender = self._senders[0] if draw.random() < 0.8 else draw.choice(self._senders)
+        message = self._message()
+        usual = self._senders[SIMULATOR if message.get_msgId() in SIMULATED else COMPUTER]
+        sender = usual if draw.random() < 0.8 else draw.choice(self._senders)
         self._stamp += draw.choice([0, 1, 1, 100, 10_000])
-        data = sender.pack(self._message())
+        data = sender.pack(message)
         self._said.append(data)
         if kind < 0.16:
             broken = bytearray(data)
@@ -104,18 +109,45 @@ class Speaker:
             lambda: dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3),
             lambda: dialect.MAVLink_statustext_message(6, b"hello"),
             lambda: dialect.MAVLink_setup_signing_message(*to, secret, draw.randrange(2**15)),
+            lambda: dialect.MAVLink_param_set_message(1, 1, b"HIL_MODE", draw.choice([1, 1, 1, 0, 2]), 9),
+            lambda: dialect.MAVLink_param_set_message(1, 1, b"HIL_OUTPUTS", draw.choice([1, 1, 0]), 9),
+            self._motion,
+            self._battery,
         ]
-        return draw.choices(makers, [8, 12, 6, 1, 1, 2, 0.2, 2, 3, 2, 1, 0.2])[0]()
+        return draw.choices(makers, [8, 12, 6, 1, 1, 2, 0.2, 2, 3, 2, 1, 0.2, 2, 1, 4, 2])[0]()
+
+    def _motion(self) -> dialect.MAVLink_message:
+        """Simulated measurements: exact in single precision, or beyond one of the bounds."""
+        draw, mg = self._draw, STANDARD_GRAVITY_MPS2 / 1000.0
+        field = draw.choice([(0.0, 0.0), (10.0, -10.0), *[(draw.randint(-8, 8) / 8.0, draw.randint(-8, 8) / 8.0)] * 8])
+        values = [*(draw.randint(-30_000, 30_000) * mg for _ in range(3)), draw.randint(-1600, 1600) / 32.0, *field]
+        values.append(draw.randint(500 * 64, 20_000 * 64) / 64.0)
+        if draw.random() < 0.2:
+            odd = draw.choice([math.nan, math.inf, -300.5, 300.5, 50.5, 10.5, 499.0, 20_001.0])
+            values[draw.randrange(len(values))] = odd
+        x, y, z, turn, ahead, side, pressure = values
+        updated = 0x2E7 ^ (1 << draw.randrange(10) if draw.random() < 0.1 else 0) | draw.choice([0, 2**31])
+        return dialect.MAVLink_hil_sensor_message(
+            0, x, y, z, math.nan, 0, turn, ahead, side, 0, pressure, 0, 0, 0, updated, draw.randrange(2)
+        )
+
+    def _battery(self) -> dialect.MAVLink_message:
+        """A simulated battery: its voltage away from those where single precision rounds to the other side."""
+        draw = self._draw
+        volts = draw.choice([0, 60_000, 60_001, IGNORED, *[draw.randint(80, 130) * 100 + 30] * 12])
+        cells = [volts, *[IGNORED] * 9]
+        return dialect.MAVLink_battery_status_message(draw.choice([*[0] * 9, 1]), 0, 0, 0, cells, 0, 0, 0, 0)
 
 
-def compare(library: ctypes.CDLL, seed: int) -> bool:
-    """The same frames and readings for both boards: the same bytes and pulses. Returns true if they were armed."""
+def compare(library: ctypes.CDLL, seed: int) -> tuple[bool, bool]:
+    """The same frames and readings for both boards: the same bytes and pulses. Returns true if they were armed, and if they
+    flew in HIL mode."""
     draw = random.Random(seed)
     key = draw.choice([None, KEY])
     reference = ThrusterBoard(POOL, 1, 1, key, NonvolatileState(heard=4000, sent=20))
     sensors = reference.sensors = GivenSensors()  # type: ignore[assignment]
     board, speaker = FirmwareBoard(library, key, 4000, 20), Speaker(draw, key)
-    now_ns, armed = 0, False
+    now_ns, armed, hil = 0, False, False
     for count in range(STEPS):
         for _ in range(draw.choice([0, 1, 1, 2, 4])):
             data = speaker.frame()
@@ -127,11 +159,13 @@ def compare(library: ctypes.CDLL, seed: int) -> bool:
         assert board.step(now_ns, sensors.reading, sensors.voltage_v) == told, (seed, count)
         assert board.pulses == reference.pulses, (seed, count)
         armed |= board.armed
-    return armed
+        hil |= reference.armed and reference.link.hil
+    return armed, hil
 
 
 def test_random_frames_have_the_bytes_of_the_reference(library: ctypes.CDLL) -> None:
-    assert sum(compare(library, seed) for seed in range(40)) > 4
+    armed, hil = zip(*(compare(library, seed) for seed in range(40)), strict=True)
+    assert sum(armed) > 4 and sum(hil) > 0
 
 
 @pytest.mark.slow

@@ -54,6 +54,12 @@ MUTANTS = [  # rule, file, what it says, what it says instead
     ("checksum", "link.c", "if (checksum(frame, kind.crc_extra) != (uint16_t)(sum[0] | sum[1] << 8))", "if (sum == NULL)"),
     ("target", "messages.c", "if (!is_for(frame, system, target_at, read != read_override))", "if (false)"),
     ("resynchronisation", "link.h", "FRAME_TIMEOUT_US 50000", "FRAME_TIMEOUT_US 5000000"),
+    ("hil: measurements", "board.c", "reading = &board->simulated.reading;", "board->simulated.has_motion = true;"),
+    ("hil: heartbeat", "messages.c", "(rules_hil(rules) ? MAV_MODE_FLAG_HIL_ENABLED : 0)", "0"),
+    ("hil: age", "board.c", "simulated->has_motion = false;", "(void)now_us;"),
+    ("hil: sender", "messages.c", "hil && same_peer(frame->peer, (struct peer){system, SIMULATOR_COMPONENT})", "hil"),
+    ("hil: battery", "board.c", "        simulate_battery(&board->simulated, event->battery_v, now_us);\n", ""),
+    ("hil: outputs", "parameters.c", " && value[HIL_OUTPUTS] <= value[HIL_MODE];", ";"),
     ("echo", "messages.c", ".servo1_raw = rules_echo_us(rules, 0),", ".servo1_raw = rules->command_us[0],"),
 ]
 

@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from sim_bridge.thruster_board.parameters import Refusal
+from sim_bridge.thruster_board.parameters import FIXED, VOLATILE, Refusal
 from sim_bridge.thruster_board.state_machine import BoardStateMachine
 from tests.firmware.library import PARAMETERS, FirmwareBoard, built, load
 from wire.mavlink.agent_link import IGNORED
@@ -16,6 +16,7 @@ COMPUTER, KEY = (1, 191), Key(bytes(range(32)))
 REFUSALS = [None, Refusal.UNKNOWN, Refusal.RANGE, Refusal.TYPE, Refusal.INCONSISTENT, Refusal.ARMED]
 TIE_US = 2e-3  # single precision may round a pulse the other way so near to a half
 EDGE_V = 1e-3  # and take a level so near to a threshold
+HIL = [row for row in FIXED if row.name in VOLATILE]
 CALLS = 40
 SEQUENCES = 300
 
@@ -44,7 +45,7 @@ def pulses(draw: random.Random, machine: BoardStateMachine) -> tuple[int, ...]:
 
 def parameter(draw: random.Random) -> tuple[str, float]:
     """A parameter and a value near its bounds, its default or the others' values; sometimes one that does not exist."""
-    row = draw.choice(PARAMETERS.table[:19] if draw.random() < 0.8 else PARAMETERS.table)
+    row = draw.choice(draw.choices([FIXED, HIL, PARAMETERS.table], [13, 4, 3])[0])
     value = draw.choice([
         row.low, row.high, math.nextafter(row.low, -math.inf), row.high + 1, PARAMETERS[row.name], math.nan, math.inf,
         PARAMETERS[row.name] + draw.choice([-1, 1, 0.5, -50, 50]), draw.uniform(row.low, row.high),
