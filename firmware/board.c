@@ -231,11 +231,14 @@ bool board_work(struct board *board, uint64_t now_us) {
 
 /* --- time goes on */
 
-/* True once for each multiple of the period that is reached. `due_us` is the next one; a division only then, as it is slow. */
+/* True once for each multiple of the period that is reached. `due_us` is the next one; a division, which is slow, only if others
+were passed over. */
 static bool is_due(uint64_t *due_us, uint32_t period_us, uint64_t now_us) {
     if (now_us < *due_us)
         return false;
-    *due_us = (now_us / period_us + 1) * period_us;
+    *due_us += period_us;
+    if (*due_us <= now_us)
+        *due_us = (now_us / period_us + 1) * period_us;
     return true;
 }
 

@@ -38,13 +38,14 @@ static void step(struct loop *loop, uint64_t now_us) {
 void loop_once(struct loop *loop) {
     struct board *board = &loop->board;
     const uint64_t now_us = hal_now_us();
-    if (now_us >= loop->step_at_us)
+    const bool steps = now_us >= loop->step_at_us;
+    if (steps)
         step(loop, now_us);
     uint8_t data[READ_BYTES];
     const uint16_t room = link_room(&board->link), read = hal_read(data, room < READ_BYTES ? room : READ_BYTES);
     board_put(board, data, read, now_us);
     const uint32_t taken = board->link.count.taken;
-    const bool busy = board_work(board, now_us);
+    const bool busy = steps || board_work(board, now_us); /* not both in one loop: each may be long */
     if (board->link.count.taken != taken)
         hal_heard();
     store_continue(&loop->store, board);

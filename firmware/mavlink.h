@@ -2,6 +2,14 @@
 #ifndef BOARD_MAVLINK_H
 #define BOARD_MAVLINK_H
 
+#include <stdint.h>
+
+#ifdef __AVR__ /* avr-libc's takes a third fewer cycles than the generated one */
+#include <util/crc16.h>
+#define HAVE_CRC_ACCUMULATE
+static inline void crc_accumulate(uint8_t byte, uint16_t *crc) { *crc = _crc_ccitt_update(*crc, byte); }
+#endif
+
 #include <mavlink/common/mavlink.h>
 
 #endif

@@ -77,7 +77,7 @@ void rules_override(struct rules *rules, struct peer sender, const uint16_t puls
 }
 
 static bool is_stale(const struct rules *rules, uint64_t now_us) {
-    const uint64_t age_us = (uint64_t)rules->parameters.value[CMD_AGE_MS] * 1000u;
+    const uint32_t age_us = (uint32_t)rules->parameters.value[CMD_AGE_MS] * 1000u;
     return !rules->has_command || (now_us > rules->command_at_us && now_us - rules->command_at_us > age_us);
 }
 

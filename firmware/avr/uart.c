@@ -25,9 +25,9 @@ ISR(USART0_UDRE_vect) {
 }
 
 void uart_begin(void) {
-    UBRR0 = F_CPU / 8 / BAUD - 1;
     UCSR0A = 1 << U2X0;
     UCSR0C = 1 << UCSZ01 | 1 << UCSZ00; /* 8N1 */
+    UBRR0 = F_CPU / 8 / BAUD - 1;       /* after U2X0: simavr takes the baud rate over here */
     UCSR0B = 1 << RXCIE0 | 1 << RXEN0 | 1 << TXEN0;
 }
 
@@ -43,15 +43,14 @@ uint16_t uart_read(uint8_t *data, uint16_t room) {
 }
 
 uint16_t uart_write(const uint8_t *data, uint16_t bytes) {
-    uint16_t taken = 0;
-    uint8_t next = (uint8_t)(sending_head + 1);
-    while (taken < bytes && next != sending_tail) {
-        sending[sending_head] = data[taken++];
-        sending_head = next++;
-    }
+    uint8_t head = sending_head;
+    const uint8_t room = (uint8_t)(sending_tail - head - 1), taken = (uint8_t)(bytes < room ? bytes : room);
+    for (uint8_t left = taken; left > 0; left--)
+        sending[head++] = *data++;
     if (taken > 0) {
         const uint8_t state = SREG;
-        cli();
+        cli(); /* the interrupt reads what is in the ring by now */
+        sending_head = head;
         UCSR0B |= 1 << UDRIE0;
         SREG = state;
     }

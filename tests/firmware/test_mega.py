@@ -13,6 +13,7 @@ from tests.firmware.mega import CYCLES_PER_US, Mega, Pulse
 from wire.mavlink.agent_link import IGNORED, AgentLink
 from wire.mavlink.parameters import ParameterClient
 from wire.mavlink.signing import Key
+from wire.mavlink.simulator_link import SimulatorLink
 
 pytestmark = [pytest.mark.slow, pytest.mark.long]
 
@@ -77,6 +78,45 @@ def test_pulses_at_the_pins_are_those_of_the_override(mega: Mega) -> None:
     for pulses, width_us in zip(mega.pulses(), (*thrusters, *[1777] * 4), strict=True):
         steady(pulses, width_us)
     assert pilot.link.telemetry.bad_frames == 0
+
+
+def test_a_new_pulse_begins_within_a_step_and_a_period_of_the_override(mega: Mega) -> None:
+    pilot, delays_us = Pilot(mega), []
+    pilot.run(0.3)
+    pilot.arm()
+    for count in range(12):
+        ankle_us, before = (
+            1300 + 50 * count,
+            bytes(37 * count % 125),
+        )  # none is a start byte: they shift the frame by 5 ms at most
+        pilot.run(0.1 + 0.005 * (count % 4), *[1500] * 4, ankle_us=ankle_us - 50)
+        mega.pulses()
+        pilot.send(data := before + pilot.link.pulses([1500] * 4 + [ankle_us] * 4))
+        last_us = mega.now_us + len(data) * 40.0  # the frame's last bit, at 250,000 baud
+        pilot.run(0.06)
+        new = [pulse for pulse in mega.pulses()[4] if abs(pulse.width_us - ankle_us) < 1.0]
+        delays_us.append(new[0].begin_us - last_us)
+    print(f"override to pulse: {min(delays_us) * CYCLES_PER_US:.0f} to {max(delays_us) * CYCLES_PER_US:.0f} cycles")
+    assert min(delays_us) > 0.0 and max(delays_us) <= 2 * STEP_US + PERIOD_US
+
+
+def test_pins_rest_in_hil_mode_while_the_echo_follows(mega: Mega) -> None:
+    pilot, client, simulator = Pilot(mega), ParameterClient(1), SimulatorLink(1)
+    pilot.run(0.3)
+    pilot.send(client.set("HIL_MODE", 1.0))
+    pilot.run(0.1)
+    pilot.arm()
+    mega.loop_cycles()
+    mega.pulses()
+    for _ in range(10):
+        pilot.send(simulator.motion(0, 2.0, -0.5, (1.0, -2.0, -9.0), 3.0))
+        pilot.run(0.02, *[1560] * 4, ankle_us=1777)
+    for pulses in mega.pulses():
+        steady(pulses, NEUTRAL_US)
+    seen = pilot.link.telemetry
+    assert seen.hil and seen.armed and seen.echo_us == (*[1560] * 4, *[1777] * 4)
+    assert abs(seen.heading_rad - 2.0) < 1e-3 and abs(seen.depth_m - 3.0) < 0.01
+    assert mega.loop_cycles()[0] / CYCLES_PER_US <= STEP_US
 
 
 def test_pins_are_neutral_after_silence_at_any_phase(mega: Mega) -> None:
