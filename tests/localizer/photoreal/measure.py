@@ -13,7 +13,7 @@ import numpy as np
 from localizer.tracking.fleet_localizer import FleetLocalizer
 from sim_bridge.camera.renderer import Renderer
 from tests.localizer.photoreal.dataset import DATA, PERIOD_NS, TrueFrame, frames
-from tests.localizer.photoreal.rows import RATE_HZ, ROWS, SPLITS, Courses, experiment
+from tests.localizer.photoreal.rows import RATE_HZ, ROWS, SPLITS, RowCourses, experiment
 from wire.frames import Array, pool_to_body, wrap
 from wire.messages.messages import Pose, Track
 
@@ -86,7 +86,7 @@ def _rms(values: Array) -> float:
 
 def simulated(row: str, split: str) -> Iterator[TrueFrame]:
     """The frames of a row as the simulator's renderer draws them: same courses, tilt and reports, its own water and light."""
-    courses, renderer = Courses(ROWS[row], split), Renderer(experiment(), SPLITS.index(split) + 1)
+    courses, renderer = RowCourses(ROWS[row], split), Renderer(experiment(), SPLITS.index(split) + 1)
     for k, frame in enumerate(frames(row, split)):
         states = courses.at(k / RATE_HZ)
         eta = np.column_stack([states.place_m, states.attitude_rad[:, 2]])

@@ -23,8 +23,8 @@ from tests.localizer.photoreal.rows import (
     ROBOTS,
     ROWS,
     SPLITS,
-    Courses,
     RobotStates,
+    RowCourses,
     SceneRow,
     experiment,
     generator,
@@ -48,7 +48,7 @@ class RowRenderer:
     def __init__(self, studio: Studio, row: SceneRow, split: str) -> None:
         self._studio, self._row, self._split = studio, row, split
         self._camera = experiment().camera
-        self._courses = Courses(row, split)
+        self._courses = RowCourses(row, split)
         random = generator(row, split, "things")
         self._waves = None if row.waves == "flat" else Waves.of(row.waves, random)
         self._sun_rad = float(random.uniform(-np.pi, np.pi)) if row.low_sun else None
@@ -132,7 +132,7 @@ class RowRenderer:
         return np.asarray(np.clip(np.rint((middle - CROP_PX / 2) / 2) * 2, 0, limit), dtype=np.int64)
 
 
-def lamps_of(row: SceneRow, courses: Courses) -> tuple[Array, float]:
+def lamps_of(row: SceneRow, courses: RowCourses) -> tuple[Array, float]:
     """Lamps whose mirror images lie over the middles of the robots' courses: x, y, radius on the surface, and radiance."""
     radius, radiance = _GLARE[row.glare]
     over = courses.middles_m * 2.8 / (2.8 + 0.15 / 1.333)  # of the plates, as seen by a camera 2.8 m above the middle
@@ -152,7 +152,7 @@ def background(studio: Studio, row: SceneRow | None, split: str) -> NDArray[np.u
     camera, corner = experiment().camera, np.zeros((1, 2), np.int64)
     nobody = RobotStates(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
     empty = Situation(nobody, ())
-    mirror = studio.lamps(*lamps_of(row, Courses(row, split))) if row is not None else None
+    mirror = studio.lamps(*lamps_of(row, RowCourses(row, split))) if row is not None else None
     light = studio.illumination(empty, corner, camera.size_px, 10)
     return levels(studio.render(empty, corner, camera.size_px, 4, light, mirror)[0])
 

@@ -104,7 +104,7 @@ class RobotStates:
     yaw_rate_radps: Array
 
 
-class Courses:
+class RowCourses:
     """The robots' courses in one row of one split."""
 
     def __init__(self, row: SceneRow, split: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from tests.localizer.photoreal.dataset import DATA, frames, from_tiles, to_tiles
 from tests.localizer.photoreal.measure import measure, rendered_rows
-from tests.localizer.photoreal.rows import CROP_PX, RATE_HZ, ROBOTS, ROWS, Courses, reports
+from tests.localizer.photoreal.rows import CROP_PX, RATE_HZ, ROBOTS, ROWS, RowCourses, reports
 
 pytestmark = pytest.mark.long
 
@@ -42,7 +42,7 @@ def test_level_robots_in_flat_water_are_where_another_renderer_put_them() -> Non
 @pytest.mark.parametrize("row", rendered_rows("tune"))
 def test_the_table_of_a_row_is_what_its_courses_and_reports_say(row: str) -> None:
     drawn = ROWS[ROWS[row].drawn_as or row]
-    courses = Courses(drawn, "tune")
+    courses = RowCourses(drawn, "tune")
     states = [courses.at(k / RATE_HZ) for k in range(drawn.frames)]
     told = reports(drawn, "tune", states)
     for k, frame in enumerate(frames(row, "tune")):
@@ -56,7 +56,7 @@ def test_the_table_of_a_row_is_what_its_courses_and_reports_say(row: str) -> Non
 
 
 def test_velocities_of_courses_are_their_derivatives() -> None:
-    courses, h = Courses(ROWS["blur"], "held_out"), 1e-5
+    courses, h = RowCourses(ROWS["blur"], "held_out"), 1e-5
     before, now, after = (courses.at(0.1 + s) for s in (-h, 0.0, h))
     np.testing.assert_allclose((after.place_m - before.place_m)[:, :2] / (2 * h), now.velocity_mps, atol=1e-6)
     np.testing.assert_allclose((after.attitude_rad - before.attitude_rad)[:, 2] / (2 * h), now.yaw_rate_radps, atol=1e-6)
