@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from localizer.detection.correlation_filter import CorrelationFilter, FilterShape, Real
 from localizer.detection.image_regions import BodySampler, DemosaicedRegion, RobotShape
+from localizer.tracking.alignment import align
 from localizer.tracking.observation import PredictedView
 from wire.frames import Array, body_to_pool, wrap
 
@@ -20,15 +21,18 @@ _PLACE_KERNEL = 1.0
 _TURN_KERNEL = 2.0
 _LEAST_TURN_PEAK = 0.2  # peak of the heading filter; a heading found with less is not used
 _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture at half scale
+_LEAST_SHARE = 0.5  # of the learnt texture; below it a pattern may be another one, or the same turned by a right angle
+_CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
 
 
 @dataclass(frozen=True)
 class Match:
-    """Pose [x, y, yaw] at which a robot's appearance was found, and the peak of the position filter clipped to 0..1; peak
-    0 if the heading was not recognised."""
+    """Pose [x, y, yaw] at which a robot's appearance was found, the covariance (3, 3) that the pixels give it, and the peak of
+    the position filter clipped to 0..1; peak 0 if the robot was not recognised there."""
 
     pose: Array
+    covariance: Array
     peak: float
 
 
@@ -44,6 +48,7 @@ class AppearanceModel:
         rings = FilterShape(1, self._sampler.angles, self._sampler.ring_channels, _TARGET_WIDTH, _TURN_KERNEL, windowed=False)
         self._turn = CorrelationFilter(count, rings)
         self._learnt = np.zeros(count, dtype=np.bool_)
+        self._grey = np.zeros((count, template_px, template_px), np.float32)  # the learnt patches
         self.reach_m = _SPAN * hull.radius_m  # half the diagonal of a patch, rounded up to its side
 
     def is_initialised(self, robot: int) -> bool:
@@ -63,8 +68,23 @@ class AppearanceModel:
                 break
         turns, turn_peaks = self._turn.detect(robots, self._rings(views, colours, found))
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
-        clipped = _verified(peaks, turn_peaks)
-        return [Match(np.array([x, y, wrap(yaw)]), float(peak)) for (x, y, yaw), peak in zip(found, clipped, strict=True)]
+        clipped, patches = _verified(peaks, turn_peaks), self._patches(views, colours, found).mean(axis=1)
+        return [
+            self._aligned(robot, pose, peak, patch)
+            for robot, pose, peak, patch in zip(robots, found, clipped.tolist(), patches, strict=True)
+        ]
+
+    def _aligned(self, robot: int, pose: Array, peak: float, patch: Real) -> Match:
+        """The match after an alignment of the grey patch (size, size) that was sampled at its pose."""
+        move, covariance = np.zeros(3), np.empty((3, 3))
+        share = align(self._grey[robot], patch, move, covariance)
+        to_pool = np.eye(3)
+        to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(np.eye(2), float(pose[2])).T
+        if share <= _LEAST_SHARE:
+            return Match(pose, np.zeros((3, 3)), 0.0)
+        x, y, yaw = pose + to_pool @ move
+        found = np.array([x, y, wrap(float(yaw))])
+        return Match(found, _CORRELATED / share * to_pool @ covariance @ to_pool.T, peak)
 
     def update(self, views: Sequence[PredictedView], poses: Sequence[Array], rates: Array) -> list[float]:
         """Peaks of the robots' appearances at known poses, as in `Match`; then blend in what is seen there at `rates` (n,).
@@ -80,6 +100,7 @@ class AppearanceModel:
         blend = np.where(self._learnt[robots], rates, np.sign(rates)).astype(np.float32)
         self._place.learn(robots, patches, blend)
         self._turn.learn(robots, rings, blend)
+        self._grey[robots] += blend[:, None, None] * (patches.mean(axis=1) - self._grey[robots])
         self._learnt[robots] |= rates > 0.0
         return [float(peak) for peak in _verified(peaks, turn_peaks)]
 

@@ -49,11 +49,16 @@ import numpy as np
 
 from localizer.tracking.kalman import GATE, KalmanState, initial_state, predict, stopped, update
 from localizer.tracking.observation import TrackMeasurement
-from wire.frames import Array, wrap
+from wire.frames import Array, body_to_pool, wrap
 from wire.messages.messages import Pose, Track
 
 _REGAIN_PEAK = 0.5  # least correlation peak that regains a lost robot; higher than for a followed one, which has a prediction
 _JUMP_SIGMAS = 3.0
+MATCH_GATE = 16.3  # squared Mahalanobis distance: one of 1,000 good matches is outside; a match has no other witness
+_MATCH_REACH_M = 0.05  # m, farthest that a match may be from the prediction, however little that is worth after coasting
+# A robot that coasts or is lost is matched in so many pictures in a row before it counts, each time as far from the prediction
+# as before: a robot accelerates by 0.3 m/s^2 (1 mm from picture to picture), a match that slides over the background does not.
+_MATCHES_NEEDED, _SAME_OFFSET_M, _SAME_OFFSET_RAD = 3, 0.005, 0.05
 # A claim is dropped when both limits have passed without a second reading. A visible marker is read ten times in 0.5 s; the
 # number of pictures leaves time to a slow camera or a busy computer.
 _CLAIM_S, _CLAIM_PICTURES = 0.5, 3
@@ -85,9 +90,24 @@ class Claim:
 
 
 @dataclass(frozen=True)
+class ProvisionalMatch:
+    """Matches in pictures in a row of a robot that coasts or is lost: the last one's offset [x, y, yaw] from the prediction,
+    and their number."""
+
+    offset: Array
+    count: int = 1
+
+    def continued(self, offset: Array) -> "ProvisionalMatch":
+        """One more match; the count begins anew where it moved otherwise than the prediction."""
+        step = offset - self.offset
+        same = float(np.hypot(step[0], step[1])) <= _SAME_OFFSET_M and abs(wrap(float(step[2]))) <= _SAME_OFFSET_RAD
+        return ProvisionalMatch(offset, self.count + 1 if same else 1)
+
+
+@dataclass(frozen=True)
 class RobotTrack:
     """The belief about one robot. `motion` is None until the robot was first accepted as seen. `measured` and `refuted`
-    concern this frame only. `claim` is a marker's reading that is not accepted yet."""
+    concern this frame only. `claim` is a marker's reading that is not accepted yet, `match` are matches that are not."""
 
     motion: KalmanState | None = None
     state: Track = Track.LOST
@@ -97,11 +117,12 @@ class RobotTrack:
     refuted: bool = False
     peak: float = 0.0
     claim: Claim | None = None
+    match: ProvisionalMatch | None = None
 
     @classmethod
     def at_start(cls, pose: Array) -> "RobotTrack":
         """A track without markers: the robot is taken to be at [x, y, yaw], where the experiment starts it, and verified."""
-        return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True)
+        return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.KCF, verified=True)
 
     def predicted(self, step_s: float) -> "RobotTrack":
         """The track at the next exposure. A lost robot stays where it was last believed."""
@@ -145,15 +166,21 @@ class RobotTrack:
         holds."""
         if not measurement.finite:
             return self
-        matched = replace(self, peak=measurement.peak)
+        matched = replace(self, peak=measurement.peak, match=None)
         if self.motion is None or self.measured is not None or self.refuted:
             return matched
         lost = self.state is Track.LOST
         if measurement.peak <= (max(least_peak, _REGAIN_PEAK) if lost else least_peak):
             return matched
         updated, squared = update(self.motion, measurement.pose, measurement.covariance)
-        if squared > GATE and not lost:
+        offset = measurement.pose - self.motion.mean[:3]
+        offset[2] = wrap(float(offset[2]))
+        if (squared > MATCH_GATE and not lost) or float(np.hypot(offset[0], offset[1])) > _MATCH_REACH_M:
             return matched
+        if self.state in (Track.COAST, Track.LOST):
+            match = ProvisionalMatch(offset) if self.match is None else self.match.continued(offset)
+            if match.count < _MATCHES_NEEDED:
+                return replace(matched, match=match)
         return matched._measured(measurement, None if lost else updated, Track.KCF, self.verified, self.claim)
 
     def with_scan(self, pose: Array, jump_m: float) -> "RobotTrack":
@@ -179,20 +206,21 @@ class RobotTrack:
             return replace(self, motion=stopped(self.motion), state=Track.LOST, verified=False)
         return replace(self, state=Track.COAST)
 
-    def message(self, depth_m: float, tilt_covariance: Array) -> Pose | None:
+    def message(self, depth_m: float, tilt_covariance: Array, plate_m: tuple[float, float] = (0.0, 0.0)) -> Pose | None:
         """The pose to publish, None before the first accepted measurement.
 
         It is the bare measurement with its own covariance, which adds no lag and leaves errors white for the agent's
-        observer. Only gaps are filled by prediction. `tilt_covariance` (3, 3) is added, as the track follows the
-        plate and the pose is the robot's centre.
+        observer. Only gaps are filled by prediction. The track follows the plate, the pose is the robot's centre: `plate_m`
+        is the plate's place ahead and to starboard of it, and `tilt_covariance` (3, 3) what is not known of that.
         """
         if self.motion is None:
             return None
         pose, covariance = self.motion.mean[:3], self.motion.covariance[:3, :3]
         if self.measured is not None:
             pose, covariance = self.measured.pose, self.measured.covariance
+        x_m, y_m = (pose[:2] - body_to_pool(plate_m, float(pose[2]))).tolist()
         return Pose(
-            x_m=float(pose[0]), y_m=float(pose[1]), yaw_rad=wrap(float(pose[2])), covariance=covariance + tilt_covariance,
+            x_m=x_m, y_m=y_m, yaw_rad=wrap(float(pose[2])), covariance=covariance + tilt_covariance,
             track=self.state, identity_verified=self.verified, peak=self.peak, depth_m=depth_m,
         )  # fmt: skip
 

@@ -71,5 +71,7 @@ class Localizer(Section):
     # per sine, here 0.05 m / 1.9 N m.
     tilt_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.002
     tilt_rad_per_n: Annotated[float, Field(ge=0, le=1)] = 0.026
+    surface_slope_rad: Annotated[float, Field(ge=0, le=0.2)] = 0.0043  # one standard deviation of the water's slope
+    attitude_sigma_rad: Annotated[float, Field(ge=0, le=0.5)] = 0.005  # of roll and pitch as a board tells them: its level
     preview_rate_hz: NotNegative = 5.0
     obstacle_min_m: NotNegative = 0.08  # what covers less than a square of this side is no obstacle; 0: none are looked for

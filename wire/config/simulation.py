@@ -33,6 +33,8 @@ class Sensors(Section):
     gyro_bias_radps: NotNegative = 0.002
     heading_noise_rad: NotNegative = 0.01
     heading_bias_rad: NotNegative = 0.03
+    tilt_noise_rad: NotNegative = 0.002
+    tilt_bias_rad: NotNegative = 0.005
     pressure_noise_m: NotNegative = 0.002
     pressure_bias_m: NotNegative = 0.003
     battery_v: Positive = 12.4

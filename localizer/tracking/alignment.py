@@ -1,0 +1,145 @@
+"""Robust alignment of a patch with the learnt one: refines a correlation's match, and tells what it is worth.
+
+A correlation has a peak in any picture. Whether the peak is the robot shows in the pixels: of the learnt texture, the share
+that is seen again. The alignment is a Gauss-Newton iteration over shift, rotation, gain and offset of brightness (Baker and
+Matthews, IJCV 56(3), 2004) with redescending weights (Geman and McClure): a card, a reflection or a cable over the robot is an
+outlier and moves nothing, and what is left of the texture gives the covariance.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wire.frames import Array
+from wire.kernels import kernel
+
+_ROUNDS = 6  # Gauss-Newton iterations; a correlation is off by less than a sample, and the last two move a tenth of one
+_BORDER = 3  # samples at the patch's edge that are left out: a shift may move that far
+_LEAST_SCALE = 2.0  # grey levels: sensor noise after demosaicing
+_MOST_SCALE = 12.0  # grey levels: ripples and caustics on a robot; with a larger one a wrong pattern fits everything
+_LEAST_GAIN = 0.6  # contrast over the learnt one; with any gain allowed a grey card is a faint robot
+_TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+_REJECTS_AT = 2.0  # scales: a residual of that size has a quarter of the weight
+_UNKNOWNS = 5  # shift ahead, shift to starboard, rotation, gain, offset
+
+
+@kernel("void(f8[:,::1])")
+def invert(matrix: Array) -> None:
+    """Invert a symmetric positive definite matrix (n, n) in place, by Gauss-Jordan elimination on its diagonal."""
+    n = matrix.shape[0]
+    for k in range(n):
+        pivot = 1.0 / matrix[k, k]
+        matrix[k, k] = 1.0
+        for j in range(n):
+            matrix[k, j] *= pivot
+        for i in range(n):
+            if i != k:
+                factor = matrix[i, k]
+                matrix[i, k] = 0.0
+                for j in range(n):
+                    matrix[i, j] -= factor * matrix[k, j]
+
+
+@kernel("f8(f4[:,::1], f4[:,::1], f8[::1], f8[:,::1])")
+def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, covariance: Array) -> float:
+    """Find the `move` (3,) [samples ahead (columns), samples to starboard (rows), rad] of the `learnt` patch (n, n) in the one
+    `seen`, and its `covariance` (3, 3). Returns the share of the learnt texture that is seen again, 0 to 1.
+
+    Minimises sum rho(seen(R p + t) - gain learnt(p) - offset) over a chessboard of the points p, with rho'(r) = r w and
+    w = 1 / (1 + (r / 2 s)^2)^2. Share: sum w g^2 / sum g^2, with g the gradient of the learnt patch. Covariance:
+    s^2 (J^T W J)^-1 of the first three unknowns.
+    """
+    n = learnt.shape[0]
+    middle = n // 2
+    normal = np.empty((_UNKNOWNS, _UNKNOWNS))
+    right = np.empty(_UNKNOWNS)
+    slope = np.empty(_UNKNOWNS)
+    counts = np.empty(256)
+    x = 0.0
+    y = 0.0
+    turn = 0.0
+    gain = 1.0
+    offset = 0.0
+    scale = _MOST_SCALE
+    share = 0.0
+    covariance[:, :] = 0.0
+    for done in range(_ROUNDS):
+        normal[:, :] = 0.0
+        right[:] = 0.0
+        counts[:] = 0.0
+        texture = 0.0
+        recognised = 0.0
+        weights = 0.0
+        squares = 0.0
+        points = 0.0
+        c = math.cos(turn)
+        s = math.sin(turn)
+        for row in range(_BORDER, n - _BORDER):
+            for column in range(_BORDER + (row + _BORDER) % 2, n - _BORDER, 2):
+                ahead = float(column - middle)
+                side = float(row - middle)
+                u = middle + x + c * ahead - s * side
+                v = middle + y + s * ahead + c * side
+                left = math.floor(u)
+                top = math.floor(v)
+                if left < 0 or top < 0 or left > n - 2 or top > n - 2:
+                    continue
+                fu = u - left
+                fv = v - top
+                above = seen[top, left] * (1.0 - fu) + seen[top, left + 1] * fu
+                below = seen[top + 1, left] * (1.0 - fu) + seen[top + 1, left + 1] * fu
+                gx = 0.5 * (learnt[row, column + 1] - learnt[row, column - 1])
+                gy = 0.5 * (learnt[row + 1, column] - learnt[row - 1, column])
+                residual = above * (1.0 - fv) + below * fv - gain * learnt[row, column] - offset
+                ratio = residual / (_REJECTS_AT * scale)
+                root = 1.0 / (1.0 + ratio * ratio)
+                weight = root * root
+                counts[min(int(abs(residual)), 255)] += 1.0
+                points += 1.0
+                texture += gx * gx + gy * gy
+                recognised += weight * (gx * gx + gy * gy)
+                weights += weight
+                squares += weight * residual * residual
+                # d seen(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
+                px = gain * (c * gx - s * gy)
+                py = gain * (s * gx + c * gy)
+                slope[0] = px
+                slope[1] = py
+                slope[2] = px * (middle + y - v) + py * (u - middle - x)
+                slope[3] = -learnt[row, column]
+                slope[4] = -1.0
+                for i in range(_UNKNOWNS):
+                    right[i] -= weight * slope[i] * residual
+                    for j in range(i + 1):
+                        normal[i, j] += weight * slope[i] * slope[j]
+        if texture <= 0.0 or weights <= 0.0:
+            return 0.0
+        share = recognised / texture
+        for i in range(_UNKNOWNS):
+            normal[i, i] = normal[i, i] * (1.0 + 1e-9) + 1e-9
+            for j in range(i):
+                normal[j, i] = normal[i, j]
+        invert(normal)
+        variance = max(squares / weights, _LEAST_SCALE * _LEAST_SCALE)
+        for i in range(3):
+            for j in range(3):
+                covariance[i, j] = variance * normal[i, j]
+        if done == _ROUNDS - 1:
+            break
+        for i in range(_UNKNOWNS):
+            x += normal[0, i] * right[i]
+            y += normal[1, i] * right[i]
+            turn += normal[2, i] * right[i]
+            gain += normal[3, i] * right[i]
+            offset += normal[4, i] * right[i]
+        passed = 0.0
+        median = 0
+        while passed < 0.5 * points and median < 255:
+            passed += counts[median]
+            median += 1
+        scale = min(max(_TO_SIGMA * (median - 0.5), _LEAST_SCALE), _MOST_SCALE)
+    move[0] = x
+    move[1] = y
+    move[2] = turn
+    return share if _LEAST_GAIN <= gain <= 1.0 / _LEAST_GAIN else 0.0
