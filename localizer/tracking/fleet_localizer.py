@@ -201,7 +201,8 @@ class FleetLocalizer:
         views.update(self._views_at(frame, depths, elsewhere, dict.fromkeys(elsewhere, 0.0)))
         for i, track in enumerate(self._tracks):
             if i in readings and i in views:
-                self._tracks[i] = track.with_marker(views[i].marker(readings[i], self._side_m), self.radius_m)
+                measurement = track.at_stamp(views[i].marker(readings[i], self._side_m), self._late_s(views[i]))
+                self._tracks[i] = track.with_marker(measurement, self.radius_m)
             elif track.motion is not None and self._is_occupied(track.motion.position_m, i, readings):
                 self._tracks[i] = track.contradicted()
 
@@ -232,7 +233,8 @@ class FleetLocalizer:
             track = self._tracks[view.robot]
             clear = self._clearance_m(view.robot, match.pose) > self.radius_m and view.shows(match.pose)
             measurement = view.measurement(match.pose, KCF_NOISE, match.covariance, match.peak)
-            self._tracks[view.robot] = track.with_match(measurement, self._settings.min_peak) if clear else track
+            dated = track.at_stamp(measurement, self._late_s(view))
+            self._tracks[view.robot] = track.with_match(dated, self._settings.min_peak) if clear else track
 
     def _doubt_close_pairs(self) -> None:
         for pair in close_pairs(self._tracks, _TOUCHING * self.radius_m):
@@ -340,6 +342,11 @@ class FleetLocalizer:
         if track.measured is not None:
             return track.measured.pose
         return np.zeros(3) if track.motion is None else track.motion.mean[:3]
+
+    def _late_s(self, view: PredictedView) -> float:
+        """Time from the picture's stamp, which is its first row's, to the exposure of the row that a robot is in."""
+        camera = self._experiment.camera
+        return camera.readout_s * float(view.tangent.pixel[1]) / camera.size_px[1]
 
     def _is_lost(self, robot: int) -> bool:
         return self._tracks[robot].state is Track.LOST

@@ -56,9 +56,9 @@ _REGAIN_PEAK = 0.5  # least correlation peak that regains a lost robot; higher t
 _JUMP_SIGMAS = 3.0
 MATCH_GATE = 16.3  # squared Mahalanobis distance: one of 1,000 good matches is outside; a match has no other witness
 _MATCH_REACH_M = 0.05  # m, farthest that a match may be from the prediction, however little that is worth after coasting
-# A robot that coasts or is lost is matched in so many pictures in a row before it counts, each time as far from the prediction
-# as before: a robot accelerates by 0.3 m/s^2 (1 mm from picture to picture), a match that slides over the background does not.
-_MATCHES_NEEDED, _SAME_OFFSET_M, _SAME_OFFSET_RAD = 3, 0.005, 0.05
+# A robot that coasts or is lost is matched in so many pictures in a row before it counts, with steady offsets from the
+# prediction: a robot accelerates by 0.3 m/s^2 (1 mm from picture to picture), a match that jumps about or slides more.
+_MATCHES_NEEDED, _SAME_OFFSET = 3, np.array([0.005, 0.005, 0.05])
 # A claim is dropped when both limits have passed without a second reading. A visible marker is read ten times in 0.5 s; the
 # number of pictures leaves time to a slow camera or a busy computer.
 _CLAIM_S, _CLAIM_PICTURES = 0.5, 3
@@ -92,16 +92,22 @@ class Claim:
 @dataclass(frozen=True)
 class ProvisionalMatch:
     """Matches in pictures in a row of a robot that coasts or is lost: the last one's offset [x, y, yaw] from the prediction,
-    and their number."""
+    its change since the one before, the time unseen, and their number."""
 
     offset: Array
+    unseen_s: float
+    step: Array | None = None
     count: int = 1
 
-    def continued(self, offset: Array) -> "ProvisionalMatch":
-        """One more match; the count begins anew where it moved otherwise than the prediction."""
+    def continued(self, offset: Array, unseen_s: float, speed_sigma: Array) -> "ProvisionalMatch":
+        """One more match; the count begins anew where it moved otherwise than a robot whose velocity is known to `speed_sigma`
+        (3,) [m/s, m/s, rad/s]."""
         step = offset - self.offset
-        same = float(np.hypot(step[0], step[1])) <= _SAME_OFFSET_M and abs(wrap(float(step[2]))) <= _SAME_OFFSET_RAD
-        return ProvisionalMatch(offset, self.count + 1 if same else 1)
+        step[2] = wrap(float(step[2]))
+        steady = np.zeros(3) if self.step is None else step - self.step
+        may = _SAME_OFFSET + (unseen_s - self.unseen_s) * speed_sigma
+        same = bool(np.all(np.abs(step) <= may) and np.all(np.abs(steady) <= _SAME_OFFSET))
+        return ProvisionalMatch(offset, unseen_s, step, self.count + 1) if same else ProvisionalMatch(offset, unseen_s)
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,8 @@ class RobotTrack:
     @classmethod
     def at_start(cls, pose: Array) -> "RobotTrack":
         """A track without markers: the robot is taken to be at [x, y, yaw], where the experiment starts it, and verified."""
-        return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.KCF, verified=True)
+        placed = ProvisionalMatch(np.zeros(3), 0.0, count=_MATCHES_NEEDED - 1)
+        return cls(motion=initial_state(pose, np.diag(_PLACED_SIGMA**2)), state=Track.COAST, verified=True, match=placed)
 
     def predicted(self, step_s: float) -> "RobotTrack":
         """The track at the next exposure. A lost robot stays where it was last believed."""
@@ -161,6 +168,15 @@ class RobotTrack:
         """The track after another marker ruled its position out: nothing else counts in this frame."""
         return replace(self, verified=False, refuted=True)
 
+    def at_stamp(self, measurement: TrackMeasurement, late_s: float) -> TrackMeasurement:
+        """A measurement in a row of the picture that was exposed `late_s` after its stamp, carried back to the stamp."""
+        if late_s == 0.0:
+            return measurement
+        motion = self.motion or initial_state(measurement.pose, measurement.covariance)
+        pose = measurement.pose - late_s * motion.mean[3:]
+        pose[2] = wrap(float(pose[2]))
+        return replace(measurement, pose=pose, covariance=measurement.covariance + late_s**2 * motion.covariance[3:, 3:])
+
     def with_match(self, measurement: TrackMeasurement, least_peak: float) -> "RobotTrack":
         """The track after its appearance was matched: a measurement if no marker was read, the peak suffices and the gate
         holds."""
@@ -178,7 +194,10 @@ class RobotTrack:
         if (squared > MATCH_GATE and not lost) or float(np.hypot(offset[0], offset[1])) > _MATCH_REACH_M:
             return matched
         if self.state in (Track.COAST, Track.LOST):
-            match = ProvisionalMatch(offset) if self.match is None else self.match.continued(offset)
+            speed_sigma = np.sqrt(np.diag(self.motion.covariance)[3:])
+            before = self.match
+            first = ProvisionalMatch(offset, self.unseen_s)
+            match = first if before is None else before.continued(offset, self.unseen_s, speed_sigma)
             if match.count < _MATCHES_NEEDED:
                 return replace(matched, match=match)
         return matched._measured(measurement, None if lost else updated, Track.KCF, self.verified, self.claim)
