@@ -12,7 +12,7 @@ export OMP_NUM_THREADS = 1
 export OPENBLAS_NUM_THREADS = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help page run check test test-real-time test-computing test-slow mutants faults fuzz soak bench lint format proto docs lock clean
+.PHONY: help page run check test test-real-time test-computing test-slow mutants faults fuzz photoreal soak bench lint format proto docs lock clean
 
 help: ## this list
 	@echo "Targets (each sets up .venv by itself):"
@@ -47,6 +47,10 @@ faults: $(INSTALLED) ## break everything in docs/faults.md, many times, and meas
 fuzz: $(INSTALLED) ## a million payloads for every decoder, fewer for every step. ARGS="--target mavlink --runs 10000"
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[fuzz]' || echo "atheris cannot be installed here: without it, then"
 	$(BIN)/python -m tests.faults.fuzz $(ARGS)
+
+photoreal: $(INSTALLED) ## render tests/localizer/photoreal/data again with Mitsuba 3 (hours). ARGS="tilt-4 --split tune"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[photoreal]'
+	$(BIN)/python -m tests.localizer.photoreal.render $(ARGS)
 
 soak: $(INSTALLED) ## fly for hours while things break, look for what grows. ARGS="--hours 8", "--simulated 10" or "--real-time 4"
 	$(BIN)/python -m tests.faults.soak $(ARGS)

@@ -31,6 +31,7 @@ BENCHMARKS = {
     "encounters": "robots in one another's way: 200 random starts of each scene (30 minutes)",
     "simulation": "the plant, a frame, numeric flights, and lockstep with all processes (3 minutes)",
     "accuracy": "the localizer against the truth of rendered frames (10 minutes)",
+    "photoreal": "the localizer on pictures by another renderer: tilt, waves, glare, covered plates (1 minute)",
     "recorder": "the log of 20 robots and the camera's film: CPU, what is missing, control beside it, SIGKILL (2 minutes)",
     "planner": "planning and replanning, ways in a thousand random worlds (3 minutes)",
     "page": "the operator's page in Chromium: latency, frames, CPU with 2 and 49 robots (3 minutes)",
