@@ -344,9 +344,9 @@ class FleetLocalizer:
         return np.zeros(3) if track.motion is None else track.motion.mean[:3]
 
     def _late_s(self, view: PredictedView) -> float:
-        """Time from the picture's stamp, which is its first row's, to the exposure of the row that a robot is in."""
+        """Time from the picture's stamp, which is its middle row's, to the exposure of the row that a robot is in."""
         camera = self._experiment.camera
-        return camera.readout_s * float(view.tangent.pixel[1]) / camera.size_px[1]
+        return camera.readout_s * (float(view.tangent.pixel[1]) / camera.size_px[1] - 0.5)
 
     def _is_lost(self, robot: int) -> bool:
         return self._tracks[robot].state is Track.LOST

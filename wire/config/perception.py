@@ -19,7 +19,9 @@ class Camera(Section):
     rate_hz: Annotated[float, Field(ge=1, le=240)]
     exposure_s: Annotated[float, Field(gt=0, le=0.05)]
     stamp_marks: Literal["start", "end"] = "end"  # of the exposure: what the camera driver's time stamps tell
-    readout_s: Annotated[float, Field(ge=0, le=0.1)] = 0.0  # rolling shutter: last row after the first, whose time is told
+    readout_s: Annotated[float, Field(ge=0, le=0.1)] = (
+        0.0  # rolling shutter: last row after the first; poses are of the middle one
+    )
     focal_px: tuple[Positive, Positive]
     centre_px: Vec2
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
