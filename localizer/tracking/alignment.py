@@ -14,13 +14,16 @@ from numpy.typing import NDArray
 from wire.frames import Array
 from wire.kernels import kernel
 
-_ROUNDS = 6  # Gauss-Newton iterations; a correlation is off by less than a sample, and the last two move a tenth of one
+_ROUNDS = 7  # Gauss-Newton iterations; a correlation is off by less than a sample, and the last two move a tenth of one
 _BORDER = 3  # samples at the patch's edge that are left out: a shift may move that far
 _LEAST_SCALE = 2.0  # grey levels: sensor noise after demosaicing
 _MOST_SCALE = 12.0  # grey levels: ripples and caustics on a robot; with a larger one a wrong pattern fits everything
 _LEAST_GAIN = 0.6  # contrast over the learnt one; with any gain allowed a grey card is a faint robot
+_FIRST_SCALE = 48.0  # grey levels, halved from round to round: light that fell since it was learnt must not reject all
 _TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _REJECTS_AT = 2.0  # scales: a residual of that size has a quarter of the weight
+_BLOCKS = 6  # each way: 45 mm of a robot 0.3 m across, two or three cells of its marker
+_BLOCK_SHARE = 0.5  # of the texture of a block; of a block with another pattern less is seen again, of a covered one nothing
 _UNKNOWNS = 5  # shift ahead, shift to starboard, rotation, gain, offset
 
 
@@ -56,20 +59,24 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
     right = np.empty(_UNKNOWNS)
     slope = np.empty(_UNKNOWNS)
     counts = np.empty(256)
+    size = (n + _BLOCKS - 1) // _BLOCKS
+    texture = np.empty(_BLOCKS * _BLOCKS)
+    recognised = np.empty(_BLOCKS * _BLOCKS)
     x = 0.0
     y = 0.0
     turn = 0.0
     gain = 1.0
     offset = 0.0
-    scale = _MOST_SCALE
+    widest = _FIRST_SCALE
+    scale = widest
     share = 0.0
     covariance[:, :] = 0.0
     for done in range(_ROUNDS):
         normal[:, :] = 0.0
         right[:] = 0.0
         counts[:] = 0.0
-        texture = 0.0
-        recognised = 0.0
+        texture[:] = 0.0
+        recognised[:] = 0.0
         weights = 0.0
         squares = 0.0
         points = 0.0
@@ -97,8 +104,9 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
                 weight = root * root
                 counts[min(int(abs(residual)), 255)] += 1.0
                 points += 1.0
-                texture += gx * gx + gy * gy
-                recognised += weight * (gx * gx + gy * gy)
+                block = row // size * _BLOCKS + column // size
+                texture[block] += gx * gx + gy * gy
+                recognised[block] += weight * (gx * gx + gy * gy)
                 weights += weight
                 squares += weight * residual * residual
                 # d seen(R p + t) by shift is the gradient turned with the patch; by rotation, that times the turned lever
@@ -113,9 +121,15 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
                     right[i] -= weight * slope[i] * residual
                     for j in range(i + 1):
                         normal[i, j] += weight * slope[i] * slope[j]
-        if texture <= 0.0 or weights <= 0.0:
+        total = 0.0
+        share = 0.0
+        for block in range(_BLOCKS * _BLOCKS):
+            total += texture[block]
+            if recognised[block] > _BLOCK_SHARE * texture[block]:
+                share += texture[block]
+        if total <= 0.0 or weights <= 0.0:
             return 0.0
-        share = recognised / texture
+        share /= total
         for i in range(_UNKNOWNS):
             normal[i, i] = normal[i, i] * (1.0 + 1e-9) + 1e-9
             for j in range(i):
@@ -138,7 +152,8 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
         while passed < 0.5 * points and median < 255:
             passed += counts[median]
             median += 1
-        scale = min(max(_TO_SIGMA * (median - 0.5), _LEAST_SCALE), _MOST_SCALE)
+        widest = max(0.5 * widest, _MOST_SCALE)
+        scale = min(max(_TO_SIGMA * (median - 0.5), 0.25 * widest, _LEAST_SCALE), widest)
     move[0] = x
     move[1] = y
     move[2] = turn

@@ -25,15 +25,18 @@ it.
                                                                   verified, claim; or as
                                                                   contradicted, with a claim
     contradicted       another robot's marker was read here       refuted; verified = False       -
-    with_match         no marker was read, it is followed,        peak; measured, state KCF       for all but peak: measured or
-                       its appearance was matched                                                 refuted in this frame, or
-                                                                                                  outside the gate
+    with_match         no marker was read, it is followed,        peak, match; measured,          for all but peak: measured or
+                       its appearance was matched                 state KCF                       refuted in this frame, a low
+                                                                                                  peak, outside the gate or
+                                                                                                  reach; for measured and state:
+                                                                                                  it coasts, and this is not the
+                                                                                                  third steady match in a row
     identity_doubted   another robot is believed close            verified = False                state is MARKER
     end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
                                                                   verified = False
     message            always: the pose of this frame is published; what follows shows in the next frame's
-    with_match         it is lost, its appearance was matched     peak; measured, state KCF       for all but peak: refuted in
-                                                                                                  this frame, or a low peak
+    with_match         it is lost, its appearance was matched     peak, match; measured,          as above, without the gate
+                                                                  state KCF
     with_scan          a scan found its marker                    claim; as contradicted          its marker was read, or where
                                                                                                   the robot can be
     with_peak          its marker was read, it is its turn        peak                            the peak is not finite
