@@ -27,10 +27,9 @@ it.
     contradicted       another robot's marker was read here       refuted; verified = False       -
     with_match         no marker was read, it is followed,        peak, match; measured,          for all but peak: measured or
                        its appearance was matched                 state KCF                       refuted in this frame, a low
-                                                                                                  peak, outside the gate or
-                                                                                                  reach; for measured and state:
-                                                                                                  it coasts, and this is not the
-                                                                                                  third steady match in a row
+                                                                                                  peak, outside gate or reach;
+                                                                                                  for all but match: coasting,
+                                                                                                  and not the third steady one
     identity_doubted   another robot is believed close            verified = False                state is MARKER
     end_of_frame       no measurement in this frame               state COAST, or LOST with       measured, or LOST before
                                                                   verified = False

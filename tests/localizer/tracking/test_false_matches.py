@@ -1,4 +1,4 @@
-"""Plates that are covered, glared on, dimmed or exchanged: a pose that claims to be good is right, and the rest coasts openly."""
+"""Plates that are covered, glared on, dimmed or exchanged: poses that claim to be good are right, the rest coasts openly."""
 
 import numpy as np
 import pytest
