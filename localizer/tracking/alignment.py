@@ -22,6 +22,7 @@ _LEAST_GAIN = 0.6  # contrast over the learnt one; with any gain allowed a grey 
 _FIRST_SCALE = 48.0  # grey levels, halved from round to round: light that fell since it was learnt must not reject all
 _TO_SIGMA = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 _REJECTS_AT = 2.0  # scales: a residual of that size has a quarter of the weight
+_EDGE_ERROR = 0.15  # samples that an edge may lie off, by ripples and resampling, without being another one
 _BLOCKS = 6  # each way: 45 mm of a robot 0.3 m across, two or three cells of its marker
 _BLOCK_SHARE = 0.5  # of the texture of a block; of a block with another pattern less is seen again, of a covered one nothing
 _UNKNOWNS = 5  # shift ahead, shift to starboard, rotation, gain, offset
@@ -50,7 +51,7 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
     `seen`, and its `covariance` (3, 3). Returns the share of the learnt texture that is seen again, 0 to 1.
 
     Minimises sum rho(seen(R p + t) - gain learnt(p) - offset) over a chessboard of the points p, with rho'(r) = r w and
-    w = 1 / (1 + (r / 2 s)^2)^2. Share: sum w g^2 / sum g^2, with g the gradient of the learnt patch. Covariance:
+    w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2. Share: sum w g^2 / sum g^2, with g the gradient of the learnt patch. Covariance:
     s^2 (J^T W J)^-1 of the first three unknowns.
     """
     n = learnt.shape[0]
@@ -99,8 +100,8 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
                 gx = 0.5 * (learnt[row, column + 1] - learnt[row, column - 1])
                 gy = 0.5 * (learnt[row + 1, column] - learnt[row - 1, column])
                 residual = above * (1.0 - fv) + below * fv - gain * learnt[row, column] - offset
-                ratio = residual / (_REJECTS_AT * scale)
-                root = 1.0 / (1.0 + ratio * ratio)
+                edge = _EDGE_ERROR * _EDGE_ERROR * (gx * gx + gy * gy)
+                root = 1.0 / (1.0 + residual * residual / (_REJECTS_AT * _REJECTS_AT * (scale * scale + edge)))
                 weight = root * root
                 counts[min(int(abs(residual)), 255)] += 1.0
                 points += 1.0

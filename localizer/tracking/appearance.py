@@ -21,7 +21,7 @@ _PLACE_KERNEL = 1.0
 _TURN_KERNEL = 2.0
 _LEAST_TURN_PEAK = 0.2  # peak of the heading filter; a heading found with less is not used
 _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture at half scale
-_LEAST_SHARE = 0.4  # of the learnt texture; below it a pattern may be another one, or the same turned by a right angle
+_LEAST_SHARE = 0.5  # of the learnt texture; below it a pattern may be another one, or the same turned by a right angle
 _CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
 
