@@ -51,8 +51,8 @@ def align(learnt: NDArray[np.float32], seen: NDArray[np.float32], move: Array, c
     `seen`, and its `covariance` (3, 3). Returns the share of the learnt texture that is seen again, 0 to 1.
 
     Minimises sum rho(seen(R p + t) - gain learnt(p) - offset) over a chessboard of the points p, with rho'(r) = r w and
-    w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2. Share: sum w g^2 / sum g^2, with g the gradient of the learnt patch. Covariance:
-    s^2 (J^T W J)^-1 of the first three unknowns.
+    w = 1 / (1 + r^2 / 4 (s^2 + (0.15 g)^2))^2, g the gradient of the learnt patch. Share: of sum g^2, the part in blocks with
+    sum w g^2 > 0.5 sum g^2. Covariance: s^2 (J^T W J)^-1 of the first three unknowns.
     """
     n = learnt.shape[0]
     middle = n // 2
