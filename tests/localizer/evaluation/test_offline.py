@@ -12,6 +12,7 @@ from localizer.__main__ import cli
 from localizer.detection.image_regions import BAYER_TO_BGR
 from tests.localizer.scene import Scene
 from wire.config.experiment import load_experiment
+from wire.frames import Array
 
 pytestmark = pytest.mark.long
 
@@ -29,7 +30,7 @@ def video(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def _place(frame: int) -> np.ndarray:
+def _place(frame: int) -> Array:
     return np.array([0.4 + 0.01 * frame, 0.1, 0.3, 0.7])
 
 

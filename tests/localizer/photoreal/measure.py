@@ -54,7 +54,7 @@ def measure(row: str, split: str, source: Frames = frames, true_depths: bool = F
     sigma_rad = pool.localizer.attitude_sigma_rad if with_attitudes else None
     for k, frame in enumerate(source(row, split)):
         depths = {robot: true.depth_m if true_depths else true.reported_depth_m for robot, true in frame.robots.items()}
-        attitudes = {} if sigma_rad is None else {
+        attitudes: dict[int, Attitude] = {} if sigma_rad is None else {
             robot: Attitude(true.reported_roll_rad, true.reported_pitch_rad, sigma_rad) for robot, true in frame.robots.items()
         }  # fmt: skip
         poses = dict(localizer.step(frame.pixels, frame.stamp_ns, depths, attitudes).poses)
