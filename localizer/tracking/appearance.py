@@ -22,6 +22,7 @@ _TURN_KERNEL = 2.0
 _LEAST_TURN_PEAK = 0.2  # peak of the heading filter; a heading found with less is not used
 _AVERAGED_PX = 1.3  # px between samples; wider patches are taken from a picture at half scale
 _LEAST_SHARE = 0.5  # of the learnt texture; below it a pattern may be another one, or the same turned by a right angle
+_ALIGNED_PX = 0.6  # px between samples, least for an alignment: of a robot below 30 px across blocks show no texture
 _CORRELATED = 4.0  # variance of an aligned pose over that of independent pixels: ripples and caustics move samples together
 _FAR_SHIFT = 1.5  # samples; the window biases a peak by 4.5 % of its shift, so a larger shift is measured a second time
 
@@ -70,14 +71,16 @@ class AppearanceModel:
         found[:, 2] += turns[:, 0] * (2.0 * np.pi / self._sampler.angles)
         clipped, patches = _verified(peaks, turn_peaks), self._patches(views, colours, found).mean(axis=1)
         return [
-            self._aligned(robot, pose, peak, patch)
-            for robot, pose, peak, patch in zip(robots, found, clipped.tolist(), patches, strict=True)
+            self._aligned(view, pose, peak, patch)
+            for view, pose, peak, patch in zip(views, found, clipped.tolist(), patches, strict=True)
         ]
 
-    def _aligned(self, robot: int, pose: Array, peak: float, patch: Real) -> Match:
-        """The match after an alignment of the grey patch (size, size) that was sampled at its pose."""
+    def _aligned(self, view: PredictedView, pose: Array, peak: float, patch: Real) -> Match:
+        """The match after an alignment of the grey patch (size, size) that was sampled at its pose; small robots: as it is."""
+        if self._sampler.pitch_m * view.tangent.px_per_m < _ALIGNED_PX:
+            return Match(np.array([pose[0], pose[1], wrap(float(pose[2]))]), np.zeros((3, 3)), peak)
         move, covariance = np.zeros(3), np.empty((3, 3))
-        share = align(self._grey[robot], patch, move, covariance)
+        share = align(self._grey[view.robot], patch, move, covariance)
         to_pool = np.eye(3)
         to_pool[:2, :2] = self._sampler.pitch_m * body_to_pool(np.eye(2), float(pose[2])).T
         if share <= _LEAST_SHARE:

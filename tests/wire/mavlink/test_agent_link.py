@@ -84,7 +84,7 @@ def test_roll_and_pitch_arrive_with_their_rates() -> None:
 @pytest.mark.parametrize(
     "tilt", [(0.0, 0.0, 0.0, 0.0), (math.nan, 0.1, 0.0, 0.0), (0.1, 1.55, 0.0, 0.0), (0.1, 0.1, math.inf, 0.0)]
 )
-def test_what_is_no_tilt_is_not_known_and_costs_no_heading(tilt: tuple[float, ...]) -> None:
+def test_zero_or_impossible_tilt_is_unknown_and_keeps_the_heading(tilt: tuple[float, ...]) -> None:
     agent, board = AgentLink(7), BoardLink(7)
     agent.receive(board.pressure(1, 0.3) + board.attitude(1, 0.5, 0.1, (0.1, 0.1, 0.0, 0.0)), 0)
     agent.receive(board.pressure(2, 0.3) + board.attitude(2, 0.25, 0.1, tilt), 20 * MS)
